@@ -1,0 +1,245 @@
+"""The one interface between the recorder and anything that turns a motor.
+
+Everything here is at the motor shaft, in SI: rad, rad/s, N m, s, degC, V. The gear ratio and the joint belong to
+the layer above. A `Servo` is one axis and one round trip a tick: write the set-point, read the state.
+
+Rules every servo keeps, and that the contract tests hold it to:
+
+* A set-point is bounded by `Limits.bound` before it is encoded: a NaN is refused, never clamped.
+* `disarm` and `close` may be called twice, at any time, on a latched or half-dead device, and leave the torque off.
+* Stopping means torque off. No servo holds a position to stop.
+* A reply that does not come is `NoReply` (data: the recorder counts a gap); a link that is gone is `LinkLost`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field, replace
+from enum import IntFlag, StrEnum
+from typing import Protocol, Self
+
+
+class Quantity(StrEnum):
+    """What a set-point commands."""
+
+    TORQUE = "torque"
+    POSITION = "position"
+
+
+class Status(IntFlag):
+    """What was not ordinary about a sample; zero is a good sample."""
+
+    NO_REPLY = 1
+    """The drive did not answer in this tick; the row holds no measurement."""
+    BAD_REPLY = 2
+    """The drive answered something that cannot be decoded; the row holds no measurement."""
+    LATE = 4
+    """The tick began more than half a period after its time."""
+    SATURATED = 8
+    """The torque limit or the current limit was acting."""
+    STALE = 16
+    """The drive's own clock had not moved since the sample before."""
+
+
+class DriverError(Exception):
+    """A drive or its link did something other than what was asked."""
+
+
+class LinkLost(DriverError, ConnectionError):
+    """The port or the bus is gone. The run ends; whether the motor is live is not known."""
+
+
+class NoReply(DriverError, TimeoutError):
+    """No reply within the deadline. One is a gap in the data; several in a row end the run."""
+
+
+class BadReply(DriverError, ValueError):
+    """A reply that fails its checksum, its length or its identity."""
+
+
+class DeviceFault(DriverError, RuntimeError):
+    """The drive latched a fault.
+
+    `code` is the drive's own number, `message` says it in words with the remedy.
+    """
+
+    def __init__(self, code: int, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class UnsafeCommand(DriverError, ValueError):
+    """A set-point that must not reach a drive: not finite, or sent while disarmed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A set-point at the motor shaft: N m for torque, rad (the drive's own zero) for position."""
+
+    quantity: Quantity
+    value: float
+
+    @classmethod
+    def rest(cls) -> Self:
+        """Zero torque: the only set-point a disarmed servo accepts."""
+        return cls(Quantity.TORQUE, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the drive must never exceed, at the motor shaft.
+
+    torque: N m, magnitude. velocity: rad/s, magnitude. temperature: degC. position: rad, lowest and highest.
+    Raises ValueError where one is not a positive number or the positions are reversed.
+    """
+
+    torque: float
+    velocity: float
+    temperature: float
+    position: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for name in ("torque", "velocity", "temperature"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"limit of {name}: {value} is not a positive number")
+        low, high = self.position
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise ValueError(f"limit of position: {low} to {high} is not a range")
+
+    def bound(self, command: Command) -> Command:
+        """The same set-point held within the limits.
+
+        Finiteness is checked first: `max(low, min(high, nan))` is `high`, which would be full torque.
+        Raises UnsafeCommand where the value is not finite.
+        """
+        if not math.isfinite(command.value):
+            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
+        low, high = self.position if command.quantity is Quantity.POSITION else (-self.torque, self.torque)
+        return replace(command, value=max(low, min(high, command.value)))
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What one round trip read; NaN where the stand has no such sensor.
+
+    t: s, when the set-point was sent. t_read: s, the midpoint of the bus read. Both on the servo's clock.
+    motor_position rad, motor_velocity rad/s, motor_torque N m: at the motor shaft.
+    joint_position rad, joint_torque N m: at the locked joint.
+    temperature degC, voltage V.
+    """
+
+    t: float
+    t_read: float
+    motor_position: float = math.nan
+    motor_velocity: float = math.nan
+    motor_torque: float = math.nan
+    joint_position: float = math.nan
+    joint_torque: float = math.nan
+    temperature: float = math.nan
+    voltage: float = math.nan
+    status: Status = field(default=Status(0))
+
+    @classmethod
+    def missing(cls, t: float, status: Status = Status.NO_REPLY) -> Self:
+        """A row that says a reply was lost at `t` s: a counted gap, no value invented."""
+        return cls(t=t, t_read=math.nan, status=status)
+
+
+@dataclass(frozen=True, slots=True)
+class ServoInfo:
+    """What a servo is.
+
+    quantities: the set-points it takes. position_lsb rad, torque_lsb N m, velocity_lsb rad/s: one count at the motor
+    shaft, NaN where not known. torque_uncertainty: relative standard uncertainty of the torque scale, NaN where not
+    known.
+    """
+
+    backend: str
+    model: str
+    serial: str = ""
+    firmware: str = ""
+    quantities: frozenset[Quantity] = frozenset(Quantity)
+    position_lsb: float = math.nan
+    velocity_lsb: float = math.nan
+    torque_lsb: float = math.nan
+    torque_uncertainty: float = math.nan
+
+
+class Clock(Protocol):
+    """Whose time the recording keeps, in s from an arbitrary zero; it never goes back."""
+
+    def now(self) -> float:
+        """The time now, s."""
+        ...
+
+    def sleep_until(self, t: float) -> None:
+        """Return at `t` s or later; at once where `t` has passed."""
+        ...
+
+
+class MonotonicClock:
+    """The machine's own monotonic time: a step of the wall clock does not touch it."""
+
+    def now(self) -> float:
+        """The time now, s."""
+        return time.monotonic()
+
+    def sleep_until(self, t: float) -> None:
+        """Return at `t` s or later; at once where `t` has passed."""
+        remaining = t - time.monotonic()
+        if remaining > 0.0:
+            time.sleep(remaining)
+
+
+class Servo(Protocol):
+    """One axis behind one link."""
+
+    @property
+    def info(self) -> ServoInfo:
+        """What this servo is; known once it is open."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """Whose time its samples carry: virtual for the simulator, monotonic for hardware."""
+        ...
+
+    def arm(self, limits: Limits) -> None:
+        """Write the limits into the device where it has registers for them, then enable it at zero torque.
+
+        Raises DeviceFault where a fault is latched, DriverError where a limit is refused.
+        """
+        ...
+
+    def exchange(self, command: Command) -> Sample:
+        """Write the set-point, read the state.
+
+        A disarmed servo is read without being driven and takes only `Command.rest()`.
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, DeviceFault.
+        """
+        ...
+
+    def disarm(self) -> None:
+        """Torque off. Harmless when already off."""
+        ...
+
+    def close(self) -> None:
+        """Torque off, then let go of the link. Harmless when already closed."""
+        ...
+
+
+class JointSensor(Protocol):
+    """A second device that reads the locked joint, on its own link."""
+
+    def read(self) -> tuple[float, float]:
+        """The time of the reading, s on the servo's clock, and the joint torque, N m.
+
+        Raises NoReply, BadReply, LinkLost.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of the link. Harmless when already closed."""
+        ...

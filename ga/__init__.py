@@ -1,0 +1,1 @@
+"""The genetic search: chromosomes, operators, fitness, trials, and the exact optimum beside them."""

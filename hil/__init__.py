@@ -1,0 +1,1 @@
+"""hil: record a locked joint, identify the stiffness and damping of its coupling."""
