@@ -1,0 +1,259 @@
+"""The `[sim]` table of stand.toml: every parameter of the simulated stand, with its unit and its default.
+
+Plain frozen dataclasses: the bounds stand in the annotations for whoever validates a file (pydantic reads them), and
+what no single bound can say is checked in `__post_init__`, with the key in the message. Joint-side quantities carry
+the paper's names for them; motor-side ones say so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar
+
+from annotated_types import Ge, Gt, Le, Lt
+
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+Delay = Annotated[float, Ge(0), Le(0.02)]
+Counts = Annotated[int, Ge(4)]
+
+# For whoever validates with pydantic: a misspelt key or a value that is not finite is an error.
+_STRICT: dict[str, bool] = {"allow_inf_nan": False}
+_FORBID: dict[str, object] = {"extra": "forbid", **_STRICT}
+
+GEAR_RATIO = 4.0
+MOTOR_INERTIA = 2e-7
+MOTOR_DAMPING = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class MotorParameters:
+    """The motor and its winding; the first three are `None` where the stand's own values hold."""
+
+    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+
+    gear_ratio: Positive | None = None
+    """eta, turns of the motor for one of the joint; None: as [stand] says."""
+    inertia: Positive | None = None
+    """Dm, kg m^2 at the motor shaft; None: as [stand] says."""
+    viscous_friction: NotNegative | None = None
+    """Bm, N m s/rad at the motor shaft; None: as [stand] says."""
+    torque_constant: Positive = 0.0145
+    """N m/A; it does not change with temperature."""
+    winding_resistance: Positive = 8.7
+    """Ohm; it does not change with temperature."""
+    winding_heat_capacity: Positive = 1.4
+    """J/K."""
+    winding_thermal_resistance: Positive = 5.0
+    """K/W, winding to housing."""
+    housing_heat_capacity: Positive = 22.0
+    """J/K."""
+    housing_thermal_resistance: Positive = 20.0
+    """K/W, housing to ambient."""
+    ambient_temperature: Annotated[float, Ge(-50), Le(100)] = 23.0
+    """degC; winding and housing begin at it."""
+
+
+@dataclass(frozen=True, slots=True)
+class CouplingParameters:
+    """The cable between motor and joint, all at the joint side; a zero switches an element off."""
+
+    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+
+    stiffness: Positive = 17.75e-3
+    """Kc, N m/rad."""
+    damping: NotNegative = 0.19e-3
+    """Bc, N m s/rad."""
+    cubic: NotNegative = 0.0
+    """K3, N m/rad^3: how the cable stiffens as it is drawn."""
+    coulomb_friction: NotNegative = 2e-5
+    """Fc, N m: friction of the sheath while sliding (LuGre model); 0: no dry friction at all."""
+    static_friction_ratio: Annotated[float, Ge(1), Le(5)] = 1.25
+    """Friction at rest over `coulomb_friction`."""
+    stribeck_velocity: Positive = 0.05
+    """rad/s of deflection rate at which the friction falls from static to Coulomb."""
+    bristle_stiffness: Positive = 0.02
+    """N m/rad: stiffness of the friction before it slides."""
+    bristle_damping: NotNegative = 1e-5
+    """N m s/rad: damping of the friction before it slides."""
+    gap: NotNegative = 0.0
+    """rad of deflection, the whole width: backlash."""
+    slack: NotNegative = 0.0
+    """rad of deflection before a single tendon pulls, which then pulls one way only; 0: a pretensioned pair."""
+    hysteresis_torque: NotNegative = 0.0
+    """N m: what the Bouc-Wen element carries once it has yielded."""
+    hysteresis_yield: Positive = 0.02
+    """rad: `hysteresis_torque` over the element's initial stiffness."""
+    hysteresis_exponent: Annotated[float, Ge(1), Le(10)] = 1.0
+    """How sharply the element yields."""
+
+    def __post_init__(self) -> None:
+        if self.gap > 0.0 and self.slack > 0.0:
+            raise ValueError("coupling.gap and coupling.slack exclude each other: a single tendon has no second flank")
+        needed = self.bristle_damping * (self.static_friction_ratio - 1.0)
+        if self.coulomb_friction > 0.0 and needed > self.damping:
+            raise ValueError(
+                f"coupling.bristle_damping {self.bristle_damping} would make the friction a source of energy: "
+                f"bristle_damping * (static_friction_ratio - 1) must not exceed coupling.damping {self.damping}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class FixtureParameters:
+    """What locks the joint: stiff, but not infinitely so."""
+
+    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+
+    stiffness: Positive = 20.0
+    """N m/rad, joint to ground."""
+    damping: NotNegative = 2e-3
+    """N m s/rad, joint to ground."""
+    inertia: Positive = 5e-6
+    """kg m^2 of the locked joint."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveParameters:
+    """The drive's electronics and firmware, at the motor shaft."""
+
+    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+
+    current_bandwidth: Annotated[float, Gt(0), Le(20_000)] = 1000.0
+    """Hz, first order, of the current loop."""
+    torque_limit: Positive = 5e-3
+    """N m that the drive can make at most, whatever the limits it is armed with."""
+    loop_rate: Annotated[float, Ge(100), Le(50_000)] = 5000.0
+    """Hz at which the firmware takes set-points over, closes the position loop and looks for faults."""
+    position_gain: NotNegative = 0.02
+    """N m/rad of the position loop."""
+    position_integral_gain: NotNegative = 0.5
+    """N m/(rad s) of the position loop."""
+    position_damping_gain: NotNegative = 9e-5
+    """N m s/rad of the position loop, on the filtered velocity."""
+    command_delay: Delay = 1e-4
+    """s from the arrival of a set-point to when the firmware may use it."""
+    supply_voltage: Positive = 12.0
+    """V, as the drive reports it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorParameters:
+    """What is read, how coarsely, how late and how noisily."""
+
+    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+
+    motor_counts: Counts = 4096
+    """Counts a turn of the motor encoder."""
+    joint_counts: Counts = 16384
+    """Counts a turn of the joint encoder."""
+    joint_encoder: bool = True
+    """Whether the joint has an encoder; its reading is NaN otherwise."""
+    torque_cell: bool = True
+    """Whether the locked joint rests on a torque cell; its reading is NaN otherwise."""
+    reports_velocity: bool = True
+    """Whether the drive reports a velocity; it is NaN otherwise."""
+    velocity_bandwidth: Annotated[float, Gt(0), Le(20_000)] = 200.0
+    """Hz, first order, of the drive's velocity filter."""
+    velocity_lsb: Positive = 0.024
+    """rad/s at the motor shaft."""
+    current_lsb: Positive = 1e-3
+    """A; times the torque constant it is the LSB of the motor torque."""
+    motor_torque_noise: NotNegative = 1e-5
+    """N m at the motor shaft, standard deviation, white."""
+    torque_cell_noise: NotNegative = 2e-4
+    """N m at the joint, standard deviation, white."""
+    torque_cell_offset: float = 5e-5
+    """N m at the joint."""
+    torque_cell_drift: float = 1e-6
+    """N m/s at the joint, since the servo was opened."""
+    torque_cell_lsb: Positive = 2e-5
+    """N m at the joint."""
+    torque_cell_bandwidth: Annotated[float, Gt(0), Le(20_000)] = 2000.0
+    """Hz, first order."""
+    motor_position_delay: Delay = 0.0
+    """s: age of the motor angle and velocity when the drive answers."""
+    motor_torque_delay: Delay = 5e-5
+    """s: age of the motor torque."""
+    joint_position_delay: Delay = 1e-4
+    """s: age of the joint angle."""
+    joint_torque_delay: Delay = 5e-5
+    """s: age of the torque cell's reading, on top of its filter."""
+    temperature_lsb: Positive = 1.0
+    """K of the winding temperature."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkParameters:
+    """The bus between the computer and the drive."""
+
+    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+
+    round_trip: Positive = 6e-4
+    """s, request and reply together, each half of it on average."""
+    jitter: NotNegative = 2e-5
+    """s, standard deviation of each half; what makes the two unequal is what the time stamp is wrong by."""
+    lost_reply: Annotated[float, Ge(0), Lt(1)] = 1e-3
+    """Probability that a reply is lost; the set-point has arrived all the same."""
+    reply_timeout: Positive = 1.5e-3
+    """s after which a reply counts as lost."""
+    watchdog: Positive = 0.1
+    """s without an exchange after which an armed drive turns its torque off and latches a fault."""
+
+    def __post_init__(self) -> None:
+        if self.reply_timeout <= self.round_trip:
+            raise ValueError(
+                f"link.reply_timeout {self.reply_timeout} s is not longer than link.round_trip {self.round_trip} s: "
+                "no reply would ever come in time"
+            )
+        if self.watchdog <= self.reply_timeout:
+            raise ValueError(
+                f"link.watchdog {self.watchdog} s is not longer than link.reply_timeout {self.reply_timeout} s: "
+                "one lost reply would stop the drive"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class SimParameters:
+    """The simulated stand; the default is the paper's joint with honest, imperfect sensors."""
+
+    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+
+    motor: MotorParameters = field(default_factory=MotorParameters)
+    coupling: CouplingParameters = field(default_factory=CouplingParameters)
+    fixture: FixtureParameters = field(default_factory=FixtureParameters)
+    drive: DriveParameters = field(default_factory=DriveParameters)
+    sensors: SensorParameters = field(default_factory=SensorParameters)
+    link: LinkParameters = field(default_factory=LinkParameters)
+
+    def __post_init__(self) -> None:
+        lsb = self.sensors.current_lsb * self.motor.torque_constant
+        if lsb > self.drive.torque_limit:
+            raise ValueError(
+                f"drive.torque_limit {self.drive.torque_limit} N m is below one count of the motor torque, "
+                f"{lsb:.3g} N m: raise it or lower sensors.current_lsb"
+            )
+
+    def resolved(
+        self,
+        gear_ratio: float | None = None,
+        motor_inertia: float | None = None,
+        motor_damping: float | None = None,
+    ) -> SimParameters:
+        """The same stand with no motor parameter left open.
+
+        What `[sim.motor]` states holds; then what the stand states (the arguments: -, kg m^2, N m s/rad); then the
+        default: a small coreless motor behind a gear of 4, which puts the torque-driven resonance near 12 Hz.
+        """
+        motor = replace(
+            self.motor,
+            gear_ratio=_first(self.motor.gear_ratio, gear_ratio, GEAR_RATIO),
+            inertia=_first(self.motor.inertia, motor_inertia, MOTOR_INERTIA),
+            viscous_friction=_first(self.motor.viscous_friction, motor_damping, MOTOR_DAMPING),
+        )
+        return replace(self, motor=motor)
+
+
+def _first(stated: float | None, stand: float | None, default: float) -> float:
+    if stated is not None:
+        return stated
+    return stand if stand is not None else default

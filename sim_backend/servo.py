@@ -1,0 +1,289 @@
+"""The simulated servo: a drive on the plant, behind a link that takes time and loses replies."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from drivers.servo import (
+    BadReply,
+    Clock,
+    Command,
+    DeviceFault,
+    DriverError,
+    Limits,
+    LinkLost,
+    NoReply,
+    Quantity,
+    Sample,
+    ServoInfo,
+    Status,
+    UnsafeCommand,
+)
+from sim_backend.drive import REMEDY, Drive, FaultCode
+from sim_backend.faults import (
+    CorruptReplies,
+    Fault,
+    FaultLatches,
+    Silence,
+    TorqueUnreadable,
+    device_faults,
+    link_ends,
+    within,
+)
+from sim_backend.plant import (
+    CELL,
+    JOINT,
+    JOINT_RATE,
+    MOTOR,
+    MOTOR_RATE,
+    TORQUE,
+    WINDING,
+)
+from sim_backend.sensors import Noise, Sensors
+
+if TYPE_CHECKING:
+    from sim_backend.parameters import SimParameters
+
+
+class VirtualClock:
+    """Time that passes only when someone waits for it."""
+
+    def __init__(self) -> None:
+        self._t = 0.0
+
+    def now(self) -> float:
+        """The time now, s."""
+        return self._t
+
+    def sleep_until(self, t: float) -> None:
+        """Let time pass until `t` s; at once, and no time passes, where `t` is not later."""
+        self._t = max(self._t, t)
+
+
+@dataclass(frozen=True, slots=True)
+class TrueState:
+    """What no sensor shows.
+
+    t: s on the servo's clock. motor_*: rad, rad/s, N m at the motor shaft. torque_demand: N m asked of the current
+    loop. joint_*: rad, rad/s at the joint. coupling_torque: sigma_c, N m. cell_torque: N m at the torque cell before it
+    is sampled. winding_temperature: degC. enabled: whether current can flow.
+    """
+
+    t: float
+    motor_position: float
+    motor_velocity: float
+    motor_torque: float
+    torque_demand: float
+    joint_position: float
+    joint_velocity: float
+    coupling_torque: float
+    cell_torque: float
+    winding_temperature: float
+    enabled: bool
+
+
+class SimServo:
+    """A simulated axis. The same parameters, seed, plan and commands give the same samples bit for bit.
+
+    faults: what goes wrong on purpose, in s since construction. Raises ValueError where the seed is negative.
+    """
+
+    def __init__(self, parameters: SimParameters, *, seed: int, clock: Clock, faults: tuple[Fault, ...] = ()) -> None:
+        self._parameters = parameters.resolved()
+        self._clock = clock
+        self._opened = clock.now()
+        self._drive = Drive(self._parameters)
+        self._sensors = Sensors(self._parameters)
+        self._noise = Noise(seed)
+        self._plan = faults
+        self._link_ends = link_ends(faults)
+        self._ahead = deque(device_faults(faults))
+        self._under_way: deque[tuple[float, Command]] = deque()
+        self._limits: Limits | None = None
+        self._closed = False
+        self._info = ServoInfo(
+            backend="sim",
+            model="simulated joint",
+            serial=f"seed {seed}",
+            position_lsb=self._sensors.position_lsb,
+            velocity_lsb=self._parameters.sensors.velocity_lsb,
+            torque_lsb=self._sensors.torque_lsb,
+            torque_uncertainty=0.0,
+        )
+
+    @property
+    def info(self) -> ServoInfo:
+        """What this servo is; its torque scale is exact."""
+        return self._info
+
+    @property
+    def clock(self) -> Clock:
+        """Whose time its samples carry."""
+        return self._clock
+
+    def arm(self, limits: Limits) -> None:
+        """Write the limits into the drive and enable it at zero torque.
+
+        The drive's own torque limit holds beside `limits.torque`; the position range bounds set-points only.
+        Raises LinkLost, NoReply, DeviceFault where a fault is latched, DriverError where the torque limit is refused.
+        """
+        now = self._reach()
+        self._advance(now)
+        self._raise_fault()
+        if limits.torque < self._sensors.torque_lsb:
+            raise DriverError(
+                f"torque limit {limits.torque:.3g} N m is below one count of the drive, "
+                f"{self._sensors.torque_lsb:.3g} N m: raise it"
+            )
+        self._under_way.clear()
+        self._drive.enable(limits)
+        self._limits = limits
+
+    def exchange(self, command: Command) -> Sample:
+        """Send the set-point and read the state; a round trip passes on the clock, a lost reply takes the timeout.
+
+        The set-point acts when it has arrived, so the sample shows the state before it. A fault, once latched, is
+        raised by every exchange. Raises UnsafeCommand, NoReply, BadReply, LinkLost, DeviceFault.
+        """
+        bounded = self._bounded(command)
+        draw = self._noise.draw()
+        sent = self._reach()
+        link = self._parameters.link
+        outbound = max(0.0, 0.5 * link.round_trip + link.jitter * draw.outbound)
+        inbound = max(0.0, 0.5 * link.round_trip + link.jitter * draw.inbound)
+        arrived = sent + outbound
+        returned = arrived + inbound
+        self._advance(arrived)
+        self._drive.feed()
+        self._under_way.append((arrived + self._parameters.drive.command_delay, bounded))
+        if draw.lost < link.lost_reply or returned - sent > link.reply_timeout:
+            self._time_out(sent)
+        self._clock.sleep_until(returned)
+        self._raise_fault()
+        if within(self._plan, CorruptReplies, arrived - self._opened):
+            raise BadReply("the reply failed its checksum: the sample is dropped")
+        reading = self._sensors.read(self._drive, draw)
+        if within(self._plan, TorqueUnreadable, arrived - self._opened):
+            reading = reading._replace(motor_torque=math.nan, joint_torque=math.nan)
+        saturated = self._drive.take_saturated() or (command.quantity is Quantity.TORQUE and bounded != command)
+        status = Status.SATURATED if saturated else Status(0)
+        return Sample(sent, 0.5 * (sent + returned), *reading, status)
+
+    def disarm(self) -> None:
+        """Torque off. Where the link is gone or silent the drive does not hear it, and its watchdog does the same."""
+        self._limits = None
+        now = self._clock.now()
+        since = now - self._opened
+        if self._closed or since >= self._link_ends or within(self._plan, Silence, since):
+            return
+        self._advance(now)
+        self._under_way.clear()
+        self._drive.disable()
+
+    def close(self) -> None:
+        """Torque off, then let go of the link."""
+        self.disarm()
+        self._closed = True
+
+    def truth(self) -> dict[str, float]:
+        """What the stand really is, for the recording's `/truth`: SI, at the joint unless named for the motor.
+
+        skew_motor, skew_joint: how much older the torque reading is than the angle's, s, filter lag included.
+        """
+        p = self._parameters
+        c, sensors = self._drive.constants, p.sensors
+        return {
+            "Kc": c.stiffness,
+            "Bc": c.damping,
+            "K3": c.cubic,
+            "Fc": c.coulomb,
+            "gap": c.gap,
+            "slack": c.slack,
+            "hysteresis_torque": c.hysteresis_torque,
+            "gear_ratio": c.gear_ratio,
+            "motor_inertia": c.inertia,
+            "motor_damping": c.viscous_friction,
+            "fixture_stiffness": c.fixture_stiffness,
+            "joint_inertia": c.joint_inertia,
+            "tau0": sensors.torque_cell_offset,
+            "drift": sensors.torque_cell_drift,
+            "skew_motor": sensors.motor_torque_delay - sensors.motor_position_delay,
+            "skew_joint": sensors.joint_torque_delay + 1.0 / c.cell_rate - sensors.motor_position_delay,
+        }
+
+    def true_state(self) -> TrueState:
+        """The plant as it is at this moment of the clock, open or closed: what tests judge by. No time passes."""
+        self._advance(self._clock.now())
+        drive = self._drive
+        state = drive.path.state
+        return TrueState(
+            t=self._opened + drive.time,
+            motor_position=float(state[MOTOR]),
+            motor_velocity=float(state[MOTOR_RATE]),
+            motor_torque=float(state[TORQUE]),
+            torque_demand=drive.demand,
+            joint_position=float(state[JOINT]),
+            joint_velocity=float(state[JOINT_RATE]),
+            coupling_torque=drive.coupling_torque,
+            cell_torque=float(state[CELL]),
+            winding_temperature=float(state[WINDING]),
+            enabled=drive.enabled,
+        )
+
+    def _bounded(self, command: Command) -> Command:
+        """The set-point within the limits; nothing but rest while disarmed, and never what is not finite."""
+        if not math.isfinite(command.value):
+            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
+        if self._limits is not None:
+            return self._limits.bound(command)
+        if command != Command.rest():
+            raise UnsafeCommand(
+                f"{command.quantity} set-point {command.value} while disarmed: arm first, nothing was sent"
+            )
+        return command
+
+    def _reach(self) -> float:
+        """The time of sending. Raises LinkLost, and NoReply once the timeout has passed."""
+        now = self._clock.now()
+        if self._closed:
+            raise LinkLost("the simulated servo is closed")
+        if now - self._opened >= self._link_ends:
+            raise LinkLost("the simulated link is gone: whether the motor is live is not known")
+        if within(self._plan, Silence, now - self._opened):
+            self._time_out(now)
+        return now
+
+    def _time_out(self, sent: float) -> None:
+        timeout = self._parameters.link.reply_timeout
+        self._clock.sleep_until(sent + timeout)
+        raise NoReply(f"no reply within {timeout * 1e3:.3g} ms")
+
+    def _raise_fault(self) -> None:
+        code = self._drive.fault
+        if code == 0:
+            return
+        known = code in list(FaultCode)
+        remedy = REMEDY[FaultCode(code)] if known else "see the drive's manual; the fault holds until the power is cut"
+        raise DeviceFault(code, f"the drive latched fault {code}: {remedy}")
+
+    def _advance(self, t: float) -> None:
+        """Carry the drive to `t` on the clock, taking set-points and planned faults in at their times."""
+        until = t - self._opened
+        while self._ahead and self._ahead[0].at <= until:
+            fault = self._ahead.popleft()
+            self._deliver(fault.at)
+            if isinstance(fault, FaultLatches):
+                self._drive.latch(fault.code)
+            else:
+                self._drive.freeze_encoder()
+        self._deliver(until)
+
+    def _deliver(self, until: float) -> None:
+        while self._under_way and self._under_way[0][0] - self._opened <= until:
+            due, command = self._under_way.popleft()
+            self._drive.run(due - self._opened)
+            self._drive.follow(command)
+        self._drive.run(until)
