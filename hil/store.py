@@ -1,0 +1,242 @@
+"""Recordings on disk: HDF5, schema `hil-recording/1`. One file, one recording, one axis.
+
+Layout of a finished file (all numbers little-endian, SI)::
+
+    /                attrs: schema, uid, created (ISO 8601 UTC), complete (bool), end_reason, software (JSON), host,
+                     command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples)
+    /samples/        one 1-D dataset a channel, equal length, attrs unit and description: see CHANNELS
+    /profile/        attrs: kind and every parameter
+    /events/         time (s), code, message
+    /truth/          attrs, only from a simulator: the true Kc, Bc, ...; never read by identification
+
+`sha256` is over the rows in order, each the 8-byte fields of ROW: what `rows()` yields, as bytes.
+
+A recording in progress is `NAME.h5.part`: the same groups, except that the samples are one contiguous compound dataset
+`/live` and the events one `/live_events`, both preallocated and filled with the end mark. HDF5 is closed before the
+first row, and rows are written straight to the dataset's offset, so that the metadata never changes and the file is
+legal at every moment. A row is there once its `seq` equals its index. Every reader here takes both layouts.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import stat
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import Untrustworthy, WrongUse
+
+SCHEMA = "hil-recording/1"
+END_MARK = np.uint64(2**64 - 1)
+BLOCK = 65536
+"""Rows handled at a time, so that no run is ever held in memory whole."""
+
+CHANNELS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "seq": ("1", "row number since the start"),
+        "time": ("s", "when the set-point was sent, from the start"),
+        "command": ("N*m or rad", "set-point at the joint, in the unit of the profile's quantity"),
+        "torque": ("N*m", "torque at the joint: the joint's cell, or the motor's torque times the gear ratio, as read"),
+        "dtheta": ("rad", "deflection: motor position over gear ratio, less the joint's, less their value at rest"),
+        "dtheta_dot": ("rad/s", "rate of the deflection as the drive reports it, late by its own filter"),
+        "motor_position": ("rad", "at the motor shaft"),
+        "motor_velocity": ("rad/s", "at the motor shaft, as the drive reports it"),
+        "motor_torque": ("N*m", "at the motor shaft, as the drive reports it"),
+        "joint_position": ("rad", "at the locked joint"),
+        "joint_torque": ("N*m", "at the locked joint"),
+        "read_time": ("s", "midpoint of the bus read, from the start"),
+        "temperature": ("degC", "of the winding, as the drive reports it"),
+        "status": ("1", "bits: 1 no reply, 2 bad reply, 4 late, 8 saturated, 16 stale"),
+    }
+)
+_INTEGER = {"seq": "<u8", "status": "<u8"}
+ROW = np.dtype([(name, _INTEGER.get(name, "<f8")) for name in CHANNELS])
+EVENT = np.dtype([("time", "<f8"), ("code", "S32"), ("message", "S200")])
+EVENTS = 256
+"""Events that a recording in progress has room for."""
+
+Rows = NDArray[np.void]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened at `time` s: a short code and a sentence."""
+
+    time: float
+    code: str
+    message: str
+
+
+class Recording:
+    """An open recording, finished or not; `len()` is its rows.
+
+    attributes: the root's. profile: what was asked of the motor. complete: whether it ended as planned.
+    live: whether it is still in the first stage's layout.
+    Raises WrongUse for a file that is no recording of this schema, Untrustworthy for a damaged one.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = _open(path)
+        try:
+            self._check_schema()
+            self.attributes = {name: _plain(self._file.attrs[name]) for name in self._file.attrs}
+            self.profile = {name: _plain(value) for name, value in self._group("profile").attrs.items()}
+            self.live = "live" in self._file
+            self.complete = bool(self.attributes.get("complete", False))
+            self._length = self._count_live() if self.live else self._check_samples()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._file.close()
+
+    def __len__(self) -> int:
+        return self._length
+
+    @property
+    def stand_toml(self) -> str:
+        """The stand file it was recorded with, "" where there was none."""
+        return str(self.attributes.get("stand_toml", ""))
+
+    def rows(self, block: int = BLOCK) -> Iterator[tuple[int, Rows]]:
+        """The rows in order, `block` at a time, each time with the index of the first.
+
+        Raises Untrustworthy where the file is damaged.
+        """
+        for start in range(0, self._length, block):
+            stop = min(start + block, self._length)
+            if self.live:
+                yield start, self._read("live", start, stop)
+                continue
+            rows = np.empty(stop - start, dtype=ROW)
+            for name in CHANNELS:
+                rows[name] = self._read(f"samples/{name}", start, stop)
+            yield start, rows
+
+    def channel(self, name: str) -> Array:
+        """One channel, (n,) float64 in its SI unit."""
+        if self.live:
+            return np.asarray(self._read("live", 0, self._length)[name], dtype=np.float64)
+        return np.asarray(self._read(f"samples/{name}", 0, self._length), dtype=np.float64)
+
+    def events(self) -> list[Event]:
+        """What happened during the run, in order."""
+        if self.live:
+            table = self._read("live_events", 0, EVENTS)
+            return [
+                Event(float(row["time"]), row["code"].decode(), row["message"].decode(errors="replace"))
+                for row in table
+                if row["code"]
+            ]
+        group = self._group("events")
+        text = (group["code"].asstr()[()], group["message"].asstr()[()])
+        return [Event(float(time), str(code), str(said)) for time, code, said in zip(group["time"], *text, strict=True)]
+
+    def truth(self) -> dict[str, float]:
+        """The simulator's own parameters, {} for a real stand. Identification never calls this."""
+        group = self._file.get("truth")
+        return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
+
+    def verify(self) -> bool:
+        """Whether the samples still have the hash they were written with (an unfinished recording has none)."""
+        digest = hashlib.sha256()
+        for _, rows in self.rows():
+            digest.update(rows.tobytes())
+        return self.live or digest.hexdigest() == self.attributes.get("sha256")
+
+    def _read(self, name: str, start: int, stop: int) -> Any:
+        try:
+            return self._file[name][start:stop]
+        except (OSError, RuntimeError) as error:
+            raise Untrustworthy(f"{self.path}: {name} is damaged and cannot be read ({error})") from error
+
+    def _group(self, name: str) -> h5py.Group:
+        group = self._file.get(name)
+        if not isinstance(group, h5py.Group):
+            raise WrongUse(f"{self.path} has no group /{name}: it is not a whole {SCHEMA} recording")
+        return group
+
+    def _check_schema(self) -> None:
+        _refuse_foreign_storage(self._file, self.path)
+        schema = _plain(self._file.attrs.get("schema", ""))
+        if not str(schema).startswith("hil-recording/"):
+            raise WrongUse(f"{self.path} is HDF5 but not a recording of hil: bring its data in with `hil import`")
+        if schema != SCHEMA:
+            raise WrongUse(f"{self.path} has schema {schema!r}; this hil reads {SCHEMA!r}: use the hil that wrote it")
+
+    def _count_live(self) -> int:
+        """Rows before the first whose number is not its index."""
+        live = self._file["live"]
+        if live.dtype != ROW:
+            raise WrongUse(f"{self.path}: /live has other fields than {SCHEMA}: use the hil that wrote it")
+        for start in range(0, len(live), BLOCK):
+            seq = live[start : start + BLOCK]["seq"]
+            wrong = np.flatnonzero(seq != np.arange(start, start + len(seq), dtype=np.uint64))
+            if wrong.size:
+                return start + int(wrong[0])
+        return len(live)
+
+    def _check_samples(self) -> int:
+        samples = self._group("samples")
+        absent = [name for name in CHANNELS if not isinstance(samples.get(name), h5py.Dataset)]
+        if absent:
+            raise WrongUse(f"{self.path}: /samples lacks {', '.join(absent)}: it is not a whole {SCHEMA} recording")
+        for name in CHANNELS:
+            if samples[name].ndim != 1 or samples[name].dtype.kind not in "fiu":
+                raise WrongUse(f"{self.path}: /samples/{name} is not one column of numbers")
+        lengths = {name: len(samples[name]) for name in CHANNELS}
+        if len(set(lengths.values())) > 1:
+            odd = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise WrongUse(f"{self.path}: channels of unequal length ({odd}): the file was not written whole")
+        return lengths["time"]
+
+
+def _open(path: Path) -> h5py.File:
+    """Open read-only what is an ordinary HDF5 file; a FIFO or a device would hang the reader."""
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise WrongUse(f"{path} cannot be opened ({error.strerror}): check the name") from None
+    if not stat.S_ISREG(mode):
+        raise WrongUse(f"{path} is not a file: name a recording such as recordings/run1.h5")
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        if isinstance(error, PermissionError):
+            raise WrongUse(f"{path} cannot be opened (permission denied)") from None
+        raise WrongUse(f"{path} is not HDF5, or is cut off: bring CSV data in with `hil import`") from error
+
+
+def _refuse_foreign_storage(file: h5py.File, path: Path) -> None:
+    """A file from a stranger must not read other files: no links out of it, no external or virtual storage."""
+    for group in (file, *(file.get(name) for name in ("samples", "events") if _is_hard(file, name))):
+        for name in group if isinstance(group, h5py.Group) else ():
+            if not _is_hard(group, name):
+                raise WrongUse(f"{path}: {name} is a link to somewhere else: such a file is not opened")
+            item = group[name]
+            if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
+                raise WrongUse(f"{path}: {name} keeps its data in another file: such a file is not opened")
+
+
+def _is_hard(group: h5py.Group, name: str) -> bool:
+    return isinstance(group.get(name, getlink=True), h5py.HardLink)
+
+
+def _plain(value: Any) -> Any:
+    """An attribute as Python's own type."""
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,50 @@
+"""Where a recording goes: the next free name, and what must not be overwritten."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from hil.errors import WrongUse
+
+
+def part_path(path: Path) -> Path:
+    """Where the recording that will be `path` lives while it is made."""
+    return path.with_name(path.name + ".part")
+
+
+def next_free(folder: Path) -> Path:
+    """The next `runN.h5` of `folder` that no finished or unfinished recording has. Makes the folder."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        taken = [name.name.removesuffix(".part") for name in folder.glob("run*.h5*")]
+    numbers = [int(stem) for stem in (name[3:-3] for name in taken if name.endswith(".h5")) if stem.isdecimal()]
+    return folder / f"run{max(numbers, default=0) + 1}.h5"
+
+
+def check_target(path: Path, *, force: bool) -> None:
+    """Raise WrongUse where writing `path` would overwrite something, or where there is no folder for it."""
+    if path.is_dir():
+        raise WrongUse(f"{path} is a folder: name a file, such as {path / 'run1.h5'}")
+    if not path.parent.is_dir():
+        raise WrongUse(f"{path.parent} is not a folder: make it first, or name another output with -o")
+    if force:
+        return
+    if path.exists():
+        raise WrongUse(f"{path} exists: choose another name with -o, or overwrite it with --force")
+    if part_path(path).exists():
+        raise WrongUse(
+            f"{part_path(path)} is a recording that never ended: keep it with `hil recover {part_path(path)}`, "
+            "choose another name with -o, or give it up with --force"
+        )
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn what the operating system says of a target that cannot be written into a WrongUse."""
+    try:
+        yield
+    except (OSError, RuntimeError, ValueError) as error:  # HDF5 reports a full disk as any of the three
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise WrongUse(f"{path} cannot be written ({reason}): choose another folder with -o") from error

@@ -1,0 +1,127 @@
+"""What the tests of `hil` share: a servo whose every reading is a closed form, and recordings made by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.servo import Command, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo, Status
+from hil.part import Header, write
+from hil.store import Array
+
+
+class StillClock:
+    """Time that passes only when someone waits for it; what happens at a moment can be planned."""
+
+    def __init__(self) -> None:
+        self.t = 100.0
+        self.plans: list[tuple[float, Callable[[], None]]] = []
+
+    def now(self) -> float:
+        return self.t
+
+    def sleep_until(self, t: float) -> None:
+        self.t = max(self.t, t)
+        for plan in [plan for plan in self.plans if plan[0] <= self.t]:
+            self.plans.remove(plan)
+            plan[1]()
+
+
+@dataclass
+class SpringServo:
+    """A massless motor (gear ratio 4) on a spring of 2 N m/rad at the joint: deflection = torque/2, exactly.
+
+    `script` maps the number of an exchange since arming to what happens in it: an error to raise, or a change to the
+    sample. Every set-point that was driven is in `driven`.
+    """
+
+    clock: StillClock = field(default_factory=StillClock)
+    info: ServoInfo = field(default_factory=lambda: ServoInfo(backend="spring", model="closed form"))
+    script: dict[int, Exception | dict[str, float]] = field(default_factory=dict)
+    driven: list[Command] = field(default_factory=list)
+    armed: bool = False
+    limits: Limits | None = None
+    disarms: int = 0
+    disarm_error: DriverError | None = None
+    rest: dict[str, float] = field(default_factory=dict)
+    motor_zero: float = 7.0
+
+    def arm(self, limits: Limits) -> None:
+        self.limits, self.armed = limits, True
+
+    def exchange(self, command: Command) -> Sample:
+        if not self.armed:
+            assert command == Command.rest()
+            return self._sample(0.0, self.rest)
+        self.driven.append(command)
+        planned = self.script.get(len(self.driven) - 1)
+        if isinstance(planned, Exception):
+            raise planned
+        if command.quantity is Quantity.POSITION:
+            joint_torque = 2.0 * (command.value - self.motor_zero) / 4.0
+        else:
+            joint_torque = 4.0 * command.value
+        return self._sample(joint_torque, planned or {})
+
+    def _sample(self, joint_torque: float, changes: dict[str, float]) -> Sample:
+        readings: dict[str, float] = {
+            "motor_position": self.motor_zero + 4.0 * joint_torque / 2.0,
+            "motor_velocity": 0.0,
+            "motor_torque": joint_torque / 4.0,
+            "joint_torque": joint_torque,
+            "temperature": 30.0,
+        }
+        saturated = Status(int((readings | changes).pop("status", 0)))
+        kept = {name: value for name, value in (readings | changes).items() if name != "status"}
+        return Sample(t=self.clock.now(), t_read=self.clock.now() + 1e-4, status=saturated, **kept)
+
+    def disarm(self) -> None:
+        self.disarms += 1
+        if self.disarm_error is not None:
+            raise self.disarm_error
+        self.armed = False
+
+    def close(self) -> None:
+        self.armed = False
+
+
+def lost(count: int, start: int) -> dict[int, Exception | dict[str, float]]:
+    return {start + index: NoReply("nothing came") for index in range(count)}
+
+
+Maker = Callable[..., Path]
+
+
+@pytest.fixture
+def make_recording(tmp_path: Path) -> Maker:
+    """Write a recording with a known answer: torque = kc*dtheta + bc*rate + noise, all in closed form."""
+
+    def make(
+        name: str = "a.h5",
+        *,
+        samples: int = 2000,
+        rate: float = 500.0,
+        kc: float = 0.02,
+        bc: float = 2e-4,
+        noise: float = 0.0,
+        seed: int = 0,
+        change: Callable[[dict[str, Array]], object] | None = None,
+    ) -> Path:
+        time = np.arange(samples) / rate
+        slow, fast = 2.0 * math.pi * 1.3, 2.0 * math.pi * 7.1
+        dtheta = 0.2 * np.sin(slow * time) + 0.1 * np.sin(fast * time)
+        velocity = 0.2 * slow * np.cos(slow * time) + 0.1 * fast * np.cos(fast * time)
+        torque = kc * dtheta + bc * velocity + noise * np.random.default_rng(seed).standard_normal(samples)
+        channels = {"time": time, "torque": torque, "dtheta": dtheta}
+        if change is not None:
+            change(channels)
+        path = tmp_path / name
+        write(path, Header(profile={"kind": "imported"}), channels)
+        return path
+
+    return make
