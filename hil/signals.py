@@ -1,0 +1,217 @@
+"""From a recording to what the search takes: torque, deflection and rate on one time base.
+
+The rate is the slope of a local cubic fitted to the deflection over a window centred on each sample: no phase shift,
+and a gain within 0.5 % of one up to the frequency below which 95 % of the rate's power lies, which sets the window.
+Torque inferred from the motor through equation (1) has the same local cubic on every term and on the deflection, so
+that whatever the window does to one side it does to the other. Raw channels are never altered.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from drivers.servo import Status
+from hil.errors import Untrustworthy
+from hil.stand import StandTable
+from hil.store import Recording
+
+Array = NDArray[np.float64]
+
+_FEWEST = 16  # samples, below which nothing is concluded
+_COARSE = 0.05  # share of repeated stamps from which a clock is called coarse
+_GAIN = 0.995  # of the rate, at the upper end of the band
+_LOW_SHARE, _HIGH_SHARE = 0.01, 0.95  # of the power of deflection and rate: the ends of the band
+_WIDEST = 250  # samples on each side of a window
+_DEGREE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """Equal-length (n,) arrays: time s, torque N m, dtheta rad, dtheta_dot rad/s, all at the joint.
+
+    lost: replies that never came. not_numbers: rows dropped for a NaN. near_gaps: rows dropped since their window
+    spans a gap. coarse_clock: whether repeated stamps were spread. band: Hz, what moved. rate_window: s, the width of
+    the local cubic, 0 where the rate was given. torque_from: "joint", "motor" or "given".
+    """
+
+    time: Array
+    torque: Array
+    dtheta: Array
+    dtheta_dot: Array
+    lost: int
+    not_numbers: int
+    near_gaps: int
+    coarse_clock: bool
+    band: tuple[float, float]
+    rate_window: float
+    torque_from: str
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def prepare(recording: Recording, stand: StandTable | None) -> Signals:
+    """The signals of a recording made on `stand` (None: its torque column is taken as it is).
+
+    Raises Untrustworthy where nothing can be concluded: too few rows, nothing moved, time going backwards.
+    """
+    motor_side = _uses_motor_torque(recording, stand)
+    status = recording.channel("status").astype(np.int64)
+    answered = (status & int(Status.NO_REPLY | Status.BAD_REPLY)) == 0
+    time = _stamps(recording)
+    torque = recording.channel("motor_torque" if motor_side else "torque")
+    dtheta = recording.channel("dtheta")
+    reported = recording.channel("dtheta_dot")
+    given_rate = bool(np.isfinite(reported).any()) and not np.isfinite(recording.channel("motor_position")).any()
+    good = answered & np.isfinite(time) & np.isfinite(torque) & np.isfinite(dtheta)
+    if given_rate:
+        good &= np.isfinite(reported)
+    _refuse_hopeless(recording, time[good], dtheta[good])
+    time, coarse = spread_stamps(time[good])
+    torque, dtheta = torque[good], dtheta[good]
+    band = excited_band(time, dtheta)
+    half = window_half(time, band[1])
+    sound = np.ones(len(time), dtype=bool)
+    if given_rate:
+        rate = reported[good]
+    else:
+        smooth, rate, span = local_cubic(time, dtheta, half)
+        sound = span <= 1.5 * (2 * half) * float(np.median(np.diff(time)))
+    if motor_side and stand is not None:
+        ratio = stand.gear_ratio
+        motor_torque = local_cubic(time, torque, half)[0]
+        second = local_cubic(time, rate, half)[1]  # a cubic's own curvature has a gain far below its slope's
+        # equation (1); the joint is locked, so the motor moves by the deflection times the gear ratio
+        torque = ratio * (motor_torque - stand.motor_inertia * ratio * second - stand.motor_damping * ratio * rate)
+        dtheta = smooth
+    return Signals(
+        time=time[sound],
+        torque=torque[sound],
+        dtheta=dtheta[sound],
+        dtheta_dot=rate[sound],
+        lost=int(np.count_nonzero(~answered)),
+        not_numbers=int(np.count_nonzero(answered & ~good)),
+        near_gaps=int(np.count_nonzero(~sound)),
+        coarse_clock=coarse,
+        band=band,
+        rate_window=0.0 if given_rate else (2 * half + 1) * float(np.median(np.diff(time))),
+        torque_from="motor" if motor_side else ("given" if stand is None else "joint"),
+    )
+
+
+def _uses_motor_torque(recording: Recording, stand: StandTable | None) -> bool:
+    if stand is None or stand.torque_source != "motor":
+        return False
+    return bool(np.isfinite(recording.channel("motor_torque")).any())
+
+
+def _stamps(recording: Recording) -> Array:
+    read = recording.channel("read_time")
+    return np.where(np.isfinite(read), read, recording.channel("time"))
+
+
+def _refuse_hopeless(recording: Recording, time: Array, dtheta: Array) -> None:
+    name = recording.path
+    if len(time) < _FEWEST:
+        raise Untrustworthy(f"{name} holds {len(time)} usable sample(s) of {len(recording)}: record at least {_FEWEST}")
+    backwards = np.flatnonzero(np.diff(time) < 0.0)
+    if backwards.size:
+        raise Untrustworthy(f"{name}: time goes backwards after usable row {int(backwards[0])}: mend the stamps first")
+    if np.ptp(time) == 0.0:
+        raise Untrustworthy(f"{name}: every sample has the same time: mend the stamps first")
+    if np.ptp(dtheta) == 0.0:
+        raise Untrustworthy(f"{name}: the deflection never changes: nothing moved; raise --amplitude or free the cable")
+
+
+def spread_stamps(time: Array) -> tuple[Array, bool]:
+    """Stamps (n,) s with the repeats of a coarse clock spread evenly up to the next stamp, and whether any were.
+
+    A clock that ticks every 15.6 ms gives several rows one stamp; their order is known and their spacing is even to
+    within the loop's own jitter. The rows of the last stamp continue at the rate of the ones before.
+    """
+    starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > 0.0)))
+    if len(time) - len(starts) == 0:
+        return time, False
+    rows = np.arange(len(time), dtype=np.float64)
+    last, before = starts[-1], starts[max(0, len(starts) - 50)]
+    pace = (time[last] - time[before]) / max(last - before, 1)
+    anchors = np.append(starts.astype(np.float64), len(time))
+    at_anchors = np.append(time[starts], time[last] + pace * (len(time) - last))
+    return np.interp(rows, anchors, at_anchors), (len(time) - len(starts)) > _COARSE * len(time)
+
+
+def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
+    """The band, Hz, in which the deflection (n,) rad moved, above its own noise.
+
+    From 1 % of the deflection's power at the lower end to 95 % of the rate's at the upper. The noise floor is the
+    median density in the upper half of the spectrum.
+    """
+    count = len(time)
+    uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
+    step = (time[-1] - time[0]) / (count - 1)
+    spectrum = np.abs(np.fft.rfft((uniform - uniform.mean()) * np.hanning(count))) ** 2
+    frequency = np.fft.rfftfreq(count, step)
+    density = np.convolve(spectrum, np.full(5, 0.2), mode="same")
+    floor = float(np.median(density[len(density) // 2 :]))
+    moved = np.where(density > 10.0 * floor, density - floor, 0.0)[1:]
+    if not moved.any():
+        return float(frequency[1]), float(frequency[-1])
+    power, rate_power = np.cumsum(moved), np.cumsum(moved * frequency[1:] ** 2)
+    low = int(np.searchsorted(power, _LOW_SHARE * power[-1]))
+    high = int(np.searchsorted(rate_power, _HIGH_SHARE * rate_power[-1]))
+    return float(frequency[1 + low]), float(frequency[1 + max(low, high)])
+
+
+def window_half(time: Array, highest: float) -> int:
+    """The widest window, in samples on each side, whose rate has a gain within 0.5 % of one at `highest` Hz."""
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    widest = max(2, min(_WIDEST, (len(time) - 1) // 4))
+    half = 2
+    while half < widest and rate_gain(half + 1, highest * step) >= _GAIN:
+        half += 1
+    return half
+
+
+def rate_gain(half: int, cycles: float) -> float:
+    """Gain of the local cubic's slope at `cycles` periods a sample, for an even grid and `half` samples a side."""
+    offsets = np.arange(-half, half + 1, dtype=np.float64)
+    slope = np.linalg.pinv(np.vander(offsets / half, _DEGREE + 1, increasing=True))[1] / half
+    omega = 2.0 * np.pi * cycles
+    return float(slope @ np.sin(omega * offsets)) / omega
+
+
+def local_cubic(time: Array, values: Array, half: int) -> tuple[Array, Array, Array]:
+    """Value and slope at every sample of the cubic that fits its window best, and the window's span in s.
+
+    time (n,) s, need not be even; values (n,). A window is the sample and `half` neighbours a side; at the ends it is
+    the first or last 2*half+1 samples, evaluated off its centre. All results (n,).
+    """
+    width = 2 * half + 1
+    starts = np.clip(np.arange(len(time)) - half, 0, len(time) - width)
+    times, rows = sliding_window_view(time, width), sliding_window_view(values, width)
+    parts = [
+        _cubic_block(time[block], times[starts[block]], rows[starts[block]])
+        for block in np.array_split(np.arange(len(time)), 1 + len(time) * width // 2**21)
+    ]
+    value, slope, span = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return value, slope, span
+
+
+def _cubic_block(at: Array, times: Array, rows: Array) -> tuple[Array, Array, Array]:
+    """`local_cubic` for windows (b, w) around the times `at` (b,)."""
+    span = times[:, -1] - times[:, 0]
+    scale = 0.5 * span
+    offset = (times - at[:, None]) / scale[:, None]
+    base = rows.mean(axis=1)
+    powers = [np.ones_like(offset)]
+    for _ in range(_DEGREE):
+        powers.append(powers[-1] * offset)
+    design = np.stack(powers, axis=-1)
+    transposed = np.swapaxes(design, 1, 2)
+    right = transposed @ (rows - base[:, None])[..., None]
+    coefficients = np.linalg.solve(transposed @ design, right)[..., 0]
+    return coefficients[:, 0] + base, coefficients[:, 1] / scale, span
