@@ -18,8 +18,7 @@ Delay = Annotated[float, Ge(0), Le(0.02)]
 Counts = Annotated[int, Ge(4)]
 
 # For whoever validates with pydantic: a misspelt key or a value that is not finite is an error.
-_STRICT: dict[str, bool] = {"allow_inf_nan": False}
-_FORBID: dict[str, object] = {"extra": "forbid", **_STRICT}
+_STRICT: dict[str, object] = {"extra": "forbid", "allow_inf_nan": False}
 
 GEAR_RATIO = 4.0
 MOTOR_INERTIA = 2e-7
@@ -30,7 +29,7 @@ MOTOR_DAMPING = 1e-7
 class MotorParameters:
     """The motor and its winding; the first three are `None` where the stand's own values hold."""
 
-    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     gear_ratio: Positive | None = None
     """eta, turns of the motor for one of the joint; None: as [stand] says."""
@@ -58,7 +57,7 @@ class MotorParameters:
 class CouplingParameters:
     """The cable between motor and joint, all at the joint side; a zero switches an element off."""
 
-    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     stiffness: Positive = 17.75e-3
     """Kc, N m/rad."""
@@ -102,7 +101,7 @@ class CouplingParameters:
 class FixtureParameters:
     """What locks the joint: stiff, but not infinitely so."""
 
-    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     stiffness: Positive = 20.0
     """N m/rad, joint to ground."""
@@ -116,7 +115,7 @@ class FixtureParameters:
 class DriveParameters:
     """The drive's electronics and firmware, at the motor shaft."""
 
-    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     current_bandwidth: Annotated[float, Gt(0), Le(20_000)] = 1000.0
     """Hz, first order, of the current loop."""
@@ -140,7 +139,7 @@ class DriveParameters:
 class SensorParameters:
     """What is read, how coarsely, how late and how noisily."""
 
-    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     motor_counts: Counts = 4096
     """Counts a turn of the motor encoder."""
@@ -186,7 +185,7 @@ class SensorParameters:
 class LinkParameters:
     """The bus between the computer and the drive."""
 
-    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     round_trip: Positive = 6e-4
     """s, request and reply together, each half of it on average."""
@@ -216,7 +215,7 @@ class LinkParameters:
 class SimParameters:
     """The simulated stand; the default is the paper's joint with honest, imperfect sensors."""
 
-    __pydantic_config__: ClassVar[dict[str, object]] = _FORBID
+    __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     motor: MotorParameters = field(default_factory=MotorParameters)
     coupling: CouplingParameters = field(default_factory=CouplingParameters)

@@ -158,6 +158,8 @@ class SimServo:
         returned = arrived + inbound
         self._advance(arrived)
         self._drive.feed()
+        if self._limits is None and self._drive.enabled:
+            self._drive.disable()  # the drive had not heard that it was disarmed; now it does
         self._under_way.append((arrived + self._parameters.drive.command_delay, bounded))
         if draw.lost < link.lost_reply or returned - sent > link.reply_timeout:
             self._time_out(sent)

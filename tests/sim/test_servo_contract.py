@@ -1,0 +1,130 @@
+"""The rules of `drivers/servo.py`, held against whatever the fixtures `servo` and `limits` give.
+
+Knows nothing of the simulator: a servo on a wire or on a bench runs the same file with a `servo` fixture of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import pytest
+
+from drivers.servo import Command, DriverError, NoReply, Quantity, Sample, UnsafeCommand
+
+if TYPE_CHECKING:
+    from drivers.servo import Limits, Servo
+
+PERIOD = 0.004
+
+
+def ask(servo: Servo, command: Command, tries: int = 5) -> Sample:
+    """The next sample that arrives; a lost reply is not an offence."""
+    for _ in range(tries - 1):
+        servo.clock.sleep_until(servo.clock.now() + PERIOD)
+        try:
+            return servo.exchange(command)
+        except NoReply:
+            continue
+    return servo.exchange(command)
+
+
+def torque(value: float) -> Command:
+    return Command(Quantity.TORQUE, value)
+
+
+def test_it_says_what_it_is_and_what_it_takes(servo: Servo) -> None:
+    assert servo.info.backend
+    assert servo.info.model
+    assert servo.info.quantities
+
+
+def test_a_disarmed_servo_is_read_and_not_driven(servo: Servo) -> None:
+    first = ask(servo, Command.rest())
+    for _ in range(20):
+        last = ask(servo, Command.rest())
+    assert math.isfinite(last.motor_position)
+    assert last.motor_position == pytest.approx(first.motor_position, abs=0.01)
+
+
+def test_a_disarmed_servo_refuses_every_set_point_but_rest(servo: Servo) -> None:
+    for command in (torque(1e-4), Command(Quantity.POSITION, 0.0), Command(Quantity.POSITION, 0.1)):
+        with pytest.raises(UnsafeCommand):
+            servo.exchange(command)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("quantity", list(Quantity))
+def test_a_set_point_that_is_no_number_is_refused_and_moves_nothing(
+    servo: Servo, limits: Limits, quantity: Quantity, value: float
+) -> None:
+    with pytest.raises(UnsafeCommand):
+        servo.exchange(Command(quantity, value))
+    servo.arm(limits)
+    before = ask(servo, Command.rest())
+    with pytest.raises(UnsafeCommand):
+        servo.exchange(Command(quantity, value))
+    after = ask(servo, Command.rest())
+    assert after.motor_position == pytest.approx(before.motor_position, abs=0.01)
+
+
+def test_samples_never_go_back_in_time_and_are_read_after_they_were_asked_for(servo: Servo, limits: Limits) -> None:
+    servo.arm(limits)
+    samples = [ask(servo, Command.rest()) for _ in range(50)]
+    for earlier, later in pairwise(samples):
+        assert earlier.t < later.t
+        assert earlier.t_read < later.t_read
+    for sample in samples:
+        assert sample.t <= sample.t_read <= servo.clock.now()
+
+
+def test_arming_drives_nothing_until_a_set_point_does(servo: Servo, limits: Limits) -> None:
+    before = ask(servo, Command.rest())
+    servo.arm(limits)
+    for _ in range(10):
+        after = ask(servo, Command.rest())
+    assert after.motor_position == pytest.approx(before.motor_position, abs=0.01)
+
+
+def test_positive_torque_turns_the_motor_forwards(servo: Servo, limits: Limits) -> None:
+    servo.arm(limits)
+    before = ask(servo, Command.rest())
+    for _ in range(10):
+        after = ask(servo, torque(0.25 * limits.torque))
+    assert after.motor_position > before.motor_position
+    assert after.motor_torque > 0.0
+
+
+def test_a_set_point_beyond_the_limit_is_held_at_the_limit(servo: Servo, limits: Limits) -> None:
+    servo.arm(limits)
+    readings = [ask(servo, torque(10.0 * limits.torque)).motor_torque for _ in range(5)]
+    assert max(readings) < 1.1 * limits.torque
+
+
+def test_torque_off_twice_is_harmless_and_the_servo_can_be_armed_again(servo: Servo, limits: Limits) -> None:
+    servo.disarm()
+    servo.arm(limits)
+    ask(servo, torque(0.25 * limits.torque))
+    servo.disarm()
+    servo.disarm()
+    with pytest.raises(UnsafeCommand):
+        servo.exchange(torque(0.25 * limits.torque))
+    servo.arm(limits)
+    ask(servo, torque(0.25 * limits.torque))
+
+
+def test_closing_twice_is_harmless_whatever_came_before(servo: Servo, limits: Limits) -> None:
+    servo.arm(limits)
+    ask(servo, torque(0.25 * limits.torque))
+    servo.close()
+    servo.close()
+    servo.disarm()
+
+
+def test_a_closed_servo_neither_arms_nor_answers(servo: Servo, limits: Limits) -> None:
+    servo.close()
+    with pytest.raises(DriverError):
+        servo.arm(limits)
+    with pytest.raises(DriverError):
+        servo.exchange(Command.rest())
