@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from ga.evolution import PRESETS, Population, Settings, advance, begin
+from ga.fitness import Samples, evaluate, pack
+from ga.space import PAPER_BOUNDS, Bounds
+
+if TYPE_CHECKING:
+    from tests.ga.conftest import Data
+
+SHORT = replace(PRESETS["paper"], generations=500)
+
+
+def searched(data: Data, settings: Settings, *stops: int) -> Population:
+    samples = pack(data.columns, data.torque)
+    population = begin(samples, PAPER_BOUNDS, settings, seed=1, trial=0)
+    for stop in stops:
+        advance(samples, PAPER_BOUNDS, settings, population, stop)
+    return population
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_the_first_population_is_uniform_in_the_bounds_and_evaluated(paper_like: Data, preset: str) -> None:
+    samples = pack(paper_like.columns, paper_like.torque)
+    settings = replace(PRESETS[preset], population=400)
+    population = begin(samples, PAPER_BOUNDS, settings, seed=0, trial=0)
+    part = (population.genes - PAPER_BOUNDS.low) / (PAPER_BOUNDS.high - PAPER_BOUNDS.low)
+    assert part.min() > 0.0
+    assert part.max() < 1.0
+    assert part.mean(axis=0) == pytest.approx([0.5, 0.5], abs=0.06)
+    assert population.fitness.tolist() == [evaluate(samples, genes) for genes in population.genes]
+    assert population.best_fitness[0] == population.fitness.min()
+    assert population.evaluations == 400
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_a_search_in_pieces_ends_in_the_same_bits_as_one_in_one_go(paper_like: Data, preset: str) -> None:
+    settings = replace(PRESETS[preset], generations=60)
+    whole, pieces = searched(paper_like, settings, 60), searched(paper_like, settings, 1, 2, 17, 17, 60)
+    for one, other in zip(whole, pieces, strict=True):
+        assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("replacement", ["worst", "worst-if-better", "oldest", "random"])
+@pytest.mark.parametrize("weights", ["error", "inverse-error"])
+@pytest.mark.parametrize("selection", ["minimise", "larger"])
+def test_every_reading_keeps_the_books(paper_like: Data, selection: Any, weights: Any, replacement: Any) -> None:
+    settings = replace(SHORT, selection=selection, weights=weights, replacement=replacement)
+    population = searched(paper_like, settings, 500)
+    samples = pack(paper_like.columns, paper_like.torque)
+    assert population.generation == 500
+    assert population.evaluations == 510
+    assert np.all((population.genes >= PAPER_BOUNDS.low) & (population.genes <= PAPER_BOUNDS.high))
+    assert population.fitness.tolist() == [evaluate(samples, genes) for genes in population.genes]
+    assert population.best_fitness[0] == evaluate(samples, population.best)
+    assert population.best_fitness[0] <= population.fitness.min()
+
+
+def changed_rows(data: Data, settings: Settings, generations: int) -> list[tuple[list[int], np.ndarray[Any, Any]]]:
+    """For each generation the rows of the population that changed, and the fitness before it."""
+    samples: Samples = pack(data.columns, data.torque)
+    population = begin(samples, PAPER_BOUNDS, settings, seed=3, trial=0)
+    changes = []
+    for generation in range(1, generations + 1):
+        genes, fitness = population.genes.copy(), population.fitness.copy()
+        advance(samples, PAPER_BOUNDS, settings, population, generation)
+        changes.append((np.flatnonzero((population.genes != genes).any(axis=1)).tolist(), fitness))
+    return changes
+
+
+def test_the_child_replaces_the_worst(paper_like: Data) -> None:
+    for rows, before in changed_rows(paper_like, SHORT, 50):
+        assert rows == [before.argmax()]
+
+
+def test_the_child_replaces_the_worst_only_if_it_is_better(paper_like: Data) -> None:
+    settings = replace(SHORT, replacement="worst-if-better")
+    changes = changed_rows(paper_like, settings, 200)
+    assert all(rows in ([], [before.argmax()]) for rows, before in changes)
+    assert 0 < sum(not rows for rows, _ in changes) < 200
+    worst = [before.max() for _, before in changes]
+    assert worst == sorted(worst, reverse=True)
+
+
+def test_the_child_replaces_the_oldest(paper_like: Data) -> None:
+    changes = changed_rows(paper_like, replace(SHORT, replacement="oldest"), 25)
+    assert [rows for rows, _ in changes] == [[i % 10] for i in range(25)]
+
+
+def test_the_child_replaces_any_at_random(paper_like: Data) -> None:
+    changes = changed_rows(paper_like, replace(SHORT, replacement="random"), 100)
+    assert {row for rows, _ in changes for row in rows} == set(range(10))
+
+
+def test_without_mutation_the_papers_crossover_only_contracts(paper_like: Data) -> None:
+    settings = replace(SHORT, mutation=0.0)
+    start = searched(paper_like, settings)
+    low, high = start.genes.min(axis=0), start.genes.max(axis=0)
+    end = searched(paper_like, settings, 500)
+    assert np.all((end.genes >= low) & (end.genes <= high))
+    assert np.all(np.ptp(end.genes, axis=0) < 1e-3 * (high - low))
+
+
+def test_the_stop_rule_ends_a_settled_search_and_only_then(paper_like: Data) -> None:
+    stopped = searched(paper_like, PRESETS["default"], 20_000)
+    assert stopped.stopped
+    assert stopped.generation < 20_000
+    assert np.ptp(stopped.fitness) <= 1e-8 * stopped.fitness.min()
+    before = searched(paper_like, PRESETS["default"], stopped.generation - 1)
+    assert not before.stopped
+
+
+def test_children_stay_in_the_bounds_when_the_optimum_lies_outside(paper_like: Data) -> None:
+    bounds = Bounds(np.array([0.02, 1e-5]), np.array([0.2, 1e-2]))
+    samples = pack(paper_like.columns, paper_like.torque)
+    population = begin(samples, bounds, PRESETS["default"], seed=0, trial=0)
+    advance(samples, bounds, PRESETS["default"], population, 2000)
+    assert np.all((population.genes >= bounds.low) & (population.genes <= bounds.high))
+    assert bounds.at_bound(population.best) == ("low", None)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"selection": "largest"}, 'selection "largest" is not one of minimise, larger'),
+        ({"weights": "none"}, "is not one of error, inverse-error"),
+        ({"replacement": "best"}, "is not one of worst, worst-if-better, oldest, random"),
+        ({"scheme": "islands"}, "is not one of steady-state, generational"),
+        ({"generations": 0}, "0 generations"),
+        ({"mutation": 1.5}, "mutation 1.5 is not a probability"),
+        ({"mutation": float("nan")}, "is not a probability"),
+        ({"tournament": 0}, "tournament of 0"),
+        ({"population": 1}, "population of 1"),
+        ({"reach": 0.0}, "reach 0"),
+        ({"tolerance": -1.0}, "tolerance -1"),
+    ],
+)
+def test_settings_out_of_range_are_refused(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(PRESETS["paper"], **wrong)
+
+
+def test_a_population_smaller_than_a_tournament_is_refused(paper_like: Data) -> None:
+    with pytest.raises(ValueError, match="population of 2: 3 different"):
+        searched(paper_like, replace(SHORT, population=2))
+
+
+def test_bounds_of_another_number_of_parameters_are_refused(paper_like: Data) -> None:
+    with pytest.raises(ValueError, match="bounds of 1 parameters for 2 columns"):
+        begin(pack(paper_like.columns, paper_like.torque), Bounds(np.zeros(1), np.ones(1)), SHORT, 0, 0)
+
+
+def test_the_papers_preset_is_as_printed() -> None:
+    paper = PRESETS["paper"]
+    assert (paper.population, paper.mutation, paper.tournament) == (10, 0.6, 3)
+    assert paper.generations == 200_000_000
+    assert paper.weights == "error"
+    assert paper.tolerance is None
