@@ -44,13 +44,8 @@ def run(
                 operator_note=note,
                 command_line=command_line,
             )
-            part = PartFile(path, header, tick_count(profile, rate))
-            try:
-                with beside(part.path):
-                    outcome = Recorder(stand, servo, profile, rate, part).run(stop)
-            finally:
-                part.flush()
-                part.close()
+            with PartFile(path, header, tick_count(profile, rate)) as part, beside(part.path):
+                outcome = Recorder(stand, servo, profile, rate, part).run(stop)
         finally:
             servo.close()
         if not outcome.samples:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,5 +48,13 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError, ValueError) as error:  # HDF5 reports a full disk as any of the three
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise WrongUse(f"{path} cannot be written ({reason}): choose another folder with -o") from error
+        raise WrongUse(f"{path} cannot be written ({_reason(error)}): choose another folder with -o") from error
+
+
+def _reason(error: Exception) -> str:
+    """The system's own words, where HDF5 has wrapped its jargon around them."""
+    number = getattr(error, "errno", None)
+    if number:
+        return os.strerror(number)
+    inner = re.search(r"error message = '([^']+)'", str(error))
+    return inner[1] if inner else str(error).splitlines()[0]

@@ -59,11 +59,10 @@ class Bench:
 
     def run(self) -> Outcome:
         header = Header(profile=self.profile.attributes())
-        part = PartFile(self._path, header, tick_count(self.profile, RATE), batch=3)
-        self.outcome = Recorder(self.stand, self.servo, self.profile, RATE, part).run(self.stop)
+        with PartFile(self._path, header, tick_count(self.profile, RATE), batch=3) as part:
+            self.outcome = Recorder(self.stand, self.servo, self.profile, RATE, part).run(self.stop)
         if self.outcome.samples:
             part.finish(self.outcome.end_reason)
-        part.close()
         return self.outcome
 
     def channel(self, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

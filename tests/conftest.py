@@ -1,0 +1,32 @@
+"""What every test is held to: no thread and no child process may outlive it."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(os.environ.get("HIL_SHARED", Path(__file__).parent.parent.parent / "shared"))
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_running() -> Iterator[None]:
+    before = set(threading.enumerate())
+    yield
+    # numba keeps its own pool for the life of the process; everything else a test starts, it ends
+    left = [thread for thread in threading.enumerate() if thread not in before and thread.is_alive()]
+    assert left == []
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+@pytest.fixture(scope="session")
+def locked_output() -> Path:
+    """The real recordings, which are never copied into the repository."""
+    folder = SHARED / "data" / "locked_output"
+    if not folder.is_dir():
+        pytest.skip(f"REAL DATA NOT TESTED: {folder} is missing")
+    return folder
