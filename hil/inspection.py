@@ -1,0 +1,175 @@
+"""Whether a recording can be used: its rate, gaps, saturation, excitation and noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.servo import Status
+from hil.errors import Untrustworthy
+from hil.findings import Finding
+from hil.signals import Signals, local_cubic, prepare, window_half
+from hil.stand import parse
+from hil.store import Recording
+
+Array = NDArray[np.float64]
+
+_FEW_COUNTS = 20.0  # counts of deflection, below which quantisation shapes the result
+_POOR_SNR = 20.0  # dB
+_MANY_LOST = 0.02
+_MANY_SATURATED = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """What a recording holds.
+
+    rate Hz (median), jitter s (99 % of the intervals are within it of the median), longest_gap s, deflection rad and
+    torque N m (peak to peak), deflection_lsb rad (smallest step seen), torque_noise N m (standard deviation of what is
+    left of the torque after a local cubic), snr dB (torque's variance over that noise's), band Hz, rate_window s.
+    """
+
+    path: Path
+    kind: str
+    created: str
+    end_reason: str
+    samples: int
+    duration: float
+    rate: float
+    jitter: float
+    lost: int
+    not_numbers: int
+    longest_gap: float
+    saturated: int
+    late: int
+    deflection: float
+    deflection_lsb: float
+    torque: float
+    torque_noise: float
+    snr: float
+    band: tuple[float, float]
+    rate_window: float
+    torque_from: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Whether nothing fatal was found."""
+        return not any(finding.fatal for finding in self.findings)
+
+
+def inspect(path: Path) -> Inspection:
+    """Look at one recording, finished or not. Raises WrongUse, and Untrustworthy where there is nothing to measure."""
+    with Recording(path) as recording:
+        if not recording.verify():
+            raise Untrustworthy(f"{path}: the samples are not the ones that were written (sha256 differs)")
+        stand = parse(recording.stand_toml, f"{path}: stand_toml").stand if recording.stand_toml else None
+        signals = prepare(recording, stand)
+        status = recording.channel("status").astype(np.int64)
+        saturated = int(np.count_nonzero(status & int(Status.SATURATED)))
+        late = int(np.count_nonzero(status & int(Status.LATE)))
+        intervals = np.diff(signals.time)
+        noise = _noise(signals)
+        snr = 10.0 * float(np.log10(np.var(signals.torque) / noise**2)) if noise > 0.0 else float("inf")
+        measured = {
+            "lost": signals.lost / len(recording),
+            "saturated": saturated / len(recording),
+            "counts": float(np.ptp(signals.dtheta)) / _smallest_step(signals.dtheta),
+            "snr": snr,
+        }
+        return Inspection(
+            path=path,
+            kind=str(recording.profile.get("kind", "unknown")),
+            created=str(recording.attributes.get("created", "")),
+            end_reason=str(recording.attributes.get("end_reason", "")) or "did not end",
+            samples=len(recording),
+            duration=float(signals.time[-1] - signals.time[0]),
+            rate=1.0 / float(np.median(intervals)),
+            jitter=float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99)),
+            lost=signals.lost,
+            not_numbers=signals.not_numbers,
+            longest_gap=float(intervals.max()),
+            saturated=saturated,
+            late=late,
+            deflection=float(np.ptp(signals.dtheta)),
+            deflection_lsb=_smallest_step(signals.dtheta),
+            torque=float(np.ptp(signals.torque)),
+            torque_noise=noise,
+            snr=snr,
+            band=signals.band,
+            rate_window=signals.rate_window,
+            torque_from=signals.torque_from,
+            findings=tuple(recording_findings(recording, signals) + _quality(measured)),
+        )
+
+
+def recording_findings(recording: Recording, signals: Signals) -> list[Finding]:
+    """What any use of a recording must say of it: that it did not end, what was dropped, what was mended."""
+    found = []
+    if not recording.complete:
+        why = str(recording.attributes.get("end_reason", "")) or "it never ended"
+        found.append(
+            Finding("unfinished", f"{recording.path} is not a whole run ({why}): its {len(recording)} rows are used")
+        )
+    if signals.lost:
+        found.append(Finding("lost-samples", f"{signals.lost} of {len(recording)} replies were lost and are left out"))
+    if signals.not_numbers:
+        found.append(
+            Finding("not-a-number", f"{signals.not_numbers} of {len(recording)} rows hold a NaN and are left out")
+        )
+    if signals.near_gaps:
+        found.append(Finding("near-gaps", f"{signals.near_gaps} rows lie beside a gap, where no rate can be told"))
+    if signals.coarse_clock:
+        found.append(
+            Finding("coarse-clock", "several rows share a time stamp: they were spread evenly up to the next stamp")
+        )
+    return found
+
+
+def _noise(signals: Signals) -> float:
+    """Standard deviation of the torque, N m, about a local cubic of the rate's own window; robust to outliers."""
+    half = window_half(signals.time, signals.band[1])
+    left = signals.torque - local_cubic(signals.time, signals.torque, half)[0]
+    # a cubic takes 4 of the window's 2*half+1 degrees of freedom, most of them at its centre
+    freedom = 1.0 - 9.0 / (4.0 * (2 * half + 1))
+    return 1.4826 * float(np.median(np.abs(left))) / float(np.sqrt(freedom))
+
+
+def _smallest_step(values: Array) -> float:
+    """The smallest difference between two readings that is more than rounding."""
+    steps = np.diff(np.unique(values))
+    return float(steps[steps > 1e-9 * np.ptp(values)].min())
+
+
+def _quality(measured: dict[str, float]) -> list[Finding]:
+    found = []
+    if measured["lost"] > _MANY_LOST:
+        found.append(
+            Finding("many-lost", f"{measured['lost']:.1%} of the replies were lost: check cable and baud rate")
+        )
+    if measured["saturated"] > _MANY_SATURATED:
+        found.append(
+            Finding(
+                "saturated", f"the torque limit acted in {measured['saturated']:.1%} of the rows: lower --amplitude"
+            )
+        )
+    if measured["counts"] < _FEW_COUNTS:
+        found.append(
+            Finding(
+                "few-counts",
+                f"the deflection spans {measured['counts']:.0f} counts of the encoder: raise --amplitude",
+                fatal=measured["counts"] < 3.0,
+            )
+        )
+    if measured["snr"] < _POOR_SNR:
+        found.append(
+            Finding(
+                "poor-snr",
+                f"the torque stands only {measured['snr']:.0f} dB above its noise: raise --amplitude",
+                fatal=measured["snr"] < 3.0,
+            )
+        )
+    return found
