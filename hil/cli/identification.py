@@ -1,0 +1,117 @@
+"""`hil identify`: from the words of the command to a result on the terminal."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, print_json, progress, say, tell
+from hil.errors import WrongUse
+
+if TYPE_CHECKING:
+    from ga.evolution import Settings
+    from ga.models import Model
+    from hil.identify import Identification, Search
+
+
+def identify(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings, pooled.")],
+    model: Annotated[str, typer.Option(help="Terms joined with +: linear, offset, drift, coulomb, cubic.")] = "linear",
+    preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",
+    trials: Annotated[int, typer.Option(min=1, help="Independent searches.")] = 30,
+    generations: Annotated[int | None, typer.Option(min=1, help="Of each trial; the preset's own otherwise.")] = None,
+    population: Annotated[int | None, typer.Option(min=3, help="Chromosomes; the preset's own otherwise.")] = None,
+    mutation: Annotated[float | None, typer.Option(min=0.0, max=1.0, help="Probability (0.1: Algorithm 1).")] = None,
+    selection: Annotated[str | None, typer.Option(help="A reading of the paper; see docs/paper.md.")] = None,
+    weights: Annotated[str | None, typer.Option(help="Of equation 6; see docs/paper.md.")] = None,
+    replacement: Annotated[str | None, typer.Option(help="What a child replaces; see docs/paper.md.")] = None,
+    bounds: Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI; may be repeated.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    workers: Annotated[int | None, typer.Option(min=1, help="Threads; all cores otherwise.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture.")] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
+    from ga.models import parse as parse_model
+    from hil.identify import Search
+    from hil.target import check_target
+
+    if report is not None:
+        check_target(report, force=force)
+    try:
+        chosen = parse_model(model)
+    except ValueError as error:
+        raise WrongUse(f"--model {model!r}: {error}") from None
+    readings = {"selection": selection, "weights": weights, "replacement": replacement}
+    sizes = {"generations": generations, "population": population, "mutation": mutation}
+    given = {name: value for name, value in (readings | sizes).items() if value is not None}
+    search = Search(
+        preset=preset,
+        settings=_settings(preset, given),
+        trials=trials,
+        seed=seed,
+        workers=workers or os.cpu_count() or 1,
+        bounds=dict(_bounds(text) for text in bounds or ()),
+    )
+    identify_and_show(recordings, chosen, search, report, as_json=as_json)
+
+
+def identify_and_show(
+    recordings: list[Path], model: Model, search: Search, report: Path | None, *, as_json: bool
+) -> None:
+    """Search with a progress bar, print the result, write the page where one is asked for.
+
+    Raises typer.Exit where the result must not be trusted.
+    """
+    from hil import identify as engine
+    from hil.report import as_json as to_json
+    from hil.report import write_page
+
+    with progress("searching") as done:
+        found = engine.identify(recordings, model, search, done)
+    if as_json:
+        print_json(to_json(found))
+    else:
+        _show(found)
+    if report is not None:
+        for path in write_page(found, report):
+            say(f"wrote {path}")
+    tell(found.findings)
+    if not found.trustworthy:
+        raise typer.Exit(UNTRUSTWORTHY)
+
+
+def _show(found: Identification) -> None:
+    from rich.console import Console
+
+    from hil.report import identification_lines, identification_table
+
+    Console().print(identification_table(found))
+    for line in identification_lines(found):
+        print(line)
+
+
+def _settings(preset: str, given: dict[str, Any]) -> Settings:
+    from dataclasses import replace
+
+    from ga.evolution import PRESETS
+
+    if preset not in PRESETS:
+        raise WrongUse(f"unknown --preset {preset!r}: known are {', '.join(PRESETS)}")
+    try:
+        return replace(PRESETS[preset], **given)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+
+
+def _bounds(text: str) -> tuple[str, tuple[float, float]]:
+    name, _, span = text.partition("=")
+    try:
+        low, high = (float(part) for part in span.split(":"))
+    except ValueError:
+        raise WrongUse(f"--bounds {text!r}: write NAME=LOW:HIGH in SI, such as Kc=0.01:5") from None
+    return name.strip(), (low, high)

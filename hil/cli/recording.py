@@ -1,0 +1,141 @@
+"""`hil record`: from the words of the command to a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli.terminal import Force, Json, Output, command_line, print_json
+from hil.errors import WrongUse
+
+if TYPE_CHECKING:
+    from drivers.servo import Quantity
+    from hil.profiles import Profile
+    from hil.stand import Stand
+
+
+def record(
+    backend: Annotated[str | None, typer.Option(help="A built-in stand: sim.")] = None,
+    stand: Annotated[Path | None, typer.Option(help="The stand file (stand.toml).")] = None,
+    profile: Annotated[str, typer.Option(help="What the motor is asked to do; see --list-profiles.")] = "chirp",
+    amplitude: Annotated[float | None, typer.Option(help="N m or rad at the joint; a fifth of its limit.")] = None,
+    band: Annotated[str | None, typer.Option(help="Hz, LOW:HIGH or one frequency.")] = None,
+    duration: Annotated[float | None, typer.Option(help="s; 20 unless a file says.")] = None,
+    rate: Annotated[float, typer.Option(help="Samples a second.")] = 500.0,
+    quantity: Annotated[str, typer.Option(help="What is commanded: torque or position.")] = "torque",
+    soft: Annotated[float, typer.Option(help="s of soft start and soft stop.")] = 1.0,
+    setpoints: Annotated[Path | None, typer.Option(help="The CSV of --profile file: time (s), set-point.")] = None,
+    seed: Annotated[int, typer.Option(help="Of all that is random: the simulator, a PRBS.")] = 1,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Simulate in wall time.")] = False,
+    note: Annotated[str, typer.Option(help="A remark kept in the file.")] = "",
+    output: Output = None,
+    force: Force = False,
+    as_json: Json = False,
+    list_profiles: Annotated[bool, typer.Option("--list-profiles", help="Explain the profiles.")] = False,
+) -> None:
+    """Drive the motor against the locked joint and record torque, deflection and rate."""
+    from hil import profiles
+    from hil.run import run
+
+    if list_profiles:
+        for name, kind in profiles.KINDS.items():
+            print(f"{name:10} {kind.explanation}")
+        return
+    opened = _stand_of(backend, stand)
+    made = profiles.make(
+        profile,
+        _quantity(quantity),
+        amplitude=amplitude,
+        default_amplitude=_limit_of(opened, quantity) / 5.0,
+        duration=duration,
+        band=None if band is None else _band(band),
+        rate=_checked_rate(rate),
+        soft=soft,
+        seed=seed,
+        setpoints=setpoints,
+    )
+    _check_amplitude(opened, made)
+    path, outcome = run(
+        opened,
+        made,
+        rate=rate,
+        seed=seed,
+        realtime=realtime,
+        note=note,
+        command_line=command_line(),
+        output=output,
+        force=force,
+    )
+    if as_json:
+        print_json(
+            {
+                "schema": "hil-record/1",
+                "recording": str(path),
+                "samples": outcome.samples,
+                "lost": outcome.lost,
+                "late": outcome.late,
+                "saturated": outcome.saturated,
+                "end_reason": outcome.end_reason,
+            }
+        )
+    else:
+        print(f"{path}: {outcome.samples} samples, {outcome.lost} lost, {outcome.late} late ({outcome.end_reason})")
+    if outcome.error is not None:
+        raise outcome.error
+    if outcome.signal:
+        raise typer.Exit(128 + outcome.signal)
+
+
+def _stand_of(backend: str | None, path: Path | None) -> Stand:
+    from hil.stand import SIMULATED, check_backend, load, parse
+
+    if path is not None and backend is not None:
+        raise WrongUse("give --backend or --stand, not both: a stand file names its own backend")
+    if path is not None:
+        return load(path)
+    if backend is None:
+        raise WrongUse("which stand? --backend sim for the simulated one, --stand stand.toml for your own")
+    check_backend(backend)
+    return parse(SIMULATED)
+
+
+def _quantity(name: str) -> Quantity:
+    from drivers.servo import Quantity
+
+    try:
+        return Quantity(name)
+    except ValueError:
+        raise WrongUse(f"unknown --quantity {name!r}: known are torque, position") from None
+
+
+def _limit_of(stand: Stand, quantity: str) -> float:
+    limits = stand.checked_limits()
+    return limits.torque if quantity == "torque" else limits.deflection
+
+
+def _checked_rate(rate: float) -> float:
+    if not 1.0 <= rate <= 10_000.0:
+        raise WrongUse(f"--rate {rate:g}: it must lie between 1 and 10000 Hz")
+    return rate
+
+
+def _check_amplitude(stand: Stand, profile: Profile) -> None:
+    limit = _limit_of(stand, profile.quantity.value)
+    unit = "N m" if profile.quantity.value == "torque" else "rad"
+    if profile.amplitude > limit:
+        raise WrongUse(
+            f"--amplitude {profile.amplitude:g} {unit} is beyond the stand's limit of {limit:g} {unit}: "
+            "lower it; no option raises a limit"
+        )
+
+
+def _band(text: str) -> tuple[float, float]:
+    try:
+        parts = [float(part) for part in text.split(":")]
+    except ValueError:
+        parts = []
+    if len(parts) not in {1, 2}:
+        raise WrongUse(f"--band {text!r}: write LOW:HIGH in Hz, such as 0.1:15, or one frequency")
+    return parts[0], parts[-1]
