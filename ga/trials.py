@@ -93,7 +93,7 @@ class _Trial:
     finished: bool = False
 
 
-def run_trials(  # noqa: PLR0913 - the data, the space, the method and how to run it: all are the caller's to say
+def run_trials(
     columns: NDArray[np.float64],
     torque: NDArray[np.float64],
     bounds: Bounds,
