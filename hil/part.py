@@ -23,8 +23,9 @@ import h5py
 import numpy as np
 
 from hil.store import BLOCK, CHANNELS, END_MARK, EVENT, EVENTS, ROW, SCHEMA, Array, Event, Recording, Rows
-from hil.target import part_path, writing
+from hil.target import check_space, part_path, writing
 
+_OVERHEAD = 1 << 18  # bytes of a file that are not samples, generously
 _DURABLE = 0.25  # s between two requests that the disk keep what it was given
 
 Row = tuple[float, ...]
@@ -68,10 +69,13 @@ class PartFile:
         self._closing = threading.Event()
         self._syncer = threading.Thread(target=self._keep_durable, daemon=True)
         with writing(self.path):
+            check_space(self.path, 2 * length * ROW.itemsize + _OVERHEAD)  # the second stage stands beside the first
             try:
                 self._offset, self._event_offset = _create_part(self.path, header, length)
                 self._file = os.open(self.path, os.O_RDWR | getattr(os, "O_BINARY", 0))
                 self._reserve(length)
+            except FileExistsError:
+                raise  # another recorder's, which is not ours to remove
             except BaseException:
                 self.discard()
                 raise
@@ -168,7 +172,7 @@ def _write_at(file: int, data: bytes, offset: int) -> int:
 
 def _create_part(path: Path, header: Header, length: int) -> tuple[int, int]:
     """A `.part` with all but its rows; the byte offsets of the rows and of the events."""
-    with h5py.File(path, "w", libver="latest") as file:
+    with h5py.File(path, "x", libver="latest") as file:  # never over another recording in progress
         _write_header(file, header)
         file.attrs.update(complete=False, end_reason="")
         return _reserve_contiguous(file, "live", length, ROW), _reserve_contiguous(file, "live_events", EVENTS, EVENT)
@@ -225,6 +229,7 @@ def finalise(source: Path, target: Path, *, end_reason: str | None = None) -> in
     """
     with Recording(source) as recording, writing(target):
         temporary = target.with_name(target.name + ".tmp")
+        check_space(temporary, len(recording) * ROW.itemsize + _OVERHEAD)
         try:
             with h5py.File(temporary, "w", libver="latest") as file:
                 _copy_attributes(recording, file)

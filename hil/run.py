@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hil.errors import WrongUse
 from hil.guard import StopRequest
 from hil.live import beside
 from hil.part import Header, PartFile
@@ -51,5 +52,8 @@ def run(
         if not outcome.samples:
             part.discard()
         else:
-            part.finish(outcome.end_reason)
+            try:
+                part.finish(outcome.end_reason)
+            except WrongUse as error:
+                raise WrongUse(f"{error}\nThe run itself is safe: hil recover {part.path} -o OTHER.h5") from error
     return path, outcome

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,12 +27,17 @@ def next_free(folder: Path) -> Path:
 
 
 def check_target(path: Path, *, force: bool) -> None:
-    """Raise WrongUse where writing `path` would overwrite something, or where there is no folder for it."""
+    """Raise WrongUse where writing `path` would overwrite something, or where there is no folder for it.
+
+    With `force` an unfinished recording of that name is given up, so that a new one can be made in its place.
+    """
     if path.is_dir():
         raise WrongUse(f"{path} is a folder: name a file, such as {path / 'run1.h5'}")
     if not path.parent.is_dir():
         raise WrongUse(f"{path.parent} is not a folder: make it first, or name another output with -o")
     if force:
+        with writing(path):
+            part_path(path).unlink(missing_ok=True)
         return
     if path.exists():
         raise WrongUse(f"{path} exists: choose another name with -o, or overwrite it with --force")
@@ -39,6 +45,19 @@ def check_target(path: Path, *, force: bool) -> None:
         raise WrongUse(
             f"{part_path(path)} is a recording that never ended: keep it with `hil recover {part_path(path)}`, "
             "choose another name with -o, or give it up with --force"
+        )
+
+
+def check_space(path: Path, size: int) -> None:
+    """Raise WrongUse where fewer than `size` bytes are free beside `path`.
+
+    HDF5 does not survive a disk that fills up under it (it ends in a segmentation fault), so it is never let near one.
+    """
+    free = shutil.disk_usage(path.parent).free
+    if free < size:
+        raise WrongUse(
+            f"{path} needs up to {size / 1e6:.1f} MB while it is made and the disk has {free / 1e6:.1f} MB free: "
+            "make room, or choose another folder with -o"
         )
 
 

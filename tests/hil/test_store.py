@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -191,6 +193,25 @@ def test_a_full_disk_is_found_before_anything_moves(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_disk_without_room_for_both_stages_is_refused_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """HDF5 ends in a segmentation fault on a disk that fills up under it, so the room is counted beforehand."""
+    rows = 10_000 * ROW.itemsize
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1.5 * rows))
+    with pytest.raises(WrongUse, match=r"the disk has 1\.7 MB free"):
+        PartFile(tmp_path / "a.h5", HEADER, 10_000)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_filled_up_meanwhile_keeps_the_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    part = recorded(tmp_path / "a.h5", 12)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    with pytest.raises(WrongUse, match="make room"):
+        part.finish("done")
+    assert [item.name for item in tmp_path.iterdir()] == ["a.h5.part"]
+
+
 def test_the_next_free_name_counts_unfinished_recordings_too(tmp_path: Path) -> None:
     folder = tmp_path / "recordings"
     assert next_free(folder).name == "run1.h5"
@@ -204,7 +225,17 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path, existing: str) -> 
     (tmp_path / existing).touch()
     with pytest.raises(WrongUse, match="--force"):
         check_target(tmp_path / "a.h5", force=False)
+    assert (tmp_path / existing).exists()
     check_target(tmp_path / "a.h5", force=True)
+    assert not (tmp_path / "a.h5.part").exists()
+
+
+def test_two_recorders_never_share_a_file(tmp_path: Path) -> None:
+    with recorded(tmp_path / "a.h5", 5) as first:
+        with pytest.raises(WrongUse, match="File exists"):
+            PartFile(tmp_path / "a.h5", HEADER, 5)
+        with Recording(first.path) as recording:
+            assert len(recording) == 5
 
 
 def test_a_target_without_a_folder_is_refused(tmp_path: Path) -> None:
