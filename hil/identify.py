@@ -59,7 +59,10 @@ class Holdout:
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What `hil identify` found. fitness and optimum: N m. relative_gap: the search's own error, as a ratio."""
+    """What `hil identify` found. fitness and optimum: N m. relative_gap: the search's own error, as a ratio.
+
+    seconds: all of it; search_seconds: the trials alone.
+    """
 
     recordings: tuple[Path, ...]
     model: str
@@ -72,6 +75,7 @@ class Identification:
     samples: int
     trials: Trials
     seconds: float
+    search_seconds: float
     holdout: Holdout
     findings: tuple[Finding, ...]
     signals: Signals
@@ -109,6 +113,11 @@ def identify(
     signals, findings = load(paths)
     columns = model.columns(signals.time, signals.dtheta, signals.dtheta_dot)
     bounds = _bounds(model, search, columns, signals.torque)
+    try:
+        search.settings.population_for(len(model.parameters))
+    except ValueError as error:
+        raise WrongUse(f"--population: {error}") from None
+    searching = time.perf_counter()
     trials = run_trials(
         columns,
         signals.torque,
@@ -119,6 +128,7 @@ def identify(
         workers=search.workers,
         progress=progress,
     )
+    searched = time.perf_counter()
     optimum = least_absolute_deviations(columns, signals.torque)
     errors = spread(columns, signals.torque, optimum.genes)
     estimates = _estimates(model, bounds, trials, optimum, errors)
@@ -137,6 +147,7 @@ def identify(
         samples=len(signals),
         trials=trials,
         seconds=time.perf_counter() - began,
+        search_seconds=searched - searching,
         holdout=_hold_out(columns, signals.torque),
         findings=tuple(findings),
         signals=signals,

@@ -8,7 +8,7 @@ from typing import Any, NoReturn, cast
 
 import typer
 
-from hil.cli.demonstration import demo
+from hil.cli.demonstration import demo, replicate
 from hil.cli.files import import_data, inspect, recover
 from hil.cli.identification import identify
 from hil.cli.recording import record
@@ -36,6 +36,7 @@ app.command()(inspect)
 app.command("import")(import_data)
 app.command()(recover)
 app.command()(demo)
+app.command()(replicate)
 
 
 def main() -> NoReturn:

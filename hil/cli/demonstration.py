@@ -1,4 +1,4 @@
-"""`hil demo`: the main job on the simulated servo."""
+"""`hil demo` and `hil replicate`: the main job, and the paper's experiment, on the simulated servo."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.identification import identify_and_show
+from hil.cli.terminal import Json, print_json, progress, say
 
 
 def demo(
@@ -44,3 +45,38 @@ def demo(
     identify_and_show([path], parse_model("linear"), search, path.with_suffix(".html"), as_json=False)
     print(f"The recording is {path}; look at it with: hil inspect {path}")
     print("Its true values are in its /truth group: Kc 17.75 mN m/rad, Bc 0.19 mN m s/rad.")
+
+
+def replicate(
+    evaluations: Annotated[int, typer.Option(min=1, help="Of each trial; the paper's is 200000000.")] = 2_000_000,
+    trials: Annotated[int, typer.Option(min=1, help="Independent searches.")] = 30,
+    seed: Annotated[int, typer.Option(min=0, help="Of the simulated stand and of the search.")] = 0,
+    workers: Annotated[int | None, typer.Option(min=1, help="Threads; all cores otherwise.")] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="The folder to write into.")] = Path("hil-replicate"),
+    as_json: Json = False,
+) -> None:
+    """Repeat the paper's experiment on the simulated stand: Table 1 and Figure 8."""
+    from hil import replicate as experiment
+
+    with progress("searching") as note:
+        done = experiment.replicate(
+            output,
+            evaluations=evaluations,
+            trials=trials,
+            seed=seed,
+            workers=workers or os.cpu_count() or 1,
+            progress=note,
+        )
+    recording = done.identification.recordings[0]
+    picture = recording.with_suffix(".png")
+    experiment.draw_convergence(done, picture)
+    if as_json:
+        print_json(experiment.as_json(done))
+    else:
+        for line in experiment.table(done):
+            print(line)
+        print(
+            f"{done.identification.trials.evaluations:.3g} evaluations in {done.identification.search_seconds:.1f} s: "
+            f"{done.evaluations_per_second:.3g} a second, {done.ratio_to_numpy:.0f} times NumPy on one core"
+        )
+    say(f"wrote {recording} and {picture} (Figure 8)")

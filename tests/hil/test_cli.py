@@ -336,6 +336,7 @@ def test_a_constant_deflection_is_refused(hil: Hil, make_recording: Maker) -> No
         (("identify", "a.h5", "--bounds", "Kx=0:1"), "no such parameter; it has Kc, Bc"),
         (("identify", "a.h5", "--selection", "biggest"), "selection"),
         (("identify", "a.h5", "--trials", "0"), "--trials"),
+        (("identify", "a.h5", "--population", "3"), "--population: population of 3"),
         (("identify",), "Missing argument"),
         (("import", "a.csv", "-o", "b.h5", "--time", "t", "--torque", "q"), "name the columns"),
         (("import", "a.csv", "-o", "b.h5", "--time", "t", "--torque", "q", "--dtheta", "p"), "cannot be read"),
