@@ -125,7 +125,7 @@ def main() -> None:
     table = "\n".join([head, *rows])
     print(table)
     text = PAGE.read_text(encoding="utf-8")
-    marked = re.sub(r"(<!-- spread -->\n).*?(\n<!-- end -->)", rf"\g<1>{table}\g<2>", text, flags=re.DOTALL)
+    marked = re.sub(r"(<!-- spread -->\n).*?(<!-- end -->)", rf"\g<1>{table}\n\g<2>", text, flags=re.DOTALL)
     PAGE.write_text(marked, encoding="utf-8")
 
 
