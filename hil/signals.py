@@ -8,7 +8,8 @@ that whatever the window does to one side it does to the other. Raw channels are
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -25,6 +26,8 @@ _FEWEST = 16  # samples, below which nothing is concluded
 _COARSE = 0.05  # share of repeated stamps from which a clock is called coarse
 _GAIN = 0.995  # of the rate, at the upper end of the band
 _LOW_SHARE, _HIGH_SHARE = 0.01, 0.95  # of the power of deflection and rate: the ends of the band
+_PROBE = 1 << 20  # rows that show how a recording is to be read
+_MARGIN = 256  # rows beyond the windows of a block, for what is lost among them
 _WIDEST = 250  # samples on each side of a window
 _DEGREE = 3
 
@@ -54,68 +57,147 @@ class Signals:
         return len(self.time)
 
 
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """How a recording is read: torque from the motor's side or not, the rate as it came or from the deflection."""
+
+    stand: StandTable | None
+    motor_side: bool
+    given_rate: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Usable:
+    """The rows (n,) that were answered and are numbers: their place in the file and what was read, torque raw.
+
+    lost, not_numbers: the places of the rows that were not answered, and of those that hold a NaN.
+    """
+
+    row: NDArray[np.int64]
+    time: Array
+    torque: Array
+    dtheta: Array
+    reported_rate: Array
+    lost: NDArray[np.int64]
+    not_numbers: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """The local cubic for a recording: samples a side, the usual step between two, s, and the band it serves, Hz."""
+
+    half: int
+    step: float
+    band: tuple[float, float]
+
+
 def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     """The signals of a recording made on `stand` (None: its torque column is taken as it is).
 
     Raises Untrustworthy where nothing can be concluded: too few rows, nothing moved, time going backwards.
     """
-    motor_side = _uses_motor_torque(recording, stand)
-    status = recording.channel("status").astype(np.int64)
-    answered = (status & int(Status.NO_REPLY | Status.BAD_REPLY)) == 0
-    time = _stamps(recording)
-    torque = recording.channel("motor_torque" if motor_side else "torque")
-    dtheta = recording.channel("dtheta")
-    reported = recording.channel("dtheta_dot")
-    given_rate = bool(np.isfinite(reported).any()) and not np.isfinite(recording.channel("motor_position")).any()
-    good = answered & np.isfinite(time) & np.isfinite(torque) & np.isfinite(dtheta)
-    if given_rate:
-        good &= np.isfinite(reported)
-    _refuse_hopeless(recording, time[good], dtheta[good])
-    time, coarse = spread_stamps(time[good])
-    torque, dtheta = torque[good], dtheta[good]
-    band = excited_band(time, dtheta)
-    half = window_half(time, band[1])
-    sound = np.ones(len(time), dtype=bool)
-    if given_rate:
-        rate = reported[good]
-    else:
-        smooth, rate, span = local_cubic(time, dtheta, half)
-        sound = span <= 1.5 * (2 * half) * float(np.median(np.diff(time)))
-    if motor_side and stand is not None:
-        ratio = stand.gear_ratio
-        motor_torque = local_cubic(time, torque, half)[0]
-        second = local_cubic(time, rate, half)[1]  # a cubic's own curvature has a gain far below its slope's
-        # equation (1); the joint is locked, so the motor moves by the deflection times the gear ratio
-        torque = ratio * (motor_torque - stand.motor_inertia * ratio * second - stand.motor_damping * ratio * rate)
-        dtheta = smooth
-    return Signals(
-        time=time[sound],
-        torque=torque[sound],
-        dtheta=dtheta[sound],
-        dtheta_dot=rate[sound],
-        lost=int(np.count_nonzero(~answered)),
-        not_numbers=int(np.count_nonzero(answered & ~good)),
-        near_gaps=int(np.count_nonzero(~sound)),
-        coarse_clock=coarse,
-        band=band,
-        rate_window=0.0 if given_rate else (2 * half + 1) * float(np.median(np.diff(time))),
-        torque_from="motor" if motor_side else ("given" if stand is None else "joint"),
+    source = _source_of(recording, stand)
+    usable = _usable(recording, source, 0, len(recording))
+    _refuse_hopeless(recording, usable)
+    time, coarse = spread_stamps(usable.time)
+    usable = replace(usable, time=time)
+    return _signals(usable, source, _window_for(usable), (0, len(recording)), coarse=coarse)
+
+
+def stream(recording: Recording, stand: StandTable | None, block: int = 1 << 18) -> Iterator[Signals]:
+    """What `prepare` gives, `block` rows at a time, for recordings that do not fit in memory.
+
+    The rate's window is set by the first million rows. Each block is worked out with enough rows of its neighbours for
+    every window to be whole. Raises Untrustworthy as `prepare` does, for what the first million rows show.
+    """
+    source = _source_of(recording, stand)
+    first = _usable(recording, source, 0, min(_PROBE, len(recording)))
+    _refuse_hopeless(recording, first)
+    window = _window_for(replace(first, time=spread_stamps(first.time)[0]))
+    margin = 4 * window.half + _MARGIN  # the acceleration is the slope of a slope, and some rows are lost
+    for start in range(0, len(recording), block):
+        stop = min(start + block, len(recording))
+        usable = _usable(recording, source, max(0, start - margin), min(stop + margin, len(recording)))
+        time, coarse = spread_stamps(usable.time)
+        yield _signals(replace(usable, time=time), source, window, (start, stop), coarse=coarse)
+
+
+def _source_of(recording: Recording, stand: StandTable | None) -> _Source:
+    def present(name: str) -> bool:
+        return bool(np.isfinite(recording.channel(name, 0, _PROBE)).any())
+
+    from_motor = stand is not None and stand.torque_source == "motor" and present("motor_torque")
+    return _Source(stand, from_motor, present("dtheta_dot") and not present("motor_position"))
+
+
+def _usable(recording: Recording, source: _Source, start: int, stop: int) -> _Usable:
+    def channel(name: str) -> Array:
+        return recording.channel(name, start, stop)
+
+    answered = (channel("status").astype(np.int64) & int(Status.NO_REPLY | Status.BAD_REPLY)) == 0
+    read = channel("read_time")
+    time = np.where(np.isfinite(read), read, channel("time"))
+    torque = channel("motor_torque" if source.motor_side else "torque")
+    dtheta = channel("dtheta")
+    rate = channel("dtheta_dot") if source.given_rate else np.zeros_like(dtheta)
+    good = answered & np.isfinite(time) & np.isfinite(torque) & np.isfinite(dtheta) & np.isfinite(rate)
+    return _Usable(
+        row=np.flatnonzero(good) + start,
+        time=time[good],
+        torque=torque[good],
+        dtheta=dtheta[good],
+        reported_rate=rate[good],
+        lost=np.flatnonzero(~answered) + start,
+        not_numbers=np.flatnonzero(answered & ~good) + start,
     )
 
 
-def _uses_motor_torque(recording: Recording, stand: StandTable | None) -> bool:
-    if stand is None or stand.torque_source != "motor":
-        return False
-    return bool(np.isfinite(recording.channel("motor_torque")).any())
+def _window_for(usable: _Usable) -> _Window:
+    band = excited_band(usable.time, usable.dtheta)
+    return _Window(window_half(usable.time, band[1]), float(np.median(np.diff(usable.time))), band)
 
 
-def _stamps(recording: Recording) -> Array:
-    read = recording.channel("read_time")
-    return np.where(np.isfinite(read), read, recording.channel("time"))
+def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int, int], *, coarse: bool) -> Signals:
+    """The signals of the usable rows that lie within `rows` of the file; the others serve their windows only."""
+    time, torque, dtheta, rate = usable.time, usable.torque, usable.dtheta, usable.reported_rate
+    sound = np.ones(len(time), dtype=bool)
+    if not source.given_rate:
+        smooth, rate, span = local_cubic(time, dtheta, window.half)
+        sound = span <= 1.5 * (2 * window.half) * window.step
+        if source.motor_side and source.stand is not None:
+            torque = _at_joint(time, torque, rate, window.half, source.stand)
+            dtheta = smooth
+    inside = _within(usable.row, rows)
+    kept = sound & inside
+    return Signals(
+        time=time[kept],
+        torque=torque[kept],
+        dtheta=dtheta[kept],
+        dtheta_dot=rate[kept],
+        lost=int(np.count_nonzero(_within(usable.lost, rows))),
+        not_numbers=int(np.count_nonzero(_within(usable.not_numbers, rows))),
+        near_gaps=int(np.count_nonzero(inside & ~sound)),
+        coarse_clock=coarse,
+        band=window.band,
+        rate_window=0.0 if source.given_rate else (2 * window.half + 1) * window.step,
+        torque_from="motor" if source.motor_side else ("given" if source.stand is None else "joint"),
+    )
 
 
-def _refuse_hopeless(recording: Recording, time: Array, dtheta: Array) -> None:
-    name = recording.path
+def _within(row: NDArray[np.int64], rows: tuple[int, int]) -> NDArray[np.bool_]:
+    return (row >= rows[0]) & (row < rows[1])
+
+
+def _at_joint(time: Array, motor_torque: Array, rate: Array, half: int, stand: StandTable) -> Array:
+    """Equation (1): the coupling's torque (n,) N m from the motor's, which moves with the deflection."""
+    ratio = stand.gear_ratio
+    acceleration = local_cubic(time, rate, half)[1]  # a cubic's own curvature has a gain far below its slope's
+    smooth = local_cubic(time, motor_torque, half)[0]
+    return ratio * (smooth - stand.motor_inertia * ratio * acceleration - stand.motor_damping * ratio * rate)
+
+
+def _refuse_hopeless(recording: Recording, usable: _Usable) -> None:
+    name, time, dtheta = recording.path, usable.time, usable.dtheta
     if len(time) < _FEWEST:
         raise Untrustworthy(f"{name} holds {len(time)} usable sample(s) of {len(recording)}: record at least {_FEWEST}")
     backwards = np.flatnonzero(np.diff(time) < 0.0)

@@ -126,11 +126,15 @@ class Recording:
                 rows[name] = self._read(f"samples/{name}", start, stop)
             yield start, rows
 
-    def channel(self, name: str) -> Array:
-        """One channel, (n,) float64 in its SI unit."""
+    def channel(self, name: str, start: int = 0, stop: int | None = None) -> Array:
+        """Rows `start` to `stop` (None: the last) of one channel, (n,) float64 in its SI unit.
+
+        Raises Untrustworthy where the file is damaged.
+        """
+        stop = self._length if stop is None else min(stop, self._length)
         if self.live:
-            return np.asarray(self._read("live", 0, self._length)[name], dtype=np.float64)
-        return np.asarray(self._read(f"samples/{name}", 0, self._length), dtype=np.float64)
+            return np.asarray(self._read("live", start, stop)[name], dtype=np.float64)
+        return np.asarray(self._read(f"samples/{name}", start, stop), dtype=np.float64)
 
     def events(self) -> list[Event]:
         """What happened during the run, in order."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from hil.errors import Untrustworthy
 from hil.part import Header, write
-from hil.signals import excited_band, local_cubic, prepare, rate_gain, spread_stamps, window_half
+from hil.signals import excited_band, local_cubic, prepare, rate_gain, spread_stamps, stream, window_half
 from hil.stand import StandTable
 from hil.store import Array, Recording
 
@@ -173,3 +174,31 @@ def test_a_recording_from_which_nothing_follows_is_refused(make_recording: Maker
 def test_an_almost_empty_recording_is_refused(make_recording: Maker, samples: int) -> None:
     with pytest.raises(Untrustworthy, match="usable sample"):
         signals_of(make_recording(samples=samples))
+
+
+@pytest.mark.parametrize("source", ["motor", "joint"])
+def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source: Literal["motor", "joint"]) -> None:
+    rng = np.random.default_rng(4)
+    time = np.arange(6000) / 500.0 + 2e-5 * rng.standard_normal(6000)
+    dtheta = 0.2 * np.sin(2 * np.pi * 2.0 * time) + 1e-4 * rng.standard_normal(6000)
+    torque = 0.02 * dtheta + 1e-4 * rng.standard_normal(6000)
+    torque[rng.choice(6000, 60)] = np.nan
+    channels = {
+        "time": time,
+        "torque": torque,
+        "dtheta": dtheta,
+        "motor_torque": torque / 4.0,
+        "motor_position": 4.0 * dtheta,
+    }
+    path = tmp_path / "s.h5"
+    write(path, Header(profile={"kind": "imported"}), channels)
+    stand = StandTable(gear_ratio=4.0, motor_inertia=2e-7, motor_damping=1e-7, torque_source=source)
+    with Recording(path) as recording:
+        whole, parts = prepare(recording, stand), list(stream(recording, stand, block=1700))
+    assert len(parts) == 4
+    for name in ("time", "torque", "dtheta", "dtheta_dot"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_allclose(joined, getattr(whole, name), rtol=1e-9, atol=1e-12)
+    for name in ("lost", "not_numbers", "near_gaps"):
+        assert sum(getattr(part, name) for part in parts) == getattr(whole, name)
+    assert whole.not_numbers > 50
