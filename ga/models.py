@@ -7,7 +7,7 @@ which is why the other terms exist. Nothing here knows how a recording came abou
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -41,10 +41,22 @@ class UnknownTerm(ValueError):
 
 @dataclass(frozen=True)
 class Model:
-    """A sum of terms. name: canonical, such as "linear+offset+coulomb". parameters: p, in the order of the columns."""
+    """A sum of terms. name: canonical, such as "linear+offset+coulomb". parameters: p, in the order of the columns.
+
+    origin: s, where the drift begins; smoothing: v_s of the Coulomb term, rad/s. None: each call takes its own data's.
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
+    origin: float | None = None
+    smoothing: float | None = None
+
+    def anchored(self, time: NDArray[np.float64], dtheta_dot: NDArray[np.float64]) -> Model:
+        """The same model with origin and smoothing of these data (n,), so that it is one model for every part of them.
+
+        Needed where a recording is taken block by block, or where one part is judged by a fit to another.
+        """
+        return replace(self, origin=float(time[0]) if time.size else 0.0, smoothing=_smoothing(dtheta_dot))
 
     def columns(
         self, time: NDArray[np.float64], dtheta: NDArray[np.float64], dtheta_dot: NDArray[np.float64]
@@ -57,7 +69,8 @@ class Model:
             raise ValueError(
                 f"time {time.shape}, dtheta {dtheta.shape} and dtheta_dot {dtheta_dot.shape} differ in shape"
             )
-        columns = [c for term in self.name.split("+") for c in _TERMS[term].columns(time, dtheta, dtheta_dot)]
+        model = self if self.smoothing is not None else self.anchored(time, dtheta_dot)
+        columns = [c for term in self.name.split("+") for c in _TERMS[term].columns(model, time, dtheta, dtheta_dot)]
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
 
 
@@ -91,12 +104,17 @@ def _refuse_unknown(term: str) -> None:
 @dataclass(frozen=True, slots=True)
 class _Term:
     parameters: tuple[Parameter, ...]
-    columns: Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], tuple[NDArray[np.float64], ...]]
+    columns: Callable[
+        [Model, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], tuple[NDArray[np.float64], ...]
+    ]
 
 
-def _coulomb(rate: NDArray[np.float64]) -> NDArray[np.float64]:
-    smooth = SMOOTHING * float(np.linalg.norm(rate)) / max(rate.size, 1) ** 0.5
-    return np.tanh(rate / smooth) if smooth > 0.0 else np.zeros_like(rate)
+def _smoothing(rate: NDArray[np.float64]) -> float:
+    return SMOOTHING * float(np.linalg.norm(rate)) / max(rate.size, 1) ** 0.5
+
+
+def _coulomb(rate: NDArray[np.float64], smoothing: float) -> NDArray[np.float64]:
+    return np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate)
 
 
 _TERMS: Final[Mapping[str, _Term]] = MappingProxyType(
@@ -106,24 +124,24 @@ _TERMS: Final[Mapping[str, _Term]] = MappingProxyType(
                 Parameter("Kc", "N*m/rad", "stiffness of the coupling"),
                 Parameter("Bc", "N*m*s/rad", "damping of the coupling"),
             ),
-            lambda _time, angle, rate: (angle, rate),
+            lambda _model, _time, angle, rate: (angle, rate),
         ),
         "offset": _Term(
             (Parameter("tau0", "N*m", "torque at rest, at the first sample"),),
-            lambda _time, angle, _rate: (np.ones_like(angle),),
+            lambda _model, _time, angle, _rate: (np.ones_like(angle),),
         ),
         "drift": _Term(
             (Parameter("drift", "N*m/s", "slope of the torque reading in time"),),
             # from the first sample on: an absolute time would be nearly collinear with the offset
-            lambda time, _angle, _rate: (time - time[:1],),
+            lambda model, time, _angle, _rate: (time - (model.origin or 0.0),),
         ),
         "coulomb": _Term(
             (Parameter("Fc", "N*m", "Coulomb friction"),),
-            lambda _time, _angle, rate: (_coulomb(rate),),
+            lambda model, _time, _angle, rate: (_coulomb(rate, model.smoothing or 0.0),),
         ),
         "cubic": _Term(
             (Parameter("K3", "N*m/rad^3", "cubic stiffness"),),
-            lambda _time, angle, _rate: (angle**3,),
+            lambda _model, _time, angle, _rate: (angle**3,),
         ),
     }
 )

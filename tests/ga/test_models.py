@@ -81,3 +81,12 @@ def test_a_model_without_stiffness_and_damping_is_refused() -> None:
 def test_vectors_of_different_lengths_are_refused() -> None:
     with pytest.raises(ValueError, match="differ in shape"):
         parse("linear").columns(TIME, DTHETA[:-1], RATE)
+
+
+def test_an_anchored_model_is_one_model_for_every_part_of_the_data() -> None:
+    model = parse("linear+drift+coulomb")
+    whole = model.columns(TIME, DTHETA, RATE)
+    anchored = model.anchored(TIME, RATE)
+    parts = [anchored.columns(TIME[part], DTHETA[part], RATE[part]) for part in (slice(0, 90), slice(90, None))]
+    assert np.array_equal(np.concatenate(parts), whole)
+    assert not np.array_equal(model.columns(TIME[90:], DTHETA[90:], RATE[90:]), whole[90:])
