@@ -110,7 +110,7 @@ class _Term:
 
 
 def _smoothing(rate: NDArray[np.float64]) -> float:
-    return SMOOTHING * float(np.linalg.norm(rate)) / max(rate.size, 1) ** 0.5
+    return SMOOTHING * float(np.linalg.norm(rate) / np.sqrt(max(rate.size, 1)))
 
 
 def _coulomb(rate: NDArray[np.float64], smoothing: float) -> NDArray[np.float64]:
