@@ -130,7 +130,7 @@ def identify(
     )
     searched = time.perf_counter()
     optimum = least_absolute_deviations(columns, signals.torque)
-    errors = spread(columns, signals.torque, optimum.genes)
+    errors = spread(lambda: [(columns, signals.torque)], optimum.genes)
     estimates = _estimates(model, bounds, trials, optimum, errors)
     fitness = float(trials.fitness.min())
     gap = optimum.relative_gap(fitness)

@@ -10,14 +10,18 @@ This is the error of the data, given the model. What the model leaves out of the
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Blocks = Callable[[], Iterable[tuple[Array, Array]]]
+"""The data as often as it is asked for, in order: columns (m, p) and torque (m,) N m of any number of rows."""
 
 _BLOCKS = 40  # enough of them to estimate a covariance, long enough to hold the correlation
+_QUANTILES = 1 << 16  # residuals from which the spread of all is read
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,51 +35,81 @@ class Spread:
     inflation: Array
 
 
-def spread(columns: Array, torque: Array, genes: Array) -> Spread:
-    """The intervals around the exact optimum `genes` (p,) for columns (n, p) and torque (n,).
+def spread(blocks: Blocks, genes: Array) -> Spread:
+    """The intervals around the exact optimum `genes` (p,) of the data in `blocks`, which is gone through three times.
 
     A parameter that the columns cannot tell at all has an infinite half-width and inflation.
     """
     from scipy.special import stdtrit  # Student's quantile; scipy.stats would cost half a second of start-up
 
-    scale = np.sqrt(np.mean(columns**2, axis=0))
+    sums = _first_pass(blocks, genes)
+    scale = np.sqrt(np.diag(sums.gram) / sums.count)
     told = scale > 0.0
     half, inflation = np.full(len(genes), np.inf), np.full(len(genes), np.inf)
-    unit = columns[:, told] / scale[told]
-    gram = unit.T @ unit / len(torque)
+    gram = sums.gram[np.ix_(told, told)] / np.outer(scale[told], scale[told]) / sums.count
     if not told.any() or np.linalg.cond(gram) > 1e12:
         return Spread(half, inflation)
-    residuals = torque - columns @ genes
-    rounding = 1e-12 * float(np.sqrt(np.mean(torque**2))) + np.finfo(float).tiny
-    bread = np.linalg.inv(_density_weighted(unit, residuals, rounding))
-    blocks = min(_BLOCKS, len(torque) // 2)
-    scores = np.array([part.sum(axis=0) for part in np.array_split(unit * np.sign(residuals)[:, None], blocks)])
-    covariance = bread @ (scores.T @ scores) @ bread
-    quantile = float(stdtrit(max(1, blocks - unit.shape[1]), 0.975))
+    kernel, scores = _second_pass(blocks, genes, sums)
+    units = np.outer(scale[told], scale[told])
+    bread = np.linalg.inv(kernel[np.ix_(told, told)] / units)
+    covariance = bread @ (scores.T @ scores)[np.ix_(told, told)] / units @ bread
+    quantile = float(stdtrit(max(1, len(scores) - int(told.sum())), 0.975))
     half[told] = quantile * np.sqrt(np.diag(covariance)) / scale[told]
     inflation[told] = np.diag(np.linalg.inv(gram))
     return Spread(half, inflation)
 
 
-def _density_weighted(unit: Array, residuals: Array, rounding: float) -> Array:
-    """Powell's estimate of twice the sum of f(0) x x', with the Hall-Sheather bandwidth; (p, p).
+@dataclass(frozen=True, slots=True)
+class _Sums:
+    """gram: sum of x x' (p, p). residuals: every so many-th, N m. rounding: N m, below which residuals are the same."""
 
-    rounding: N m, below which residuals are all the same.
+    count: int
+    gram: Array
+    residuals: Array
+    rounding: float
+
+
+def _first_pass(blocks: Blocks, genes: Array) -> _Sums:
+    count, power = 0, 0.0
+    gram = np.zeros((len(genes), len(genes)))
+    for columns, torque in blocks():
+        count += len(torque)
+        power += float(torque @ torque)
+        gram += columns.T @ columns
+    every, seen, kept = max(1, count // _QUANTILES), 0, []
+    for columns, torque in blocks():
+        first = -seen % every
+        kept.append(torque[first::every] - columns[first::every] @ genes)
+        seen += len(torque)
+    rounding = 1e-12 * float(np.sqrt(power / count)) + float(np.finfo(float).tiny)
+    return _Sums(count, gram, np.concatenate(kept), rounding)
+
+
+def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, Array]:
+    """Powell's estimate of twice the sum of f(0) x x' (p, p), and the sums of x sign(e) over blocks in time (b, p)."""
+    width = _kernel_width(sums)
+    parts = min(_BLOCKS, sums.count // 2)
+    kernel, scores, start = np.zeros_like(sums.gram), np.zeros((parts, len(genes))), 0
+    for columns, torque in blocks():
+        residuals = torque - columns @ genes
+        inside = columns[np.abs(residuals) <= width]
+        kernel += inside.T @ inside / width
+        part = np.arange(start, start + len(torque)) * parts // sums.count
+        edges = np.flatnonzero(np.diff(part, prepend=-1))
+        scores[part[edges]] += np.add.reduceat(columns * np.sign(residuals)[:, None], edges, axis=0)
+        start += len(torque)
+    return kernel, scores
+
+
+def _kernel_width(sums: _Sums) -> float:
+    """The residuals that count as near zero, N m: the bandwidth of Hall and Sheather (1988) for the median.
+
+    In quantiles it is n^(-1/3) z^(2/3) (1.5 phi(0)^2)^(1/3); never so narrow that fewer than a hundred rows remain.
     """
-    count = len(residuals)
-    spread_of = min(float(np.std(residuals)), float(np.subtract(*np.quantile(residuals, [0.75, 0.25]))) / 1.349)
-    # Hall and Sheather (1988) for the median: h = n^(-1/3) z^(2/3) (1.5 phi(0)^2)^(1/3), here in the scale of quantiles
-    quantile_width = count ** (-1 / 3) * 1.959964 ** (2 / 3) * (1.5 / (2.0 * np.pi)) ** (1 / 3)
-    width = max(spread_of * _normal_quantile(0.5 + min(quantile_width, 0.45)), rounding)
-    inside = unit[np.abs(residuals) <= width]
-    if len(inside) < 4 * unit.shape[1]:  # residuals that are nearly all zero: the nearest quarter stands for them
-        nearest = np.argsort(np.abs(residuals))[: max(count // 4, 4 * unit.shape[1])]
-        width = max(float(np.abs(residuals[nearest]).max()), rounding)
-        inside = unit[nearest]
-    return np.asarray(inside.T @ inside) / width
+    from scipy.special import ndtri
 
-
-def _normal_quantile(probability: float) -> float:
-    from statistics import NormalDist
-
-    return NormalDist().inv_cdf(probability)
+    residuals, count = sums.residuals, sums.count
+    sigma = min(float(np.std(residuals)), float(np.subtract(*np.quantile(residuals, [0.75, 0.25]))) / 1.349)
+    share = count ** (-1 / 3) * 1.959964 ** (2 / 3) * (1.5 / (2.0 * np.pi)) ** (1 / 3)
+    fewest = float(np.quantile(np.abs(residuals), min(1.0, 100.0 / count)))
+    return max(sigma * float(ndtri(0.5 + min(share, 0.45))), fewest, sums.rounding)

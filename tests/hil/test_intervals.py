@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from ga.exact import least_absolute_deviations
-from hil.intervals import spread
+from hil.intervals import Array, Blocks, spread
 
 RUNS = 300
+
+
+def at_once(columns: Array, torque: Array) -> Blocks:
+    return lambda: [(columns, torque)]
 
 
 def coverage(correlation: float, seed: int) -> tuple[float, float]:
@@ -24,7 +30,7 @@ def coverage(correlation: float, seed: int) -> tuple[float, float]:
             noise[index] += correlation * noise[index - 1]
         torque = columns @ truth + 2e-4 * noise
         genes = least_absolute_deviations(columns, torque).genes
-        half = spread(columns, torque, genes).half_width
+        half = spread(at_once(columns, torque), genes).half_width
         held.append(np.abs(genes - truth) <= half)
         halves.append(half)
         found.append(genes)
@@ -43,7 +49,7 @@ def test_the_interval_holds_the_truth_as_often_as_it_says(correlation: float) ->
 def test_a_column_of_nothing_cannot_be_told() -> None:
     rng = np.random.default_rng(0)
     columns = np.column_stack([rng.standard_normal(500), np.zeros(500)])
-    told = spread(columns, columns[:, 0] + rng.standard_normal(500), np.array([1.0, 0.0]))
+    told = spread(at_once(columns, columns[:, 0] + rng.standard_normal(500)), np.array([1.0, 0.0]))
     assert np.isfinite(told.half_width).tolist() == [True, False]
 
 
@@ -51,13 +57,24 @@ def test_columns_that_look_alike_have_a_large_inflation() -> None:
     rng = np.random.default_rng(0)
     first = rng.standard_normal(500)
     columns = np.column_stack([first, first + 0.05 * rng.standard_normal(500)])
-    told = spread(columns, first + rng.standard_normal(500), np.array([1.0, 0.0]))
+    told = spread(at_once(columns, first + rng.standard_normal(500)), np.array([1.0, 0.0]))
     assert told.inflation.min() > 100.0
-    apart = spread(rng.standard_normal((500, 2)), rng.standard_normal(500), np.zeros(2))
+    apart = spread(at_once(rng.standard_normal((500, 2)), rng.standard_normal(500)), np.zeros(2))
     assert apart.inflation.max() < 1.1
 
 
 def test_residuals_that_are_all_zero_leave_an_interval_of_nothing() -> None:
     columns = np.random.default_rng(0).standard_normal((500, 2))
-    told = spread(columns, columns @ [1.0, 2.0], np.array([1.0, 2.0]))
+    told = spread(at_once(columns, columns @ [1.0, 2.0]), np.array([1.0, 2.0]))
     assert np.all(told.half_width < 1e-12)
+
+
+def test_data_in_blocks_give_the_interval_of_data_at_once() -> None:
+    rng = np.random.default_rng(0)
+    columns, truth = rng.standard_normal((5000, 2)), np.array([1.0, 2.0])
+    torque = columns @ truth + rng.standard_normal(5000)
+    whole = spread(at_once(columns, torque), truth)
+    cuts = [0, 1, 17, 1000, 1001, 4200, 5000]
+    parts = spread(lambda: [(columns[a:b], torque[a:b]) for a, b in pairwise(cuts)], truth)
+    np.testing.assert_allclose(parts.half_width, whole.half_width, rtol=1e-9)
+    np.testing.assert_allclose(parts.inflation, whole.inflation, rtol=1e-9)
