@@ -15,7 +15,7 @@ from ga.exact import Optimum, least_absolute_deviations
 from ga.models import Model
 from ga.space import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.trials import Trials, run_trials
-from hil.errors import WrongUse
+from hil.errors import Untrustworthy, WrongUse
 from hil.findings import Finding
 from hil.inspection import recording_findings
 from hil.intervals import Spread, spread
@@ -129,7 +129,7 @@ def identify(
         progress=progress,
     )
     searched = time.perf_counter()
-    optimum = least_absolute_deviations(columns, signals.torque)
+    optimum = _exact(columns, signals.torque)
     errors = spread(lambda: [(columns, signals.torque)], optimum.genes)
     estimates = _estimates(model, bounds, trials, optimum, errors)
     fitness = float(trials.fitness.min())
@@ -199,6 +199,13 @@ def _bounds(model: Model, search: Search, columns: Array, torque: Array) -> Boun
             raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: write the lower one first, both as numbers in SI")
         low[names.index(name)], high[names.index(name)] = lowest, highest
     return Bounds(low, high, names)
+
+
+def _exact(columns: Array, torque: Array) -> Optimum:
+    try:
+        return least_absolute_deviations(columns, torque)
+    except RuntimeError as error:
+        raise Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model") from error
 
 
 def _estimates(model: Model, bounds: Bounds, trials: Trials, optimum: Optimum, errors: Spread) -> tuple[Estimate, ...]:
@@ -279,7 +286,7 @@ def _why_not(model: Model, index: int, columns: Array, errors: Spread) -> str:
 def _hold_out(columns: Array, torque: Array) -> Holdout:
     fold = np.arange(len(torque)) * _FOLDS // len(torque)
     out = fold % 5 == 2
-    genes = least_absolute_deviations(columns[~out], torque[~out]).genes
+    genes = _exact(columns[~out], torque[~out]).genes
     left = torque[out] - columns[out] @ genes
     scale = float(np.std(torque[out]))
     return Holdout(float(np.mean(np.abs(left))), float(np.sqrt(np.mean(left**2))) / scale if scale > 0.0 else np.nan)

@@ -1,0 +1,83 @@
+"""A recording larger than memory, identified exactly: `python benchmarks/huge.py [--samples 100000000] [--folder DIR]`.
+
+Makes a recording of a prescribed deflection with a torque in closed form, block by block, then runs `hil identify` on
+it as a process of its own and asks the system how much memory that took. The line goes into docs/performance.md. With
+100,000,000 samples it wants 25 GB of disk and some half an hour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hil.part import Header, PartFile, missing_row
+from hil.store import ROW
+
+PAGE = Path(__file__).parent.parent / "docs" / "performance.md"
+RATE, KC, BC = 500.0, 17.75e-3, 0.19e-3
+BLOCK = 1 << 18
+
+
+def make(path: Path, samples: int) -> None:
+    """Two sines of 0.3 and 7.3 Hz, a 14-bit encoder, 0.2 mN m of noise."""
+    rng = np.random.default_rng(0)
+    count = 2.0 * np.pi / 2**14
+    with PartFile(path, Header(profile={"kind": "closed form"}), samples) as part:
+        for start in range(0, samples, BLOCK):
+            number = np.arange(start, min(start + BLOCK, samples))
+            at = number / RATE
+            slow, fast = 2.0 * np.pi * 0.3, 2.0 * np.pi * 7.3
+            dtheta = 0.2 * np.sin(slow * at) + 0.1 * np.sin(fast * at)
+            velocity = 0.2 * slow * np.cos(slow * at) + 0.1 * fast * np.cos(fast * at)
+            rows = np.full(len(at), np.array(missing_row(0), dtype=ROW))
+            rows["seq"], rows["time"] = number, at
+            rows["dtheta"] = np.round(dtheta / count) * count
+            rows["torque"] = KC * dtheta + BC * velocity + 2e-4 * rng.standard_normal(len(at))
+            part.extend(rows)
+        part.finish("done")
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--samples", type=int, default=100_000_000)
+    arguments.add_argument("--folder", type=Path, default=None, help="where the recording is made")
+    given = arguments.parse_args()
+    with tempfile.TemporaryDirectory(dir=given.folder) as name:
+        path = Path(name) / "huge.h5"
+        began = time.perf_counter()
+        make(path, given.samples)
+        made = time.perf_counter() - began
+        command = [sys.executable, "-c", "from hil.cli import main; main()", "identify", str(path), "--json"]
+        began = time.perf_counter()
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            found = json.loads(process.stdout.read())
+            _, _, usage = os.wait4(process.pid, 0)
+            process.returncode = 0
+        took = time.perf_counter() - began
+    kc, bc = (found["parameters"][parameter] for parameter in ("Kc", "Bc"))
+    line = (
+        f"{found['samples']:,} samples ({platform.machine()}, {os.cpu_count()} cores, {time.strftime('%Y-%m-%d')}): "
+        f"{took:.0f} s and {usage.ru_maxrss / 2**20:.2f} GiB of resident memory at the most, after {made:.0f} s of "
+        f"making them. Kc {kc['value'] * 1e3:.5f} (true {KC * 1e3:g}) mN m/rad, Bc {bc['value'] * 1e3:.6f} "
+        f"(true {BC * 1e3:g}) mN m s/rad; gap to the exact optimum {found['fitness']['relative_gap']:.1e}."
+    )
+    print(line)
+    text = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(
+        re.sub(r"(<!-- huge -->\n).*?(<!-- end -->)", rf"\g<1>{line}\n\g<2>", text, flags=re.DOTALL), encoding="utf-8"
+    )
+
+
+if __name__ == "__main__":
+    main()
