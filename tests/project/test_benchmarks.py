@@ -1,0 +1,65 @@
+"""The scripts of benchmarks/ run to their end and write what they say; nothing is asserted of their times."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent.parent
+BENCH = ("cma", "cmaes", "deap", "pygad", "pymoo")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a page of others' sections in which peers.py has run with its tiniest settings."""
+    missing = [name for name in BENCH if importlib.util.find_spec(name) is None]
+    if missing:
+        pytest.skip(f"PEERS NOT TESTED: {', '.join(missing)} not installed, pip install '.[bench]'")
+    folder = tmp_path_factory.mktemp("peers")
+    # a copy writes beside itself, not over the page of the repository
+    shutil.copytree(ROOT / "benchmarks", folder / "benchmarks", ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "docs").mkdir()
+    (folder / "docs" / "performance.md").write_text(
+        "# Performance\n\nbefore\n\n<!-- peers: begin -->\nold\n<!-- peers: end -->\n\nafter\n"
+    )
+    subprocess.run(
+        [sys.executable, "benchmarks/peers.py", "--samples", "300", "--seeds", "1", "--cap", "0.3"],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        check=True,
+    )
+    return folder
+
+
+def test_the_comparison_with_others_names_every_method_in_its_table(written: Path) -> None:
+    page = (written / "docs" / "performance.md").read_text(encoding="utf-8")
+    methods = (
+        "pymoo GA",
+        "pygad",
+        "DEAP GA",
+        "DEAP CMA-ES",
+        "scipy DE",
+        "pycma",
+        "cmaes",
+        "hil, default",
+        "hil, paper",
+    )
+    assert [name for name in methods if f"\n| {name} | " not in page] == []
+
+
+def test_the_comparison_with_others_replaces_its_own_section_only(written: Path) -> None:
+    page = (written / "docs" / "performance.md").read_text(encoding="utf-8")
+    assert page.startswith("# Performance\n\nbefore\n\n<!-- peers: begin -->\n## ")
+    assert page.endswith("<!-- peers: end -->\n\nafter\n")
+    assert "old" not in page.split()
+
+
+def test_the_comparison_with_others_draws_its_picture(written: Path) -> None:
+    assert (written / "docs" / "pictures" / "peers.png").read_bytes().startswith(b"\x89PNG")
