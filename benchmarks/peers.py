@@ -153,7 +153,7 @@ def measure(samples: list[int], seeds: int, cap: float) -> dict[int, Round]:
 
 def table(one: Round, cap: float) -> list[str]:
     lines = [
-        "| method | " + " | ".join(f"within {t:.0e}: median (worst), evaluations" for t in TARGETS) + " |",
+        "| method | " + " | ".join(f"within {power(t)}: median (worst), evaluations" for t in TARGETS) + " |",
         "| --- |" + " --- |" * len(TARGETS),
     ]
     names = sorted(one.runs, key=lambda name: [one.median(name, t).seconds for t in (1e-6, 1e-3, 1e-9)])
@@ -186,11 +186,13 @@ def verdict(n: int, one: Round, cap: float) -> list[str]:
     fastest = min(PEERS, key=lambda name: one.median(name, BAR_TARGET).seconds)
     theirs = one.median(fastest, BAR_TARGET)
     if math.inf in {ours.seconds, theirs.seconds}:
-        return [f"No ratio within {BAR_TARGET:g} at {n:,} samples: ours or all others were not there in {cap:g} s."]
+        return [
+            f"No ratio within {power(BAR_TARGET)} at {n:,} samples: ours or all others were not there in {cap:g} s."
+        ]
     ratio = theirs.seconds / ours.seconds
     much = f"{ratio:.3g} times faster" if ratio >= 1.0 else f"{1.0 / ratio:.3g} times slower"
     first = (
-        f"Within {BAR_TARGET:g} at {n:,} samples `default` needs {duration(ours.seconds, cap)}, the fastest of the"
+        f"Within {power(BAR_TARGET)} at {n:,} samples `default` needs {duration(ours.seconds, cap)}, the fastest of the"
         f" others, {fastest}, {duration(theirs.seconds, cap)}: `default` is **{much}**."
     )
     if n == BAR_SAMPLES:
@@ -208,7 +210,11 @@ def verdict(n: int, one: Round, cap: float) -> list[str]:
 
 
 def quick(seconds: float) -> str:
-    return f"{seconds * 1e6:,.3g} us"
+    return f"{seconds * 1e6:,.{0 if seconds >= 1e-4 else 2}f} us"
+
+
+def power(target: float) -> str:
+    return f"1e{math.log10(target):.0f}"
 
 
 def remarks(one: Round, cap: float) -> list[str]:
@@ -222,7 +228,7 @@ def remarks(one: Round, cap: float) -> list[str]:
     for name, outcomes in one.runs.items():
         gave_up = sum(outcome.gave_up for outcome in outcomes)
         if gave_up:
-            lines.append(f"{name} ended by itself before {TARGETS[-1]:g} in {gave_up} of {len(outcomes)} runs.")
+            lines.append(f"{name} ended by itself before {power(TARGETS[-1])} in {gave_up} of {len(outcomes)} runs.")
     return lines
 
 
