@@ -25,7 +25,7 @@ from ga.models import parse as parse_model
 from ga.space import PAPER_BOUNDS
 from ga.trials import run_trials
 from hil import profiles
-from hil.identify import load
+from hil.dataset import open_dataset
 from hil.run import run
 from hil.stand import SIMULATED, parse
 
@@ -55,9 +55,8 @@ def recording(folder: Path, seed: int, *, sim: str = "", amplitude: float = 0.00
 
 
 def columns_of(path: Path) -> tuple[Array, Array]:
-    signals, _ = load([path])
-    model = parse_model("linear")
-    return model.columns(signals.time, signals.dtheta, signals.dtheta_dot), signals.torque
+    with open_dataset([path], parse_model("linear")) as data:
+        return data.columns, data.torque
 
 
 def row(what: str, varies: str, genes: Array) -> str:

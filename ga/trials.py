@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -71,6 +71,11 @@ class Trials:
         if len(self.genes) < 2:
             return np.full(self.genes.shape[1], np.nan)
         return np.asarray(self.genes.std(axis=0, ddof=1))
+
+    def scaled(self, share: float) -> Trials:
+        """The same with every fitness times `share`, for data whose rows stand for 1/share times as many."""
+        history = replace(self.history, fitness=self.history.fitness * share)
+        return replace(self, fitness=self.fitness * share, history=history)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,17 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.evolution import Settings
-from ga.exact import Optimum, least_absolute_deviations
+from ga.exact import Optimum
 from ga.models import Model
 from ga.space import PAPER_BOUNDS, Bounds, bounds_from_data
+from ga.streaming import Blocks, Reduced, reduce
 from ga.trials import Trials, run_trials
+from hil.dataset import Dataset, open_dataset
 from hil.errors import Untrustworthy, WrongUse
 from hil.findings import Finding
-from hil.inspection import recording_findings
 from hil.intervals import Spread, spread
-from hil.signals import Signals, prepare
-from hil.stand import parse
-from hil.store import Recording
+from hil.signals import Signals
 
 Array = NDArray[np.float64]
 
@@ -65,7 +64,7 @@ class Identification:
     """
 
     recordings: tuple[Path, ...]
-    model: str
+    model: Model
     preset: str
     seed: int
     estimates: tuple[Estimate, ...]
@@ -110,17 +109,59 @@ def identify(
     recordings cannot be used at all; what is doubtful but usable is in the findings.
     """
     began = time.perf_counter()
-    signals, findings = load(paths)
-    columns = model.columns(signals.time, signals.dtheta, signals.dtheta_dot)
-    bounds = _bounds(model, search, columns, signals.torque)
+    with open_dataset(paths, model) as data:
+        bounds = _bounds(model, search, data.columns, data.torque)
+        reduced = _exact(data.blocks, data.samples)
+        optimum = reduced.optimum
+        searching = time.perf_counter()
+        trials = _search(data, reduced, bounds, search, progress)
+        searched = time.perf_counter()
+        errors = spread(data.blocks, optimum.genes)
+        estimates = _estimates(model, bounds, trials, optimum, errors)
+        fitness = float(trials.fitness.min())
+        gap = optimum.relative_gap(fitness)
+        findings = data.findings + _result_findings(model, estimates, data.columns, errors, gap)
+        return Identification(
+            recordings=tuple(paths),
+            model=data.model,
+            preset=search.preset,
+            seed=search.seed,
+            estimates=estimates,
+            fitness=fitness,
+            optimum=optimum.fitness,
+            relative_gap=gap,
+            samples=data.samples,
+            trials=trials,
+            seconds=time.perf_counter() - began,
+            search_seconds=searched - searching,
+            holdout=_hold_out(data),
+            findings=tuple(findings),
+            signals=data.signals,
+        )
+
+
+def _exact(blocks: Blocks, samples: int) -> Reduced:
     try:
-        search.settings.population_for(len(model.parameters))
+        return reduce(blocks, samples)
+    except RuntimeError as error:
+        raise Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model") from error
+
+
+def _search(
+    data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, progress: Callable[[float], None] | None
+) -> Trials:
+    """The trials on the data, or on what stands for them where they do not fit in memory; fitness in N m of the whole.
+
+    Raises WrongUse for a population that is too small.
+    """
+    try:
+        search.settings.population_for(len(bounds.low))
     except ValueError as error:
         raise WrongUse(f"--population: {error}") from None
-    searching = time.perf_counter()
+    columns, torque = (data.columns, data.torque) if data.whole else (reduced.columns, reduced.torque)
     trials = run_trials(
         columns,
-        signals.torque,
+        torque,
         bounds,
         search.settings,
         trials=search.trials,
@@ -128,61 +169,7 @@ def identify(
         workers=search.workers,
         progress=progress,
     )
-    searched = time.perf_counter()
-    optimum = _exact(columns, signals.torque)
-    errors = spread(lambda: [(columns, signals.torque)], optimum.genes)
-    estimates = _estimates(model, bounds, trials, optimum, errors)
-    fitness = float(trials.fitness.min())
-    gap = optimum.relative_gap(fitness)
-    findings += _result_findings(model, estimates, columns, errors, gap)
-    return Identification(
-        recordings=tuple(paths),
-        model=model.name,
-        preset=search.preset,
-        seed=search.seed,
-        estimates=estimates,
-        fitness=fitness,
-        optimum=optimum.fitness,
-        relative_gap=gap,
-        samples=len(signals),
-        trials=trials,
-        seconds=time.perf_counter() - began,
-        search_seconds=searched - searching,
-        holdout=_hold_out(columns, signals.torque),
-        findings=tuple(findings),
-        signals=signals,
-    )
-
-
-def load(paths: list[Path]) -> tuple[Signals, list[Finding]]:
-    """The signals of all recordings, one after the other, and what is to be said of them. Raises as `prepare`."""
-    parts: list[Signals] = []
-    findings: list[Finding] = []
-    for path in paths:
-        with Recording(path) as recording:
-            stand = parse(recording.stand_toml, f"{path}: stand_toml").stand if recording.stand_toml else None
-            parts.append(prepare(recording, stand))
-            findings += recording_findings(recording, parts[-1])
-    return _joined(parts), findings
-
-
-def _joined(parts: list[Signals]) -> Signals:
-    if len(parts) == 1:
-        return parts[0]
-    first = parts[0]
-    return Signals(
-        time=np.concatenate([part.time for part in parts]),
-        torque=np.concatenate([part.torque for part in parts]),
-        dtheta=np.concatenate([part.dtheta for part in parts]),
-        dtheta_dot=np.concatenate([part.dtheta_dot for part in parts]),
-        lost=sum(part.lost for part in parts),
-        not_numbers=sum(part.not_numbers for part in parts),
-        near_gaps=sum(part.near_gaps for part in parts),
-        coarse_clock=any(part.coarse_clock for part in parts),
-        band=(min(part.band[0] for part in parts), max(part.band[1] for part in parts)),
-        rate_window=max(part.rate_window for part in parts),
-        torque_from=first.torque_from if len({part.torque_from for part in parts}) == 1 else "mixed",
-    )
+    return trials if data.whole else trials.scaled(reduced.share)
 
 
 def _bounds(model: Model, search: Search, columns: Array, torque: Array) -> Bounds:
@@ -199,13 +186,6 @@ def _bounds(model: Model, search: Search, columns: Array, torque: Array) -> Boun
             raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: write the lower one first, both as numbers in SI")
         low[names.index(name)], high[names.index(name)] = lowest, highest
     return Bounds(low, high, names)
-
-
-def _exact(columns: Array, torque: Array) -> Optimum:
-    try:
-        return least_absolute_deviations(columns, torque)
-    except RuntimeError as error:
-        raise Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model") from error
 
 
 def _estimates(model: Model, bounds: Bounds, trials: Trials, optimum: Optimum, errors: Spread) -> tuple[Estimate, ...]:
@@ -283,10 +263,22 @@ def _why_not(model: Model, index: int, columns: Array, errors: Spread) -> str:
     )
 
 
-def _hold_out(columns: Array, torque: Array) -> Holdout:
-    fold = np.arange(len(torque)) * _FOLDS // len(torque)
-    out = fold % 5 == 2
-    genes = _exact(columns[~out], torque[~out]).genes
-    left = torque[out] - columns[out] @ genes
-    scale = float(np.std(torque[out]))
-    return Holdout(float(np.mean(np.abs(left))), float(np.sqrt(np.mean(left**2))) / scale if scale > 0.0 else np.nan)
+def _hold_out(data: Dataset) -> Holdout:
+    def is_out(number: NDArray[np.int64]) -> NDArray[np.bool_]:
+        return np.asarray(number * _FOLDS // data.samples % 5 == 2)
+
+    def is_in(number: NDArray[np.int64]) -> NDArray[np.bool_]:
+        return ~is_out(number)
+
+    kept = int(np.count_nonzero(is_in(np.arange(data.samples))))
+    genes = _exact(lambda: data.blocks(is_in), kept).optimum.genes
+    count, absolute, square, total, power = 0, 0.0, 0.0, 0.0, 0.0
+    for columns, torque in data.blocks(is_out):
+        left = torque - columns @ genes
+        count += len(torque)
+        absolute += float(np.abs(left).sum())
+        square += float(left @ left)
+        total += float(torque.sum())
+        power += float(torque @ torque)
+    variance = power / count - (total / count) ** 2
+    return Holdout(absolute / count, float(np.sqrt(square / count / variance)) if variance > 0.0 else np.nan)

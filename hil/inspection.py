@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.servo import Status
+from hil.dataset import recording_findings, stand_of
 from hil.errors import Untrustworthy
 from hil.findings import Finding
 from hil.signals import Signals, local_cubic, prepare, window_half
-from hil.stand import parse
 from hil.store import Recording
 
 Array = NDArray[np.float64]
@@ -66,8 +66,7 @@ def inspect(path: Path) -> Inspection:
     with Recording(path) as recording:
         if not recording.verify():
             raise Untrustworthy(f"{path}: the samples are not the ones that were written (sha256 differs)")
-        stand = parse(recording.stand_toml, f"{path}: stand_toml").stand if recording.stand_toml else None
-        signals = prepare(recording, stand)
+        signals = prepare(recording, stand_of(recording))
         status = recording.channel("status").astype(np.int64)
         saturated = int(np.count_nonzero(status & int(Status.SATURATED)))
         late = int(np.count_nonzero(status & int(Status.LATE)))
@@ -104,29 +103,6 @@ def inspect(path: Path) -> Inspection:
             torque_from=signals.torque_from,
             findings=tuple(recording_findings(recording, signals) + _quality(measured)),
         )
-
-
-def recording_findings(recording: Recording, signals: Signals) -> list[Finding]:
-    """What any use of a recording must say of it: that it did not end, what was dropped, what was mended."""
-    found = []
-    if not recording.complete:
-        why = str(recording.attributes.get("end_reason", "")) or "it never ended"
-        found.append(
-            Finding("unfinished", f"{recording.path} is not a whole run ({why}): its {len(recording)} rows are used")
-        )
-    if signals.lost:
-        found.append(Finding("lost-samples", f"{signals.lost} of {len(recording)} replies were lost and are left out"))
-    if signals.not_numbers:
-        found.append(
-            Finding("not-a-number", f"{signals.not_numbers} of {len(recording)} rows hold a NaN and are left out")
-        )
-    if signals.near_gaps:
-        found.append(Finding("near-gaps", f"{signals.near_gaps} rows lie beside a gap, where no rate can be told"))
-    if signals.coarse_clock:
-        found.append(
-            Finding("coarse-clock", "several rows share a time stamp: they were spread evenly up to the next stamp")
-        )
-    return found
 
 
 def _noise(signals: Signals) -> float:

@@ -96,7 +96,10 @@ def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, Arra
         kernel += inside.T @ inside / width
         part = np.arange(start, start + len(torque)) * parts // sums.count
         edges = np.flatnonzero(np.diff(part, prepend=-1))
-        scores[part[edges]] += np.add.reduceat(columns * np.sign(residuals)[:, None], edges, axis=0)
+        signs = np.where(
+            np.abs(residuals) > sums.rounding, np.sign(residuals), 0.0
+        )  # the optimum passes through p rows
+        scores[part[edges]] += np.add.reduceat(columns * signs[:, None], edges, axis=0)
         start += len(torque)
     return kernel, scores
 

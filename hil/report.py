@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.target import writing
 
@@ -39,7 +40,7 @@ def as_json(found: Identification) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "recordings": [str(path) for path in found.recordings],
-        "model": found.model,
+        "model": found.model.name,
         "preset": found.preset,
         "seed": found.seed,
         "parameters": {estimate.name: _parameter(estimate) for estimate in found.estimates},
@@ -85,7 +86,9 @@ def identification_table(found: Identification) -> Table:
     from rich.table import Table
 
     table = Table(
-        title=f"{found.model}, {found.samples} samples, {len(found.trials.fitness)} trials", box=SIMPLE, pad_edge=False
+        title=f"{found.model.name}, {found.samples} samples, {len(found.trials.fitness)} trials",
+        box=SIMPLE,
+        pad_edge=False,
     )
     for heading in ("", "best trial", "mean ± std", "exact", "95 % interval", ""):
         table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
@@ -164,7 +167,7 @@ def draw(found: Identification, path: Path) -> None:
     panels = figure.subplot_mosaic([["torque", "loop"], ["left", "loop"]], width_ratios=[3, 2], height_ratios=[2, 1])
     time = signals.time
     panels["torque"].plot(time, signals.torque * factor, lw=0.8, color="0.65", label="measured")
-    panels["torque"].plot(time, model * factor, lw=0.6, color="C0", label=found.model)
+    panels["torque"].plot(time, model * factor, lw=0.6, color="C0", label=found.model.name)
     panels["torque"].set(ylabel=f"torque at the joint [{unit}]", title=_title(found))
     panels["torque"].legend(loc="upper right")
     panels["left"].plot(time, (signals.torque - model) * factor, lw=0.4, color="C3")
@@ -178,12 +181,10 @@ def draw(found: Identification, path: Path) -> None:
         figure.savefig(path, dpi=110)
 
 
-def _modelled(found: Identification) -> Any:
-    from ga.models import parse
-
+def _modelled(found: Identification) -> NDArray[np.float64]:
     signals = found.signals
-    columns = parse(found.model).columns(signals.time, signals.dtheta, signals.dtheta_dot)
-    return columns @ [estimate.value for estimate in found.estimates]
+    columns = found.model.columns(signals.time, signals.dtheta, signals.dtheta_dot)
+    return np.asarray(columns @ [estimate.value for estimate in found.estimates])
 
 
 def _title(found: Identification) -> str:

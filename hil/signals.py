@@ -30,6 +30,7 @@ _PROBE = 1 << 20  # rows that show how a recording is to be read
 _MARGIN = 256  # rows beyond the windows of a block, for what is lost among them
 _WIDEST = 250  # samples on each side of a window
 _DEGREE = 3
+_ARRAYS = ("time", "torque", "dtheta", "dtheta_dot")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,25 @@ class Signals:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def thinned(self, every: int) -> Signals:
+        """The same with every `every`-th sample only; what is counted stays counted."""
+        arrays = {name: getattr(self, name)[::every] for name in _ARRAYS}
+        return replace(self, **arrays)
+
+
+def joined(parts: list[Signals]) -> Signals:
+    """The signals of several recordings, or of the blocks of one, one after the other."""
+    return Signals(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS},
+        lost=sum(part.lost for part in parts),
+        not_numbers=sum(part.not_numbers for part in parts),
+        near_gaps=sum(part.near_gaps for part in parts),
+        coarse_clock=any(part.coarse_clock for part in parts),
+        band=(min(part.band[0] for part in parts), max(part.band[1] for part in parts)),
+        rate_window=max(part.rate_window for part in parts),
+        torque_from=parts[0].torque_from if len({part.torque_from for part in parts}) == 1 else "mixed",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,70 @@
+"""A recording that does not fit in memory is identified as one that does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ga import streaming
+from ga.evolution import PRESETS
+from ga.models import parse as parse_model
+from hil import dataset
+from hil.cli import run
+from hil.dataset import open_dataset
+from hil.identify import Identification, Search, identify
+from hil.store import Array
+
+from .conftest import Maker
+
+
+def identified(paths: list[Path], model: str = "linear+offset+coulomb") -> Identification:
+    search = Search("default", PRESETS["default"], trials=3, seed=0, workers=1, bounds={})
+    return identify(paths, parse_model(model), search)
+
+
+@pytest.fixture
+def recordings(make_recording: Maker) -> list[Path]:
+    def spoil(channels: dict[str, Array]) -> None:
+        channels["torque"][40:45] = np.nan
+
+    return [make_recording("a.h5", samples=12_000, noise=2e-4), make_recording("b.h5", noise=2e-4, change=spoil)]
+
+
+def test_on_disk_and_in_memory_give_the_same_answer(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = identified(recordings)
+    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    monkeypatch.setattr(streaming, "_SUBSAMPLE", 3000)
+    parts = identified(recordings)
+    assert parts.samples == whole.samples == 13_995
+    assert parts.optimum == pytest.approx(whole.optimum, rel=1e-10)
+    assert parts.fitness == pytest.approx(whole.fitness, rel=1e-6)
+    assert parts.holdout.fitness == pytest.approx(whole.holdout.fitness, rel=1e-9)
+    assert parts.holdout.nrmse == pytest.approx(whole.holdout.nrmse, rel=1e-9)
+    assert [finding.code for finding in parts.findings] == [finding.code for finding in whole.findings]
+    for one, other in zip(parts.estimates, whole.estimates, strict=True):
+        assert one.exact == pytest.approx(other.exact, rel=1e-9)
+        assert one.ci95 == pytest.approx(other.ci95, rel=1e-6)
+        assert one.identifiable == other.identifiable
+
+
+def test_only_a_part_of_what_is_on_disk_is_held_in_memory(
+    recordings: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    monkeypatch.setattr(dataset, "_SHOWN", 1000)
+    with open_dataset(recordings, parse_model("linear")) as data:
+        assert len(data.signals) <= 1100
+        assert len(data.columns) == len(data.signals)
+        assert sum(len(torque) for _, torque in data.blocks()) == data.samples == 13_995
+
+
+def test_nothing_is_left_on_disk(
+    recordings: list[Path], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    before = sorted(recordings[0].parent.iterdir())
+    assert run(["identify", str(recordings[0]), "--json"]) == 0
+    assert '"samples": 12000' in capfd.readouterr().out
+    assert sorted(recordings[0].parent.iterdir()) == before
