@@ -2,14 +2,12 @@
 
 No fast-math: a NaN stays a NaN, and sums keep the order they are written in, so a seed gives the same bits on every
 machine.
-
-The cache of a function is renewed when its own file changes, not when a file it calls into does: after editing one
-module of this package remove `ga/__pycache__`, or the old machine code of the others runs on.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ParamSpec, TypeVar, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar, cast
 
 import numba
 
@@ -19,7 +17,40 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_LEAN: Final[dict[str, Any]] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+
+
+def forget_stale(package: Path) -> None:
+    """Drop the machine code of a package's folder that is older than any of its sources.
+
+    numba renews the code of a function when its own file changes, not when a function of another file does that was
+    compiled into it.
+    """
+    newest = max(source.stat().st_mtime_ns for source in package.glob("*.py"))
+    for index in (package / "__pycache__").glob("*.nbi"):
+        try:
+            if index.stat().st_mtime_ns < newest:
+                index.unlink()
+        except OSError:  # another process was faster, or the folder is read-only and numba keeps its cache elsewhere
+            continue
+
+
+forget_stale(Path(__file__).parent)
+
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """The same function as machine code, compiled at its first call (numba)."""
     return cast("Callable[P, R]", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def lean(function: Callable[P, R]) -> Callable[P, R]:
+    """The same for a function of an inner loop that allocates nothing, inlined into its caller.
+
+    The references of arrays are not counted: atomic counting costs ten times what such a function computes.
+    """
+    return cast("Callable[P, R]", numba.njit(forceinline=True, **_LEAN)(function))
+
+
+def lean_apart(function: Callable[P, R]) -> Callable[P, R]:
+    """As `lean`, but called: for what is large, or seldom done."""
+    return cast("Callable[P, R]", numba.njit(**_LEAN)(function))

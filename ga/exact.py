@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.fitness import check, resolution
+from ga.dense import check, resolution
 from ga.vertex import OPTIMAL, STALLED, descend, product, weighted_sum
 
 if TYPE_CHECKING:

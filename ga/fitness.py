@@ -1,100 +1,81 @@
-"""The fitness of a chromosome, equations 3 to 5: the mean absolute error of the torque, N m.
+"""The fitness of a chromosome, equations 3 to 5, behind one contract: the mean absolute error of the torque, N m.
 
     fitness(genes) = 1/n * sum over i of |torque_i - columns_i . genes|
 
-One contract: `Samples` holds the data in the form the compiled loops read, `mean_absolute_error` evaluates one
-chromosome. The sum is kept in 128 parallel parts whose order is fixed by the layout, not by the machine, so vector
-units can be used and the result is the same to the last bit everywhere.
+Two engines give it. `ga.dense` looks at every sample and is ready at once; `ga.boxes` learns which residuals have which
+sign where, and then costs the same for a thousand samples and for ten million. They agree to rounding. The compiled
+loops take both, one of them None: what is not used is not compiled.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from ga.compiled import compiled
+from ga.boxes import Tree, another, grow, tree_error, tree_slope
+from ga.compiled import lean, lean_apart
+from ga.dense import Samples, check, dense_error, dense_slope, pack, resolution
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-LANES = 128
-"""Samples in a block: the number of partial sums."""
+    from ga.space import Bounds
 
-RESOLUTION = 1e-6
-"""A fitness below this part of the mean absolute torque counts as none when two fitnesses are compared relatively.
+__all__ = ["Engine", "Samples", "Tree", "check", "engine_for", "evaluate", "fork", "grow", "pack", "resolution"]
 
-Noise-free data have an optimum of zero, to which nothing is relatively close.
-"""
+Engine: TypeAlias = Samples | Tree
+
+WORTHWHILE: Final = 1_000_000_000
+"""Residuals in one search from which the boxes repay their growing, and the seconds of their first compilation."""
 
 
-class Samples(NamedTuple):
-    """Columns and torque of one recording, ready to be evaluated.
+def engine_for(columns: NDArray[np.float64], torque: NDArray[np.float64], bounds: Bounds, evaluations: int) -> Engine:
+    """The engine for columns (n, p) and torque (n,), N m, that some number of evaluations within the bounds asks for.
 
-    blocks: (ceil(n/128), p + 1, 128), the torque, then the columns, padded with zero rows, which add nothing to a sum.
-    length: n. floor: N m, the least fitness that relative comparisons divide by.
+    Raises ValueError where the data are not finite, not of equal length or empty.
     """
-
-    blocks: NDArray[np.float64]
-    length: int
-    floor: float
-
-
-def check(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
-    """Raise ValueError unless columns (n, p) and torque (n,) are finite, of equal length and not empty."""
-    if columns.ndim != 2 or torque.ndim != 1 or len(columns) != len(torque):
-        raise ValueError(f"columns {columns.shape} and torque {torque.shape} are not of shape (n, p) and (n,)")
-    if 0 in columns.shape:
-        raise ValueError(f"columns of shape {columns.shape}: there is nothing to fit")
-    if not (np.isfinite(columns).all() and np.isfinite(torque).all()):
-        raise ValueError("columns or torque hold NaN or infinite values: drop those rows first")
+    if len(torque) * evaluations < WORTHWHILE:
+        return pack(columns, torque)
+    return grow(columns, torque, bounds)
 
 
-def pack(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> Samples:
-    """The samples of columns (n, p) and torque (n,), N m. Raises ValueError as `check` does."""
-    check(columns, torque)
-    count, p = columns.shape
-    rows = -(-count // LANES)
-    padded = np.zeros((p + 1, rows * LANES))
-    padded[0, :count] = torque
-    padded[1:, :count] = columns.T
-    blocks = np.ascontiguousarray(padded.reshape(p + 1, rows, LANES).transpose(1, 0, 2))
-    return Samples(blocks, count, resolution(torque))
+def fork(engine: Engine) -> Engine:
+    """An engine over the same data for another thread: each has working space that it alone may use."""
+    return engine._replace(scratch=np.empty_like(engine.scratch)) if isinstance(engine, Samples) else another(engine)
 
 
-def resolution(torque: NDArray[np.float64]) -> float:
-    """The least fitness, N m, that relative comparisons divide by; 1e-300 where the torque is zero throughout."""
-    return max(RESOLUTION * float(np.mean(np.abs(torque))), 1e-300)
+@lean
+def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64]) -> float:
+    """Equation 5 for one chromosome (p,), N m."""
+    if samples is not None:
+        return dense_error(samples, genes)
+    if tree is not None:
+        return tree_error(tree, genes)
+    return np.nan
 
 
-@compiled
-def mean_absolute_error(samples: Samples, genes: NDArray[np.float64], scratch: NDArray[np.float64]) -> float:
-    """Equation 5 for one chromosome (p,), N m. scratch: (2, 128), overwritten."""
-    # plain indices and scalars: an iterated block or an indexed gene in the inner loop keeps it from the vector units
-    total, residual = scratch[0], scratch[1]
-    for j in range(LANES):
-        total[j] = 0.0
-    for b in range(samples.blocks.shape[0]):
-        gene, torque, column = genes[0], samples.blocks[b, 0], samples.blocks[b, 1]
-        if genes.size == 2:  # the paper's model, in one pass
-            damping, rate = genes[1], samples.blocks[b, 2]
-            for j in range(LANES):
-                total[j] += abs(torque[j] - gene * column[j] - damping * rate[j])
-            continue
-        for j in range(LANES):
-            residual[j] = torque[j] - gene * column[j]
-        for k in range(1, genes.size):
-            gene, column = genes[k], samples.blocks[b, k + 1]
-            for j in range(LANES):
-                residual[j] -= gene * column[j]
-        for j in range(LANES):
-            total[j] += abs(residual[j])
-    error = 0.0
-    for j in range(LANES):
-        error += total[j]
-    return error / samples.length
+@lean_apart
+def slope_of(
+    samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], slope: NDArray[np.float64]
+) -> None:
+    """A subgradient (p,) of equation 5 at a chromosome (p,), written to `slope`."""
+    if samples is not None:
+        dense_slope(samples, genes, slope)
+    if tree is not None:
+        tree_slope(tree, genes, slope)
 
 
-def evaluate(samples: Samples, genes: NDArray[np.float64]) -> float:
+def parts(engine: Engine) -> tuple[Samples | None, Tree | None]:
+    """The engine as the compiled loops take it."""
+    return (engine, None) if isinstance(engine, Samples) else (None, engine)
+
+
+def columns_of(engine: Engine) -> int:
+    """p, the number of parameters."""
+    return engine.blocks.shape[1] - 1 if isinstance(engine, Samples) else engine.origin.size
+
+
+def evaluate(engine: Engine, genes: NDArray[np.float64]) -> float:
     """The fitness, N m, of one chromosome (p,)."""
-    return float(mean_absolute_error(samples, genes, np.empty((2, LANES))))
+    return float(error_of(*parts(engine), genes))

@@ -1,7 +1,8 @@
 """Random numbers for the compiled loops: xoshiro256++ (Blackman and Vigna 2019), one state for each trial.
 
-The state is an array of four unsigned 64-bit words that the functions advance in place. It is part of a search's
-state, so a search that is cut short goes on with the very next number.
+A state is an array of four unsigned 64-bit words, part of a search's state, so a search that is cut short goes on with
+the very next number. Within a loop the words are a tuple that each draw takes and gives back: it stays in the
+processor's registers.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled
+from ga.compiled import lean
 
 State: TypeAlias = NDArray[np.uint64]
+Words: TypeAlias = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
 _11, _17, _19, _23, _32, _41, _45 = (np.uint64(shift) for shift in (11, 17, 19, 23, 32, 41, 45))
 _TO_UNIT = 2.0**-53
@@ -29,28 +31,43 @@ def seeded(seed: int, trial: int) -> State:
     return np.random.SeedSequence(seed, spawn_key=(trial,)).generate_state(4, np.uint64).astype(np.uint64, copy=False)
 
 
-@compiled
-def draw(state: State) -> np.uint64:
-    """The next 64 random bits."""
-    total = state[0] + state[3]
-    bits: np.uint64 = ((total << _23) | (total >> _41)) + state[0]
-    shifted = state[1] << _17
-    state[2] ^= state[0]
-    state[3] ^= state[1]
-    state[1] ^= state[2]
-    state[0] ^= state[3]
-    state[2] ^= shifted
-    state[3] = (state[3] << _45) | (state[3] >> _19)
-    return bits
+@lean
+def load(state: State) -> Words:
+    """The words of a state (4,)."""
+    return state[0], state[1], state[2], state[3]
 
 
-@compiled
-def uniform(state: State) -> float:
+@lean
+def store(words: Words, state: State) -> None:
+    """Set a state (4,) to the words."""
+    state[0], state[1], state[2], state[3] = words
+
+
+@lean
+def draw(words: Words) -> tuple[np.uint64, Words]:
+    """The next 64 random bits, and the words after them."""
+    a, b, c, d = words
+    total = a + d
+    bits: np.uint64 = ((total << _23) | (total >> _41)) + a
+    shifted = b << _17
+    c ^= a
+    d ^= b
+    b ^= c
+    a ^= d
+    c ^= shifted
+    d = (d << _45) | (d >> _19)
+    return bits, (a, b, c, d)
+
+
+@lean
+def uniform(words: Words) -> tuple[float, Words]:
     """A number in [0, 1), a multiple of 2^-53."""
-    return float(draw(state) >> _11) * _TO_UNIT
+    bits, words = draw(words)
+    return float(bits >> _11) * _TO_UNIT, words
 
 
-@compiled
-def below(state: State, count: int) -> int:
+@lean
+def below(words: Words, count: int) -> tuple[int, Words]:
     """A whole number in 0 ... count - 1, for counts far below 2^32 (no rejection: the bias is count / 2^32)."""
-    return np.int64(((draw(state) >> _32) * np.uint64(count)) >> _32)  # type: ignore[return-value]  # int in numba
+    bits, words = draw(words)
+    return np.int64(((bits >> _32) * np.uint64(count)) >> _32), words  # type: ignore[return-value]  # int in numba

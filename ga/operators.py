@@ -2,7 +2,8 @@
 
 A chromosome is a row of genes (p,), one gene a parameter in SI units. A population is (population, p). `order` is a
 permutation of the population's rows, shuffled in place as far as it is needed: its first entries are the chromosomes
-drawn. Compiled, because they run up to 2e8 times a trial.
+drawn. What draws at random takes the words of a generator and gives back those after it. Compiled, because they run up
+to 2e8 times a trial.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled
-from ga.generator import State, below, uniform
+from ga.compiled import lean
+from ga.generator import Words, below, uniform
 
 Genes: TypeAlias = NDArray[np.float64]
 Order: TypeAlias = NDArray[np.int64]
@@ -23,39 +24,40 @@ REDRAWS = 20
 """How often a child outside the bounds is drawn anew before its genes are set on the bound."""
 
 
-@compiled
+@lean
 def copy(source: Genes, target: Genes) -> None:
     """Set target to source, gene by gene: a slice assignment takes two seconds to compile."""
     for k in range(target.size):
         target[k] = source[k]
 
 
-@compiled
-def sample_distinct(order: Order, count: int, state: State) -> None:
+@lean
+def sample_distinct(order: Order, count: int, words: Words) -> Words:
     """Draw `count` different chromosomes, each with the same probability, into the front of `order`."""
     for i in range(count):
-        j = i + below(state, order.size - i)
-        order[i], order[j] = order[j], order[i]
+        j, words = below(words, order.size - i)
+        order[i], order[i + j] = order[i + j], order[i]
+    return words
 
 
-@compiled
-def tournament(fitness: NDArray[np.float64], order: Order, size: int, larger: bool, state: State) -> int:
+@lean
+def tournament(fitness: NDArray[np.float64], order: Order, size: int, larger: bool, words: Words) -> tuple[int, Words]:
     """The winner, a row of the population, of `size` different chromosomes drawn at random.
 
     The paper, "Selection": three chromosomes, equal probabilities, "the chromosome with larger fitness" wins. Its
     fitness is an error, which is to be minimised: `larger` takes the sentence at its word, else the smaller error wins.
     """
-    sample_distinct(order, size, state)
+    words = sample_distinct(order, size, words)
     winner = order[0]
     for i in range(1, size):
         rival = order[i]
         better = fitness[rival] > fitness[winner] if larger else fitness[rival] < fitness[winner]
         if better:
             winner = rival
-    return int(winner)
+    return winner, words
 
 
-@compiled
+@lean
 def crossover_share(first_error: float, second_error: float, inverse: bool) -> float:
     """The first parent's share of the child in equation 6: f1/(f1 + f2), or with 1/f for f where `inverse`."""
     total = first_error + second_error
@@ -64,21 +66,23 @@ def crossover_share(first_error: float, second_error: float, inverse: bool) -> f
     return (second_error if inverse else first_error) / total
 
 
-@compiled
+@lean
 def arithmetic_crossover(first: Genes, second: Genes, share: float, child: Genes) -> None:
     """Equation 6: each gene of the child is the weighted mean of its parents' genes."""
     for k in range(child.size):
         child[k] = second[k] + share * (first[k] - second[k])
 
 
-@compiled
-def mutate(child: Genes, low: Genes, high: Genes, state: State) -> None:
-    """The paper, "Mutation": one gene, chosen at random, is redrawn uniformly in its bounds."""
-    k = below(state, child.size)
-    child[k] = low[k] + (high[k] - low[k]) * uniform(state)
+@lean
+def mutate(child: Genes, low: Genes, high: Genes, words: Words) -> tuple[int, Words]:
+    """The paper, "Mutation": one gene, chosen at random, is redrawn uniformly in its bounds. Returns which."""
+    k, words = below(words, child.size)
+    part, words = uniform(words)
+    child[k] = low[k] + (high[k] - low[k]) * part
+    return k, words
 
 
-@compiled
+@lean
 def weighted_centre(genes: Genes, fitness: NDArray[np.float64], parents: Order, inverse: bool, centre: Genes) -> None:
     """Equation 6 for any number of parents: their mean, weighted by the error or by its inverse."""
     total = 0.0
@@ -94,8 +98,8 @@ def weighted_centre(genes: Genes, fitness: NDArray[np.float64], parents: Order, 
         centre[k] /= total
 
 
-@compiled
-def ensemble_crossover(genes: Genes, parents: Order, reach: float, state: State, child: Genes) -> None:
+@lean
+def ensemble_crossover(genes: Genes, parents: Order, reach: float, child: Genes, words: Words) -> Words:
     """Move the child from the parents' weighted centre, spread as the parents are (Kobayashi 2009, REX).
 
     The deviation of every parent from their plain mean is added with an independent uniform factor of variance
@@ -107,16 +111,18 @@ def ensemble_crossover(genes: Genes, parents: Order, reach: float, state: State,
     anchor = genes[parents[0]]  # differences of neighbours stay exact when the population has closed in
     total = 0.0
     for i in parents:
-        factor = half_range * (2.0 * uniform(state) - 1.0)
+        part, words = uniform(words)
+        factor = half_range * (2.0 * part - 1.0)
         total += factor
         for k in range(child.size):
             child[k] += factor * (genes[i, k] - anchor[k])
     for i in parents:
         for k in range(child.size):
             child[k] -= total / count * (genes[i, k] - anchor[k])
+    return words
 
 
-@compiled
+@lean
 def is_inside(child: Genes, low: Genes, high: Genes) -> bool:
     """Whether every gene is within its bounds."""
     for k in range(child.size):  # noqa: SIM110 - numba compiles no generator expression
@@ -125,7 +131,7 @@ def is_inside(child: Genes, low: Genes, high: Genes) -> bool:
     return True
 
 
-@compiled
+@lean
 def clamp(child: Genes, low: Genes, high: Genes) -> None:
     """Set every gene that is out of bounds on the bound it passed."""
     for k in range(child.size):

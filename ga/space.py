@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.fitness import check
+from ga.dense import check
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

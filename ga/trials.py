@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.evolution import Population, Settings, advance, begin
-from ga.fitness import Samples, pack
+from ga.checkpoint import State, belonging, load, save
+from ga.evolution import Settings, advance, begin
+from ga.fitness import Engine, Samples, engine_for, fork
+from ga.population import Population
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -24,6 +29,12 @@ POINTS_PER_DECADE: Final = 20
 
 _CHUNK: Final = 400_000_000
 """Numbers read in one call of a compiled loop, some 40 ms: how long Ctrl-C waits."""
+
+_CHILD: Final = 1000
+"""Numbers that a child is worth when the engine does not look at every sample: what else there is to do for it."""
+
+_TYPICAL: Final = 1000
+"""Generations after which the stop rule has ended nearly every search of the `default` preset."""
 
 _POLL: Final = 0.1
 """s between two reports of progress."""
@@ -45,8 +56,8 @@ class History:
 class Trials:
     """The outcome of the trials.
 
-    genes: (trials, p), the best chromosome of each, SI. fitness: (trials,), N m. evaluations: of all trials together.
-    generations: (trials,).
+    genes: (trials, p), the best chromosome of each, SI. fitness: (trials,), N m. evaluations: of all trials together,
+    those known to be hopeless included. generations: (trials,). interrupted: whether they were cut short.
     """
 
     genes: NDArray[np.float64]
@@ -54,6 +65,7 @@ class Trials:
     evaluations: int
     generations: NDArray[np.int64]
     history: History
+    interrupted: bool = False
 
     @property
     def best(self) -> NDArray[np.float64]:
@@ -80,9 +92,9 @@ class Trials:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What all trials share."""
+    """What all trials share. engines: those that no thread uses at present."""
 
-    samples: Samples
+    engines: SimpleQueue[Engine]
     bounds: Bounds
     settings: Settings
     grid: NDArray[np.int64]
@@ -91,11 +103,15 @@ class _Run:
 
 @dataclass(eq=False)
 class _Trial:
-    """One search under way, with the history it leaves."""
+    """One search under way, with the history it leaves. kept: a copy as of the end of a chunk, whole at any time."""
 
     population: Population
     record: NDArray[np.float64]
+    kept: tuple[Population, NDArray[np.float64]]
     finished: bool = False
+
+    def keep(self) -> None:
+        self.kept = (self.population.copied(), self.record.copy())
 
 
 def run_trials(
@@ -108,28 +124,78 @@ def run_trials(
     seed: int,
     workers: int,
     progress: Callable[[float], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    checkpoint: Path | None = None,
+    every: float = 30.0,
 ) -> Trials:
     """Search `trials` times for the genes of columns (n, p) that fit torque (n,), N m, best.
 
     Each trial has its own generator, seeded from (seed, trial): the result does not depend on `workers`, the number of
-    threads. `progress` is called in this thread, several times a second, with the part done, 0 to 1. Ctrl-C ends the
-    run within a few tens of milliseconds with KeyboardInterrupt.
-    Raises ValueError where the data are not finite or empty, or where a number or the bounds do not fit.
+    threads. `progress` is called in this thread, several times a second, with the part done, 0 to 1.
+
+    Ctrl-C ends the run within some tenths of a second with KeyboardInterrupt. Where `stop` is given it is asked as
+    often; once it says True, or at Ctrl-C, what has been found so far is returned, marked as interrupted.
+
+    checkpoint: a file that keeps the state, written `every` so many seconds and at the end, whatever ends the run. If
+    it is there already, the search goes on from it and ends in the same bits as if it had not been cut short.
+
+    Raises ValueError where the data are not finite or empty, or where a number or the bounds do not fit;
+    WrongCheckpoint, a ValueError, where the file is of another run; OSError where it cannot be read or written.
     """
     if trials < 1 or workers < 1:
         raise ValueError(f"{trials} trials with {workers} workers: give 1 or more of each")
-    run = _Run(pack(columns, torque), bounds, settings, _grid(settings.generations), threading.Event())
-    running = [
-        _Trial(begin(run.samples, bounds, settings, seed, trial), np.full(len(run.grid), np.nan))
-        for trial in range(trials)
-    ]
+    engine = engine_for(columns, torque, bounds, _expected(settings, bounds.low.size))
+    run = _Run(SimpleQueue(), bounds, settings, _grid(settings.generations), threading.Event())
+    belongs = (
+        belonging(columns, torque, bounds=bounds, settings=settings, seed=seed, trials=trials) if checkpoint else {}
+    )
+    running = _begun(
+        run, engine, seed, trials, load(checkpoint, belongs) if checkpoint and checkpoint.exists() else None
+    )
+    run.engines.put(engine)
+    for _ in range(min(workers, trials) - 1):
+        run.engines.put(fork(engine))
+
+    def keep() -> None:
+        if checkpoint:
+            populations, records = zip(*(trial.kept for trial in running), strict=True)
+            save(checkpoint, belongs, State(list(populations), np.stack(records)))
+
+    watch = _Watch(settings, progress, stop, keep, every)
     with ThreadPoolExecutor(workers) as pool:
         try:
-            futures = [pool.submit(_search, run, trial) for trial in running]
-            _watch(futures, running, settings, progress)
+            interrupted = watch([pool.submit(_search, run, trial) for trial in running], running)
+        except KeyboardInterrupt:
+            if stop is None:
+                raise
+            interrupted = True
         finally:
             run.cancelled.set()  # only an interrupted run has anything left to cancel
-    return _outcome(running, run.grid)
+            pool.shutdown()
+            keep()
+    return _outcome(running, run.grid, interrupted)
+
+
+def _expected(settings: Settings, p: int) -> int:
+    """The number of evaluations that a search will come to, roughly."""
+    if settings.scheme == "steady-state":
+        return settings.generations
+    return 5 * p * min(settings.generations, settings.generations if settings.tolerance is None else _TYPICAL)
+
+
+def _begun(run: _Run, engine: Engine, seed: int, trials: int, state: State | None) -> list[_Trial]:
+    """The trials at their first generation, or as the state has them."""
+    running = []
+    for i in range(trials):
+        if state is None:
+            population = begin(engine, run.bounds, run.settings, seed, i)
+            record = np.full(len(run.grid), np.nan)
+        else:
+            population, record = state.populations[i], state.records[i]
+        trial = _Trial(population, record, (population, record))
+        trial.keep()
+        running.append(trial)
+    return running
 
 
 def _grid(generations: int) -> NDArray[np.int64]:
@@ -139,43 +205,76 @@ def _grid(generations: int) -> NDArray[np.int64]:
 
 
 def _search(run: _Run, trial: _Trial) -> None:
+    engine = run.engines.get()
+    try:
+        _search_with(engine, run, trial)
+    finally:
+        run.engines.put(engine)
+
+
+def _search_with(engine: Engine, run: _Run, trial: _Trial) -> None:
     population = trial.population
     children = 1 if run.settings.scheme == "steady-state" else 5 * run.bounds.low.size
-    chunk = max(1, _CHUNK // (run.samples.blocks.size * children))
+    size = engine.blocks.size if isinstance(engine, Samples) else _CHILD
+    chunk = max(1, _CHUNK // (size * children))
     for point, generation in enumerate(run.grid):
+        if generation < population.generation and not np.isnan(trial.record[point]):
+            continue  # of a search gone on with
         while population.generation < generation and not population.stopped:
             if run.cancelled.is_set():
+                trial.keep()
                 return
             until = min(int(generation), population.generation + chunk)
-            advance(run.samples, run.bounds, run.settings, population, until)
+            advance(engine, run.bounds, run.settings, population, until)
+            if population.generation < generation:
+                trial.keep()
         trial.record[point] = population.best_fitness[0]
+    trial.keep()
     trial.finished = True
 
 
-def _watch(
-    futures: list[Future[None]],
-    running: list[_Trial],
-    settings: Settings,
-    progress: Callable[[float], None] | None,
-) -> None:
-    """Wait for the trials, telling of their progress; what went wrong in one is raised here."""
-    pending: set[Future[None]] = set(futures)
-    while pending:
-        done, pending = wait(pending, timeout=_POLL)
-        for future in done:
-            future.result()
-        if progress is not None:
-            parts = [1.0 if t.finished else t.population.generation / settings.generations for t in running]
-            progress(sum(parts) / len(parts))
+@dataclass(frozen=True)
+class _Watch:
+    """What the thread that started the trials does until they are done."""
+
+    settings: Settings
+    progress: Callable[[float], None] | None
+    stop: Callable[[], bool] | None
+    keep: Callable[[], None]
+    every: float
+
+    def __call__(self, futures: list[Future[None]], running: list[_Trial]) -> bool:
+        """Wait for the trials; returns whether they were stopped. What went wrong in one is raised here."""
+        pending: set[Future[None]] = set(futures)
+        kept = time.monotonic()
+        while pending:
+            done, pending = wait(pending, timeout=_POLL)
+            for future in done:
+                future.result()
+            if self.progress is not None:
+                parts = [1.0 if t.finished else t.population.generation / self.settings.generations for t in running]
+                self.progress(sum(parts) / len(parts))
+            if pending and self.stop is not None and self.stop():
+                return True
+            if pending and time.monotonic() - kept >= self.every:
+                self.keep()
+                kept = time.monotonic()
+        return False
 
 
-def _outcome(running: list[_Trial], grid: NDArray[np.int64]) -> Trials:
+def _outcome(running: list[_Trial], grid: NDArray[np.int64], interrupted: bool) -> Trials:
     generations = np.array([t.population.generation for t in running], dtype=np.int64)
+    fitness = np.array([t.population.best_fitness[0] for t in running])
     last = int(np.searchsorted(grid, generations.max())) + 1
+    record = np.stack([t.record[:last] for t in running])
     return Trials(
         genes=np.stack([t.population.best for t in running]),
-        fitness=np.array([t.population.best_fitness[0] for t in running]),
+        fitness=fitness,
         evaluations=sum(t.population.evaluations for t in running),
         generations=generations,
-        history=History(np.minimum(grid[:last], generations.max()), np.stack([t.record[:last] for t in running])),
+        # where a search was cut short, its record ends
+        history=History(
+            np.minimum(grid[:last], generations.max()), np.where(np.isnan(record), fitness[:, None], record)
+        ),
+        interrupted=interrupted,
     )

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from ga.evolution import PRESETS, Population, Settings, advance, begin
-from ga.fitness import Samples, evaluate, pack
+from ga.evolution import PRESETS, Settings, advance, begin
+from ga.fitness import Engine, Samples, evaluate, grow, pack
+from ga.population import Population
 from ga.space import PAPER_BOUNDS, Bounds
 
 if TYPE_CHECKING:
@@ -161,3 +162,58 @@ def test_the_papers_preset_is_as_printed() -> None:
     assert paper.generations == 200_000_000
     assert paper.weights == "error"
     assert paper.tolerance is None
+
+
+READINGS = [
+    ("minimise", "worst"),
+    ("minimise", "worst-if-better"),
+    ("larger", "worst-if-better"),
+    ("larger", "worst"),
+    ("minimise", "oldest"),
+]
+
+
+@pytest.mark.parametrize(("selection", "replacement"), READINGS)
+@pytest.mark.parametrize("engine", [grow, pack], ids=["boxes", "dense"])
+def test_turning_hopeless_children_away_changes_nothing(
+    paper_like: Data, engine: Any, selection: Any, replacement: Any
+) -> None:
+    settings = replace(SHORT, selection=selection, replacement=replacement, generations=30_000)
+    data = (paper_like.columns, paper_like.torque)
+    with_all: Engine = grow(*data, PAPER_BOUNDS) if engine is grow else pack(*data)
+    end = 30_000 if engine is grow else 3000
+    populations = [begin(with_all, PAPER_BOUNDS, settings, seed=5, trial=0) for _ in range(2)]
+    for until in (100, 101, 102, 999, end):  # what is open at the end of a piece is settled there
+        for population, reject in zip(populations, (True, False), strict=True):
+            advance(with_all, PAPER_BOUNDS, settings, population, until, reject=reject)
+        for one, other in zip(*populations, strict=True):
+            assert np.array_equal(one, other)
+
+
+def test_with_minimise_the_worst_is_replaced_always_or_only_if_better_with_the_same_result(paper_like: Data) -> None:
+    engine = grow(paper_like.columns, paper_like.torque, PAPER_BOUNDS)
+    ends = []
+    for rule in ("worst", "worst-if-better"):
+        settings = replace(SHORT, replacement=rule, generations=20_000)
+        population = begin(engine, PAPER_BOUNDS, settings, seed=2, trial=0)
+        advance(engine, PAPER_BOUNDS, settings, population, 20_000)
+        ends.append(population)
+    one, other = ends
+    assert np.array_equal(one.best, other.best)
+    assert np.array_equal(one.generator, other.generator)
+    # all but the worst are the same
+    assert np.array_equal(np.sort(one.fitness)[:-1], np.sort(other.fitness)[:-1])
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_both_engines_lead_the_search_to_the_same_optimum(paper_like: Data, preset: str) -> None:
+    settings = replace(PRESETS[preset], generations=3000)
+    fitness = []
+    for engine in (
+        grow(paper_like.columns, paper_like.torque, PAPER_BOUNDS),
+        pack(paper_like.columns, paper_like.torque),
+    ):
+        population = begin(engine, PAPER_BOUNDS, settings, seed=1, trial=0)
+        advance(engine, PAPER_BOUNDS, settings, population, 3000)
+        fitness.append(population.best_fitness[0])
+    assert fitness[0] == pytest.approx(fitness[1], rel=1e-3 if preset == "paper" else 1e-7)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ga.generator import seeded
+from ga.generator import Words, load, seeded
 from ga.operators import (
     arithmetic_crossover,
     clamp,
@@ -17,11 +17,17 @@ from ga.operators import (
 )
 
 
+def unsigned(words: Words) -> Words:
+    """The words as they are: compiled functions hand them out as whole numbers of Python, which have no size."""
+    a, b, c, d = (np.uint64(word) for word in words)
+    return a, b, c, d
+
+
 def test_a_tournament_draws_different_chromosomes_each_with_the_same_probability() -> None:
-    order, state = np.arange(10), seeded(0, 0)
+    order, words = np.arange(10), unsigned(load(seeded(0, 0)))
     counts = np.zeros(10)
     for _ in range(10_000):
-        sample_distinct(order, 3, state)
+        words = sample_distinct(order, 3, unsigned(words))
         assert len(set(order[:3])) == 3
         counts[order[:3]] += 1
     assert sorted(order) == list(range(10))
@@ -30,8 +36,11 @@ def test_a_tournament_draws_different_chromosomes_each_with_the_same_probability
 
 @pytest.mark.parametrize(("larger", "never"), [(False, {8, 9}), (True, {0, 1})])
 def test_a_tournament_of_three_is_won_by_the_best_of_three(larger: bool, never: set[int]) -> None:
-    fitness, order, state = np.arange(10.0), np.arange(10), seeded(1, 0)
-    wins = np.bincount([tournament(fitness, order, 3, larger, state) for _ in range(12_000)], minlength=10)
+    fitness, order, words = np.arange(10.0), np.arange(10), unsigned(load(seeded(1, 0)))
+    wins = np.zeros(10)
+    for _ in range(12_000):
+        winner, words = tournament(fitness, order, 3, larger, unsigned(words))
+        wins[winner] += 1
     assert not wins[list(never)].any()
     # the best of ten is among the three with probability 3/10
     assert wins[9 if larger else 0] == pytest.approx(3600, abs=200)
@@ -63,12 +72,13 @@ def test_the_centre_of_two_parents_is_equation_6(inverse: bool) -> None:
 
 
 def test_a_mutation_redraws_one_gene_uniformly_in_its_bounds() -> None:
-    low, high, state = np.array([-1.0, 0.0, 5.0]), np.array([1.0, 10.0, 6.0]), seeded(2, 0)
+    low, high, words = np.array([-1.0, 0.0, 5.0]), np.array([1.0, 10.0, 6.0]), unsigned(load(seeded(2, 0)))
     drawn: list[list[float]] = [[], [], []]
     for _ in range(3000):
         child = np.full(3, 99.0)
-        mutate(child, low, high, state)
+        gene, words = mutate(child, low, high, unsigned(words))
         (changed,) = np.flatnonzero(child != 99.0)
+        assert changed == gene
         drawn[changed].append(float((child[changed] - low[changed]) / (high - low)[changed]))
     for parts in drawn:
         assert len(parts) == pytest.approx(1000, abs=110)
@@ -78,13 +88,13 @@ def test_a_mutation_redraws_one_gene_uniformly_in_its_bounds() -> None:
 
 
 def test_children_of_an_ensemble_are_spread_as_their_parents_are() -> None:
-    rng, state = np.random.default_rng(3), seeded(3, 0)
+    rng, words = np.random.default_rng(3), unsigned(load(seeded(3, 0)))
     genes = rng.normal(size=(6, 2)) @ np.array([[1.0, 50.0], [0.0, 0.1]]) + np.array([5.0, -7.0])
     parents, centre = np.arange(6), np.array([1.0, 2.0])
     children = np.empty((40_000, 2))
     for i in range(len(children)):
         children[i] = centre
-        ensemble_crossover(genes, parents, 1.0, state, children[i])
+        words = ensemble_crossover(genes, parents, 1.0, children[i], unsigned(words))
     assert np.all(np.abs(children.mean(axis=0) - centre) < 4.0 * children.std(axis=0) / np.sqrt(len(children)))
     wanted = np.cov(genes.T, bias=True)
     assert np.cov(children.T) == pytest.approx(wanted, rel=0.03)
