@@ -42,6 +42,12 @@ _STEP: Final = 2
 _FINEST: Final = 1e-6
 """The least part of the largest direction's weight that a direction is given: collinear columns have one of none."""
 
+ROUNDING: Final = 1e-11
+"""How far beyond a limit, relative to its terms, a bound must be: a thousand times what rounding makes of both."""
+
+_LISTED: Final = 1 << 25
+"""Places for undecided rows, 128 MiB, beyond which no more are provided than are needed."""
+
 _NODES: Final = 1 << 16
 _RECENT: Final = 8
 
@@ -158,7 +164,7 @@ def _with_space(
         nodes=nodes,
         sums=np.zeros((_NODES, p + 1)),
         # a path holds n at most: each list is half as long as the one before; and there is room for one under way
-        undecided=np.empty(2 * n + max(n, 1 << 19), np.int32),
+        undecided=np.empty(max(3 * n, min(max(20 * n, 1 << 19), _LISTED)), np.int32),
         leaves=np.empty((_NODES * _LEAF // _LANES, p + 1, _LANES)),
         table=np.full(2 * _NODES, -1, np.int32),
         recent=np.full(_RECENT, -1),
@@ -218,12 +224,13 @@ def _fill(columns: Matrix, torque: Vector, origin: Vector, backward: Matrix, row
 
 
 @lean
-def tree_error(tree: Tree, genes: Vector) -> float:
-    """Equation 5 for one chromosome (p,), N m."""
-    node = _node_of(tree, genes)
-    p = genes.size
+def tree_error(tree: Tree, genes: Vector, limit: float) -> float:
+    """Equation 5 for one chromosome (p,), N m; infinite where that it exceeds the limit was seen on the way down."""
+    node = _node_of(tree, genes, limit)
+    if _is_on_the_way(tree, node):
+        return np.inf
     error = tree.sums[node, 0]
-    for k in range(p):
+    for k in range(genes.size):
         error -= tree.sums[node, k + 1] * tree.place[k]
     if tree.nodes[node, _KIND] != _LEAVES:
         return float((error + _list_error(tree, node)) / tree.length)
@@ -263,13 +270,35 @@ def _blocks(tree: Tree, node: int) -> int:
     return (tree.nodes[node, _COUNT] + _LANES - 1) // _LANES  # type: ignore[no-any-return]  # int in numba
 
 
+@lean
+def _is_on_the_way(tree: Tree, node: int) -> bool:
+    """Whether a box is yet to be split. The root is where chromosomes out of bounds end."""
+    return node > 0 and tree.nodes[node, _KIND] == _INNER
+
+
 @lean_apart
-def tree_slope(tree: Tree, genes: Vector, slope: Vector) -> None:
-    """A subgradient (p,) of the fitness at a chromosome (p,), written to `slope`."""
-    node = _node_of(tree, genes)
-    p = genes.size
-    for k in range(p):
+def tree_tangent(tree: Tree, genes: Vector, limit: float, slope: Vector) -> float:
+    """A plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
+
+    It touches the fitness there, unless that exceeds the limit: any plane that shows it will do.
+    """
+    node = _node_of(tree, genes, limit)
+    height = tree.sums[node, 0]
+    for k in range(genes.size):
+        height -= tree.sums[node, k + 1] * tree.place[k]
         slope[k] = -tree.sums[node, k + 1]
+    if not _is_on_the_way(tree, node):
+        height = tree_error(tree, genes, np.inf) * tree.length
+        _add_undecided(tree, node, slope)
+    for k in range(genes.size):
+        slope[k] /= tree.length
+    return float(height / tree.length)
+
+
+@lean_apart
+def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
+    """Add to n times the slope (p,) what the rows do that the box has not decided."""
+    p = slope.size
     if tree.nodes[node, _KIND] == _LEAVES:
         for i in range(tree.nodes[node, _COUNT]):
             rows, j = tree.leaves[tree.nodes[node, _START] + i // _LANES], i % _LANES
@@ -284,8 +313,6 @@ def tree_slope(tree: Tree, genes: Vector, slope: Vector) -> None:
             residual = _residual(tree.rows[row], tree.place)
             for k in range(p):
                 slope[k] -= np.sign(residual) * tree.rows[row, k + 1]
-    for k in range(p):
-        slope[k] /= tree.length
 
 
 @lean_apart
@@ -320,8 +347,11 @@ def _add(total: float, carry: float, term: float) -> tuple[float, float]:
 
 
 @lean
-def _node_of(tree: Tree, genes: Vector) -> int:
-    """The leaf of a chromosome, grown if need be; the root where it is out of bounds. Sets place, genes - origin."""
+def _node_of(tree: Tree, genes: Vector, limit: float) -> int:
+    """The leaf of a chromosome, grown if need be; the root where it is out of bounds. Sets place, genes - origin.
+
+    Growing ends early in a box whose settled rows alone put it above the limit.
+    """
     inside = True
     scale = 2.0**_BITS / tree.width
     for k in range(genes.size):
@@ -341,7 +371,7 @@ def _node_of(tree: Tree, genes: Vector) -> int:
         node = tree.recent[i]
         if node >= 0 and _holds(tree, node):
             return node  # type: ignore[no-any-return]  # int in numba
-    return _descend(tree)
+    return _descend(tree, limit)
 
 
 @lean
@@ -354,18 +384,31 @@ def _holds(tree: Tree, node: int) -> bool:
 
 
 @lean_apart
-def _descend(tree: Tree) -> int:
+def _descend(tree: Tree, limit: float) -> int:
     node = 0
     if tree.nodes[0, _COUNT] <= _LEAF:
         return 0
     while tree.nodes[node, _KIND] == _INNER:
         child = _child(tree, node)
         if child < 0:
+            if _settled_exceed(tree, node, limit):
+                return node
             child = _split(tree, node)
         node = child
     tree.recent[tree.used[_NEXT_RECENT]] = node
     tree.used[_NEXT_RECENT] = (tree.used[_NEXT_RECENT] + 1) % _RECENT
     return node
+
+
+@lean
+def _settled_exceed(tree: Tree, node: int, limit: float) -> bool:
+    """Whether the rows whose sign a box knows make an error above the limit, the others left out."""
+    bound = extent = tree.sums[node, 0]
+    for k in range(tree.place.size):
+        rise = -tree.sums[node, k + 1] * tree.place[k]
+        bound += rise
+        extent += abs(rise)
+    return node > 0 and bound - ROUNDING * extent > limit * tree.length
 
 
 @lean

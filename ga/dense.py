@@ -94,8 +94,8 @@ def dense_error(samples: Samples, genes: NDArray[np.float64]) -> float:
 
 
 @lean_apart
-def dense_slope(samples: Samples, genes: NDArray[np.float64], slope: NDArray[np.float64]) -> None:
-    """A subgradient (p,) of the fitness at a chromosome (p,), written to `slope`."""
+def dense_tangent(samples: Samples, genes: NDArray[np.float64], slope: NDArray[np.float64]) -> float:
+    """The fitness at a chromosome (p,), N m, and a subgradient (p,), written to `slope`."""
     for k in range(genes.size):
         slope[k] = 0.0
     for b in range(samples.blocks.shape[0]):
@@ -105,3 +105,4 @@ def dense_slope(samples: Samples, genes: NDArray[np.float64], slope: NDArray[np.
                 residual -= samples.blocks[b, k + 1, j] * genes[k]
             for k in range(genes.size):
                 slope[k] -= np.sign(residual) * samples.blocks[b, k + 1, j] / samples.length
+    return dense_error(samples, genes)

@@ -112,7 +112,9 @@ PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
 
 
 def _rules(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> Rules:
-    always = settings.replacement == "worst" and settings.selection == "minimise" and settings.tournament > 1
+    rejects = settings.scheme == "generational" or settings.replacement == "worst-if-better"
+    if settings.replacement == "worst" and settings.selection == "minimise" and settings.tournament > 1:
+        rejects = rejects or settings.tolerance is None  # the stop rule asks how bad the worst is
     return Rules(
         bounds.low,
         bounds.high,
@@ -124,8 +126,7 @@ def _rules(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> Ru
         float(settings.reach),
         -1.0 if settings.tolerance is None else float(settings.tolerance),
         floor,
-        # the stop rule asks how bad the worst is
-        reject and settings.tolerance is None and (always or settings.replacement == "worst-if-better"),
+        reject and rejects,
     )
 
 

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from ga.boxes import Tree, another, grow, tree_error, tree_slope
+from ga.boxes import Tree, another, grow, tree_error, tree_tangent
 from ga.compiled import lean, lean_apart
-from ga.dense import Samples, check, dense_error, dense_slope, pack, resolution
+from ga.dense import Samples, check, dense_error, dense_tangent, pack, resolution
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,24 +46,34 @@ def fork(engine: Engine) -> Engine:
 
 
 @lean
-def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64]) -> float:
-    """Equation 5 for one chromosome (p,), N m."""
+def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float) -> float:
+    """Equation 5 for one chromosome (p,), N m; infinite, perhaps, where it exceeds the limit."""
     if samples is not None:
         return dense_error(samples, genes)
     if tree is not None:
-        return tree_error(tree, genes)
+        return tree_error(tree, genes, limit)
     return np.nan
 
 
 @lean_apart
-def slope_of(
-    samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], slope: NDArray[np.float64]
-) -> None:
-    """A subgradient (p,) of equation 5 at a chromosome (p,), written to `slope`."""
+def tangent_of(
+    samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float, slope: NDArray[np.float64]
+) -> float:
+    """A plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
+
+    It touches the fitness there, unless that exceeds the limit: then the plane does so too, but may run below it.
+    """
     if samples is not None:
-        dense_slope(samples, genes, slope)
+        return dense_tangent(samples, genes, slope)
     if tree is not None:
-        tree_slope(tree, genes, slope)
+        return tree_tangent(tree, genes, limit, slope)
+    return np.nan
+
+
+@lean_apart
+def exact_error(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64]) -> float:
+    """Equation 5 for one chromosome (p,), N m."""
+    return error_of(samples, tree, genes, np.inf)
 
 
 def parts(engine: Engine) -> tuple[Samples | None, Tree | None]:
@@ -78,4 +88,4 @@ def columns_of(engine: Engine) -> int:
 
 def evaluate(engine: Engine, genes: NDArray[np.float64]) -> float:
     """The fitness, N m, of one chromosome (p,)."""
-    return float(error_of(*parts(engine), genes))
+    return float(exact_error(*parts(engine), genes))

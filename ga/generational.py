@@ -1,4 +1,7 @@
-"""The generational scheme of the `default` preset: families one after another."""
+"""The generational scheme of the `default` preset: families one after another.
+
+A child worse than all parents does not live on, so how bad it is need not be known.
+"""
 
 from __future__ import annotations
 
@@ -50,11 +53,13 @@ def generational(  # noqa: PLR0917 - the compiled loops take their parts by posi
         store(sample_distinct(population.order, parents, load(population.generator)), population.generator)
         chosen = population.order[:parents]
         breed(rules, population, chosen, family.centre, genes[:children])
-        for i in range(children):
-            errors[i] = error_of(samples, tree, genes[i])
+        limit = 0.0 if rules.rejects else np.inf
         for i in range(parents):
             copy(population.genes[chosen[i]], genes[children + i])
             errors[children + i] = population.fitness[chosen[i]]
+            limit = max(limit, errors[children + i])
+        for i in range(children):
+            errors[i] = error_of(samples, tree, genes[i], limit)
         survive(population, chosen, genes, errors)
         population.progress[0] += 1
         population.progress[1] += children

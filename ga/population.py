@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import lean, lean_apart
-from ga.fitness import Samples, Tree, error_of
+from ga.fitness import Samples, Tree, exact_error
 from ga.generator import State, load, store, uniform
 from ga.operators import Genes, Order, copy
 
@@ -81,7 +81,7 @@ def populate(samples: Samples | None, tree: Tree | None, rules: Rules, populatio
             width = rules.high[k] - rules.low[k]
             part, words = uniform(words)
             population.genes[i, k] = rules.low[k] + width * part
-        population.fitness[i] = error_of(samples, tree, population.genes[i])
+        population.fitness[i] = exact_error(samples, tree, population.genes[i])
         remember(population, population.genes[i], population.fitness[i])
     population.progress[1] = population.fitness.size
     store(words, population.generator)

@@ -15,16 +15,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.boxes import ROUNDING
 from ga.compiled import lean, lean_apart
-from ga.fitness import Samples, Tree, error_of, slope_of
+from ga.fitness import Samples, Tree, error_of, exact_error, tangent_of
 from ga.generator import Words, below, load, store, uniform
 from ga.operators import Genes, arithmetic_crossover, copy, crossover_share, mutate, tournament
 from ga.population import IF_BETTER, OLDEST, RANDOM, Population, Rules, has_settled, remember
 
 Tangents = NDArray[np.float64]
-
-_ROUNDING = 1e-11
-"""How far beyond the limit, relative to its terms, a tangent must be: a thousand times what rounding makes of both."""
 
 
 def tangents_of(p: int) -> Tangents:
@@ -54,14 +52,16 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
         chance, words = uniform(words)
         if chance < rules.mutation:
             mutated, words = mutate(child, rules.low, rules.high, words)
-        limit = fitness[worst] if rules.replacement == IF_BETTER else second
+        limit = np.inf
+        if rules.rejects:
+            limit = fitness[worst] if rules.replacement == IF_BETTER else second
         if mutated >= 0 and rules.rejects and _is_hopeless(tangents, mutated, population.best, child, limit):
             error = np.inf
         else:
-            error = error_of(samples, tree, child)
+            error = error_of(samples, tree, child, limit)
             remember(population, child, error)
-            if mutated >= 0 and rules.rejects and error > limit:
-                _learn(samples, tree, tangents, mutated, population.best, child, error)
+            if mutated >= 0 and error > limit:
+                _learn(samples, tree, tangents, mutated, population.best, child, limit)
         place, words = _place(rules, population, worst, words)
         if rules.replacement != IF_BETTER or error < fitness[place]:
             copy(child, genes[place])
@@ -75,7 +75,7 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
             break
     store(words, population.generator)
     if rules.rejects and fitness[worst] == np.inf:
-        fitness[worst] = error_of(samples, tree, genes[worst])
+        fitness[worst] = exact_error(samples, tree, genes[worst])
 
 
 @lean
@@ -111,7 +111,7 @@ def _is_hopeless(tangents: Tangents, gene: int, centre: Genes, child: Genes, lim
         rise = tangent[p + 1 + k] * (child[k] - tangent[1 + k])
         bound += rise
         extent += abs(rise)
-    return bool(bound - _ROUNDING * extent > limit)
+    return bool(bound - ROUNDING * extent > limit)
 
 
 @lean_apart
@@ -122,12 +122,11 @@ def _learn(  # noqa: PLR0917 - the compiled loops take their parts by position
     gene: int,
     centre: Genes,
     child: Genes,
-    error: float,
+    limit: float,
 ) -> None:
     """Put the tangent at the child in the place of that for its gene and side."""
     p = child.size
     tangent = tangents[2 * gene + (1 if child[gene] > centre[gene] else 0)]
-    tangent[0] = error
     for k in range(p):
         tangent[1 + k] = child[k]
-    slope_of(samples, tree, child, tangent[p + 1 :])
+    tangent[0] = tangent_of(samples, tree, child, limit, tangent[p + 1 :])

@@ -30,7 +30,7 @@ POINTS_PER_DECADE: Final = 20
 _CHUNK: Final = 400_000_000
 """Numbers read in one call of a compiled loop, some 40 ms: how long Ctrl-C waits."""
 
-_CHILD: Final = 1000
+_CHILD: Final = 200
 """Numbers that a child is worth when the engine does not look at every sample: what else there is to do for it."""
 
 _TYPICAL: Final = 1000

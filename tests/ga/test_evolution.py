@@ -190,6 +190,17 @@ def test_turning_hopeless_children_away_changes_nothing(
             assert np.array_equal(one, other)
 
 
+def test_turning_hopeless_children_away_changes_nothing_in_the_default_preset(paper_like: Data) -> None:
+    ends = []
+    for reject in (True, False):
+        engine = grow(paper_like.columns, paper_like.torque, PAPER_BOUNDS)
+        population = begin(engine, PAPER_BOUNDS, PRESETS["default"], seed=5, trial=0)
+        advance(engine, PAPER_BOUNDS, PRESETS["default"], population, 20_000, reject=reject)
+        ends.append(population)
+    for one, other in zip(*ends, strict=True):
+        assert np.array_equal(one, other)
+
+
 def test_with_minimise_the_worst_is_replaced_always_or_only_if_better_with_the_same_result(paper_like: Data) -> None:
     engine = grow(paper_like.columns, paper_like.torque, PAPER_BOUNDS)
     ends = []
