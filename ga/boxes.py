@@ -288,7 +288,7 @@ def tree_tangent(tree: Tree, genes: Vector, limit: float, slope: Vector) -> floa
         height -= tree.sums[node, k + 1] * tree.place[k]
         slope[k] = -tree.sums[node, k + 1]
     if not _is_on_the_way(tree, node):
-        height = tree_error(tree, genes, np.inf) * tree.length
+        height += _leaf_error(tree, node) if tree.nodes[node, _KIND] == _LEAVES else _list_error(tree, node)
         _add_undecided(tree, node, slope)
     for k in range(genes.size):
         slope[k] /= tree.length
@@ -385,9 +385,9 @@ def _holds(tree: Tree, node: int) -> bool:
 
 @lean_apart
 def _descend(tree: Tree, limit: float) -> int:
-    node = 0
+    node = np.int64(0)  # a plain 0 would have all that it is handed to compiled for that constant, too
     if tree.nodes[0, _COUNT] <= _LEAF:
-        return 0
+        return node  # type: ignore[return-value]  # int in numba
     while tree.nodes[node, _KIND] == _INNER:
         child = _child(tree, node)
         if child < 0:
@@ -436,7 +436,7 @@ def _slot(tree: Tree, node: int, code: int) -> int:
 
 @lean_apart
 def _child(tree: Tree, node: int) -> int:
-    return tree.table[_slot(tree, node, _code(tree, node))]  # type: ignore[no-any-return]  # int in numba
+    return np.int64(tree.table[_slot(tree, node, _code(tree, node))])  # type: ignore[return-value]  # int in numba
 
 
 @lean_apart

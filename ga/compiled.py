@@ -17,7 +17,13 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_LEAN: Final[dict[str, Any]] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+_LEAN: Final[dict[str, Any]] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+}
 
 
 def forget_stale(package: Path) -> None:
@@ -48,9 +54,11 @@ def lean(function: Callable[P, R]) -> Callable[P, R]:
 
     The references of arrays are not counted: atomic counting costs ten times what such a function computes.
     """
-    return cast("Callable[P, R]", numba.njit(forceinline=True, **_LEAN)(function))
+    hidden = function.__name__.startswith("_")  # not called from Python: half of its compilation is for that
+    return cast("Callable[P, R]", numba.njit(forceinline=True, no_cpython_wrapper=hidden, **_LEAN)(function))
 
 
 def lean_apart(function: Callable[P, R]) -> Callable[P, R]:
     """As `lean`, but called: for what is large, or seldom done."""
-    return cast("Callable[P, R]", numba.njit(**_LEAN)(function))
+    hidden = function.__name__.startswith("_")
+    return cast("Callable[P, R]", numba.njit(no_cpython_wrapper=hidden, **_LEAN)(function))
