@@ -385,9 +385,9 @@ def _holds(tree: Tree, node: int) -> bool:
 
 @lean_apart
 def _descend(tree: Tree, limit: float) -> int:
-    node = np.int64(0)  # a plain 0 would have all that it is handed to compiled for that constant, too
+    node: int = np.int64(0)  # type: ignore[assignment]  # with a plain 0 all below is compiled for that constant too
     if tree.nodes[0, _COUNT] <= _LEAF:
-        return node  # type: ignore[return-value]  # int in numba
+        return node
     while tree.nodes[node, _KIND] == _INNER:
         child = _child(tree, node)
         if child < 0:

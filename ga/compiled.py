@@ -54,11 +54,14 @@ def lean(function: Callable[P, R]) -> Callable[P, R]:
 
     The references of arrays are not counted: atomic counting costs ten times what such a function computes.
     """
-    hidden = function.__name__.startswith("_")  # not called from Python: half of its compilation is for that
-    return cast("Callable[P, R]", numba.njit(forceinline=True, no_cpython_wrapper=hidden, **_LEAN)(function))
+    return cast("Callable[P, R]", numba.njit(forceinline=True, **_lean(function))(function))
 
 
 def lean_apart(function: Callable[P, R]) -> Callable[P, R]:
     """As `lean`, but called: for what is large, or seldom done."""
-    hidden = function.__name__.startswith("_")
-    return cast("Callable[P, R]", numba.njit(no_cpython_wrapper=hidden, **_LEAN)(function))
+    return cast("Callable[P, R]", numba.njit(**_lean(function))(function))
+
+
+def _lean(function: Callable[P, R]) -> dict[str, Any]:
+    # what only compiled functions call needs no entry from Python, which is half of its compilation
+    return {**_LEAN, "no_cpython_wrapper": function.__name__.startswith("_")}
