@@ -77,7 +77,7 @@ def save(path: Path, belongs: dict[str, str], state: State) -> None:
 def load(path: Path, belongs: dict[str, str]) -> State:
     """The state in a file. Raises WrongCheckpoint where it is of another run or none, OSError as opening does."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             found = json.loads(str(archive["belongs"]))
             arrays = [archive[field] for field in Population._fields]
             records = archive["records"]

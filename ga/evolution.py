@@ -111,7 +111,8 @@ PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
 )
 
 
-def _rules(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> Rules:
+def rules_of(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> Rules:
+    """Bounds and settings as the compiled loops read them. floor: N m, what fitnesses are compared relative to."""
     rejects = settings.scheme == "generational" or settings.replacement == "worst-if-better"
     if settings.replacement == "worst" and settings.selection == "minimise" and settings.tournament > 1:
         rejects = rejects or settings.tolerance is None  # the stop rule asks how bad the worst is
@@ -130,6 +131,20 @@ def _rules(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> Ru
     )
 
 
+def unborn(p: int, settings: Settings, seed: int, trial: int) -> Population:
+    """Room for a population of p genes, with its generator. Raises ValueError where it would be too small."""
+    size = settings.population_for(p)
+    return Population(
+        genes=np.empty((size, p)),
+        fitness=np.empty(size),
+        order=np.arange(size),
+        generator=seeded(seed, trial),
+        best=np.full(p, np.nan),
+        best_fitness=np.array([np.inf]),
+        progress=np.zeros(3, np.int64),
+    )
+
+
 def begin(engine: Engine, bounds: Bounds, settings: Settings, seed: int, trial: int) -> Population:
     """The paper, "Initial Population": uniform at random in the bounds, evaluated.
 
@@ -138,17 +153,8 @@ def begin(engine: Engine, bounds: Bounds, settings: Settings, seed: int, trial: 
     p = columns_of(engine)
     if bounds.low.size != p:
         raise ValueError(f"bounds of {bounds.low.size} parameters for {p} columns")
-    size = settings.population_for(p)
-    population = Population(
-        genes=np.empty((size, p)),
-        fitness=np.empty(size),
-        order=np.arange(size),
-        generator=seeded(seed, trial),
-        best=np.empty(p),
-        best_fitness=np.array([np.inf]),
-        progress=np.zeros(3, np.int64),
-    )
-    populate(*parts(engine), _rules(bounds, settings, engine.floor, True), population)
+    population = unborn(p, settings, seed, trial)
+    populate(*parts(engine), rules_of(bounds, settings, engine.floor, True), population)
     return population
 
 
@@ -162,7 +168,7 @@ def advance(
     generations = until - population.generation
     if generations <= 0 or population.stopped:
         return
-    p, rules = bounds.low.size, _rules(bounds, settings, engine.floor, reject)
+    p, rules = bounds.low.size, rules_of(bounds, settings, engine.floor, reject)
     samples, tree = parts(engine)
     if settings.scheme == "steady-state":
         steady_state(samples, tree, rules, population, tangents_of(p), np.empty(p), generations)

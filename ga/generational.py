@@ -50,7 +50,7 @@ def generational(  # noqa: PLR0917 - the compiled loops take their parts by posi
     parents, children = p + 2, 5 * p
     genes, errors = family.genes, family.errors
     for _ in range(generations):
-        store(sample_distinct(population.order, parents, load(population.generator)), population.generator)
+        draw_parents(population)
         chosen = population.order[:parents]
         breed(rules, population, chosen, family.centre, genes[:children])
         limit = 0.0 if rules.rejects else np.inf
@@ -66,6 +66,13 @@ def generational(  # noqa: PLR0917 - the compiled loops take their parts by posi
         if has_settled(rules, population):
             population.progress[2] = 1
             break
+
+
+@lean_apart
+def draw_parents(population: Population) -> None:
+    """Put p + 2 different chromosomes, each as likely as any, in front of the population's order."""
+    count = population.genes.shape[1] + 2
+    store(sample_distinct(population.order, count, load(population.generator)), population.generator)
 
 
 @lean_apart

@@ -75,15 +75,21 @@ class Rules(NamedTuple):
 @lean_apart
 def populate(samples: Samples | None, tree: Tree | None, rules: Rules, population: Population) -> None:
     """The paper, "Initial Population": uniform at random in the bounds, evaluated."""
-    words = load(population.generator)
+    scatter(rules, population)
     for i in range(population.fitness.size):
-        for k in range(rules.low.size):
-            width = rules.high[k] - rules.low[k]
-            part, words = uniform(words)
-            population.genes[i, k] = rules.low[k] + width * part
         population.fitness[i] = exact_error(samples, tree, population.genes[i])
         remember(population, population.genes[i], population.fitness[i])
     population.progress[1] = population.fitness.size
+
+
+@lean_apart
+def scatter(rules: Rules, population: Population) -> None:
+    """Draw every gene uniformly in its bounds."""
+    words = load(population.generator)
+    for i in range(population.fitness.size):
+        for k in range(rules.low.size):
+            part, words = uniform(words)
+            population.genes[i, k] = rules.low[k] + (rules.high[k] - rules.low[k]) * part
     store(words, population.generator)
 
 

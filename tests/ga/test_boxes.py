@@ -18,7 +18,17 @@ if TYPE_CHECKING:
 
     from tests.ga.conftest import Data, Making
 
-KINDS = ["normal", "counts", "repeated rows", "collinear", "a zero column", "all zero", "outliers", "no noise"]
+KINDS = [
+    "normal",
+    "counts",
+    "repeated rows",
+    "collinear",
+    "a zero column",
+    "all zero",
+    "outliers",
+    "no noise",
+    "one heavy row",
+]
 
 
 def recording(kind: str, n: int, p: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -34,6 +44,8 @@ def recording(kind: str, n: int, p: int, rng: np.random.Generator) -> tuple[NDAr
     torque = columns @ (rng.normal(size=p) / np.maximum(np.abs(columns).mean(axis=0), 1e-3))
     noise = rng.standard_cauchy(n) if kind == "outliers" else rng.normal(size=n) * (kind != "no noise")
     torque = np.round(torque + noise) if kind == "counts" else torque + 0.1 * noise
+    if kind == "one heavy row":  # as when settled rows are collapsed into one
+        columns[0], torque[0] = 1e6 * columns[0], 1e6 * torque[0] + 1e6
     if kind == "repeated rows":
         pick = rng.integers(0, max(n // 10, 1), size=n)
         columns, torque = columns[pick], torque[pick]

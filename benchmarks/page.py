@@ -1,0 +1,40 @@
+"""Where the benchmarks write: one section each of docs/performance.md, and the machine that it was measured on."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+
+DOCS = Path(__file__).parent.parent / "docs"
+
+
+def machine() -> str:
+    """The processor, the number of cores, how busy they were, the versions and the date."""
+    import numba
+    import numpy as np
+
+    name = platform.processor() or platform.machine()
+    if Path("/proc/cpuinfo").exists():
+        found = re.search(r"model name\s*: (.+)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
+        name = found.group(1) if found else name
+    return (
+        f"{name}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}; {platform.system()}, "
+        f"Python {platform.python_version()}, NumPy {np.__version__}, numba {numba.__version__}; "
+        f"{datetime.now(UTC):%Y-%m-%d}"
+    )
+
+
+def write_section(title: str, text: str) -> None:
+    """Put the section, a heading of second order and what is below it, in the place of the one of that title."""
+    path = DOCS / "performance.md"
+    page = path.read_text(encoding="utf-8") if path.exists() else "# Performance\n"
+    section = f"## {title}\n\n{text.strip()}\n"
+    pattern = re.compile(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", re.MULTILINE | re.DOTALL)
+    if pattern.search(page):
+        page = pattern.sub(lambda match: section + ("\n" if match.end() < len(page) else ""), page)
+    else:
+        page = f"{page.rstrip()}\n\n{section}"
+    path.write_text(page, encoding="utf-8")
