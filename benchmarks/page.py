@@ -27,14 +27,15 @@ def machine() -> str:
     )
 
 
-def write_section(title: str, text: str) -> None:
-    """Put the section, a heading of second order and what is below it, in the place of the one of that title."""
+def write_section(name: str, text: str) -> None:
+    """Put the text between the section's marks, at the end of the page where it has none yet."""
     path = DOCS / "performance.md"
     page = path.read_text(encoding="utf-8") if path.exists() else "# Performance\n"
-    section = f"## {title}\n\n{text.strip()}\n"
-    pattern = re.compile(rf"^## {re.escape(title)}\n.*?(?=^## |\Z)", re.MULTILINE | re.DOTALL)
-    if pattern.search(page):
-        page = pattern.sub(lambda match: section + ("\n" if match.end() < len(page) else ""), page)
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    section = f"{begin}\n{text.strip()}\n\n{end}\n"
+    if begin in page:
+        before, rest = page.split(begin)
+        page = before + section + rest.split(f"{end}\n", 1)[1]
     else:
         page = f"{page.rstrip()}\n\n{section}"
     path.write_text(page, encoding="utf-8")

@@ -88,8 +88,12 @@ def main() -> None:
     text = "\n".join(lines)
     print(text)
     print(machine())
-    which = "The paper's experiment, in full" if options.full else "The paper's experiment, a hundredth of it"
-    write_section(which, f"{text}\n\nMeasured with `benchmarks/replicate.py{' --full' * options.full}` on {machine()}.")
+    title = "The paper's experiment, in full" if options.full else "The paper's experiment, a hundredth of it"
+    command = f"python benchmarks/replicate.py{' --full' * options.full}"
+    write_section(
+        "replicate-full" if options.full else "replicate",
+        f"## {title}\n\n`{command}` writes this section. Measured on {machine()}.\n\n{text}",
+    )
 
 
 if __name__ == "__main__":

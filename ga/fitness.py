@@ -27,7 +27,13 @@ __all__ = ["Engine", "Samples", "Tree", "check", "engine_for", "evaluate", "fork
 Engine: TypeAlias = Samples | Tree
 
 WORTHWHILE: Final = 1_000_000_000
-"""Residuals in one search from which the boxes repay their growing, and the seconds of their first compilation."""
+"""Residuals in one search from which the boxes repay the seconds of their first compilation."""
+
+REPAID: Final = 50_000
+"""Evaluations in one search from which the boxes repay their growing, whatever the number of samples.
+
+A search of the `default` preset is over before, its children everywhere in a cloud that shrinks in step with the boxes.
+"""
 
 
 def engine_for(columns: NDArray[np.float64], torque: NDArray[np.float64], bounds: Bounds, evaluations: int) -> Engine:
@@ -35,7 +41,7 @@ def engine_for(columns: NDArray[np.float64], torque: NDArray[np.float64], bounds
 
     Raises ValueError where the data are not finite, not of equal length or empty.
     """
-    if len(torque) * evaluations < WORTHWHILE:
+    if evaluations < REPAID or len(torque) * evaluations < WORTHWHILE:
         return pack(columns, torque)
     return grow(columns, torque, bounds)
 

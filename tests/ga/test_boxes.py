@@ -153,5 +153,7 @@ def test_every_tangent_bounds_the_fitness_from_below(kind: str, n: int, p: int, 
 def test_the_engine_is_chosen_by_the_work_there_is(paper_like: Data) -> None:
     few = engine_for(paper_like.columns, paper_like.torque, PAPER_BOUNDS, 1000)
     many = engine_for(paper_like.columns, paper_like.torque, PAPER_BOUNDS, 2_000_000)
+    long_but_few = engine_for(np.ones((100_000, 1)), np.ones(100_000), Bounds(np.zeros(1), np.ones(1)), 10_000)
     assert not isinstance(few, Tree)
+    assert not isinstance(long_but_few, Tree)
     assert isinstance(many, Tree)
