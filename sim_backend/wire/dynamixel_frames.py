@@ -1,0 +1,154 @@
+"""The frames of DYNAMIXEL protocol 2.0 as the servo sees them: bytes in, instructions out, and the way back.
+
+Source: ROBOTIS e-manual, "Protocol 2.0" (emanual.robotis.com/docs/en/dxl/protocol2/) and "CRC calculation"
+(docs/en/dxl/crc/). No I/O and no time in here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+HEADER = b"\xff\xff\xfd\x00"
+BROADCAST = 0xFE
+LONGEST = 1024
+"""Bytes after the length field that are believed; a longer length is noise."""
+
+
+class Instruction(IntEnum):
+    """The instructions of the manual's table."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
+
+
+class Error(IntEnum):
+    """The error number of a status packet; bit 7 beside it is the alert."""
+
+    NONE = 0
+    RESULT_FAIL = 1
+    INSTRUCTION = 2
+    CRC = 3
+    DATA_RANGE = 4
+    DATA_LENGTH = 5
+    DATA_LIMIT = 6
+    ACCESS = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One instruction packet. sound: its checksum was right. size: bytes it took on the wire, stuffing included."""
+
+    id: int
+    instruction: int
+    parameters: bytes
+    sound: bool
+    size: int
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        value = byte << 8
+        for _ in range(8):
+            value = (value << 1) ^ 0x8005 if value & 0x8000 else value << 1
+        table.append(value & 0xFFFF)
+    return tuple(table)
+
+
+_CRC = _crc_table()
+
+
+def crc(data: bytes, start: int = 0) -> int:
+    """The 16-bit checksum of `data`: polynomial 0x8005, most significant bit first, begun at `start`."""
+    value = start
+    for byte in data:
+        value = ((value << 8) & 0xFFFF) ^ _CRC[(value >> 8) ^ byte]
+    return value
+
+
+def stuffed(payload: bytes) -> bytes:
+    """`payload`, instruction to last parameter, with FD after every FF FF FD."""
+    return payload.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+
+
+def unstuffed(payload: bytes) -> bytes:
+    """`payload` as it was before `stuffed`."""
+    return payload.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+
+
+def packet(ident: int, payload: bytes) -> bytes:
+    """The bytes of a packet whose instruction and parameters are `payload`."""
+    body = stuffed(payload)
+    frame = HEADER + bytes([ident]) + (len(body) + 2).to_bytes(2, "little") + body
+    return frame + crc(frame).to_bytes(2, "little")
+
+
+def status(ident: int, error: int, parameters: bytes = b"") -> bytes:
+    """The bytes of a status packet."""
+    return packet(ident, bytes([Instruction.STATUS, error]) + parameters)
+
+
+class Framer:
+    """Finds the packets in a stream of bytes, whatever the pieces it arrives in and whatever lies in between.
+
+    Status packets of other devices are passed over. After a packet with a wrong checksum the search goes on behind
+    its header, so that a damaged length costs no more than what it pretends to span.
+    """
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[tuple[Frame, int]]:
+        """The packets completed by `data`, each with the number of bytes of `data` used up when it was complete."""
+        before = len(self._rest)
+        self._rest += data
+        used = 0
+        found = []
+        while (frame := self._next()) is not None:
+            found_frame, length = frame
+            used += length
+            if found_frame.instruction != Instruction.STATUS:
+                found.append((found_frame, max(0, used - before)))
+        return found
+
+    def _next(self) -> tuple[Frame, int] | None:
+        """The next packet and what was used up with it, junk before it included; None where none is complete."""
+        skipped = 0
+        while True:
+            at = self._rest.find(HEADER)
+            if at < 0:
+                keep = next((n for n in (3, 2, 1) if self._rest.endswith(HEADER[:n])), 0)
+                self._rest = self._rest[len(self._rest) - keep :]
+                return None
+            skipped += at
+            self._rest = self._rest[at:]
+            if len(self._rest) < 7:
+                return None
+            length = int.from_bytes(self._rest[5:7], "little")
+            if self._rest[4] in {0xFD, 0xFF} or not 3 <= length <= LONGEST:
+                skipped += len(HEADER)
+                self._rest = self._rest[len(HEADER) :]
+                continue
+            total = 7 + length
+            if len(self._rest) < total:
+                return None
+            raw = self._rest[:total]
+            sound = crc(raw[:-2]) == int.from_bytes(raw[-2:], "little")
+            used = total if sound else len(HEADER)
+            self._rest = self._rest[used:]
+            body = unstuffed(raw[7:-2])
+            return Frame(raw[4], body[0], body[1:], sound, total), skipped + used
