@@ -1,0 +1,59 @@
+"""The [dynamixel] table of stand.toml."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal, get_args
+
+from annotated_types import Ge, Gt, Le
+
+from drivers.dynamixel_models import models
+
+Mode = Literal["current", "extended-position", "current-based-position"]
+Baudrate = Literal[9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000]
+"""bit/s that both the servos and dynamixel-sdk know; 4.5 Mbaud is not among the SDK's."""
+
+
+@dataclass(frozen=True, slots=True)
+class DynamixelConfig:
+    """The [dynamixel] table of stand.toml. Raises ValueError where model and mode do not fit each other.
+
+    port: the serial port. model: a name in tables/dynamixel.toml. mode: what is commanded; None: current where the
+    model measures it. torque_constant: N m/A at the horn; None: from the model's stall point, crude. sign: 1 where the
+    servo's positive is the stand's, else -1. return_delay: s from request to reply. watchdog: s without a request
+    after which the servo stops by itself, in steps of 20 ms; 0: never. reply_timeout: s that a reply may take beyond
+    its time on the wire.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    port: str
+    model: str
+    id: Annotated[int, Ge(0), Le(252)] = 1
+    baudrate: Baudrate = 1_000_000
+    mode: Mode | None = None
+    torque_constant: Annotated[float, Gt(0)] | None = None
+    sign: Literal[1, -1] = 1
+    return_delay: Annotated[float, Ge(0), Le(508e-6)] = 0.0
+    watchdog: Annotated[float, Ge(0), Le(2.54)] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+
+    def __post_init__(self) -> None:
+        if self.model not in models():
+            raise ValueError(f"dynamixel.model {self.model!r} is not known; there are {', '.join(sorted(models()))}")
+        if self.baudrate not in get_args(Baudrate):
+            raise ValueError(f"dynamixel.baudrate {self.baudrate}: one of {', '.join(map(str, get_args(Baudrate)))}")
+        if not models()[self.model].current_lsb and self.effective_mode != "extended-position":
+            raise ValueError(f"dynamixel.mode {self.mode!r}: the {self.model} has no current control")
+        if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
+            raise ValueError(
+                f"dynamixel.watchdog {self.watchdog} s is not above twice dynamixel.reply_timeout "
+                f"{self.reply_timeout} s: one lost reply would stop the servo"
+            )
+
+    @property
+    def effective_mode(self) -> Mode:
+        """The mode, chosen by the model where it is left open."""
+        if self.mode is not None:
+            return self.mode
+        return "current" if models()[self.model].current_lsb else "extended-position"
