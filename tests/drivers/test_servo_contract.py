@@ -1,7 +1,4 @@
-"""The rules of `drivers/servo.py`, held against whatever the fixtures `servo` and `limits` give.
-
-Knows nothing of the simulator: a servo on a wire or on a bench runs the same file with a `servo` fixture of its own.
-"""
+"""The rules of `drivers/servo.py`, held against every servo the fixture `bench` gives: simulated or on a wire."""
 
 from __future__ import annotations
 
@@ -17,6 +14,16 @@ if TYPE_CHECKING:
     from drivers.servo import Limits, Servo
 
 PERIOD = 0.004
+
+
+@pytest.fixture
+def servo(bench: tuple[Servo, Limits]) -> Servo:
+    return bench[0]
+
+
+@pytest.fixture
+def limits(bench: tuple[Servo, Limits]) -> Limits:
+    return bench[1]
 
 
 def ask(servo: Servo, command: Command, tries: int = 5) -> Sample:

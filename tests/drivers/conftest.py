@@ -1,0 +1,161 @@
+"""Servos for the tests of the drivers: a DYNAMIXEL over its emulator, without I/O in virtual time and on a pty."""
+
+from __future__ import annotations
+
+import heapq
+import multiprocessing
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+
+from drivers.dynamixel import DynamixelServo
+from drivers.dynamixel_config import DynamixelConfig
+from drivers.dynamixel_port import POLL, SerialPort
+from drivers.servo import Limits, Servo
+from sim_backend.parameters import SimParameters
+from sim_backend.servo import SimServo, VirtualClock
+from sim_backend.wire.dynamixel_bus import Bus, Timing
+from sim_backend.wire.dynamixel_device import Device
+from sim_backend.wire.pty_line import PtyLine
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_behind() -> Iterator[None]:
+    before = set(threading.enumerate())
+    yield
+    assert set(threading.enumerate()) <= before
+    assert not multiprocessing.active_children()
+
+
+class Loopback(SerialPort):
+    """The line to an emulated bus in virtual time: a wait for bytes is what makes time pass."""
+
+    def __init__(self, bus: Bus, clock: VirtualClock, baudrate: int = 1_000_000) -> None:
+        super().__init__("loopback", baudrate, clock)
+        self.bus = bus
+        self.sent = bytearray()
+        self.opened = 0
+        self._virtual = clock
+        self._due: list[tuple[float, int, bytes]] = []
+        self._count = 0
+        self._here = bytearray()
+
+    def openPort(self) -> bool:  # noqa: N802 - the SDK's name
+        self.ser = self
+        self.opened += 1
+        return True
+
+    def closePort(self) -> None:  # noqa: N802 - the SDK's name
+        self.opened -= 1
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK's name
+        self._arrive()
+        self._here.clear()
+
+    def writePort(self, packet: bytes) -> int:  # noqa: N802 - the SDK's name
+        self._check()
+        self.sent += packet
+        for at, data in self.bus.receive(bytes(packet), self._virtual.now(), self.baudrate):
+            self._count += 1
+            heapq.heappush(self._due, (at, self._count, data))
+        return len(packet)
+
+    @property
+    def in_waiting(self) -> int:
+        self._arrive()
+        return len(self._here)
+
+    def read(self, length: int) -> bytes:
+        self._check()
+        now = self._virtual.now()
+        end = now + POLL
+        while self.in_waiting < length and self._due and self._due[0][0] <= end:
+            self._virtual.sleep_until(self._due[0][0])
+        if self.in_waiting < length:
+            self._virtual.sleep_until(end)
+        out = bytes(self._here[:length])
+        del self._here[:length]
+        return out
+
+    def _check(self) -> None:
+        if self.bus.unplugged:
+            raise serial.SerialException("device disconnected")
+
+    def _arrive(self) -> None:
+        while self._due and self._due[0][0] <= self._virtual.now():
+            self._here += heapq.heappop(self._due)[2]
+
+
+@dataclass
+class Rig:
+    """A bus of emulated servos and what is needed to open one of them, in virtual time."""
+
+    bus: Bus
+    clock: VirtualClock
+    port: Loopback
+    config: DynamixelConfig
+
+    def open(self, **changes: Any) -> DynamixelServo:
+        config = replace(self.config, **changes)
+        self.port.baudrate = config.baudrate
+        return DynamixelServo(config, clock=self.clock, port=self.port)
+
+    @property
+    def device(self) -> Device:
+        return self.bus.devices[0]
+
+    def wait(self, seconds: float) -> None:
+        self.clock.sleep_until(self.clock.now() + seconds)
+        self.bus.advance(self.clock.now())
+
+
+def make_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
+    clock = VirtualClock()
+    bus = Bus([Device(model, baudrate=baudrate, **device)], timing=Timing())
+    config = DynamixelConfig(port="loopback", model=model, baudrate=baudrate)  # type: ignore[arg-type]  # a Literal
+    return Rig(bus, clock, Loopback(bus, clock, baudrate), config)
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return make_rig()
+
+
+@pytest.fixture
+def limits() -> Limits:
+    return SERVO_LIMITS
+
+
+SERVO_LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
+SIM_LIMITS = Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0))
+
+
+def closed_after(servo: Servo, limits: Limits) -> Iterator[tuple[Servo, Limits]]:
+    try:
+        yield servo, limits
+    finally:
+        servo.close()
+
+
+def on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
+    link = path / "ttyDXL"
+    with PtyLine(link, (bus := Bus([], timing=Timing()))) as line:
+        bus.devices.append(Device("xl330-m288", now=line.now()))
+        servo = DynamixelServo(DynamixelConfig(port=str(link), model="xl330-m288", reply_timeout=0.04))
+        yield from closed_after(servo, SERVO_LIMITS)
+
+
+@pytest.fixture(params=["sim", "dynamixel", "dynamixel on a pty"])
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Servo, Limits]]:
+    """Every servo the contract is held against, each with limits that suit it."""
+    if request.param == "sim":
+        yield from closed_after(SimServo(SimParameters(), seed=1, clock=VirtualClock()), SIM_LIMITS)
+    elif request.param == "dynamixel":
+        yield from closed_after(make_rig().open(), SERVO_LIMITS)
+    else:
+        yield from on_a_pty(tmp_path)
