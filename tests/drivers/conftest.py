@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import multiprocessing
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -114,7 +114,7 @@ class Rig:
         self.bus.advance(self.clock.now())
 
 
-def make_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
+def new_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
     clock = VirtualClock()
     bus = Bus([Device(model, baudrate=baudrate, **device)], timing=Timing())
     config = DynamixelConfig(port="loopback", model=model, baudrate=baudrate)  # type: ignore[arg-type]  # a Literal
@@ -122,8 +122,13 @@ def make_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: 
 
 
 @pytest.fixture
+def make_rig() -> Callable[..., Rig]:
+    return new_rig
+
+
+@pytest.fixture
 def rig() -> Rig:
-    return make_rig()
+    return new_rig()
 
 
 @pytest.fixture
@@ -156,6 +161,6 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Serv
     if request.param == "sim":
         yield from closed_after(SimServo(SimParameters(), seed=1, clock=VirtualClock()), SIM_LIMITS)
     elif request.param == "dynamixel":
-        yield from closed_after(make_rig().open(), SERVO_LIMITS)
+        yield from closed_after(new_rig().open(), SERVO_LIMITS)
     else:
         yield from on_a_pty(tmp_path)
