@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import serial
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, Protocol2PacketHandler
 
+from drivers.dynamixel_port import GONE
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class Bus:
             return
         try:
             silent = self._port.drain()
-        except (serial.SerialException, OSError, TypeError) as error:
+        except GONE as error:
             raise self._lost(error) from None
         if not silent:
             raise BadReply("the line never falls silent: another program or a broken servo keeps talking on it")
@@ -116,7 +116,7 @@ class Bus:
         try:
             self._port.clearPort()
             written = self._port.writePort(frame)
-        except (serial.SerialException, OSError, TypeError) as error:
+        except GONE as error:
             raise self._lost(error) from None
         if written != len(frame):
             raise self._lost("it took only a part of a request")
@@ -132,7 +132,7 @@ class Bus:
             raw, result = self._packets.rxPacket(self._port, True)
         except IndexError:
             raise self._bad("the reply has an impossible length") from None
-        except (serial.SerialException, OSError, TypeError) as error:
+        except GONE as error:
             raise self._lost(error) from None
         finally:
             self._port.is_using = False  # the SDK leaves it set after an error, and would then refuse for ever

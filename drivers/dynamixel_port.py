@@ -19,6 +19,13 @@ from drivers.servo import DriverError
 if TYPE_CHECKING:
     from drivers.servo import Clock
 
+GONE: tuple[type[Exception], ...] = (serial.SerialException, OSError, TypeError)
+"""What a port raises once its device is gone; pyserial lets an error of termios through, which is no OSError."""
+with contextlib.suppress(ImportError):  # POSIX only
+    import termios
+
+    GONE += (termios.error,)
+
 POLL = 1e-3
 """s that one read waits for bytes: how far past a deadline a wait can run."""
 WRITE_TIMEOUT = 0.05
@@ -55,7 +62,7 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
             self.ser = serial.Serial(
                 self.port_name, self.baudrate, timeout=POLL, write_timeout=WRITE_TIMEOUT, exclusive=True
             )
-        except (serial.SerialException, OSError, ValueError) as error:
+        except (*GONE, ValueError) as error:
             number = getattr(error, "errno", None)
             if number is None and "lock" in str(error):
                 number = errno.EWOULDBLOCK
@@ -70,7 +77,7 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         """Let go of it. Harmless when closed, or when the device is gone."""
         self.is_open = False
         if self.ser is not None:
-            with contextlib.suppress(serial.SerialException, OSError):
+            with contextlib.suppress(*GONE):
                 self.ser.close()
 
     def expect(self, deadline: float) -> None:

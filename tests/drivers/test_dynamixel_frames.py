@@ -1,4 +1,4 @@
-"""The emulator's codec against the packets that the e-manual prints (Protocol 2.0, the examples of each instruction)."""
+"""The emulator's codec against the packets the e-manual prints (Protocol 2.0, the examples of each instruction)."""
 
 from __future__ import annotations
 
