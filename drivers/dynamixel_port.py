@@ -25,6 +25,7 @@ with contextlib.suppress(ImportError):  # POSIX only
     import termios
 
     GONE += (termios.error,)
+_NOT_OPENED: tuple[type[Exception], ...] = (*GONE, ValueError)
 
 POLL = 1e-3
 """s that one read waits for bytes: how far past a deadline a wait can run."""
@@ -62,7 +63,7 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
             self.ser = serial.Serial(
                 self.port_name, self.baudrate, timeout=POLL, write_timeout=WRITE_TIMEOUT, exclusive=True
             )
-        except (*GONE, ValueError) as error:
+        except _NOT_OPENED as error:
             number = getattr(error, "errno", None)
             if number is None and "lock" in str(error):
                 number = errno.EWOULDBLOCK

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 _SPEEDS = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
 _IDLE = 0.05
 """s between two looks at the emulator while nobody speaks."""
+_SPIN = 1.5e-4
+"""s before a reply is due that are waited out awake: a sleeping process wakes up late by about as much."""
 
 
 class Peer(Protocol):
@@ -80,7 +82,7 @@ class PtyLine:
     def run(self) -> None:
         """Serve until `stop` is called or the peer is unplugged."""
         while not self._peer.unplugged:
-            wait = _IDLE if not self._due else max(0.0, min(_IDLE, self._due[0][0] - self.now()))
+            wait = _IDLE if not self._due else max(0.0, min(_IDLE, self._due[0][0] - self.now() - _SPIN))
             ready, _, _ = select.select([self._master, self._wake], [], [], wait)
             if self._wake in ready:
                 return
