@@ -1,8 +1,8 @@
 """What turns: the simulator's plant under a servo's own firmware, in the servo's operating modes.
 
 The firmware beats every millisecond. Its loops are not ROBOTIS's, whose gains are in units of their own: current is
-what is asked for, and position and velocity are closed with gains from the inertia, at the bandwidth below. In the
-modes that command voltage the torque follows the motor's own equation, torque = kt (V - kt speed)/R.
+what is asked for, and position and velocity are closed with gains from the inertia, at the bandwidth below. In PWM
+mode the stall torque is right, kt V/R, and the speed without load is not, since the inertia is not a real gearbox's.
 """
 
 from __future__ import annotations
@@ -144,8 +144,9 @@ class Motor:
         if goals.mode == CURRENT:
             return float(np.clip(goals.current * kt, -self._stall_torque, self._stall_torque))
         if goals.mode == PWM:
-            back = kt * float(self._path.state[MOTOR_RATE])
-            return kt * (goals.duty * self._supply - back) / self._resistance
+            # the back-EMF brakes; stronger than this it would overshoot within a beat on so light a motor
+            braking = min(kt**2 / self._resistance, 0.5 * self._plant.inertia / BEAT)
+            return kt * goals.duty * self._supply / self._resistance - braking * float(self._path.state[MOTOR_RATE])
         ceiling = abs(goals.current) * kt if goals.mode == CURRENT_POSITION else self._stall_torque
         inertia = self._plant.inertia
         if goals.mode == SPEED:

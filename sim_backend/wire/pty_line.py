@@ -55,6 +55,7 @@ class PtyLine:
         self._any_baudrate = any_baudrate
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
         self._wake, self._waker = os.pipe()
         self._due: list[tuple[float, int, bytes]] = []
         self._sent = 0
@@ -111,7 +112,9 @@ class PtyLine:
 
     def _send(self) -> None:
         while self._due and self._due[0][0] <= self.now():
-            os.write(self._master, heapq.heappop(self._due)[2])
+            reply = heapq.heappop(self._due)[2]
+            with contextlib.suppress(BlockingIOError):  # a client that never reads loses bytes, as on a real line
+                os.write(self._master, reply)
 
     def _point(self) -> None:
         if self.link.exists() and not self.link.is_symlink():

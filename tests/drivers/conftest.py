@@ -19,9 +19,9 @@ from drivers.dynamixel_port import POLL, SerialPort
 from drivers.servo import Limits, Servo
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo, VirtualClock
+from sim_backend.wire.dynamixel import serve
 from sim_backend.wire.dynamixel_bus import Bus, Timing
 from sim_backend.wire.dynamixel_device import Device
-from sim_backend.wire.pty_line import PtyLine
 
 
 @pytest.fixture(autouse=True)
@@ -148,10 +148,8 @@ def closed_after(servo: Servo, limits: Limits) -> Iterator[tuple[Servo, Limits]]
 
 
 def on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
-    link = path / "ttyDXL"
-    with PtyLine(link, (bus := Bus([], timing=Timing()))) as line:
-        bus.devices.append(Device("xl330-m288", now=line.now()))
-        servo = DynamixelServo(DynamixelConfig(port=str(link), model="xl330-m288", reply_timeout=0.04))
+    with serve(path / "ttyDXL", "xl330-m288", timing=Timing()) as line:
+        servo = DynamixelServo(DynamixelConfig(port=str(line.link), model="xl330-m288", reply_timeout=0.04))
         yield from closed_after(servo, SERVO_LIMITS)
 
 
