@@ -47,10 +47,10 @@ _TRIES = 3
 
 
 class DynamixelServo:
-    """One servo, opened and identified. clock and port are those of the machine unless a test brings its own.
+    """One servo, opened, identified, and with its torque off.
 
-    Raises DriverError where the port cannot be opened or another model answers, NoReply where nobody does, BadReply
-    where what answers cannot be understood.
+    clock and port are those of the machine unless a test brings its own. Raises DriverError where the port cannot be
+    opened or another model answers, NoReply where nobody does, BadReply where what answers cannot be understood.
     """
 
     def __init__(self, config: DynamixelConfig, *, clock: Clock | None = None, port: SerialPort | None = None) -> None:
@@ -72,6 +72,8 @@ class DynamixelServo:
         self._port.openPort()
         try:
             self._firmware = identify(self._bus, self._table, config)
+            self._live = True  # whoever drove it before may have left it on
+            self.disarm()
         except BaseException:
             self._closed = True
             self._port.closePort()

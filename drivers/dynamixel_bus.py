@@ -26,11 +26,11 @@ BROADCAST = 0xFE
 ALERT = 0x80
 _HEAD = 7  # header, id and length
 _STATUS = 11  # bytes of a status packet without parameters
+_DAMAGED = 3
 
 ERRORS = {
     1: "it could not do that",
     2: "it does not know that instruction",
-    3: "the request reached it damaged",
     4: "the value is out of range, or a tripped bus watchdog keeps it from being set",
     5: "the length does not fit the register",
     6: "the value is beyond the limit set in the servo",
@@ -124,6 +124,7 @@ class Bus:
     def _ask(self, frame: bytes, size: int, what: str) -> bytes:
         """Send `frame` and return the `size` bytes of parameters in its answer."""
         self._settle()
+        self._quarantined = True  # until a sound reply has come, whatever interrupts the wait
         self._put(frame)
         wire = 10.0 * (len(frame) + _STATUS + size) / self._port.baudrate
         self._port.expect(self._clock.now() + wire + self.return_delay + self._timeout)
@@ -131,38 +132,39 @@ class Bus:
             # `fast` keeps the SDK from unstuffing; nothing else differs but that the broadcast id may answer
             raw, result = self._packets.rxPacket(self._port, True)
         except IndexError:
-            raise self._bad("the reply has an impossible length") from None
+            raise _bad("the reply has an impossible length") from None
         except GONE as error:
             raise self._lost(error) from None
         finally:
             self._port.is_using = False  # the SDK leaves it set after an error, and would then refuse for ever
         if result == COMM_RX_TIMEOUT:
-            self._quarantined = True
             raise NoReply(f"servo {self._id} did not answer within {self._timeout * 1e3:.3g} ms beyond the wire's time")
         if result != COMM_SUCCESS:
-            raise self._bad("the reply is damaged or cut short")
+            raise _bad("the reply is damaged or cut short")
         return self._checked(bytes(raw), size, what)
 
     def _checked(self, raw: bytes, size: int, what: str) -> bytes:
         end = _HEAD + int.from_bytes(raw[5:7], "little")
         body = raw[_HEAD : end - 2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
         if raw[4] != self._id or body[:1] != bytes([STATUS]) or len(body) < 2:
-            raise self._bad(f"a reply from servo {raw[4]} came where servo {self._id} was asked")
+            raise _bad(f"a reply from servo {raw[4]} came where servo {self._id} was asked")
+        if len(body) != 2 + size and not body[1] & ~ALERT:
+            raise _bad(f"the reply holds {len(body) - 2} bytes where {size} were asked for")
+        self._quarantined = False
         number = body[1] & ~ALERT
         self.alert = bool(body[1] & ALERT)
+        if number == _DAMAGED:
+            raise _bad("the request reached the servo damaged")
         if number:
             raise DriverError(f"servo {self._id} refused {what}: {ERRORS.get(number, f'error {number}')}")
-        if len(body) != 2 + size:
-            raise self._bad(f"the reply holds {len(body) - 2} bytes where {size} were asked for")
         return body[2:]
 
-    def _bad(self, reason: str) -> BadReply:
-        self._quarantined = True
-        return BadReply(f"{reason}: the sample is dropped")
-
     def _lost(self, reason: object) -> LinkLost:
-        self._quarantined = True
         return LinkLost(
             f"{self._port.port_name} is gone ({reason}): whether the motor is live is not known; "
             "cut the power before touching it"
         )
+
+
+def _bad(reason: str) -> BadReply:
+    return BadReply(f"{reason}: the sample is dropped")

@@ -19,7 +19,7 @@ from drivers.servo import DriverError
 if TYPE_CHECKING:
     from drivers.servo import Clock
 
-GONE: tuple[type[Exception], ...] = (serial.SerialException, OSError, TypeError)
+GONE: tuple[type[Exception], ...] = (serial.SerialException, OSError)
 """What a port raises once its device is gone; pyserial lets an error of termios through, which is no OSError."""
 with contextlib.suppress(ImportError):  # POSIX only
     import termios

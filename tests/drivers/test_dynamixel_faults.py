@@ -220,6 +220,16 @@ def test_a_damaged_reply_is_a_gap_and_the_next_one_is_good(rig: Rig, limits: Lim
     assert servo.exchange(PUSH).motor_position == rig.device.registers.get("present_position") * POSITION_LSB
 
 
+def test_a_request_that_arrives_damaged_is_a_gap_and_not_the_end(rig: Rig, limits: Limits) -> None:
+    servo = armed(rig, limits)
+    write = rig.port.writePort
+    rig.port.writePort = lambda data: write(data[:-1] + bytes([data[-1] ^ 1]))
+    with pytest.raises(BadReply, match="damaged"):
+        servo.exchange(PUSH)
+    rig.port.writePort = write
+    servo.exchange(PUSH)
+
+
 def test_noise_before_a_reply_is_passed_over(rig: Rig, limits: Limits) -> None:
     servo = armed(rig, limits)
     rig.bus.inject(NoiseBefore(noise=b"\x00\x55\xff\xff\xfd\x13\x37"))
@@ -344,6 +354,12 @@ def test_a_servo_that_restarts_between_two_ticks_is_noticed(rig: Rig, limits: Li
     with pytest.raises(DeviceFault) as caught:
         servo.exchange(PUSH)
     assert caught.value.code == RESTARTED
+
+
+def test_torque_that_another_program_left_on_is_off_once_the_servo_is_opened(rig: Rig) -> None:
+    rig.device.write(64, b"\x01")
+    rig.open()
+    assert not rig.device.torque_on
 
 
 # -- stopping -------------------------------------------------------------------------------------------------------
