@@ -127,7 +127,7 @@ class Bus:
         self._quarantined = True  # until a sound reply has come, whatever interrupts the wait
         self._put(frame)
         wire = 10.0 * (len(frame) + _STATUS + size) / self._port.baudrate
-        self._port.expect(self._clock.now() + wire + self.return_delay + self._timeout)
+        self._port.expect(self._clock.now() + wire + self.return_delay + self._timeout, _STATUS + size)
         try:
             # `fast` keeps the SDK from unstuffing; nothing else differs but that the broadcast id may answer
             raw, result = self._packets.rxPacket(self._port, True)

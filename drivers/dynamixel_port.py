@@ -27,7 +27,7 @@ with contextlib.suppress(ImportError):  # POSIX only
     GONE += (termios.error,)
 _NOT_OPENED: tuple[type[Exception], ...] = (*GONE, ValueError)
 
-POLL = 1e-3
+POLL = 2e-3
 """s that one read waits for bytes: how far past a deadline a wait can run."""
 WRITE_TIMEOUT = 0.05
 """s; without one, a write into a stuck port hangs for ever."""
@@ -56,6 +56,8 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         self._clock = clock
         self._deadline = 0.0
         self._budget = 0
+        self._whole = 0
+        self._ahead = bytearray()
 
     def openPort(self) -> bool:  # noqa: N802 - the SDK's name
         """Open it for us alone. Raises DriverError with the remedy."""
@@ -81,20 +83,29 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
             with contextlib.suppress(*GONE):
                 self.ser.close()
 
-    def expect(self, deadline: float) -> None:
-        """Begin to wait for a reply, until `deadline` s on the clock."""
+    def expect(self, deadline: float, size: int) -> None:
+        """Begin to wait for a reply of `size` bytes, until `deadline` s on the clock."""
         self._deadline = deadline
         self._budget = BUDGET
+        self._whole = size
+        self._ahead.clear()
 
     def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
-        """Up to `length` bytes; waits for them no longer than `POLL` and the deadline allow."""
-        if self._budget <= 0:
-            return b""
-        if self._clock.now() >= self._deadline:
-            length = min(length, self.ser.in_waiting)
-        data: bytes = self.ser.read(length) if length > 0 else b""
-        self._budget -= len(data)
-        return data
+        """Up to `length` bytes; waits for them no longer than `POLL` and the deadline allow.
+
+        The SDK asks for the head of a reply first. The first wait is for the whole of it: one wake-up instead of two.
+        """
+        if len(self._ahead) < length and self._budget > 0:
+            wanted = max(length, self._whole) - len(self._ahead)
+            self._whole = 0
+            if self._clock.now() >= self._deadline:
+                wanted = min(wanted, self.ser.in_waiting)
+            data: bytes = self.ser.read(wanted) if wanted > 0 else b""
+            self._budget -= len(data)
+            self._ahead += data
+        out = bytes(self._ahead[:length])
+        del self._ahead[:length]
+        return out
 
     def isPacketTimeout(self) -> bool:  # noqa: N802 - the SDK's name
         """Whether the deadline has passed, or more has been read than any reply can be."""
@@ -105,7 +116,7 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         end = self._clock.now() + PATIENCE
         quiet_since = self._clock.now()
         while self._clock.now() < end:
-            self.expect(self._clock.now() + POLL)
+            self.expect(self._clock.now() + POLL, 0)
             if self.readPort(256):
                 quiet_since = self._clock.now()
             elif self._clock.now() - quiet_since >= SILENT_FOR:

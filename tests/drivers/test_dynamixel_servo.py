@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -232,3 +233,10 @@ def test_no_byte_leaves_for_a_set_point_that_is_no_number(rig: Rig, limits: Limi
         with pytest.raises(UnsafeCommand):
             servo.exchange(Command(quantity, value))
     assert len(rig.port.sent) == before
+
+
+def test_the_page_on_it_shows_the_torque_constants_that_are_used() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "dynamixel.md").read_text(encoding="utf-8")
+    for name, model in models().items():
+        if model.current_lsb:
+            assert f"| {name} | {model.torque_constant:.3f} | {model.torque_uncertainty:.0%} |" in page
