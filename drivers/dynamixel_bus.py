@@ -3,7 +3,9 @@
 The SDK does the port, the search for the header and the checksum. Three things it gets wrong are done here. A request
 with FF FF FD in it leaves the SDK unstuffed, and some replies are unstuffed wrongly, so stuffing is ours both ways. The
 SDK takes any status packet for the answer, so id, instruction and length are checked. And it takes a late reply for the
-answer to the next request, so after a reply went missing the line must fall silent before anything else is sent.
+answer to the next request, so after a reply went missing the line must fall silent before anything else is sent. Since
+requests do not pass through the SDK's own sending, its flag for a port in use, which an exception leaves set, is never
+asked.
 
 Source: e-manual, emanual.robotis.com/docs/en/dxl/protocol2/.
 """
@@ -135,8 +137,6 @@ class Bus:
             raise _bad("the reply has an impossible length") from None
         except GONE as error:
             raise self._lost(error) from None
-        finally:
-            self._port.is_using = False  # the SDK leaves it set after an error, and would then refuse for ever
         if result == COMM_RX_TIMEOUT:
             raise NoReply(f"servo {self._id} did not answer within {self._timeout * 1e3:.3g} ms beyond the wire's time")
         if result != COMM_SUCCESS:

@@ -149,7 +149,9 @@ def closed_after(servo: Servo, limits: Limits) -> Iterator[tuple[Servo, Limits]]
 
 def on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
     with serve(path / "ttyDXL", "xl330-m288", timing=Timing()) as line:
-        servo = DynamixelServo(DynamixelConfig(port=str(line.link), model="xl330-m288", reply_timeout=0.04))
+        servo = DynamixelServo(
+            DynamixelConfig(port=str(line.link), model="xl330-m288", reply_timeout=0.3, watchdog=1.0)
+        )
         yield from closed_after(servo, SERVO_LIMITS)
 
 

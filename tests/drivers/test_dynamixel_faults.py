@@ -28,7 +28,7 @@ from drivers.servo import (
     NoReply,
     Quantity,
 )
-from sim_backend.wire.dynamixel_bus import Bus
+from sim_backend.wire.dynamixel_bus import Bus, Reply
 from sim_backend.wire.dynamixel_device import OVERHEAT, OVERLOAD, VOLTAGE, Device
 from sim_backend.wire.dynamixel_faults import (
     CorruptReplies,
@@ -96,7 +96,7 @@ def test_a_port_that_another_program_holds_is_refused(tmp_path: Path) -> None:
     bus = Bus([])
     with PtyLine(tmp_path / "tty", bus) as line:
         bus.devices.append(Device("xl330-m288", now=line.now()))
-        first = DynamixelServo(config(line.link, reply_timeout=0.04))
+        first = DynamixelServo(config(line.link, reply_timeout=0.3, watchdog=1.0))
         with pytest.raises(DriverError, match="another program has it open"):
             DynamixelServo(config(line.link))
         first.close()
@@ -276,6 +276,29 @@ def test_whatever_happens_to_the_replies_no_sample_is_wrong_and_torque_off_works
     assert accepted > 700
 
 
+def test_no_mutated_reply_is_taken_for_a_sample(rig: Rig) -> None:
+    rng = np.random.default_rng(5)
+    servo = rig.open()
+    receive = rig.bus.receive
+
+    def mutated(data: bytes, now: float, baudrate: int | None) -> list[Reply]:
+        out = []
+        for at, reply in receive(data, now, baudrate):
+            damaged = bytearray(reply)
+            for place in rng.integers(len(reply), size=int(rng.integers(1, 4))):
+                damaged[place] ^= int(rng.integers(1, 256))
+            kept = damaged[: int(rng.integers(1, len(reply) + 1))] if rng.random() < 0.3 else damaged
+            out.append(Reply(at, bytes(kept)))
+        return out
+
+    for _ in range(1500):
+        rig.bus.receive = mutated
+        with pytest.raises((BadReply, NoReply)):
+            servo.exchange(Command.rest())
+        rig.bus.receive = receive
+    servo.exchange(Command.rest())
+
+
 def test_a_line_that_never_falls_silent_is_named_and_does_not_hold_us(rig: Rig, limits: Limits) -> None:
     servo = armed(rig, limits)
 
@@ -425,7 +448,7 @@ def test_a_pulled_cable_is_a_lost_link_on_a_real_port(tmp_path: Path, limits: Li
     bus = Bus([])
     with PtyLine(tmp_path / "tty", bus) as line:
         bus.devices.append(Device("xl330-m288", now=line.now()))
-        servo = DynamixelServo(config(line.link, reply_timeout=0.04))
+        servo = DynamixelServo(config(line.link, reply_timeout=0.3, watchdog=1.0))
         servo.arm(limits)
         with line.lock:
             bus.inject(Unplug())

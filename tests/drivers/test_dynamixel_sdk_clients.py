@@ -26,7 +26,8 @@ PACKETS = Protocol2PacketHandler()
 
 
 @pytest.fixture
-def line(tmp_path: Path) -> Iterator[tuple[Any, Bus]]:
+def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Bus]]:
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 100)  # ms; patience on a busy machine
     bus = Bus([])
     with PtyLine(tmp_path / "ttyDXL", bus) as served:
         now = served.now()
