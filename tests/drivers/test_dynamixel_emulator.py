@@ -171,3 +171,10 @@ def test_a_link_is_made_and_taken_away_and_never_put_over_a_file(tmp_path: Path)
     with pytest.raises(FileExistsError):
         serve(link, "xl330-m288")
     assert link.read_text() == "mine"
+
+
+def test_serving_in_the_foreground_ends_with_stop_and_takes_the_link_away(tmp_path: Path) -> None:
+    line = serve(tmp_path / "ttyDXL", "xl330-m288")
+    line.stop()
+    line.serve()
+    assert not line.link.is_symlink()
