@@ -83,12 +83,12 @@ def load(path: Path, belongs: dict[str, str]) -> State:
             records = archive["records"]
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise WrongCheckpoint(
-            f"{path} is not a checkpoint of a search, or is damaged: remove it to begin anew"
+            f"{path} is not a checkpoint of a search, or a damaged one: name another file, or remove it"
         ) from error
     differing = [what for what, text in belongs.items() if found.get(what) != text]
     if differing:
         raise WrongCheckpoint(
             f"{path} is the checkpoint of another run, with different {', '.join(differing)}: "
-            "run it as it was begun, or remove the file to begin anew"
+            "run it as it was begun, or name another file to begin anew"
         )
     return State([Population(*parts) for parts in zip(*arrays, strict=True)], records)

@@ -57,7 +57,7 @@ class Trials:
     """The outcome of the trials.
 
     genes: (trials, p), the best chromosome of each, SI. fitness: (trials,), N m. evaluations: of all trials together,
-    those known to be hopeless included. generations: (trials,). interrupted: whether they were cut short.
+    those known to be hopeless included. generations: (trials,). finished: (trials,), which were not cut short.
     """
 
     genes: NDArray[np.float64]
@@ -65,7 +65,12 @@ class Trials:
     evaluations: int
     generations: NDArray[np.int64]
     history: History
-    interrupted: bool = False
+    finished: NDArray[np.bool_]
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether any was cut short."""
+        return not self.finished.all()
 
     @property
     def best(self) -> NDArray[np.float64]:
@@ -162,18 +167,18 @@ def run_trials(
             save(checkpoint, belongs, State(list(populations), np.stack(records)))
 
     watch = _Watch(settings, progress, stop, keep, every)
+    keep()  # where it cannot be written is told now, not after the first hour
     with ThreadPoolExecutor(workers) as pool:
         try:
-            interrupted = watch([pool.submit(_search, run, trial) for trial in running], running)
+            watch([pool.submit(_search, run, trial) for trial in running], running)
         except KeyboardInterrupt:
             if stop is None:
                 raise
-            interrupted = True
         finally:
             run.cancelled.set()  # only an interrupted run has anything left to cancel
             pool.shutdown()
             keep()
-    return _outcome(running, run.grid, interrupted)
+    return _outcome(running, run.grid)
 
 
 def _expected(settings: Settings, p: int) -> int:
@@ -243,8 +248,8 @@ class _Watch:
     keep: Callable[[], None]
     every: float
 
-    def __call__(self, futures: list[Future[None]], running: list[_Trial]) -> bool:
-        """Wait for the trials; returns whether they were stopped. What went wrong in one is raised here."""
+    def __call__(self, futures: list[Future[None]], running: list[_Trial]) -> None:
+        """Wait for the trials, or until they are to stop. What went wrong in one is raised here."""
         pending: set[Future[None]] = set(futures)
         kept = time.monotonic()
         while pending:
@@ -255,14 +260,13 @@ class _Watch:
                 parts = [1.0 if t.finished else t.population.generation / self.settings.generations for t in running]
                 self.progress(sum(parts) / len(parts))
             if pending and self.stop is not None and self.stop():
-                return True
+                return
             if pending and time.monotonic() - kept >= self.every:
                 self.keep()
                 kept = time.monotonic()
-        return False
 
 
-def _outcome(running: list[_Trial], grid: NDArray[np.int64], interrupted: bool) -> Trials:
+def _outcome(running: list[_Trial], grid: NDArray[np.int64]) -> Trials:
     generations = np.array([t.population.generation for t in running], dtype=np.int64)
     fitness = np.array([t.population.best_fitness[0] for t in running])
     last = int(np.searchsorted(grid, generations.max())) + 1
@@ -276,5 +280,5 @@ def _outcome(running: list[_Trial], grid: NDArray[np.int64], interrupted: bool) 
         history=History(
             np.minimum(grid[:last], generations.max()), np.where(np.isnan(record), fitness[:, None], record)
         ),
-        interrupted=interrupted,
+        finished=np.array([t.finished for t in running]),
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ga.models import Model
 from hil.findings import Finding
 from hil.signals import Signals, joined, prepare, stream
-from hil.spool import Spool
+from hil.spool import Progress, Spool
 from hil.stand import StandTable, parse
 from hil.store import Recording
 
@@ -54,13 +54,16 @@ class Dataset:
 
 
 @contextmanager
-def open_dataset(paths: list[Path], model: Model) -> Iterator[Dataset]:
-    """The recordings at `paths` for `model`. Raises WrongUse, Untrustworthy as reading and `prepare` do."""
+def open_dataset(paths: list[Path], model: Model, progress: Progress | None = None) -> Iterator[Dataset]:
+    """The recordings at `paths` for `model`. Raises WrongUse, Untrustworthy as reading and `prepare` do.
+
+    progress is told of every going through recordings that do not fit in memory.
+    """
     if _rows(paths) <= IN_MEMORY:
         yield _in_memory(paths, model)
         return
-    with Spool(paths[0], _rows(paths), len(model.parameters)) as spool:
-        yield _on_disk(paths, model, spool)
+    with Spool(paths[0], _rows(paths), len(model.parameters), progress) as spool:
+        yield _on_disk(paths, model, spool, progress)
 
 
 def _rows(paths: list[Path]) -> int:
@@ -118,8 +121,9 @@ def _in_memory(paths: list[Path], model: Model) -> Dataset:
     return Dataset(model, signals, columns, len(signals), True, findings, table)
 
 
-def _on_disk(paths: list[Path], model: Model, spool: Spool) -> Dataset:
-    every = 1 + _rows(paths) // _SHOWN
+def _on_disk(paths: list[Path], model: Model, spool: Spool, progress: Progress | None) -> Dataset:
+    rows = _rows(paths)
+    every = 1 + rows // _SHOWN
     shown, findings = [], []
     for path in paths:
         with Recording(path) as recording:
@@ -129,6 +133,8 @@ def _on_disk(paths: list[Path], model: Model, spool: Spool) -> Dataset:
                     model = model.anchored(part.time[:_ANCHOR], part.dtheta_dot[:_ANCHOR])
                 spool.extend(model.columns(part.time, part.dtheta, part.dtheta_dot), part.torque)
                 parts.append(part.thinned(every))
+                if progress is not None:
+                    progress("reading", min(1.0, spool.rows / rows))
             shown.append(joined(parts))
             findings += recording_findings(recording, shown[-1])
     signals = joined(shown)

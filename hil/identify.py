@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.checkpoint import WrongCheckpoint
 from ga.evolution import Settings
 from ga.exact import Optimum
 from ga.models import Model
@@ -21,6 +23,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.findings import Finding
 from hil.intervals import Spread, spread
 from hil.signals import Signals
+from hil.spool import Progress
 
 Array = NDArray[np.float64]
 
@@ -90,7 +93,10 @@ class Identification:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """How to search. bounds: the parameters whose range was given, SI. seconds and more are the trials' own."""
+    """How to search. bounds: the parameters whose range was given, SI.
+
+    checkpoint: a file that keeps the state of the search, which goes on from it where it is there already.
+    """
 
     preset: str
     settings: Settings
@@ -98,18 +104,18 @@ class Search:
     seed: int
     workers: int
     bounds: Mapping[str, tuple[float, float]]
+    checkpoint: Path | None = None
 
 
-def identify(
-    paths: list[Path], model: Model, search: Search, progress: Callable[[float], None] | None = None
-) -> Identification:
+def identify(paths: list[Path], model: Model, search: Search, progress: Progress | None = None) -> Identification:
     """Fit `model` to the recordings, pooled.
 
-    progress is called with the fraction of the search that is done. Raises WrongUse, and Untrustworthy where the
-    recordings cannot be used at all; what is doubtful but usable is in the findings.
+    Ctrl-C while it searches ends the search only: what came of it is returned, with the trials marked as interrupted.
+    Raises WrongUse, and Untrustworthy where the recordings cannot be used at all; what is doubtful but usable is in
+    the findings.
     """
     began = time.perf_counter()
-    with open_dataset(paths, model) as data:
+    with open_dataset(paths, model, progress) as data:
         bounds = _bounds(model, search, data.columns, data.torque)
         reduced = _exact(data.blocks, data.samples)
         optimum = reduced.optimum
@@ -120,7 +126,7 @@ def identify(
         estimates = _estimates(model, bounds, trials, optimum, errors)
         fitness = float(trials.fitness.min())
         gap = optimum.relative_gap(fitness)
-        findings = data.findings + _result_findings(model, estimates, data.columns, errors, gap)
+        findings = data.findings + _interruption(trials) + _result_findings(model, estimates, data.columns, errors, gap)
         return Identification(
             recordings=tuple(paths),
             model=data.model,
@@ -147,29 +153,46 @@ def _exact(blocks: Blocks, samples: int) -> Reduced:
         raise Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model") from error
 
 
-def _search(
-    data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, progress: Callable[[float], None] | None
-) -> Trials:
+def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, progress: Progress | None) -> Trials:
     """The trials on the data, or on what stands for them where they do not fit in memory; fitness in N m of the whole.
 
-    Raises WrongUse for a population that is too small.
+    Raises WrongUse for a population that is too small, or a checkpoint that is of another search or cannot be written.
     """
     try:
         search.settings.population_for(len(bounds.low))
     except ValueError as error:
         raise WrongUse(f"--population: {error}") from None
     columns, torque = (data.columns, data.torque) if data.whole else (reduced.columns, reduced.torque)
-    trials = run_trials(
-        columns,
-        torque,
-        bounds,
-        search.settings,
-        trials=search.trials,
-        seed=search.seed,
-        workers=search.workers,
-        progress=progress,
-    )
+    try:
+        trials = run_trials(
+            columns,
+            torque,
+            bounds,
+            search.settings,
+            trials=search.trials,
+            seed=search.seed,
+            workers=search.workers,
+            progress=None if progress is None else partial(progress, "searching"),
+            stop=lambda: False,  # with one, Ctrl-C keeps what was found
+            checkpoint=search.checkpoint,
+        )
+    except WrongCheckpoint as error:
+        raise WrongUse(f"--checkpoint: {error}") from None
+    except OSError as error:
+        raise WrongUse(f"--checkpoint {search.checkpoint}: {error.strerror}: name another file") from error
     return trials if data.whole else trials.scaled(reduced.share)
+
+
+def _interruption(trials: Trials) -> list[Finding]:
+    if not trials.interrupted:
+        return []
+    return [
+        Finding(
+            "interrupted",
+            f"the search was cut short with {int(trials.finished.sum())} of {len(trials.finished)} trials at their "
+            "end: the best is the best so far, mean and deviation are over all of them as they stood",
+        )
+    ]
 
 
 def _bounds(model: Model, search: Search, columns: Array, torque: Array) -> Bounds:

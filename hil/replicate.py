@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,13 @@ import numpy as np
 
 from drivers.servo import Quantity
 from ga.evolution import PRESETS
+from ga.fitness import REPAID, WORTHWHILE
 from ga.models import parse as parse_model
 from hil import profiles
 from hil.identify import Identification, Search, identify
 from hil.run import run
 from hil.signals import Signals
+from hil.spool import Progress
 from hil.stand import SIMULATED, parse
 from hil.store import Recording
 from hil.target import next_free, writing
@@ -55,20 +56,22 @@ def replicate(
     trials: int,
     seed: int,
     workers: int,
-    progress: Callable[[float], None] | None = None,
+    checkpoint: Path | None = None,
+    progress: Progress | None = None,
 ) -> Replication:
     """Record the paper's 2,500 samples into `folder` and search them as the paper did.
 
-    evaluations: of each trial. seed: of the simulated stand and of the search. Raises WrongUse, DriverError.
+    evaluations: of each trial. seed: of the simulated stand and of the search. checkpoint: as of `Search`; the same
+    seed records the same samples again, so that a search can be gone on with. Raises WrongUse, DriverError.
     """
     path = _record(folder, seed)
     settings = replace(PRESETS["paper"], generations=evaluations)
     workers = min(workers, trials)
-    search = Search("paper", settings, trials=trials, seed=seed, workers=workers, bounds={})
+    search = Search("paper", settings, trials=trials, seed=seed, workers=workers, bounds={}, checkpoint=checkpoint)
     model = parse_model("linear")
-    identify(
-        [path], model, replace(search, settings=replace(settings, generations=1000))
-    )  # compiles what is timed next
+    # compiles what is timed next: as many generations as it takes to choose the same engine
+    short = replace(settings, generations=min(evaluations, max(REPAID, WORTHWHILE // SAMPLES)))
+    identify([path], model, replace(search, settings=short, trials=1, checkpoint=None))
     found = identify([path], model, search, progress)
     with Recording(path) as recording:
         truth = recording.truth()
@@ -129,6 +132,7 @@ def as_json(done: Replication) -> dict[str, Any]:
         "numpy_seconds_per_evaluation": done.numpy_seconds,
         "ratio_to_numpy": done.ratio_to_numpy,
         "relative_gap": found.relative_gap,
+        "interrupted": found.trials.interrupted,
         "parameters": {
             estimate.name: {
                 "unit": estimate.unit,

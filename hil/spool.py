@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from hil.target import check_space, writing
 
 Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+"""Told what is being done, in a word or three, and the part of it that is done, 0 to 1."""
 
 _ROWS = 1 << 18  # rows read at a time
 
@@ -20,11 +22,13 @@ _ROWS = 1 << 18  # rows read at a time
 class Spool:
     """A table of rows (columns, torque), in SI, in an unnamed file beside `beside`; gone when closed.
 
-    Raises WrongUse where the disk has no room for `rows` rows of `width` columns.
+    progress is told how far each going through is. Raises WrongUse where the disk has no room for `rows` rows of
+    `width` columns.
     """
 
-    def __init__(self, beside: Path, rows: int, width: int) -> None:
+    def __init__(self, beside: Path, rows: int, width: int, progress: Progress | None = None) -> None:
         self._width = width + 1
+        self._progress = progress
         check_space(beside, rows * self._width * 8)
         with writing(beside):
             self._file = tempfile.TemporaryFile(dir=beside.parent, buffering=0)  # noqa: SIM115 - closed by close()
@@ -56,3 +60,5 @@ class Spool:
             if keep is not None:
                 table = table[keep(np.arange(start, start + count))]
             yield np.ascontiguousarray(table[:, :-1]), np.ascontiguousarray(table[:, -1])
+            if self._progress is not None:
+                self._progress("going through the samples", (start + count) / self.rows)

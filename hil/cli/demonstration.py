@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from hil.cli.identification import identify_and_show
-from hil.cli.terminal import Json, print_json, progress, say
+from hil.cli.progress import progress
+from hil.cli.terminal import Checkpoint, Json, print_json, say, tell, tell_interrupted
 
 
 def demo(
@@ -52,19 +53,26 @@ def replicate(
     trials: Annotated[int, typer.Option(min=1, help="Independent searches.")] = 30,
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated stand and of the search.")] = 0,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; all cores otherwise.")] = None,
+    checkpoint: Checkpoint = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="The folder to write into.")] = Path("hil-replicate"),
     as_json: Json = False,
 ) -> None:
-    """Repeat the paper's experiment on the simulated stand: Table 1 and Figure 8."""
+    """Repeat the paper's experiment on the simulated stand: Table 1 and Figure 8.
+
+    Ctrl-C keeps the search in the output folder, where no --checkpoint says otherwise; the same command goes on with
+    it.
+    """
     from hil import replicate as experiment
 
-    with progress("searching") as note:
+    kept = checkpoint or output / f"search-{trials}x{evaluations}-seed{seed}.npz"
+    with progress() as note:
         done = experiment.replicate(
             output,
             evaluations=evaluations,
             trials=trials,
             seed=seed,
             workers=workers or os.cpu_count() or 1,
+            checkpoint=kept,
             progress=note,
         )
     recording = done.identification.recordings[0]
@@ -80,3 +88,8 @@ def replicate(
             f"{done.evaluations_per_second:.3g} a second, {done.ratio_to_numpy:.0f} times NumPy on one core"
         )
     say(f"wrote {recording} and {picture} (Figure 8)")
+    tell(done.identification.findings)
+    if done.identification.trials.interrupted:
+        tell_interrupted(kept)
+    if checkpoint is None:
+        kept.unlink(missing_ok=True)

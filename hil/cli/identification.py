@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, print_json, progress, say, tell
+from hil.cli.progress import progress
+from hil.cli.terminal import UNTRUSTWORTHY, Checkpoint, Force, Json, print_json, say, tell, tell_interrupted
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ def identify(
     bounds: Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI; may be repeated.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; all cores otherwise.")] = None,
+    checkpoint: Checkpoint = None,
     report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture.")] = None,
     force: Force = False,
     as_json: Json = False,
@@ -56,6 +58,7 @@ def identify(
         seed=seed,
         workers=workers or os.cpu_count() or 1,
         bounds=dict(_bounds(text) for text in bounds or ()),
+        checkpoint=checkpoint,
     )
     identify_and_show(recordings, chosen, search, report, as_json=as_json)
 
@@ -65,13 +68,13 @@ def identify_and_show(
 ) -> None:
     """Search with a progress bar, print the result, write the page where one is asked for.
 
-    Raises typer.Exit where the result must not be trusted.
+    Raises typer.Exit where the search was interrupted or the result must not be trusted.
     """
     from hil import identify as engine
     from hil.report import as_json as to_json
     from hil.report import write_page
 
-    with progress("searching") as done:
+    with progress() as done:
         found = engine.identify(recordings, model, search, done)
     if as_json:
         print_json(to_json(found))
@@ -81,6 +84,8 @@ def identify_and_show(
         for path in write_page(found, report):
             say(f"wrote {path}")
     tell(found.findings)
+    if found.trials.interrupted:
+        tell_interrupted(search.checkpoint)
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)
 

@@ -1,14 +1,12 @@
-"""What every command shares of the terminal: its options, JSON, findings, a progress bar."""
+"""What every command shares of the terminal: its options, JSON, findings, how to go on."""
 
 from __future__ import annotations
 
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -20,6 +18,9 @@ INTERRUPTED = 130
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, all else on standard error.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite the output.")]
+Checkpoint = Annotated[
+    Path | None, typer.Option(help="A file that keeps the state of the search; goes on from it where it is there.")
+]
 Output = Annotated[Path | None, typer.Option("-o", "--output", help="Where to write it.")]
 
 
@@ -39,20 +40,15 @@ def tell(findings: tuple[Finding, ...]) -> None:
         say(f"{'problem' if finding.fatal else 'note'} [{finding.code}]: {finding.message}")
 
 
+def tell_interrupted(checkpoint: Path | None) -> NoReturn:
+    """Say how to go on with a search that was interrupted, and end with its status."""
+    if checkpoint is None:
+        say("interrupted: nothing was kept to go on from; with --checkpoint FILE the search could be gone on with")
+    else:
+        say(f"interrupted: {checkpoint} keeps the search; go on with: {command_line()}")
+    raise typer.Exit(INTERRUPTED)
+
+
 def command_line() -> str:
     """The command as it was typed, kept in the file that it makes."""
     return shlex.join(["hil", *sys.argv[1:]])
-
-
-@contextmanager
-def progress(what: str) -> Iterator[Callable[[float], None] | None]:
-    """A progress bar with the time left, where standard error is a terminal."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=1.0)
-        yield lambda done: bar.update(task, completed=done)
