@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import compiled, lean, lean_apart
-from ga.dense import check, resolution
+from ga.dense import ROUNDING, check, resolution
 
 if TYPE_CHECKING:
     from ga.space import Bounds
@@ -41,9 +41,6 @@ _STEP: Final = 2
 
 _FINEST: Final = 1e-6
 """The least part of the largest direction's weight that a direction is given: collinear columns have one of none."""
-
-ROUNDING: Final = 1e-11
-"""How far beyond a limit, relative to its terms, a bound must be: a thousand times what rounding makes of both."""
 
 _LISTED: Final = 1 << 25
 """Places for undecided rows, 128 MiB, beyond which no more are provided than are needed."""

@@ -15,18 +15,20 @@ import numpy as np
 from ga.fitness import Engine, columns_of, parts
 from ga.generational import family_of, generational
 from ga.generator import seeded
-from ga.population import Population, Rules, populate
+from ga.population import Population, Record, Rules, populate, unrecorded
 from ga.steady import steady_state, tangents_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ga.space import Bounds
+    from ga.start import Start
 
 Scheme = Literal["steady-state", "generational"]
 Selection = Literal["minimise", "larger"]
 Weights = Literal["error", "inverse-error"]
 Replacement = Literal["worst", "worst-if-better", "oldest", "random"]
+Beginning = Literal["uniform", "informed"]
 
 _REPLACEMENTS: Final = get_args(Replacement)  # in the order of ga.population's numbers
 
@@ -38,6 +40,8 @@ class Settings:
     scheme: "steady-state", the paper's Algorithm 1, one child a generation; "generational", a family a generation:
         p + 2 parents drawn without preference, 5 p children by ensemble crossover, the best p + 2 of the family live.
     population: chromosomes; None: 10 + 8 p.
+    start: "uniform", the first population is drawn in the bounds; "informed", around the least-squares solution as far
+        as the optimum may be from it (ga.start), where the data tell that and it lies within the bounds.
     mutation: probability that one gene of a child is redrawn.
     generations: how many at most.
     weights: the crossover weighs a parent by its "error", equation 6 as printed, or by "inverse-error".
@@ -51,6 +55,7 @@ class Settings:
 
     scheme: Scheme = "steady-state"
     population: int | None = 10
+    start: Beginning = "uniform"
     mutation: float = 0.6
     generations: int = 200_000_000
     weights: Weights = "error"
@@ -94,6 +99,7 @@ _READINGS: Final[Mapping[str, tuple[str, ...]]] = {
     "selection": get_args(Selection),
     "weights": get_args(Weights),
     "replacement": _REPLACEMENTS,
+    "start": get_args(Beginning),
 }
 
 PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
@@ -102,6 +108,7 @@ PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
         "default": Settings(
             scheme="generational",
             population=None,
+            start="informed",
             mutation=0.0,
             generations=20_000,
             weights="inverse-error",
@@ -145,8 +152,10 @@ def unborn(p: int, settings: Settings, seed: int, trial: int) -> Population:
     )
 
 
-def begin(engine: Engine, bounds: Bounds, settings: Settings, seed: int, trial: int) -> Population:
-    """The paper, "Initial Population": uniform at random in the bounds, evaluated.
+def begin(
+    engine: Engine, bounds: Bounds, settings: Settings, seed: int, trial: int, *, start: Start | None = None
+) -> Population:
+    """The first population, evaluated: uniform at random in the start's cube, or where there is none in the bounds.
 
     Raises ValueError where the bounds are not of as many parameters as the engine has columns.
     """
@@ -154,14 +163,21 @@ def begin(engine: Engine, bounds: Bounds, settings: Settings, seed: int, trial: 
     if bounds.low.size != p:
         raise ValueError(f"bounds of {bounds.low.size} parameters for {p} columns")
     population = unborn(p, settings, seed, trial)
-    populate(*parts(engine), rules_of(bounds, settings, engine.floor, True), population)
+    populate(*parts(engine), rules_of(bounds, settings, engine.floor, True), start, population)
     return population
 
 
 def advance(
-    engine: Engine, bounds: Bounds, settings: Settings, population: Population, until: int, *, reject: bool = True
+    engine: Engine,
+    bounds: Bounds,
+    settings: Settings,
+    population: Population,
+    until: int,
+    *,
+    record: Record | None = None,
+    reject: bool = True,
 ) -> None:
-    """Take the search to generation `until`, or to where its stop rule ends it.
+    """Take the search to generation `until`, or to where its stop rule ends it, and keep the record on the way.
 
     reject: whether children that are known to be hopeless go unevaluated; the population is the same to the last bit.
     """
@@ -170,7 +186,8 @@ def advance(
         return
     p, rules = bounds.low.size, rules_of(bounds, settings, engine.floor, reject)
     samples, tree = parts(engine)
+    record = unrecorded() if record is None else record
     if settings.scheme == "steady-state":
-        steady_state(samples, tree, rules, population, tangents_of(p), np.empty(p), generations)
+        steady_state(samples, tree, rules, population, tangents_of(p), np.empty(p), record, generations)
     else:
-        generational(samples, tree, rules, population, family_of(p), generations)
+        generational(samples, tree, rules, population, family_of(p), record, generations)

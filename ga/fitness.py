@@ -15,14 +15,27 @@ import numpy as np
 
 from ga.boxes import Tree, another, grow, tree_error, tree_tangent
 from ga.compiled import lean, lean_apart
-from ga.dense import Samples, check, dense_error, dense_tangent, pack, resolution
+from ga.dense import Samples, check, collapse, dense_error, dense_tangent, pack, resolution, shared
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ga.space import Bounds
+    from ga.start import Start
 
-__all__ = ["Engine", "Samples", "Tree", "check", "engine_for", "evaluate", "fork", "grow", "pack", "resolution"]
+__all__ = [
+    "Engine",
+    "Samples",
+    "Tree",
+    "check",
+    "collapse",
+    "engine_for",
+    "evaluate",
+    "fork",
+    "grow",
+    "pack",
+    "resolution",
+]
 
 Engine: TypeAlias = Samples | Tree
 
@@ -36,11 +49,20 @@ A search of the `default` preset is over before, its children everywhere in a cl
 """
 
 
-def engine_for(columns: NDArray[np.float64], torque: NDArray[np.float64], bounds: Bounds, evaluations: int) -> Engine:
+def engine_for(
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    bounds: Bounds,
+    evaluations: int,
+    start: Start | None = None,
+) -> Engine:
     """The engine for columns (n, p) and torque (n,), N m, that some number of evaluations within the bounds asks for.
 
+    start: where all of them begin, to close in from there.
     Raises ValueError where the data are not finite, not of equal length or empty.
     """
+    if start is not None:
+        return collapse(columns, torque, start)
     if evaluations < REPAID or len(torque) * evaluations < WORTHWHILE:
         return pack(columns, torque)
     return grow(columns, torque, bounds)
@@ -48,14 +70,14 @@ def engine_for(columns: NDArray[np.float64], torque: NDArray[np.float64], bounds
 
 def fork(engine: Engine) -> Engine:
     """An engine over the same data for another thread: each has working space that it alone may use."""
-    return engine._replace(scratch=np.empty_like(engine.scratch)) if isinstance(engine, Samples) else another(engine)
+    return shared(engine) if isinstance(engine, Samples) else another(engine)
 
 
 @lean
 def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float) -> float:
     """Equation 5 for one chromosome (p,), N m; infinite, perhaps, where it exceeds the limit."""
     if samples is not None:
-        return dense_error(samples, genes)
+        return dense_error(samples, genes, limit)
     if tree is not None:
         return tree_error(tree, genes, limit)
     return np.nan

@@ -25,7 +25,7 @@ from ga.operators import (
     sample_distinct,
     weighted_centre,
 )
-from ga.population import Population, Rules, has_settled, remember
+from ga.population import Population, Record, Rules, due_after, has_settled, recorded, remember
 
 
 class Family(NamedTuple):
@@ -43,9 +43,16 @@ def family_of(p: int) -> Family:
 
 @lean_apart
 def generational(  # noqa: PLR0917 - the compiled loops take their parts by position
-    samples: Samples | None, tree: Tree | None, rules: Rules, population: Population, family: Family, generations: int
+    samples: Samples | None,
+    tree: Tree | None,
+    rules: Rules,
+    population: Population,
+    family: Family,
+    record: Record,
+    generations: int,
 ) -> None:
     """Parents at random, children about their centre; the best of both live on, in the parents' places."""
+    due = due_after(record, population)
     p = rules.low.size
     parents, children = p + 2, 5 * p
     genes, errors = family.genes, family.errors
@@ -63,6 +70,7 @@ def generational(  # noqa: PLR0917 - the compiled loops take their parts by posi
         survive(population, chosen, genes, errors)
         population.progress[0] += 1
         population.progress[1] += children
+        due = recorded(record, due, population)
         if has_settled(rules, population):
             population.progress[2] = 1
             break

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ga.compiled import lean, lean_apart
 from ga.fitness import Samples, Tree, exact_error
 from ga.generator import State, load, store, uniform
-from ga.operators import Genes, Order, copy
+from ga.operators import REDRAWS, Genes, Order, clamp, copy, is_inside
+from ga.start import Start
 
 ALWAYS, IF_BETTER, OLDEST, RANDOM = range(4)
 """What a child replaces: the worst, always or only if it is better; the oldest; any."""
@@ -72,10 +73,48 @@ class Rules(NamedTuple):
     rejects: bool
 
 
+class Record(NamedTuple):
+    """The best fitness so far, fitness (m,), N m, of generations (m + 1,), which rise; the last is never reached.
+
+    What was not reached yet is NaN.
+    """
+
+    generation: NDArray[np.int64]
+    fitness: NDArray[np.float64]
+
+
+def unrecorded() -> Record:
+    """A record of no generation."""
+    return Record(np.full(1, -1), np.empty(0))
+
+
 @lean_apart
-def populate(samples: Samples | None, tree: Tree | None, rules: Rules, population: Population) -> None:
-    """The paper, "Initial Population": uniform at random in the bounds, evaluated."""
-    scatter(rules, population)
+def due_after(record: Record, population: Population) -> int:
+    """The first entry of the record that is of a generation yet to come."""
+    due = 0
+    while due < record.fitness.size and record.generation[due] <= population.progress[0]:
+        due += 1
+    return due
+
+
+@lean
+def recorded(record: Record, due: int, population: Population) -> int:
+    """Record the best fitness if this generation is due; the next entry that is."""
+    if population.progress[0] == record.generation[due]:
+        record.fitness[due] = population.best_fitness[0]
+        due += 1
+    return due
+
+
+@lean_apart
+def populate(
+    samples: Samples | None, tree: Tree | None, rules: Rules, start: Start | None, population: Population
+) -> None:
+    """Draw the first population, in the bounds or in the start's cube, and evaluate it."""
+    if start is None:
+        scatter(rules, population)
+    else:
+        scatter_around(rules, start, population)
     for i in range(population.fitness.size):
         population.fitness[i] = exact_error(samples, tree, population.genes[i])
         remember(population, population.genes[i], population.fitness[i])
@@ -84,12 +123,33 @@ def populate(samples: Samples | None, tree: Tree | None, rules: Rules, populatio
 
 @lean_apart
 def scatter(rules: Rules, population: Population) -> None:
-    """Draw every gene uniformly in its bounds."""
+    """The paper, "Initial Population": every gene uniform at random in its bounds."""
     words = load(population.generator)
     for i in range(population.fitness.size):
         for k in range(rules.low.size):
             part, words = uniform(words)
             population.genes[i, k] = rules.low[k] + (rules.high[k] - rules.low[k]) * part
+    store(words, population.generator)
+
+
+@lean_apart
+def scatter_around(rules: Rules, start: Start, population: Population) -> None:
+    """Draw every chromosome uniformly in the start's cube, and within the bounds."""
+    words = load(population.generator)
+    for i in range(population.fitness.size):
+        child = population.genes[i]
+        for _ in range(REDRAWS):
+            for k in range(child.size):
+                part, words = uniform(words)
+                child[k] = start.reach * (2.0 * part - 1.0)
+            for k in range(child.size):  # the matrix is triangular: what is overwritten is not needed again
+                along = 0.0
+                for j in range(k, child.size):
+                    along += start.backward[k, j] * child[j]
+                child[k] = start.centre[k] + along
+            if is_inside(child, rules.low, rules.high):
+                break
+        clamp(child, rules.low, rules.high)
     store(words, population.generator)
 
 

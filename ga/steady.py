@@ -15,12 +15,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.boxes import ROUNDING
 from ga.compiled import lean, lean_apart
+from ga.dense import ROUNDING
 from ga.fitness import Samples, Tree, error_of, exact_error, tangent_of
 from ga.generator import Words, below, load, store, uniform
 from ga.operators import Genes, arithmetic_crossover, copy, crossover_share, mutate, tournament
-from ga.population import IF_BETTER, OLDEST, RANDOM, Population, Rules, has_settled, remember
+from ga.population import (
+    IF_BETTER,
+    OLDEST,
+    RANDOM,
+    Population,
+    Record,
+    Rules,
+    due_after,
+    has_settled,
+    recorded,
+    remember,
+)
 
 Tangents = NDArray[np.float64]
 
@@ -38,9 +49,11 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
     population: Population,
     tangents: Tangents,
     child: Genes,
+    record: Record,
     generations: int,
 ) -> None:
     """Go on for some generations. tangents: as `tangents_of` gives or an earlier call left them; child: (p,)."""
+    due = due_after(record, population)
     genes, fitness, order = population.genes, population.fitness, population.order
     words = load(population.generator)
     worst, second = _worst_two(fitness)
@@ -70,6 +83,7 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
                 worst, second = _worst_two(fitness)
         population.progress[0] += 1
         population.progress[1] += 1
+        due = recorded(record, due, population)
         if rules.tolerance >= 0.0 and has_settled(rules, population):
             population.progress[2] = 1
             break

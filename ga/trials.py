@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final
 
@@ -14,10 +14,11 @@ import numpy as np
 from ga.checkpoint import State, belonging, load, save
 from ga.evolution import Settings, advance, begin
 from ga.fitness import Engine, Samples, engine_for, fork
-from ga.population import Population
+from ga.population import Population, Record
+from ga.start import Start, start_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -97,7 +98,7 @@ class Trials:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What all trials share. engines: those that no thread uses at present."""
+    """What all trials share. grid: the generations of the history. engines: those that no thread uses at present."""
 
     engines: SimpleQueue[Engine]
     bounds: Bounds
@@ -149,17 +150,15 @@ def run_trials(
     """
     if trials < 1 or workers < 1:
         raise ValueError(f"{trials} trials with {workers} workers: give 1 or more of each")
-    engine = engine_for(columns, torque, bounds, _expected(settings, bounds.low.size))
+    columns, torque = (np.require(array, np.float64, ["C", "W"]) for array in (columns, torque))  # as is compiled for
+    start = start_of(columns, torque, bounds) if settings.start == "informed" else None
+    engine = engine_for(columns, torque, bounds, _expected(settings, bounds.low.size), start)
     run = _Run(SimpleQueue(), bounds, settings, _grid(settings.generations), threading.Event())
     belongs = (
         belonging(columns, torque, bounds=bounds, settings=settings, seed=seed, trials=trials) if checkpoint else {}
     )
-    running = _begun(
-        run, engine, seed, trials, load(checkpoint, belongs) if checkpoint and checkpoint.exists() else None
-    )
-    run.engines.put(engine)
-    for _ in range(min(workers, trials) - 1):
-        run.engines.put(fork(engine))
+    state = load(checkpoint, belongs) if checkpoint and checkpoint.exists() else None
+    running = _begun(run, engine, start, seed, trials) if state is None else _gone_on_with(state)
 
     def keep() -> None:
         if checkpoint:
@@ -168,16 +167,13 @@ def run_trials(
 
     watch = _Watch(settings, progress, stop, keep, every)
     keep()  # where it cannot be written is told now, not after the first hour
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            watch([pool.submit(_search, run, trial) for trial in running], running)
-        except KeyboardInterrupt:
-            if stop is None:
-                raise
-        finally:
-            run.cancelled.set()  # only an interrupted run has anything left to cancel
-            pool.shutdown()
-            keep()
+    try:
+        _all(run, engine, running, min(workers, trials), watch)
+    except KeyboardInterrupt:
+        if stop is None:
+            raise
+    finally:
+        keep()
     return _outcome(running, run.grid)
 
 
@@ -188,82 +184,117 @@ def _expected(settings: Settings, p: int) -> int:
     return 5 * p * min(settings.generations, settings.generations if settings.tolerance is None else _TYPICAL)
 
 
-def _begun(run: _Run, engine: Engine, seed: int, trials: int, state: State | None) -> list[_Trial]:
-    """The trials at their first generation, or as the state has them."""
+def _begun(run: _Run, engine: Engine, start: Start | None, seed: int, trials: int) -> list[_Trial]:
+    """The trials at their first generation."""
     running = []
     for i in range(trials):
-        if state is None:
-            population = begin(engine, run.bounds, run.settings, seed, i)
-            record = np.full(len(run.grid), np.nan)
-        else:
-            population, record = state.populations[i], state.records[i]
-        trial = _Trial(population, record, (population, record))
-        trial.keep()
-        running.append(trial)
+        population = begin(engine, run.bounds, run.settings, seed, i, start=start)
+        record = np.full(len(run.grid), np.nan)
+        record[0] = population.best_fitness[0]
+        running.append(_Trial(population, record, (population.copied(), record.copy())))
     return running
+
+
+def _gone_on_with(state: State) -> list[_Trial]:
+    return [
+        _Trial(population, record, (population.copied(), record.copy()))
+        for population, record in zip(state.populations, state.records, strict=True)
+    ]
 
 
 def _grid(generations: int) -> NDArray[np.int64]:
     decades = np.log10(generations)
-    points = np.logspace(0.0, decades, int(np.ceil(decades * POINTS_PER_DECADE)) + 1)
-    return np.unique(np.concatenate([[0], np.rint(points), [generations]]).astype(np.int64))
+    points = 10.0 ** np.linspace(0.0, decades, int(np.ceil(decades * POINTS_PER_DECADE)) + 1)
+    grid = np.rint(points).astype(np.int64)
+    grid[-1] = generations
+    return np.concatenate([[0], grid[np.diff(grid, prepend=0) > 0]])
+
+
+def _all(run: _Run, engine: Engine, running: list[_Trial], workers: int, watch: _Watch) -> None:
+    """Take all trials to their end, or until they are to stop: by threads, or in this one where it is alone."""
+    if workers == 1:  # to start a thread takes longer than a search of the `default` preset
+        for trial in running:
+            for _ in _chunks(run, engine, trial):
+                if watch.is_over(running):
+                    return
+        watch.tell(running)
+        return
+    run.engines.put(engine)
+    for _ in range(workers - 1):
+        run.engines.put(fork(engine))
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            watch.wait_for([pool.submit(_search, run, trial) for trial in running], running)
+        finally:
+            run.cancelled.set()  # only an interrupted run has anything left to cancel
 
 
 def _search(run: _Run, trial: _Trial) -> None:
     engine = run.engines.get()
     try:
-        _search_with(engine, run, trial)
+        for _ in _chunks(run, engine, trial):
+            if run.cancelled.is_set():
+                return
     finally:
         run.engines.put(engine)
 
 
-def _search_with(engine: Engine, run: _Run, trial: _Trial) -> None:
+def _chunks(run: _Run, engine: Engine, trial: _Trial) -> Iterator[None]:
+    """Take the trial to its end, with a pause some times a second, before each of which all of it is kept."""
     population = trial.population
+    record = Record(np.append(run.grid, -1), trial.record)
     children = 1 if run.settings.scheme == "steady-state" else 5 * run.bounds.low.size
     size = engine.blocks.size if isinstance(engine, Samples) else _CHILD
-    chunk = max(1, _CHUNK // (size * children))
-    for point, generation in enumerate(run.grid):
-        if generation < population.generation and not np.isnan(trial.record[point]):
-            continue  # of a search gone on with
-        while population.generation < generation and not population.stopped:
-            if run.cancelled.is_set():
-                trial.keep()
-                return
-            until = min(int(generation), population.generation + chunk)
-            advance(engine, run.bounds, run.settings, population, until)
-            if population.generation < generation:
-                trial.keep()
-        trial.record[point] = population.best_fitness[0]
-    trial.keep()
+    chunk = max(1, _CHUNK // (max(size, _CHILD) * children))
+    while population.generation < run.settings.generations and not population.stopped:
+        yield
+        until = min(run.settings.generations, population.generation + chunk)
+        advance(engine, run.bounds, run.settings, population, until, record=record)
+        trial.keep()
     trial.finished = True
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Watch:
-    """What the thread that started the trials does until they are done."""
+    """What the thread that started the trials does until they are done. asked: s, when it last did."""
 
     settings: Settings
     progress: Callable[[float], None] | None
     stop: Callable[[], bool] | None
     keep: Callable[[], None]
     every: float
+    asked: float = field(default_factory=time.monotonic)
+    kept: float = field(default_factory=time.monotonic)
 
-    def __call__(self, futures: list[Future[None]], running: list[_Trial]) -> None:
+    def wait_for(self, futures: list[Future[None]], running: list[_Trial]) -> None:
         """Wait for the trials, or until they are to stop. What went wrong in one is raised here."""
         pending: set[Future[None]] = set(futures)
-        kept = time.monotonic()
         while pending:
             done, pending = wait(pending, timeout=_POLL)
             for future in done:
                 future.result()
-            if self.progress is not None:
-                parts = [1.0 if t.finished else t.population.generation / self.settings.generations for t in running]
-                self.progress(sum(parts) / len(parts))
-            if pending and self.stop is not None and self.stop():
+            if not pending:
+                self.tell(running)
+            elif self.is_over(running):
                 return
-            if pending and time.monotonic() - kept >= self.every:
-                self.keep()
-                kept = time.monotonic()
+
+    def is_over(self, running: list[_Trial]) -> bool:
+        """Tell, ask and keep, if it is time to; returns whether the trials are to stop."""
+        if time.monotonic() - self.asked < _POLL:
+            return False
+        self.tell(running)
+        if self.stop is not None and self.stop():
+            return True
+        if time.monotonic() - self.kept >= self.every:
+            self.keep()
+            self.kept = time.monotonic()
+        self.asked = time.monotonic()
+        return False
+
+    def tell(self, running: list[_Trial]) -> None:
+        if self.progress is not None:
+            parts = [1.0 if t.finished else t.population.generation / self.settings.generations for t in running]
+            self.progress(sum(parts) / len(parts))
 
 
 def _outcome(running: list[_Trial], grid: NDArray[np.int64]) -> Trials:
