@@ -1,7 +1,8 @@
-"""The ladder of coupling models that are linear in their parameters: each term adds columns to a regression.
+"""The ladder of coupling models: terms that add up to the torque.
 
-torque = columns . genes. `linear` is the paper's equation 3; what else a stand shows lands in Bc when it is left out,
-which is why the other terms exist. Nothing here knows how a recording came about.
+torque = known + columns(shape) . genes. `linear` is the paper's equation 3. What else a stand shows lands in Bc when it
+is left out, which is why the other terms exist. Most add a column, whose factor is solved for exactly; skew, gap and
+slack shape the columns instead, and are searched. Nothing here knows how a recording came about.
 """
 
 from __future__ import annotations
@@ -18,21 +19,32 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-SMOOTHING = 0.05
-"""v_s of the Coulomb term as a part of the r.m.s. deflection rate.
+    from ga.motion import Motion
 
-Small enough that the term is a sign wherever the joint really moves, and large enough that the noise of a rate near
-zero does not flip it. It is taken from the data because rates differ by four decades between stands.
-"""
+    Array = NDArray[np.float64]
+
+SLOWEST: Final = 0.02
+"""Part of the samples whose rate may be too slow for the Coulomb term to be a sign, where its noise is not known."""
+
+FINEST: Final = 0.001
+SMOOTHEST: Final = 0.05
+"""v_s of the Coulomb term, at least and at most, as a part of the r.m.s. rate."""
+
+LONGEST_SKEW: Final = 0.02
+"""s between two readings of one tick, at most."""
+
+WIDEST_GAP: Final = 0.8
+"""Part of the whole deflection that a gap or slack may take."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of a model: its name, its SI unit and what it means."""
+    """One parameter of a model: its name, its SI unit and what it means. scales: in proportion to the torque's."""
 
     name: str
     unit: str
     meaning: str
+    scales: bool = True
 
 
 class UnknownTerm(ValueError):
@@ -41,43 +53,135 @@ class UnknownTerm(ValueError):
 
 @dataclass(frozen=True)
 class Model:
-    """A sum of terms. name: canonical, such as "linear+offset+coulomb". parameters: p, in the order of the columns.
+    """A sum of terms. name: canonical, such as "linear+offset+coulomb+skew".
 
+    linear: the parameters (p,) of the columns, in their order. shape: those (q,) that shape the columns.
     origin: s, where the drift begins; smoothing: v_s of the Coulomb term, rad/s. None: each call takes its own data's.
     """
 
     name: str
-    parameters: tuple[Parameter, ...]
+    linear: tuple[Parameter, ...]
+    shape: tuple[Parameter, ...] = ()
     origin: float | None = None
     smoothing: float | None = None
 
-    def anchored(self, time: NDArray[np.float64], dtheta_dot: NDArray[np.float64]) -> Model:
-        """The same model with origin and smoothing of these data (n,), so that it is one model for every part of them.
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """The names of its terms."""
+        return tuple(self.name.split("+"))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters: those of the columns, then those that shape them."""
+        return self.linear + self.shape
+
+    def anchored(self, motion: Motion) -> Model:
+        """The same model with origin and smoothing of this motion, so that it is one model for every part of it.
 
         Needed where a recording is taken block by block, or where one part is judged by a fit to another.
         """
-        return replace(self, origin=float(time[0]) if time.size else 0.0, smoothing=_smoothing(dtheta_dot))
+        return replace(self, origin=float(motion.time[0]) if len(motion) else 0.0, smoothing=_smoothing(motion))
 
-    def columns(
-        self, time: NDArray[np.float64], dtheta: NDArray[np.float64], dtheta_dot: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """The columns (n, p) from time, s, deflection, rad, and its rate, rad/s, each (n,).
+    def columns(self, motion: Motion, shape: Array | None = None) -> Array:
+        """The columns (n, p) for the shape parameters (q,), SI; None: all zero."""
+        model = self if self.smoothing is not None else self.anchored(motion)
+        return model._stacked(model._engaged(motion, shape), changing=None)
 
-        Raises ValueError where the three are not vectors of one length.
+    def target(self, motion: Motion, torque: Array, shape: Array | None = None) -> Array:
+        """What the columns are to make up, (n,) N m: the torque (n,) without what is known of it."""
+        return np.asarray(torque - motion.delayed(self._of("skew", shape)).known)
+
+    def slopes(self, motion: Motion, shape: Array, genes: Array) -> Array:
+        """How the torque changes with each shape parameter: (n, q), N m per unit, at shape (q,) and genes (p,).
+
+        Where a gap ends the damping torque jumps; what that adds at single samples is left out.
         """
-        if not time.shape == dtheta.shape == dtheta_dot.shape == (time.size,):
-            raise ValueError(
-                f"time {time.shape}, dtheta {dtheta.shape} and dtheta_dot {dtheta_dot.shape} differ in shape"
+        model = self if self.smoothing is not None else self.anchored(motion)
+        engaged = model._engaged(motion, shape)
+        found = []
+        for parameter in self.shape:
+            if parameter.name == "skew":
+                changing = motion.changing(self._of("skew", shape))
+                found.append(-(model._stacked(engaged, changing) @ genes + changing.known))
+            else:
+                stiffness = genes[0] + (3.0 * genes[self._index("K3")] * engaged.angle**2 if "K3" in self else 0.0)
+                moved = 0.5 * np.sign(engaged.angle) if parameter.name == "gap" else np.ones(len(motion))
+                found.append(-stiffness * moved * engaged.touching)
+        return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
+
+    def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]:
+        """Where each shape parameter can be: low (q,) and high (q,), for motion up to `highest` Hz."""
+        low, high = [], []
+        for parameter in self.shape:
+            if parameter.name == "skew":
+                longest = min(LONGEST_SKEW, 0.25 / highest)  # a quarter of the shortest period: beyond it, none is told
+                low.append(-longest)
+                high.append(longest)
+            elif parameter.name == "gap":
+                low.append(0.0)
+                high.append(WIDEST_GAP * float(np.ptp(motion.dtheta)))
+            else:
+                least, span = float(motion.dtheta.min()), float(np.ptp(motion.dtheta))
+                low.append(least)
+                high.append(least + WIDEST_GAP * span)
+        return np.array(low), np.array(high)
+
+    def __contains__(self, parameter: str) -> bool:
+        return any(known.name == parameter for known in self.parameters)
+
+    def _index(self, parameter: str) -> int:
+        return [known.name for known in self.parameters].index(parameter)
+
+    def _of(self, parameter: str, shape: Array | None) -> float:
+        if shape is None or parameter not in self:
+            return 0.0
+        return float(shape[self._index(parameter) - len(self.linear)])
+
+    def _engaged(self, motion: Motion, shape: Array | None) -> _Engaged:
+        """The motion as the torque reading saw it, beyond the gap or slack."""
+        seen = motion.delayed(self._of("skew", shape))
+        angle = seen.dtheta
+        if "gap" in self:
+            angle = np.sign(angle) * np.maximum(np.abs(angle) - 0.5 * self._of("gap", shape), 0.0)
+        elif "slack" in self and shape is not None:
+            angle = np.maximum(angle - self._of("slack", shape), 0.0)
+        touching = (angle != 0.0).astype(np.float64) if {"gap", "slack"} & set(self._names) else np.ones(len(motion))
+        return _Engaged(motion.time - (self.origin or 0.0), seen, angle, touching, self.smoothing or 0.0)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(parameter.name for parameter in self.shape)
+
+    def _stacked(self, engaged: _Engaged, changing: Motion | None) -> Array:
+        """The columns, or how they change in time."""
+        columns = [
+            column
+            for term in self.terms
+            if term in _COLUMNS
+            for column in (
+                _COLUMNS[term].columns(engaged) if changing is None else _COLUMNS[term].changing(engaged, changing)
             )
-        model = self if self.smoothing is not None else self.anchored(time, dtheta_dot)
-        columns = [c for term in self.name.split("+") for c in _TERMS[term].columns(model, time, dtheta, dtheta_dot)]
+        ]
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Engaged:
+    """What the columns are made of: time s since the origin, the motion as the torque saw it, the deflection (n,) rad
+    beyond the gap and whether (n,) it is beyond, v_s rad/s."""
+
+    time: Array
+    seen: Motion
+    angle: Array
+    touching: Array
+    smoothing: float
 
 
 def parse(name: str) -> Model:
     """The model of a name such as "linear+offset+coulomb"; the order of the terms does not matter.
 
-    Raises UnknownTerm for a term there is none of, ValueError for one named twice or where `linear` is missing.
+    Raises UnknownTerm for a term there is none of, ValueError for one named twice, where `linear` is missing or where
+    two exclude each other.
     """
     terms = [term.strip() for term in name.split("+")]
     for term in terms:
@@ -86,64 +190,103 @@ def parse(name: str) -> Model:
             raise ValueError(f'model "{name}": {term} is named twice')
     if "linear" not in terms:
         raise ValueError(f'model "{name}": every model begins with linear, as in "linear+{name}"')
-    ordered = [term for term in _TERMS if term in terms]
-    return Model("+".join(ordered), tuple(p for term in ordered for p in _TERMS[term].parameters))
+    if {"backlash", "slack"} <= set(terms):
+        raise ValueError(f'model "{name}": a single tendon (slack) has no second flank (backlash): leave one out')
+    return _model([term for term in TERMS if term in terms])
+
+
+def _model(terms: list[str]) -> Model:
+    linear = tuple(p for term in terms if term in _COLUMNS for p in _COLUMNS[term].parameters)
+    return Model("+".join(terms), linear, tuple(_SHAPES[term] for term in terms if term in _SHAPES))
 
 
 def _refuse_unknown(term: str) -> None:
-    if term in _TERMS:
+    if term in TERMS:
         return
-    known = ", ".join(_TERMS)
-    if term in _NOT_LINEAR:
-        raise UnknownTerm(f'model term "{term}" is not available yet; there are {known}')
-    near = difflib.get_close_matches(term, _TERMS, n=1)
+    near = difflib.get_close_matches(term, TERMS, n=1)
     hint = f' - did you mean "{near[0]}"?' if near else ""
-    raise UnknownTerm(f'no model term "{term}"; there are {known}{hint}')
+    raise UnknownTerm(f'no model term "{term}"; there are {", ".join(TERMS)}{hint}')
+
+
+def _smoothing(motion: Motion) -> float:
+    """v_s, rad/s: well above the rate's noise, and so small that the Coulomb term is a sign for nearly all samples.
+
+    It is taken from the data because rates differ by four decades between stands.
+    """
+    if not len(motion):
+        return 0.0
+    speed = np.abs(motion.dtheta_dot)
+    usual = float(np.linalg.norm(speed) / np.sqrt(len(motion)))
+    if motion.rate_noise is not None:
+        return float(np.clip(3.0 * motion.rate_noise, FINEST * usual, SMOOTHEST * usual))
+    return float(np.clip(np.quantile(speed, SLOWEST), FINEST * usual, SMOOTHEST * usual))
 
 
 @dataclass(frozen=True, slots=True)
-class _Term:
+class _Columns:
+    """A term that adds columns. changing: how fast they change in time, per second."""
+
     parameters: tuple[Parameter, ...]
-    columns: Callable[
-        [Model, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], tuple[NDArray[np.float64], ...]
-    ]
+    columns: Callable[[_Engaged], tuple[Array, ...]]
+    changing: Callable[[_Engaged, Motion], tuple[Array, ...]]
 
 
-def _smoothing(rate: NDArray[np.float64]) -> float:
-    return SMOOTHING * float(np.linalg.norm(rate) / np.sqrt(max(rate.size, 1)))
-
-
-def _coulomb(rate: NDArray[np.float64], smoothing: float) -> NDArray[np.float64]:
+def _sign(rate: Array, smoothing: float) -> Array:
     return np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate)
 
 
-_TERMS: Final[Mapping[str, _Term]] = MappingProxyType(
+def _sign_changing(engaged: _Engaged, changing: Motion) -> Array:
+    if not engaged.smoothing > 0.0:
+        return np.zeros(len(changing))
+    sign = _sign(engaged.seen.dtheta_dot, engaged.smoothing)
+    return np.asarray((1.0 - sign**2) * changing.dtheta_dot / engaged.smoothing)
+
+
+_COLUMNS: Final[Mapping[str, _Columns]] = MappingProxyType(
     {
-        "linear": _Term(
+        "linear": _Columns(
             (
                 Parameter("Kc", "N*m/rad", "stiffness of the coupling"),
                 Parameter("Bc", "N*m*s/rad", "damping of the coupling"),
             ),
-            lambda _model, _time, angle, rate: (angle, rate),
+            lambda e: (e.angle, e.seen.dtheta_dot * e.touching),
+            lambda e, c: (c.dtheta * e.touching, c.dtheta_dot * e.touching),
         ),
-        "offset": _Term(
+        "offset": _Columns(
             (Parameter("tau0", "N*m", "torque at rest, at the first sample"),),
-            lambda _model, _time, angle, _rate: (np.ones_like(angle),),
+            lambda e: (np.ones_like(e.angle),),
+            lambda e, _c: (np.zeros_like(e.angle),),
         ),
-        "drift": _Term(
+        "drift": _Columns(
             (Parameter("drift", "N*m/s", "slope of the torque reading in time"),),
             # from the first sample on: an absolute time would be nearly collinear with the offset
-            lambda model, time, _angle, _rate: (time - (model.origin or 0.0),),
+            lambda e: (e.time,),
+            lambda e, _c: (np.zeros_like(e.angle),),
         ),
-        "coulomb": _Term(
+        "coulomb": _Columns(
             (Parameter("Fc", "N*m", "Coulomb friction"),),
-            lambda model, _time, _angle, rate: (_coulomb(rate, model.smoothing or 0.0),),
+            lambda e: (_sign(e.seen.dtheta_dot, e.smoothing),),
+            lambda e, c: (_sign_changing(e, c),),
         ),
-        "cubic": _Term(
+        "cubic": _Columns(
             (Parameter("K3", "N*m/rad^3", "cubic stiffness"),),
-            lambda _model, _time, angle, _rate: (angle**3,),
+            lambda e: (e.angle**3,),
+            lambda e, c: (3.0 * e.angle**2 * c.dtheta,),
+        ),
+        "inertia": _Columns(
+            (Parameter("J", "kg*m^2", "inertia that moves with the deflection"),),
+            lambda e: (e.seen.dtheta_ddot,),
+            lambda _e, c: (c.dtheta_ddot,),
         ),
     }
 )
 
-_NOT_LINEAR: Final = frozenset({"backlash", "slack", "skew", "inertia"})
+_SHAPES: Final[Mapping[str, Parameter]] = MappingProxyType(
+    {
+        "backlash": Parameter("gap", "rad", "play of the coupling, its whole width", scales=False),
+        "slack": Parameter("slack", "rad", "deflection before the tendon pulls", scales=False),
+        "skew": Parameter("skew", "s", "how much older the torque reading is than that of the angle", scales=False),
+    }
+)
+
+TERMS: Final = (*_COLUMNS, *_SHAPES)

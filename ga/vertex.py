@@ -24,6 +24,9 @@ STALLED: Final = 1
 UNBOUNDED: Final = 2
 """The pull is stronger than all rows together: they are too few."""
 
+_MOST: Final = 1000
+"""Steps, of which tens are usual: columns that are all but collinear can lead in circles by rounding."""
+
 _SLACK: Final = 1e-11
 """How far beyond 1 a multiplier may be by rounding."""
 
@@ -44,7 +47,9 @@ def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector, basis: Ba
     inverse, point, direction = np.empty((r, r)), np.empty(r), np.empty(r)
     downhill, multiplier = np.empty(r), np.empty(r)
     short_steps = 0
-    while short_steps < 4 * r + 8:
+    for _ in range(_MOST):
+        if short_steps >= 4 * r + 8:
+            break
         _invert(rows, basis, inverse)
         _solve(inverse, torque, basis, point)
         _residuals(rows, torque, point, residual)

@@ -1,4 +1,4 @@
-"""From recordings to what the search takes: columns and torque, in memory where they fit, on disk where they do not."""
+"""From recordings to what the search takes: the signals in memory where they fit, columns on disk where they do not."""
 
 from __future__ import annotations
 
@@ -10,60 +10,73 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.models import Model
 from hil.findings import Finding
-from hil.signals import Signals, joined, prepare, stream
+from hil.model_choice import Choice, Coupling
+from hil.signals import Signals, glimpse, joined, prepare, stream
 from hil.spool import Progress, Spool
 from hil.stand import StandTable, parse
 from hil.store import Recording
 
 Array = NDArray[np.float64]
 Keep = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
+Choose = Callable[[Signals, bool], Choice]
 
 IN_MEMORY = 4_000_000
 """Rows, of all recordings together, up to which they are held in memory."""
-
-_ANCHOR = 1 << 18  # samples of the first recording that set what a model takes from its data
-_SHOWN = 200_000  # samples of a larger recording that are kept for its picture and its bounds
 
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
     """The recordings, pooled.
 
-    model: anchored to them. signals: all of them, or of larger ones every so many-th. columns (m, p), torque (m,): of
-    those signals. samples: of all. whole: whether the signals are all of them. findings: what is to be said of them.
+    choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones. samples: of all.
+    whole: whether the signals are all of them. uncertainty: of the torque's scale, relative, one standard deviation.
+    findings: what is to be said of them.
     """
 
-    model: Model
+    choice: Choice
     signals: Signals
-    columns: Array
     samples: int
     whole: bool
+    uncertainty: float
     findings: list[Finding]
     _table: Callable[[Keep | None], Iterable[tuple[Array, Array]]]
 
-    @property
-    def torque(self) -> Array:
-        """The torque of the signals, (m,) N m."""
-        return self.signals.torque
-
     def blocks(self, keep: Keep | None = None) -> Iterable[tuple[Array, Array]]:
-        """Columns and torque of all samples in order, of those whose numbers (m,) `keep` says are kept."""
+        """Columns and torque of all samples in order, of those whose numbers (m,) `keep` says are kept.
+
+        Of a model that is not linear in its parameters, those of its shape left at zero.
+        """
         return self._table(keep)
 
 
 @contextmanager
-def open_dataset(paths: list[Path], model: Model, progress: Progress | None = None) -> Iterator[Dataset]:
-    """The recordings at `paths` for `model`. Raises WrongUse, Untrustworthy as reading and `prepare` do.
+def open_dataset(paths: list[Path], choose: Choose, progress: Progress | None = None) -> Iterator[Dataset]:
+    """The recordings at `paths` with the model that `choose` says, from signals and whether they are all of them.
 
-    progress is told of every going through recordings that do not fit in memory.
+    progress is told of every going through recordings that do not fit in memory. Raises WrongUse, Untrustworthy as
+    reading and `prepare` do.
     """
-    if _rows(paths) <= IN_MEMORY:
-        yield _in_memory(paths, model)
+    rows = _rows(paths)
+    if rows <= IN_MEMORY:
+        yield _in_memory(paths, choose)
         return
-    with Spool(paths[0], _rows(paths), len(model.parameters), progress) as spool:
-        yield _on_disk(paths, model, spool, progress)
+    signals = _glimpsed(paths)
+    choice = choose(signals, False)
+    with Spool(paths[0], rows, len(choice.model.linear), progress) as spool:
+        findings = _spooled(paths, choice.model, spool, rows, progress)
+        uncertainty = max(_uncertainty(path) for path in paths)
+        yield Dataset(choice, signals, spool.rows, False, uncertainty, findings, spool.blocks)
+
+
+def table(columns: Array, torque: Array) -> Callable[[Keep | None], Iterable[tuple[Array, Array]]]:
+    """Columns (n, p) and torque (n,) as `Dataset.blocks` gives them."""
+
+    def blocks(keep: Keep | None) -> Iterable[tuple[Array, Array]]:
+        chosen = slice(None) if keep is None else keep(np.arange(len(torque)))
+        return [(columns[chosen], torque[chosen])]
+
+    return blocks
 
 
 def _rows(paths: list[Path]) -> int:
@@ -78,6 +91,12 @@ def stand_of(recording: Recording) -> StandTable | None:
     """The stand that a recording was made on, None where the file names none. Raises WrongUse for a damaged one."""
     text = recording.stand_toml
     return parse(text, f"{recording.path}: stand_toml").stand if text else None
+
+
+def _uncertainty(path: Path) -> float:
+    with Recording(path) as recording:
+        stand = stand_of(recording)
+    return 0.0 if stand is None else stand.torque_uncertainty
 
 
 def recording_findings(recording: Recording, signals: Signals) -> list[Finding]:
@@ -95,7 +114,9 @@ def recording_findings(recording: Recording, signals: Signals) -> list[Finding]:
             Finding("not-a-number", f"{signals.not_numbers} of {len(recording)} rows hold a NaN and are left out")
         )
     if signals.near_gaps:
-        found.append(Finding("near-gaps", f"{signals.near_gaps} rows lie beside a gap, where no rate can be told"))
+        found.append(
+            Finding("near-gaps", f"{signals.near_gaps} rows lie beside a gap or an end, where no rate can be told")
+        )
     if signals.coarse_clock:
         found.append(
             Finding("coarse-clock", "several rows share a time stamp: they were spread evenly up to the next stamp")
@@ -103,40 +124,38 @@ def recording_findings(recording: Recording, signals: Signals) -> list[Finding]:
     return found
 
 
-def _in_memory(paths: list[Path], model: Model) -> Dataset:
+def _in_memory(paths: list[Path], choose: Choose) -> Dataset:
     parts, findings = [], []
     for path in paths:
         with Recording(path) as recording:
             parts.append(prepare(recording, stand_of(recording)))
             findings += recording_findings(recording, parts[-1])
     signals = joined(parts)
-    first = parts[0]
-    model = model.anchored(first.time[:_ANCHOR], first.dtheta_dot[:_ANCHOR])
-    columns = model.columns(signals.time, signals.dtheta, signals.dtheta_dot)
-
-    def table(keep: Keep | None) -> Iterable[tuple[Array, Array]]:
-        chosen = slice(None) if keep is None else keep(np.arange(len(signals)))
-        return [(columns[chosen], signals.torque[chosen])]
-
-    return Dataset(model, signals, columns, len(signals), True, findings, table)
+    choice = choose(signals, True)
+    motion = signals.motion
+    columns, torque = choice.model.columns(motion), choice.model.target(motion, signals.torque)
+    uncertainty = max(_uncertainty(path) for path in paths)
+    return Dataset(choice, signals, len(signals), True, uncertainty, findings, table(columns, torque))
 
 
-def _on_disk(paths: list[Path], model: Model, spool: Spool, progress: Progress | None) -> Dataset:
-    rows = _rows(paths)
-    every = 1 + rows // _SHOWN
-    shown, findings = [], []
+def _glimpsed(paths: list[Path]) -> Signals:
+    parts = []
     for path in paths:
         with Recording(path) as recording:
-            parts = []
+            parts.append(glimpse(recording, stand_of(recording)))
+    return joined(parts)
+
+
+def _spooled(paths: list[Path], model: Coupling, spool: Spool, rows: int, progress: Progress | None) -> list[Finding]:
+    """Write all columns and torque to the spool; what is to be said of the recordings."""
+    findings = []
+    for path in paths:
+        with Recording(path) as recording:
+            counts = []
             for part in stream(recording, stand_of(recording)):
-                if model.smoothing is None:
-                    model = model.anchored(part.time[:_ANCHOR], part.dtheta_dot[:_ANCHOR])
-                spool.extend(model.columns(part.time, part.dtheta, part.dtheta_dot), part.torque)
-                parts.append(part.thinned(every))
+                spool.extend(model.columns(part.motion), model.target(part.motion, part.torque))
+                counts.append(part.thinned(len(part)))
                 if progress is not None:
                     progress("reading", min(1.0, spool.rows / rows))
-            shown.append(joined(parts))
-            findings += recording_findings(recording, shown[-1])
-    signals = joined(shown)
-    columns = model.columns(signals.time, signals.dtheta, signals.dtheta_dot)
-    return Dataset(model, signals, columns, spool.rows, False, findings, spool.blocks)
+            findings += recording_findings(recording, joined(counts))
+    return findings

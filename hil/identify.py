@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,83 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.checkpoint import WrongCheckpoint
+from ga.curved import Problem, fit
 from ga.evolution import Settings
 from ga.exact import Optimum
-from ga.models import Model
+from ga.models import Parameter
+from ga.shape_search import search_shapes
 from ga.space import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.streaming import Blocks, Reduced, reduce
 from ga.trials import Trials, run_trials
-from hil.dataset import Dataset, open_dataset
+from hil.dataset import Dataset, Keep, open_dataset, table
 from hil.errors import Untrustworthy, WrongUse
-from hil.findings import Finding
-from hil.intervals import Spread, spread
+from hil.intervals import spread
+from hil.judgement import Evidence, estimates, judge
+from hil.model_choice import Choice, Coupling, choose
+from hil.result import Holdout, Identification
 from hil.signals import Signals
 from hil.spool import Progress
 
 Array = NDArray[np.float64]
 
-_CONFUSED = 30.0  # variance inflation from which two columns are said to look alike
-_OPTIMISER_GAP = 1e-3  # relative gap from which the search is said not to have arrived
 _FOLDS = 10  # blocks in time; every fifth is held out
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """One parameter in SI. value: of the best trial. exact: of the exact optimum. ci95: around the exact optimum."""
-
-    name: str
-    unit: str
-    value: float
-    exact: float
-    ci95: tuple[float, float]
-    trials_mean: float
-    trials_std: float
-    identifiable: bool
-    at_bound: str | None
-    bounds: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Holdout:
-    """A fit to four fifths of the run, judged on the rest.
-
-    fitness: mean |error|, N m. nrmse: RMS error over the torque's spread, NaN where it has none.
-    """
-
-    fitness: float
-    nrmse: float
-
-
-@dataclass(frozen=True, slots=True)
-class Identification:
-    """What `hil identify` found. fitness and optimum: N m. relative_gap: the search's own error, as a ratio.
-
-    seconds: all of it; search_seconds: the trials alone.
-    """
-
-    recordings: tuple[Path, ...]
-    model: Model
-    preset: str
-    seed: int
-    estimates: tuple[Estimate, ...]
-    fitness: float
-    optimum: float
-    relative_gap: float
-    samples: int
-    trials: Trials
-    seconds: float
-    search_seconds: float
-    holdout: Holdout
-    findings: tuple[Finding, ...]
-    signals: Signals
-
-    def __getitem__(self, name: str) -> Estimate:
-        return next(estimate for estimate in self.estimates if estimate.name == name)
-
-    @property
-    def trustworthy(self) -> bool:
-        """Whether nothing fatal was found."""
-        return not any(finding.fatal for finding in self.findings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,43 +50,134 @@ class Search:
     checkpoint: Path | None = None
 
 
-def identify(paths: list[Path], model: Model, search: Search, progress: Progress | None = None) -> Identification:
-    """Fit `model` to the recordings, pooled.
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What the search and the exact solution came to.
+
+    values: (p + q,), of the exact solution. low and high: (p + q,), the bounds of the parameters that were searched,
+    NaN for the others. columns: (m, p + q), of the signals. blocks: the linear problem that the neighbourhood of the
+    solution looks like.
+    """
+
+    values: Array
+    optimum: Optimum
+    low: Array
+    high: Array
+    trials: Trials
+    seconds: float
+    columns: Array
+    blocks: Callable[[Keep | None], Iterable[tuple[Array, Array]]]
+
+
+def identify(
+    paths: list[Path], model: Coupling | None, search: Search, progress: Progress | None = None
+) -> Identification:
+    """Fit a model, None: the one the ladder chooses, to the recordings, pooled.
 
     Ctrl-C while it searches ends the search only: what came of it is returned, with the trials marked as interrupted.
     Raises WrongUse, and Untrustworthy where the recordings cannot be used at all; what is doubtful but usable is in
     the findings.
     """
     began = time.perf_counter()
-    with open_dataset(paths, model, progress) as data:
-        bounds = _bounds(model, search, data.columns, data.torque)
-        reduced = _exact(data.blocks, data.samples)
-        optimum = reduced.optimum
-        searching = time.perf_counter()
-        trials = _search(data, reduced, bounds, search, progress)
-        searched = time.perf_counter()
-        errors = spread(data.blocks, optimum.genes)
-        estimates = _estimates(model, bounds, trials, optimum, errors)
-        fitness = float(trials.fitness.min())
-        gap = optimum.relative_gap(fitness)
-        findings = data.findings + _interruption(trials) + _result_findings(model, estimates, data.columns, errors, gap)
+
+    def chosen(signals: Signals, whole: bool) -> Choice:
+        if progress is not None and model is None:
+            progress("choosing the model", 0.0)
+        return choose(model, signals, straight=not whole or search.preset == "paper")
+
+    with open_dataset(paths, chosen, progress) as data:
+        found = (_curved if data.choice.model.shape else _straight)(data, search, progress)
+        parameters = (*data.choice.model.linear, *data.choice.model.shape)
+        scales = np.array([parameter.scales for parameter in parameters])
+        errors = spread(lambda: found.blocks(None), found.values).carrying(data.uncertainty, found.values, scales)
+        fitness = float(found.trials.fitness.min())
+        holdout = _hold_out(data, found)
+        evidence = Evidence(
+            model=data.choice.model,
+            signals=data.signals,
+            columns=found.columns,
+            values=found.values,
+            unique=found.optimum.unique,
+            errors=errors,
+            trials=found.trials,
+            low=found.low,
+            high=found.high,
+            gap=found.optimum.relative_gap(fitness),
+            holdout=holdout,
+        )
         return Identification(
             recordings=tuple(paths),
-            model=data.model,
+            model=data.choice.model,
+            rungs=data.choice.rungs,
             preset=search.preset,
             seed=search.seed,
-            estimates=estimates,
+            estimates=estimates(evidence),
             fitness=fitness,
-            optimum=optimum.fitness,
-            relative_gap=gap,
+            optimum=found.optimum.fitness,
+            relative_gap=evidence.gap,
             samples=data.samples,
-            trials=trials,
+            trials=found.trials,
             seconds=time.perf_counter() - began,
-            search_seconds=searched - searching,
-            holdout=_hold_out(data),
-            findings=tuple(findings),
+            search_seconds=found.seconds,
+            holdout=holdout,
+            findings=tuple(data.findings + judge(evidence)),
             signals=data.signals,
         )
+
+
+def _straight(data: Dataset, search: Search, progress: Progress | None) -> _Found:
+    """A model that is linear in its parameters: all of them are searched."""
+    model = data.choice.model
+    columns, torque = next(iter(data.blocks(None))) if data.whole else _glimpsed(data)
+    bounds = _bounds(model, search, columns, torque)
+    reduced = _exact(lambda: data.blocks(None), data.samples)
+    began = time.perf_counter()
+    trials = _search(data, reduced, bounds, search, progress)
+    seconds = time.perf_counter() - began
+    optimum = reduced.optimum
+    return _Found(optimum.genes, optimum, bounds.low, bounds.high, trials, seconds, columns, data.blocks)
+
+
+def _glimpsed(data: Dataset) -> tuple[Array, Array]:
+    model, motion = data.choice.model, data.signals.motion
+    return model.columns(motion), model.target(motion, data.signals.torque)
+
+
+def _curved(data: Dataset, search: Search, progress: Progress | None) -> _Found:
+    """A model with a shape: that is searched, and the linear parameters are solved for exactly inside."""
+    model, motion = data.choice.model, data.signals.motion
+    if search.checkpoint is not None:
+        names = ", ".join(_names(model.shape))
+        raise WrongUse(f"--checkpoint: the search for {names} takes seconds and is not kept: leave the option out")
+    unbounded, p = np.full(len(model.linear), np.nan), len(model.linear)
+    low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
+    low, high = _narrowed(low, high, search, _names((*model.linear, *model.shape)), model.name)
+    _check_population(search, len(model.shape))
+    problem = Problem(model, motion, data.signals.torque, low[p:], high[p:])
+    try:
+        exact = fit(problem)
+    except RuntimeError as error:
+        raise Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model") from error
+    began = time.perf_counter()
+    trials = search_shapes(
+        problem,
+        search.settings,
+        trials=search.trials,
+        seed=search.seed,
+        workers=search.workers,
+        progress=None if progress is None else partial(progress, "searching"),
+    )
+    columns, target = problem.linearised(exact)
+    return _Found(
+        values=exact.values,
+        optimum=exact.optimum,
+        low=low,
+        high=high,
+        trials=trials,
+        seconds=time.perf_counter() - began,
+        columns=columns,
+        blocks=table(columns, target),
+    )
 
 
 def _exact(blocks: Blocks, samples: int) -> Reduced:
@@ -158,11 +192,8 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
 
     Raises WrongUse for a population that is too small, or a checkpoint that is of another search or cannot be written.
     """
-    try:
-        search.settings.population_for(len(bounds.low))
-    except ValueError as error:
-        raise WrongUse(f"--population: {error}") from None
-    columns, torque = (data.columns, data.torque) if data.whole else (reduced.columns, reduced.torque)
+    _check_population(search, len(bounds.low))
+    columns, torque = next(iter(data.blocks(None))) if data.whole else (reduced.columns, reduced.torque)
     try:
         trials = run_trials(
             columns,
@@ -183,110 +214,40 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
     return trials if data.whole else trials.scaled(reduced.share)
 
 
-def _interruption(trials: Trials) -> list[Finding]:
-    if not trials.interrupted:
-        return []
-    return [
-        Finding(
-            "interrupted",
-            f"the search was cut short with {int(trials.finished.sum())} of {len(trials.finished)} trials at their "
-            "end: the best is the best so far, mean and deviation are over all of them as they stood",
-        )
-    ]
-
-
-def _bounds(model: Model, search: Search, columns: Array, torque: Array) -> Bounds:
+def _bounds(model: Coupling, search: Search, columns: Array, torque: Array) -> Bounds:
     """The box to search: given ranges first, then the paper's for its preset, then the data's own."""
     found = bounds_from_data(columns, torque)
     low, high = found.low.copy(), found.high.copy()
-    names = tuple(parameter.name for parameter in model.parameters)
     if search.preset == "paper":
         low[:2], high[:2] = PAPER_BOUNDS.low, PAPER_BOUNDS.high
+    names = _names(model.linear)
+    return Bounds(*_narrowed(low, high, search, names, model.name), names)
+
+
+def _narrowed(low: Array, high: Array, search: Search, names: tuple[str, ...], model: str) -> tuple[Array, Array]:
+    """The bounds (p,) with the ranges that were given. Raises WrongUse for an unknown one, or one that is none."""
+    low, high = low.copy(), high.copy()
     for name, (lowest, highest) in search.bounds.items():
         if name not in names:
-            raise WrongUse(f"--bounds {name}: model {model.name!r} has no such parameter; it has {', '.join(names)}")
+            raise WrongUse(f"--bounds {name}: model {model!r} has no such parameter; it has {', '.join(names)}")
         if not (np.isfinite(lowest) and np.isfinite(highest) and lowest < highest):
             raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: write the lower one first, both as numbers in SI")
         low[names.index(name)], high[names.index(name)] = lowest, highest
-    return Bounds(low, high, names)
+    return low, high
 
 
-def _estimates(model: Model, bounds: Bounds, trials: Trials, optimum: Optimum, errors: Spread) -> tuple[Estimate, ...]:
-    at_bound = bounds.at_bound(trials.best)
-    found = []
-    for index, parameter in enumerate(model.parameters):
-        exact, half = float(optimum.genes[index]), float(errors.half_width[index])
-        told = optimum.unique and errors.inflation[index] < _CONFUSED
-        if parameter.name in {"Kc", "Bc"}:  # a coupling is known once its value stands out from its interval
-            told = told and half < 0.5 * abs(exact)
-        found.append(
-            Estimate(
-                name=parameter.name,
-                unit=parameter.unit,
-                value=float(trials.best[index]),
-                exact=exact,
-                ci95=(exact - half, exact + half),
-                trials_mean=float(trials.mean[index]),
-                trials_std=float(trials.std[index]),
-                identifiable=bool(told),
-                at_bound=at_bound[index],
-                bounds=(float(bounds.low[index]), float(bounds.high[index])),
-            )
-        )
-    return tuple(found)
+def _check_population(search: Search, count: int) -> None:
+    try:
+        search.settings.population_for(count)
+    except ValueError as error:
+        raise WrongUse(f"--population: {error}") from None
 
 
-def _result_findings(
-    model: Model, estimates: tuple[Estimate, ...], columns: Array, errors: Spread, gap: float
-) -> list[Finding]:
-    found = []
-    for index, estimate in enumerate(estimates):
-        name = estimate.name
-        if estimate.at_bound is not None:
-            found.append(
-                Finding(
-                    "at-bound",
-                    f"{name} lies at the {estimate.at_bound} end of its bounds: the answer is the bound's, not the "
-                    f"data's; widen it with --bounds {name}=LOW:HIGH",
-                    name,
-                    fatal=name in {"Kc", "Bc"},
-                )
-            )
-        if not estimate.identifiable:
-            found.append(
-                Finding(
-                    "not-identifiable",
-                    _why_not(model, index, columns, errors),
-                    name,
-                    fatal=name in {"Kc", "Bc"},
-                )
-            )
-    # the exact optimum knows no bounds: at one, the gap is the bound's and not the search's
-    if gap > _OPTIMISER_GAP and not any(estimate.at_bound for estimate in estimates):
-        found.append(
-            Finding("not-converged", f"the search ended {gap:.2g} above the exact optimum: give it more --generations")
-        )
-    return found
+def _names(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:
+    return tuple(parameter.name for parameter in parameters)
 
 
-def _why_not(model: Model, index: int, columns: Array, errors: Spread) -> str:
-    names = [parameter.name for parameter in model.parameters]
-    name = names[index]
-    if not columns[:, index].any():
-        return f"{name} cannot be told: nothing in this recording excites it"
-    if errors.inflation[index] < _CONFUSED:
-        return f"{name} cannot be told: its 95 % interval is as wide as its value; excite it more (--band, --amplitude)"
-    norms = np.linalg.norm(columns, axis=0)
-    alike = np.abs(columns.T @ columns[:, index]) / np.where(norms > 0.0, norms, 1.0) / norms[index]
-    alike[index] = 0.0
-    other = names[int(np.argmax(alike))]
-    return (
-        f"{name} cannot be told from {other}: in this recording they look alike; drive at several speeds "
-        "(--profile chirp or multisine) and over a wider band"
-    )
-
-
-def _hold_out(data: Dataset) -> Holdout:
+def _hold_out(data: Dataset, found: _Found) -> Holdout:
     def is_out(number: NDArray[np.int64]) -> NDArray[np.bool_]:
         return np.asarray(number * _FOLDS // data.samples % 5 == 2)
 
@@ -294,9 +255,9 @@ def _hold_out(data: Dataset) -> Holdout:
         return ~is_out(number)
 
     kept = int(np.count_nonzero(is_in(np.arange(data.samples))))
-    genes = _exact(lambda: data.blocks(is_in), kept).optimum.genes
+    genes = _exact(lambda: found.blocks(is_in), kept).optimum.genes
     count, absolute, square, total, power = 0, 0.0, 0.0, 0.0, 0.0
-    for columns, torque in data.blocks(is_out):
+    for columns, torque in found.blocks(is_out):
         left = torque - columns @ genes
         count += len(torque)
         absolute += float(np.abs(left).sum())

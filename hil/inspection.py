@@ -12,7 +12,8 @@ from drivers.servo import Status
 from hil.dataset import recording_findings, stand_of
 from hil.errors import Untrustworthy
 from hil.findings import Finding
-from hil.signals import Signals, local_cubic, prepare, window_half
+from hil.local_polynomial import kernel, local_polynomial, widest
+from hil.signals import Signals, prepare
 from hil.store import Recording
 
 Array = NDArray[np.float64]
@@ -21,6 +22,7 @@ _FEW_COUNTS = 20.0  # counts of deflection, below which quantisation shapes the 
 _POOR_SNR = 20.0  # dB
 _MANY_LOST = 0.02
 _MANY_SATURATED = 0.01
+_GAIN_ERROR = 5e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,9 @@ def inspect(path: Path) -> Inspection:
         saturated = int(np.count_nonzero(status & int(Status.SATURATED)))
         late = int(np.count_nonzero(status & int(Status.LATE)))
         intervals = np.diff(signals.time)
+        read = recording.channel("read_time")
+        stamps = np.where(np.isfinite(read), read, recording.channel("time"))
+        stamps = stamps[np.isfinite(stamps)]
         noise = _noise(signals)
         snr = 10.0 * float(np.log10(np.var(signals.torque) / noise**2)) if noise > 0.0 else float("inf")
         measured = {
@@ -85,7 +90,7 @@ def inspect(path: Path) -> Inspection:
             created=str(recording.attributes.get("created", "")),
             end_reason=str(recording.attributes.get("end_reason", "")) or "did not end",
             samples=len(recording),
-            duration=float(signals.time[-1] - signals.time[0]),
+            duration=float(stamps[-1] - stamps[0]),
             rate=1.0 / float(np.median(intervals)),
             jitter=float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99)),
             lost=signals.lost,
@@ -106,12 +111,12 @@ def inspect(path: Path) -> Inspection:
 
 
 def _noise(signals: Signals) -> float:
-    """Standard deviation of the torque, N m, about a local cubic of the rate's own window; robust to outliers."""
-    half = window_half(signals.time, signals.band[1])
-    left = signals.torque - local_cubic(signals.time, signals.torque, half)[0]
-    # a cubic takes 4 of the window's 2*half+1 degrees of freedom, most of them at its centre
-    freedom = 1.0 - 9.0 / (4.0 * (2 * half + 1))
-    return 1.4826 * float(np.median(np.abs(left))) / float(np.sqrt(freedom))
+    """Standard deviation of the torque, N m, about a local polynomial over what moved; robust to outliers."""
+    time = signals.time
+    cycles = signals.band[1] * (time[-1] - time[0]) / (len(time) - 1)
+    half = widest(0, cycles, max(2, (len(time) - 1) // 8), _GAIN_ERROR)
+    left = signals.torque - local_polynomial(time, signals.torque, half)[0]
+    return 1.4826 * float(np.median(np.abs(left))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
 
 
 def _smallest_step(values: Array) -> float:

@@ -34,6 +34,14 @@ class Spread:
     half_width: Array
     inflation: Array
 
+    def carrying(self, uncertainty: float, values: Array, scales: NDArray[np.bool_]) -> Spread:
+        """The same with the uncertainty of the torque's scale, relative, one standard deviation, carried in.
+
+        An error of the scale goes one to one into every parameter (p,) that `scales` with the torque.
+        """
+        carried = np.where(scales, 1.96 * uncertainty * np.abs(values), 0.0)
+        return Spread(np.hypot(self.half_width, carried), self.inflation)
+
 
 def spread(blocks: Blocks, genes: Array) -> Spread:
     """The intervals around the exact optimum `genes` (p,) of the data in `blocks`, which is gone through three times.
@@ -54,7 +62,8 @@ def spread(blocks: Blocks, genes: Array) -> Spread:
     bread = np.linalg.inv(kernel[np.ix_(told, told)] / units)
     covariance = bread @ (scores.T @ scores)[np.ix_(told, told)] / units @ bread
     quantile = float(stdtrit(max(1, len(scores) - int(told.sum())), 0.975))
-    half[told] = quantile * np.sqrt(np.diag(covariance)) / scale[told]
+    variance = np.diag(covariance)  # negative by rounding: the columns tell nothing
+    half[told] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.inf)) / scale[told]
     inflation[told] = np.diag(np.linalg.inv(gram))
     return Spread(half, inflation)
 

@@ -14,7 +14,8 @@ from ga.evolution import PRESETS
 from ga.fitness import REPAID, WORTHWHILE
 from ga.models import parse as parse_model
 from hil import profiles
-from hil.identify import Identification, Search, identify
+from hil.identify import Search, identify
+from hil.result import Identification
 from hil.run import run
 from hil.signals import Signals
 from hil.spool import Progress

@@ -17,8 +17,9 @@ from hil.target import writing
 if TYPE_CHECKING:  # rich costs 50 ms, and what these modules import more
     from rich.table import Table
 
-    from hil.identify import Estimate, Identification
     from hil.inspection import Inspection
+    from hil.ladder import Rung
+    from hil.result import Estimate, Identification
 
 SCHEMA = "hil-identification/1"
 
@@ -59,6 +60,7 @@ def as_json(found: Identification) -> dict[str, Any]:
             {"code": finding.code, "parameter": finding.parameter, "message": finding.message}
             for finding in found.findings
         ],
+        "ladder": [_rung(rung) for rung in found.rungs],
     }
 
 
@@ -72,7 +74,20 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
         "trials_std": _number(estimate.trials_std),
         "identifiable": estimate.identifiable,
         "at_bound": estimate.at_bound,
-        "bounds": list(estimate.bounds),
+        "bounds": [_number(end) for end in estimate.bounds],
+    }
+
+
+def _rung(rung: Rung) -> dict[str, Any]:
+    return {
+        "model": rung.model,
+        "term": rung.term,
+        "taken": rung.taken,
+        "fitness": rung.fitness,
+        "held_out": rung.held_out,
+        "gain": _number(rung.gain),
+        "Kc": rung.Kc,
+        "Bc": rung.Bc,
     }
 
 
@@ -106,6 +121,29 @@ def identification_table(found: Identification) -> Table:
     return table
 
 
+def ladder_table(found: Identification) -> Table:
+    """The ladder of models: what each term gains, and what it does to Kc and Bc."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    milli = _milli(found)
+    torque, kc, bc = (people_unit(unit, milli=milli) for unit in ("N*m", "N*m/rad", "N*m*s/rad"))
+    table = Table(title="which terms the recording asks for", box=SIMPLE, pad_edge=False)
+    for heading in ("term", f"error, {torque[1]}", "held out", "gain", f"Kc, {kc[1]}", f"Bc, {bc[1]}", ""):
+        table.add_column(heading, justify="right" if heading not in {"term", ""} else "left")
+    for rung in found.rungs:
+        table.add_row(
+            rung.term if rung.term == "linear" else f"+ {rung.term}",
+            f"{rung.fitness * torque[0]:.4g}",
+            f"{rung.held_out * torque[0]:.4g}",
+            f"{rung.gain:.3g}" if math.isfinite(rung.gain) else "",
+            f"{rung.Kc * kc[0]:.5g}",
+            f"{rung.Bc * bc[0]:.4g}",
+            "taken" if rung.taken else "not taken",
+        )
+    return table
+
+
 def identification_lines(found: Identification) -> list[str]:
     """What the table does not say: the fitness and its gap, the held-out part, the work done."""
     factor, unit = people_unit("N*m", milli=_milli(found))
@@ -133,7 +171,7 @@ def inspection_table(seen: Inspection) -> Table:
         "torque": f"{seen.torque * factor:.4g} {unit} peak to peak, from {seen.torque_from}",
         "torque noise": f"{seen.torque_noise * factor:.3g} {unit}; signal to noise {seen.snr:.0f} dB",
         "moved": f"{seen.band[0]:.3g} to {seen.band[1]:.3g} Hz (95 % of the rate's power)",
-        "rate from": f"a local cubic over {seen.rate_window * 1e3:.3g} ms" if seen.rate_window else "the file",
+        "rate from": f"a local polynomial over {seen.rate_window * 1e3:.3g} ms" if seen.rate_window else "the file",
     }
     for name, text in rows.items():
         table.add_row(name, text)
@@ -183,8 +221,11 @@ def draw(found: Identification, path: Path) -> None:
 
 def _modelled(found: Identification) -> NDArray[np.float64]:
     signals = found.signals
-    columns = found.model.columns(signals.time, signals.dtheta, signals.dtheta_dot)
-    return np.asarray(columns @ [estimate.value for estimate in found.estimates])
+    values = np.array([estimate.value for estimate in found.estimates])
+    shape = values[len(found.model.linear) :]
+    columns = found.model.columns(signals.motion, shape)
+    known = signals.torque - found.model.target(signals.motion, signals.torque, shape)
+    return np.asarray(known + columns @ values[: len(found.model.linear)])
 
 
 def _title(found: Identification) -> str:

@@ -1,9 +1,10 @@
 """From a recording to what the search takes: torque, deflection and rate on one time base.
 
-The rate is the slope of a local cubic fitted to the deflection over a window centred on each sample: no phase shift,
-and a gain within 0.5 % of one up to the frequency below which 95 % of the rate's power lies, which sets the window.
-Torque inferred from the motor through equation (1) has the same local cubic on every term and on the deflection, so
-that whatever the window does to one side it does to the other. Raw channels are never altered.
+Rate and acceleration are slope and curvature of a local polynomial fitted to the deflection over a window centred on
+each sample: no phase shift, and a gain within 0.03 % of one up to the frequency below which 99 % of the rate's power
+lies, which sets the windows (docs/rate.md says why). Nothing else is filtered: in equation (1) too the torque stays as
+it was read, and what the motor itself takes of it is worked out from the same rate and acceleration. Raw channels are
+never altered.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from drivers.servo import Status
+from ga.motion import Motion
 from hil.errors import Untrustworthy
+from hil.local_polynomial import kernel, local_polynomial, widest
 from hil.stand import StandTable
 from hil.store import Recording
 
@@ -24,48 +26,79 @@ Array = NDArray[np.float64]
 
 _FEWEST = 16  # samples, below which nothing is concluded
 _COARSE = 0.05  # share of repeated stamps from which a clock is called coarse
-_GAIN = 0.995  # of the rate, at the upper end of the band
-_LOW_SHARE, _HIGH_SHARE = 0.01, 0.95  # of the power of deflection and rate: the ends of the band
+_GAIN_ERROR = 3e-4  # of rate and acceleration, at the upper end of the band
+_LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
+_PARTS = 20  # windows side by side that a recording has room for, so that few rows lie near its ends
+_APART = 4.0  # usual steps between two samples from which on they are of two stretches
+_SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 _PROBE = 1 << 20  # rows that show how a recording is to be read
 _MARGIN = 256  # rows beyond the windows of a block, for what is lost among them
 _WIDEST = 250  # samples on each side of a window
-_DEGREE = 3
-_ARRAYS = ("time", "torque", "dtheta", "dtheta_dot")
+_ARRAYS = ("time", "torque", "dtheta", "dtheta_dot", "dtheta_ddot", "known")
 
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """Equal-length (n,) arrays: time s, torque N m, dtheta rad, dtheta_dot rad/s, all at the joint.
+    """Equal-length (n,) arrays, all at the joint: time s, torque N m as it was read, dtheta rad, dtheta_dot rad/s,
+    dtheta_ddot rad/s^2, known N m, what of the torque is not the coupling's: the motor's own in equation (1).
 
-    lost: replies that never came. not_numbers: rows dropped for a NaN. near_gaps: rows dropped since their window
-    spans a gap. coarse_clock: whether repeated stamps were spread. band: Hz, what moved. rate_window: s, the width of
-    the local cubic, 0 where the rate was given. torque_from: "joint", "motor" or "given".
+    starts: where a stretch without a gap begins, of one recording. lost: replies that never came. not_numbers: rows
+    dropped for a NaN. near_gaps: rows dropped since their window spans a gap or an end. coarse_clock: whether repeated
+    stamps were spread. band: Hz, what moved. rate_window: s, the width of the local polynomial, 0 where the rate was
+    given; rate_noise: rad/s, what of the rate is noise, None where that is not known. torque_from: "joint", "motor" or
+    "given".
     """
 
     time: Array
     torque: Array
     dtheta: Array
     dtheta_dot: Array
+    dtheta_ddot: Array
+    known: Array
+    starts: tuple[int, ...]
     lost: int
     not_numbers: int
     near_gaps: int
     coarse_clock: bool
     band: tuple[float, float]
     rate_window: float
+    rate_noise: float | None
     torque_from: str
 
     def __len__(self) -> int:
         return len(self.time)
 
+    @property
+    def motion(self) -> Motion:
+        """How the joint moved, as the models take it."""
+        return Motion(
+            self.time,
+            self.dtheta,
+            self.dtheta_dot,
+            self.dtheta_ddot,
+            self.known,
+            starts=self.starts,
+            rate_noise=self.rate_noise,
+        )
+
+    @property
+    def coupling_torque(self) -> Array:
+        """The torque in the coupling, (n,) N m: what was read without what is known of it."""
+        return self.torque - self.known
+
     def thinned(self, every: int) -> Signals:
         """The same with every `every`-th sample only; what is counted stays counted."""
         arrays = {name: getattr(self, name)[::every] for name in _ARRAYS}
-        return replace(self, **arrays)
+        return replace(self, starts=tuple(-(-start // every) for start in self.starts), **arrays)
 
 
 def joined(parts: list[Signals]) -> Signals:
     """The signals of several recordings, or of the blocks of one, one after the other."""
+    lengths = np.cumsum([0, *(len(part) for part in parts[:-1])])
+    noises = [part.rate_noise for part in parts if part.rate_noise is not None]
     return Signals(
+        starts=tuple(int(length) + start for length, part in zip(lengths, parts, strict=True) for start in part.starts),
+        rate_noise=max(noises) if len(noises) == len(parts) else None,
         **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS},
         lost=sum(part.lost for part in parts),
         not_numbers=sum(part.not_numbers for part in parts),
@@ -104,9 +137,11 @@ class _Usable:
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """The local cubic for a recording: samples a side, the usual step between two, s, and the band it serves, Hz."""
+    """The local polynomials for a recording: neighbours a side for the slope and for the curvature, the usual step
+    between two samples, s, and the band they serve, Hz."""
 
-    half: int
+    slope: int
+    curvature: int
     step: float
     band: tuple[float, float]
 
@@ -134,12 +169,26 @@ def stream(recording: Recording, stand: StandTable | None, block: int = 1 << 18)
     first = _usable(recording, source, 0, min(_PROBE, len(recording)))
     _refuse_hopeless(recording, first)
     window = _window_for(replace(first, time=spread_stamps(first.time)[0]))
-    margin = 4 * window.half + _MARGIN  # the acceleration is the slope of a slope, and some rows are lost
+    margin = 2 * window.slope + _MARGIN  # some rows are lost
     for start in range(0, len(recording), block):
         stop = min(start + block, len(recording))
         usable = _usable(recording, source, max(0, start - margin), min(stop + margin, len(recording)))
         time, coarse = spread_stamps(usable.time)
         yield _signals(replace(usable, time=time), source, window, (start, stop), coarse=coarse)
+
+
+def glimpse(recording: Recording, stand: StandTable | None, parts: int = 16, rows: int = 1 << 14) -> Signals:
+    """Some stretches of a long recording, evenly spread. Raises Untrustworthy as `stream` does."""
+    source = _source_of(recording, stand)
+    first = _usable(recording, source, 0, min(_PROBE, len(recording)))
+    _refuse_hopeless(recording, first)
+    window = _window_for(replace(first, time=spread_stamps(first.time)[0]))
+    found = []
+    for start in np.linspace(0, max(0, len(recording) - rows), parts).astype(int).tolist():
+        usable = _usable(recording, source, start, min(start + rows, len(recording)))
+        time, coarse = spread_stamps(usable.time)
+        found.append(_signals(replace(usable, time=time), source, window, (0, len(recording)), coarse=coarse))
+    return joined(found)
 
 
 def _source_of(recording: Recording, stand: StandTable | None) -> _Source:
@@ -173,47 +222,90 @@ def _usable(recording: Recording, source: _Source, start: int, stop: int) -> _Us
 
 
 def _window_for(usable: _Usable) -> _Window:
-    band = excited_band(usable.time, usable.dtheta)
-    return _Window(window_half(usable.time, band[1]), float(np.median(np.diff(usable.time))), band)
+    time = usable.time
+    band = excited_band(time, usable.dtheta)
+    cycles = band[1] * (time[-1] - time[0]) / (len(time) - 1)
+    most = min(_WIDEST, (len(time) - 1) // _PARTS)
+    slope, curvature = (widest(order, cycles, most, _GAIN_ERROR) for order in (1, 2))
+    return _Window(slope, min(slope, curvature), float(np.median(np.diff(time))), band)
 
 
 def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int, int], *, coarse: bool) -> Signals:
     """The signals of the usable rows that lie within `rows` of the file; the others serve their windows only."""
-    time, torque, dtheta, rate = usable.time, usable.torque, usable.dtheta, usable.reported_rate
-    sound = np.ones(len(time), dtype=bool)
-    if not source.given_rate:
-        smooth, rate, span = local_cubic(time, dtheta, window.half)
-        sound = span <= 1.5 * (2 * window.half) * window.step
-        if source.motor_side and source.stand is not None:
-            torque = _at_joint(time, torque, rate, window.half, source.stand)
-            dtheta = smooth
+    time, dtheta = usable.time, usable.dtheta
+    smooth, rate, acceleration = local_polynomial(time, dtheta, window.slope)
+    if source.given_rate:
+        rate = usable.reported_rate
+        acceleration = local_polynomial(time, rate, window.slope)[1]
+    elif window.curvature < window.slope:
+        acceleration = local_polynomial(time, dtheta, window.curvature)[2]
+    torque, known = _at_joint(usable.torque, rate, acceleration, source)
     inside = _within(usable.row, rows)
-    kept = sound & inside
+    sound = np.ones(len(time), dtype=bool) if source.given_rate else _is_sound(time, window)
+    starts, long_enough = _stretches(time, sound, window.step)
+    kept = long_enough & inside
     return Signals(
         time=time[kept],
         torque=torque[kept],
         dtheta=dtheta[kept],
         dtheta_dot=rate[kept],
+        dtheta_ddot=acceleration[kept],
+        known=known[kept],
+        starts=_starts_within(starts, kept),
         lost=int(np.count_nonzero(_within(usable.lost, rows))),
         not_numbers=int(np.count_nonzero(_within(usable.not_numbers, rows))),
-        near_gaps=int(np.count_nonzero(inside & ~sound)),
+        near_gaps=int(np.count_nonzero(inside & ~long_enough)),
         coarse_clock=coarse,
         band=window.band,
-        rate_window=0.0 if source.given_rate else (2 * window.half + 1) * window.step,
+        rate_window=0.0 if source.given_rate else (2 * window.slope + 1) * window.step,
+        rate_noise=None if source.given_rate else _rate_noise(dtheta - smooth, window),
         torque_from="motor" if source.motor_side else ("given" if source.stand is None else "joint"),
     )
+
+
+def _is_sound(time: Array, window: _Window) -> NDArray[np.bool_]:
+    """Whether (n,) the window of a sample is whole: centred on it, and without a gap in it."""
+    width, half = 2 * window.slope, window.slope
+    sound = np.zeros(len(time), dtype=bool)
+    sound[half : len(time) - half] = time[width:] - time[:-width] <= 1.5 * width * window.step
+    return sound
+
+
+def _stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Where a stretch of sound samples without a gap begins, and which samples (n,) are of one that is long enough."""
+    places = np.flatnonzero(sound)
+    breaks = np.flatnonzero((np.diff(places) > 1) & (np.diff(time[places]) > _APART * step)) + 1
+    parts = [part for part in np.split(places, breaks) if len(part) >= _SHORTEST]
+    kept = np.zeros(len(time), dtype=bool)
+    for part in parts:
+        kept[part] = True
+    return np.array([part[0] for part in parts], dtype=np.int64), kept
+
+
+def _starts_within(starts: NDArray[np.int64], kept: NDArray[np.bool_]) -> tuple[int, ...]:
+    """The same starts, counted in the samples that are kept."""
+    counted = np.unique(np.concatenate([[0], np.cumsum(kept)[starts] - kept[starts]]))
+    return tuple(counted[counted < np.count_nonzero(kept)].tolist()) or (0,)
+
+
+def _rate_noise(left: Array, window: _Window) -> float:
+    """The standard deviation of the rate's noise, rad/s, from what the polynomial leaves of the deflection, rad."""
+    freedom = 1.0 - float(kernel(window.slope, 0)[window.slope])
+    noise = 1.4826 * float(np.median(np.abs(left))) / np.sqrt(max(freedom, 0.01))
+    return float(noise * np.linalg.norm(kernel(window.slope, 1)) / window.step)
 
 
 def _within(row: NDArray[np.int64], rows: tuple[int, int]) -> NDArray[np.bool_]:
     return (row >= rows[0]) & (row < rows[1])
 
 
-def _at_joint(time: Array, motor_torque: Array, rate: Array, half: int, stand: StandTable) -> Array:
-    """Equation (1): the coupling's torque (n,) N m from the motor's, which moves with the deflection."""
+def _at_joint(torque: Array, rate: Array, acceleration: Array, source: _Source) -> tuple[Array, Array]:
+    """Equation (1), times the gear ratio: the torque (n,) N m at the joint, and what the motor itself takes of it."""
+    stand = source.stand
+    if not source.motor_side or stand is None:
+        return torque, np.zeros_like(torque)
     ratio = stand.gear_ratio
-    acceleration = local_cubic(time, rate, half)[1]  # a cubic's own curvature has a gain far below its slope's
-    smooth = local_cubic(time, motor_torque, half)[0]
-    return ratio * (smooth - stand.motor_inertia * ratio * acceleration - stand.motor_damping * ratio * rate)
+    return ratio * torque, ratio**2 * (stand.motor_inertia * acceleration + stand.motor_damping * rate)
 
 
 def _refuse_hopeless(recording: Recording, usable: _Usable) -> None:
@@ -266,54 +358,3 @@ def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
     low = int(np.searchsorted(power, _LOW_SHARE * power[-1]))
     high = int(np.searchsorted(rate_power, _HIGH_SHARE * rate_power[-1]))
     return float(frequency[1 + low]), float(frequency[1 + max(low, high)])
-
-
-def window_half(time: Array, highest: float) -> int:
-    """The widest window, in samples on each side, whose rate has a gain within 0.5 % of one at `highest` Hz."""
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    widest = max(2, min(_WIDEST, (len(time) - 1) // 4))
-    half = 2
-    while half < widest and rate_gain(half + 1, highest * step) >= _GAIN:
-        half += 1
-    return half
-
-
-def rate_gain(half: int, cycles: float) -> float:
-    """Gain of the local cubic's slope at `cycles` periods a sample, for an even grid and `half` samples a side."""
-    offsets = np.arange(-half, half + 1, dtype=np.float64)
-    slope = np.linalg.pinv(np.vander(offsets / half, _DEGREE + 1, increasing=True))[1] / half
-    omega = 2.0 * np.pi * cycles
-    return float(slope @ np.sin(omega * offsets)) / omega
-
-
-def local_cubic(time: Array, values: Array, half: int) -> tuple[Array, Array, Array]:
-    """Value and slope at every sample of the cubic that fits its window best, and the window's span in s.
-
-    time (n,) s, need not be even; values (n,). A window is the sample and `half` neighbours a side; at the ends it is
-    the first or last 2*half+1 samples, evaluated off its centre. All results (n,).
-    """
-    width = 2 * half + 1
-    starts = np.clip(np.arange(len(time)) - half, 0, len(time) - width)
-    times, rows = sliding_window_view(time, width), sliding_window_view(values, width)
-    parts = [
-        _cubic_block(time[block], times[starts[block]], rows[starts[block]])
-        for block in np.array_split(np.arange(len(time)), 1 + len(time) * width // 2**21)
-    ]
-    value, slope, span = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return value, slope, span
-
-
-def _cubic_block(at: Array, times: Array, rows: Array) -> tuple[Array, Array, Array]:
-    """`local_cubic` for windows (b, w) around the times `at` (b,)."""
-    span = times[:, -1] - times[:, 0]
-    scale = 0.5 * span
-    offset = (times - at[:, None]) / scale[:, None]
-    base = rows.mean(axis=1)
-    powers = [np.ones_like(offset)]
-    for _ in range(_DEGREE):
-        powers.append(powers[-1] * offset)
-    design = np.stack(powers, axis=-1)
-    transposed = np.swapaxes(design, 1, 2)
-    right = transposed @ (rows - base[:, None])[..., None]
-    coefficients = np.linalg.solve(transposed @ design, right)[..., 0]
-    return coefficients[:, 0] + base, coefficients[:, 1] / scale, span

@@ -34,6 +34,7 @@ class StandTable(_Table):
 
     gear_ratio: motor turns a joint turn. motor_inertia: kg m^2. motor_damping: N m s/rad, both at the motor shaft.
     torque_source: "joint" for a torque cell at the locked joint, "motor" to infer it through equation (1).
+    torque_uncertainty: of the torque's scale (torque constant or cell), relative, one standard deviation.
     """
 
     name: str = "unnamed stand"
@@ -42,6 +43,7 @@ class StandTable(_Table):
     motor_inertia: NotNegative = 0.0
     motor_damping: NotNegative = 0.0
     torque_source: Literal["motor", "joint"] = "motor"
+    torque_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
 
 
 class LimitsTable(_Table):

@@ -15,12 +15,18 @@ from hil.errors import WrongUse
 if TYPE_CHECKING:
     from ga.evolution import Settings
     from ga.models import Model
-    from hil.identify import Identification, Search
+    from hil.identify import Search
+    from hil.result import Identification
 
 
 def identify(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings, pooled.")],
-    model: Annotated[str, typer.Option(help="Terms joined with +: linear, offset, drift, coulomb, cubic.")] = "linear",
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="auto, or terms: linear[+offset][+drift][+coulomb][+cubic][+inertia][+backlash][+slack][+skew]."
+        ),
+    ] = None,
     preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",
     trials: Annotated[int, typer.Option(min=1, help="Independent searches.")] = 30,
     generations: Annotated[int | None, typer.Option(min=1, help="Of each trial; the preset's own otherwise.")] = None,
@@ -38,16 +44,12 @@ def identify(
     as_json: Json = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
-    from ga.models import parse as parse_model
     from hil.identify import Search
     from hil.target import check_target
 
     if report is not None:
         check_target(report, force=force)
-    try:
-        chosen = parse_model(model)
-    except ValueError as error:
-        raise WrongUse(f"--model {model!r}: {error}") from None
+    chosen = _model(model or ("linear" if preset == "paper" else "auto"))
     readings = {"selection": selection, "weights": weights, "replacement": replacement}
     sizes = {"generations": generations, "population": population, "mutation": mutation}
     given = {name: value for name, value in (readings | sizes).items() if value is not None}
@@ -64,7 +66,7 @@ def identify(
 
 
 def identify_and_show(
-    recordings: list[Path], model: Model, search: Search, report: Path | None, *, as_json: bool
+    recordings: list[Path], model: Model | None, search: Search, report: Path | None, *, as_json: bool
 ) -> None:
     """Search with a progress bar, print the result, write the page where one is asked for.
 
@@ -93,11 +95,25 @@ def identify_and_show(
 def _show(found: Identification) -> None:
     from rich.console import Console
 
-    from hil.report import identification_lines, identification_table
+    from hil.report import identification_lines, identification_table, ladder_table
 
+    if found.rungs:
+        Console().print(ladder_table(found))
     Console().print(identification_table(found))
     for line in identification_lines(found):
         print(line)
+
+
+def _model(name: str) -> Model | None:
+    """The model of that name, None for the one that the ladder chooses. Raises WrongUse."""
+    from ga.models import parse
+
+    if name == "auto":
+        return None
+    try:
+        return parse(name)
+    except ValueError as error:
+        raise WrongUse(f"--model {name!r}: {error}") from None
 
 
 def _settings(preset: str, given: dict[str, Any]) -> Settings:

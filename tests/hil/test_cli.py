@@ -84,14 +84,15 @@ def test_the_main_job_finds_the_stiffness_the_simulator_was_given(hil: Hil) -> N
 def test_the_json_of_identify_is_the_designs(hil: Hil, make_recording: Maker) -> None:
     found = hil("identify", make_recording(noise=1e-5), "--json").json
     keys = "schema recordings model preset seed parameters fitness samples trials evaluations seconds holdout warnings"
-    assert list(found) == keys.split()
+    assert list(found) == [*keys.split(), "ladder"]
     assert (found["schema"], found["model"], found["preset"]) == ("hil-identification/1", "linear", "default")
     kc = found["parameters"]["Kc"]
     assert {"value", "unit", "ci95", "trials_mean", "trials_std", "identifiable"} <= set(kc)
     assert (kc["unit"], found["parameters"]["Bc"]["unit"], found["fitness"]["unit"]) == ("N*m/rad", "N*m*s/rad", "N*m")
     assert set(found["fitness"]) == {"value", "exact_optimum", "relative_gap", "unit"}
     assert set(found["holdout"]) == {"fitness", "nrmse"}
-    assert (found["samples"], found["trials"]) == (2000, 30)
+    assert found["trials"] == 30
+    assert 1900 < found["samples"] < 2000  # without those beside the ends, where there is no rate
     assert found["evaluations"] > 30
     assert found["seconds"] > 0
 
@@ -280,7 +281,7 @@ def test_channels_of_unequal_length_are_wrong_use(hil: Hil, make_recording: Make
 def test_an_unfinished_recording_is_identified_and_said_to_be_one(hil: Hil, tmp_path: Path) -> None:
     path = unfinished(tmp_path / "a.h5")
     ended = hil("identify", path, "--json")
-    assert ended.json["samples"] == 800
+    assert 700 < ended.json["samples"] < 800
     assert ended.json["parameters"]["Kc"]["value"] == pytest.approx(0.02, rel=1e-3)
     assert "unfinished" in {warning["code"] for warning in ended.json["warnings"]}
     assert "it never ended" in ended.err
@@ -296,11 +297,12 @@ def test_an_empty_or_one_sample_file_is_not_to_be_trusted(hil: Hil, make_recordi
 
 def test_rows_with_a_nan_are_dropped_counted_and_said(hil: Hil, make_recording: Maker) -> None:
     def spoil(channels: dict[str, Array]) -> None:
-        channels["torque"][10:17] = np.nan
+        channels["torque"][1010:1017] = np.nan
 
+    whole = hil("identify", make_recording(noise=1e-5), "--json")
     ended = hil("identify", make_recording(noise=1e-5, change=spoil), "--json")
     assert ended.status == 0
-    assert ended.json["samples"] == 1993
+    assert ended.json["samples"] == whole.json["samples"] - 7
     assert "7 of 2000 rows hold a NaN" in ended.err
 
 

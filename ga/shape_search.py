@@ -1,0 +1,110 @@
+"""Many independent searches for the shape of a model, the linear parameters solved for exactly inside.
+
+Each runs the `default` scheme on some thousand rows, where a shape costs a millisecond, and ends with the descent to
+the bottom of its valley on all of them: trials that end in different valleys differ, others do not.
+"""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from ga.curved import Fit, Problem, by_compass, descend
+from ga.evolution import Settings
+from ga.search import Search
+from ga.space import Bounds
+from ga.trials import History, Trials
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_TOLERANCE: Final = 1e-5
+"""Spread of the population's fitness at which a valley is told; its bottom is found by descent."""
+
+_POLL: Final = 0.1
+
+
+@dataclass(eq=False)
+class _Trial:
+    """One search under way. record: the best fitness, N m, of each generation."""
+
+    search: Search
+    record: list[float] = field(default_factory=list)
+    fit: Fit | None = None
+
+
+def search_shapes(
+    problem: Problem,
+    settings: Settings,
+    *,
+    trials: int,
+    seed: int,
+    workers: int,
+    progress: Callable[[float], None] | None = None,
+) -> Trials:
+    """Search `trials` times for the shape of the problem's model; genes are all its parameters, (p + q,).
+
+    The result does not depend on `workers`. Ctrl-C ends the searches where they are: what is found so far is returned.
+    Raises ValueError for settings that are not of the generational scheme.
+    """
+    thin = problem.thinned()
+    bounds = Bounds(problem.low, problem.high)
+    settings = replace(settings, tolerance=max(settings.tolerance or 0.0, _TOLERANCE))
+    seeds = np.random.SeedSequence([seed, trials]).generate_state(trials, np.uint32)
+    running = [_Trial(Search(bounds, settings, seed=int(number))) for number in seeds]
+    cancelled = threading.Event()
+    with ThreadPoolExecutor(min(workers, trials)) as pool:
+        futures = [pool.submit(_run, trial, problem, thin, cancelled) for trial in running]
+        try:
+            _watch(futures, progress)
+        except KeyboardInterrupt:
+            pass  # said by the trials that are not finished
+        finally:
+            cancelled.set()
+    return _outcome([trial for trial in running if trial.record], problem)
+
+
+def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None) -> None:
+    pending: set[Future[None]] = set(futures)
+    while pending:
+        done, pending = wait(pending, timeout=_POLL)
+        for future in done:
+            future.result()
+        if progress is not None:
+            progress(1.0 - len(pending) / len(futures))
+
+
+def _run(trial: _Trial, problem: Problem, thin: Problem, cancelled: threading.Event) -> None:
+    search = trial.search
+    while not search.done:
+        if cancelled.is_set():
+            return
+        shapes = search.ask()
+        search.tell(shapes, [_fitness(thin, shape) for shape in shapes])
+        trial.record.append(search.best_fitness)
+    trial.fit = by_compass(problem, descend(problem, search.best))
+
+
+def _fitness(problem: Problem, shape: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    try:
+        return problem.solve(shape).fitness
+    except RuntimeError:  # columns that are too much alike for this shape
+        return np.inf
+
+
+def _outcome(running: list[_Trial], problem: Problem) -> Trials:
+    fits = [trial.fit or problem.solve(trial.search.best) for trial in running]
+    last = max(len(trial.record) for trial in running)
+    record = np.array([trial.record + [trial.record[-1]] * (last - len(trial.record)) for trial in running])
+    return Trials(
+        genes=np.stack([fit.values for fit in fits]),
+        fitness=np.array([fit.fitness for fit in fits]),
+        evaluations=sum(trial.search.evaluations for trial in running),
+        generations=np.array([len(trial.record) for trial in running], dtype=np.int64),
+        history=History(np.arange(last), record),
+        finished=np.array([trial.fit is not None for trial in running]),
+    )

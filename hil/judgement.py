@@ -1,0 +1,189 @@
+"""What may be believed of a result: the interval of each parameter, whether the recording can tell it, and why not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.trials import Trials
+from hil.findings import Finding
+from hil.intervals import Spread
+from hil.model_choice import Coupling
+from hil.result import Estimate, Holdout
+from hil.signals import Signals
+
+Array = NDArray[np.float64]
+
+_CONFUSED = 300.0  # variance inflation from which a parameter is another's as much as its own
+_TOLD = 0.5  # half the width of its interval, as a part of its value, up to which Kc or Bc is told
+_OPTIMISER_GAP = 1e-3  # relative gap from which the search is said not to have arrived
+_MARGIN = 1e-4  # part of a range within which a value is at its end
+_UNEXPLAINED = 0.9  # of the torque's spread, left in held-out blocks, from which a model explains nothing
+_COUPLING = ("Kc", "Bc")
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What there is to judge. columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters.
+
+    unique: whether the exact optimum is the only one. gap: of the search, relative.
+    """
+
+    model: Coupling
+    signals: Signals
+    columns: Array
+    values: Array
+    unique: bool
+    errors: Spread
+    trials: Trials
+    low: Array
+    high: Array
+    gap: float
+    holdout: Holdout
+
+    @property
+    def names(self) -> list[str]:
+        """All parameters' names."""
+        return [parameter.name for parameter in (*self.model.linear, *self.model.shape)]
+
+    def told(self, at: int) -> bool:
+        """Whether the recording can tell the parameter at that place."""
+        half = float(self.errors.half_width[at])
+        told = self.unique and np.isfinite(half) and self.errors.inflation[at] < _CONFUSED
+        if self.names[at] in _COUPLING:  # a coupling is known once its value stands out from its interval
+            told = told and half < _TOLD * abs(self.values[at])
+        return bool(told)
+
+    def at_bound(self, at: int) -> str | None:
+        """Which end of its bounds the exact optimum lies at or beyond, None for neither."""
+        near = min(_MARGIN * (self.high[at] - self.low[at]), float(self.errors.half_width[at]))
+        if self.values[at] <= self.low[at] + near:
+            return "low"
+        return "high" if self.values[at] >= self.high[at] - near else None
+
+
+def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
+    """All parameters, in the model's order."""
+    found = []
+    for at, parameter in enumerate((*evidence.model.linear, *evidence.model.shape)):
+        exact, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
+        found.append(
+            Estimate(
+                name=parameter.name,
+                unit=parameter.unit,
+                value=float(evidence.trials.best[at]),
+                exact=exact,
+                ci95=(exact - half, exact + half),
+                trials_mean=float(evidence.trials.mean[at]),
+                trials_std=float(evidence.trials.std[at]),
+                identifiable=evidence.told(at),
+                at_bound=evidence.at_bound(at),
+                bounds=(float(evidence.low[at]), float(evidence.high[at])),
+            )
+        )
+    return tuple(found)
+
+
+def judge(evidence: Evidence) -> list[Finding]:
+    """What is to be said of the result."""
+    found = _interruption(evidence.trials)
+    for at, name in enumerate(evidence.names):
+        found += _of_parameter(evidence, at, name)
+    if evidence.holdout.nrmse > _UNEXPLAINED:
+        found.append(
+            Finding(
+                "unexplained",
+                f"model {evidence.model.name!r} leaves {evidence.holdout.nrmse:.0%} of the torque's spread in blocks "
+                "it was not fitted to: torque and deflection have little to do with each other; check units, signs and "
+                "that both are of the same joint",
+                fatal=True,
+            )
+        )
+    # the exact optimum knows no bounds: at one, the gap is the bound's and not the search's
+    at_bounds = any(evidence.at_bound(at) for at in range(len(evidence.names)))
+    if evidence.gap > _OPTIMISER_GAP and not at_bounds and not evidence.trials.interrupted:
+        found.append(
+            Finding(
+                "not-converged",
+                f"the search ended {evidence.gap:.2g} above the exact optimum: give it more --generations",
+                fatal=True,
+            )
+        )
+    return found
+
+
+def _interruption(trials: Trials) -> list[Finding]:
+    if not trials.interrupted:
+        return []
+    return [
+        Finding(
+            "interrupted",
+            f"the search was cut short with {int(trials.finished.sum())} of {len(trials.finished)} trials at their "
+            "end: the best is the best so far, mean and deviation are over all of them as they stood",
+        )
+    ]
+
+
+def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Finding]:
+    found, fatal = [], name in _COUPLING
+    end = evidence.at_bound(at)
+    if end is not None:
+        found.append(
+            Finding(
+                "at-bound",
+                f"{name} lies at the {end} end of its bounds: the answer is the bound's, not the data's; "
+                f"widen it with --bounds {name}=LOW:HIGH",
+                name,
+                fatal=fatal,
+            )
+        )
+    if not evidence.told(at):
+        found.append(Finding("not-identifiable", _why_not(evidence, at), name, fatal=fatal))
+    elif (name == "Kc" and evidence.values[at] <= 0.0) or (name == "Bc" and evidence.values[at] < 0.0):
+        found.append(
+            Finding(
+                "implausible",
+                f"{name} is negative, which no coupling is: {_IMPLAUSIBLE[name]}",
+                name,
+                fatal=True,
+            )
+        )
+    return found
+
+
+_IMPLAUSIBLE = {
+    "Kc": "a sign is wrong; check that a positive torque makes a positive deflection",
+    "Bc": "the torque is read later or earlier than the angle, or friction is taken for it; try --model auto",
+}
+
+
+def _why_not(evidence: Evidence, at: int) -> str:
+    name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
+    if not columns[:, at].any():
+        return f"{name} cannot be told: nothing in this recording excites it"
+    if evidence.errors.inflation[at] < _CONFUSED and np.isfinite(evidence.errors.half_width[at]):
+        return f"{name} cannot be told: its 95 % interval is as wide as its value; {_remedy(evidence, name)}"
+    norms = np.linalg.norm(columns, axis=0)
+    alike = np.abs(columns.T @ columns[:, at]) / np.where(norms > 0.0, norms, 1.0) / norms[at]
+    alike[at] = 0.0
+    other = evidence.names[int(np.argmax(alike))]
+    return (
+        f"{name} cannot be told from {other}: in this recording, {low:.2g} to {high:.2g} Hz, they look alike; drive at "
+        "several speeds (--profile chirp or multisine) and over a wider band"
+    )
+
+
+def _remedy(evidence: Evidence, name: str) -> str:
+    """What would tell it: damping shows near and above the corner Kc/(2 pi Bc), stiffness in a large deflection."""
+    stiffness, high = evidence.values[0], evidence.signals.band[1]
+    if name == "Bc":
+        damping = evidence.values[1] + evidence.errors.half_width[1]
+        corner = stiffness / (2.0 * np.pi * damping) if damping > 0.0 and stiffness > 0.0 else np.inf
+        if high < corner:
+            return (
+                f"the joint moved at up to {high:.2g} Hz, and damping shows only towards {corner:.2g} Hz: "
+                "raise --band, or --amplitude"
+            )
+    return "excite it more (--band, --amplitude)"

@@ -1,0 +1,127 @@
+"""Value, slope and curvature of a reading by the polynomial that fits its neighbourhood best (Savitzky and Golay 1964).
+
+No phase shift, stamps need not be even, and the gain is one up to a frequency that the window's width sets.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.compiled import compiled
+
+Array = NDArray[np.float64]
+
+DEGREE = 7
+"""Of the polynomial: high, so that a wide window, which quiets noise, is still flat over the band that moved."""
+
+LEAST = (DEGREE + 1) // 2
+"""Neighbours a side below which there are fewer readings than coefficients."""
+
+
+def local_polynomial(time: Array, values: Array, half: int) -> tuple[Array, Array, Array]:
+    """Value, slope and curvature at every sample: three arrays (n,), in the values' unit, per s and per s^2.
+
+    time (n,) s, rising; values (n,). A window is the sample and `half` neighbours a side; at the ends it is the first
+    or last 2*half+1 samples, evaluated off its centre, where the noise is many times larger.
+    """
+    found = np.empty((3, len(time)))
+    _fit_all(np.ascontiguousarray(time), np.ascontiguousarray(values), half, found)
+    return found[0], found[1], found[2]
+
+
+def kernel(half: int, order: int) -> Array:
+    """The weights (2*half+1,) that give the derivative of that order, per sample^order, on an even grid."""
+    offsets = np.arange(-half, half + 1, dtype=np.float64) / half
+    weights = np.linalg.pinv(np.polynomial.chebyshev.chebvander(offsets, DEGREE))
+    at_centre = [
+        np.polynomial.chebyshev.chebval(0.0, np.polynomial.chebyshev.chebder(np.eye(DEGREE + 1)[k], order))
+        for k in range(DEGREE + 1)
+    ]
+    return np.asarray(np.array(at_centre) @ weights / half**order)
+
+
+def gain(half: int, order: int, cycles: float) -> float:
+    """The gain of that derivative for a sine of `cycles` periods a sample, on an even grid."""
+    offsets = np.arange(-half, half + 1, dtype=np.float64)
+    omega = 2.0 * math.pi * cycles
+    wave = np.cos(omega * offsets) if order % 2 == 0 else np.sin(omega * offsets)
+    return float(kernel(half, order) @ wave) / omega**order * (-1.0 if order == 2 else 1.0)
+
+
+def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
+    """The widest window, neighbours a side, whose gain at `cycles` periods a sample is one within the tolerance."""
+    half = LEAST
+    while half < most and abs(gain(half + 1, order, cycles) - 1.0) <= tolerance:
+        half += 1
+    return half
+
+
+@compiled
+def _fit_all(time: Array, values: Array, half: int, found: Array) -> None:
+    count, width, p = len(time), 2 * half + 1, DEGREE + 1
+    basis, normal, right = np.empty((width, p)), np.empty((p, p)), np.empty(p)
+    at = np.empty((3, p))
+    for i in range(count):
+        start = min(max(i - half, 0), count - width)
+        middle = 0.5 * (time[start] + time[start + width - 1])
+        scale = 0.5 * (time[start + width - 1] - time[start])
+        base = values[i]
+        for j in range(width):
+            _chebyshev((time[start + j] - middle) / scale, basis[j])
+        for k in range(p):
+            right[k] = 0.0
+            for j in range(width):
+                right[k] += basis[j, k] * (values[start + j] - base)
+            for m in range(k + 1):
+                total = 0.0
+                for j in range(width):
+                    total += basis[j, k] * basis[j, m]
+                normal[k, m] = total
+        _solve(normal, right)
+        _derivatives((time[i] - middle) / scale, at)
+        for order in range(3):
+            total = 0.0
+            for k in range(p):
+                total += at[order, k] * right[k]
+            found[order, i] = total / scale**order
+        found[0, i] += base
+
+
+@compiled
+def _chebyshev(x: float, row: Array) -> None:
+    row[0], row[1] = 1.0, x
+    for k in range(2, row.size):
+        row[k] = 2.0 * x * row[k - 1] - row[k - 2]
+
+
+@compiled
+def _derivatives(x: float, at: Array) -> None:
+    """The basis at x, its slope and its curvature (3, p)."""
+    at[0, 0], at[0, 1], at[1, 0], at[1, 1], at[2, 0], at[2, 1] = 1.0, x, 0.0, 1.0, 0.0, 0.0
+    for k in range(2, at.shape[1]):
+        at[0, k] = 2.0 * x * at[0, k - 1] - at[0, k - 2]
+        at[1, k] = 2.0 * at[0, k - 1] + 2.0 * x * at[1, k - 1] - at[1, k - 2]
+        at[2, k] = 4.0 * at[1, k - 1] + 2.0 * x * at[2, k - 1] - at[2, k - 2]
+
+
+@compiled
+def _solve(normal: Array, right: Array) -> None:
+    """Solve in place by Cholesky; the basis is so nearly orthogonal that no pivot is needed."""
+    p = right.size
+    for k in range(p):
+        for m in range(k + 1):
+            total = normal[k, m]
+            for j in range(m):
+                total -= normal[k, j] * normal[m, j]
+            normal[k, m] = math.sqrt(max(total, 1e-300)) if m == k else total / normal[m, m]
+    for k in range(p):
+        for j in range(k):
+            right[k] -= normal[k, j] * right[j]
+        right[k] /= normal[k, k]
+    for k in range(p - 1, -1, -1):
+        for j in range(k + 1, p):
+            right[k] -= normal[j, k] * right[j]
+        right[k] /= normal[k, k]

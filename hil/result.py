@@ -1,0 +1,76 @@
+"""What an identification found, as the report reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ga.trials import Trials
+from hil.findings import Finding
+from hil.ladder import Rung
+from hil.model_choice import Coupling
+from hil.signals import Signals
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One parameter in SI. value: of the best trial. exact: of the exact optimum. ci95: around the exact optimum.
+
+    trials_std: NaN for a single trial. bounds: NaN where the parameter was solved for and not searched.
+    """
+
+    name: str
+    unit: str
+    value: float
+    exact: float
+    ci95: tuple[float, float]
+    trials_mean: float
+    trials_std: float
+    identifiable: bool
+    at_bound: str | None
+    bounds: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Holdout:
+    """A fit to four fifths of the run, judged on the rest.
+
+    fitness: mean |error|, N m. nrmse: RMS error over the torque's spread, NaN where it has none.
+    """
+
+    fitness: float
+    nrmse: float
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """What `hil identify` found. fitness and optimum: N m. relative_gap: the search's own error, as a ratio.
+
+    rungs: the ladder that the model was chosen from, none where it was named. seconds: all of it; search_seconds: the
+    trials alone.
+    """
+
+    recordings: tuple[Path, ...]
+    model: Coupling
+    rungs: tuple[Rung, ...]
+    preset: str
+    seed: int
+    estimates: tuple[Estimate, ...]
+    fitness: float
+    optimum: float
+    relative_gap: float
+    samples: int
+    trials: Trials
+    seconds: float
+    search_seconds: float
+    holdout: Holdout
+    findings: tuple[Finding, ...]
+    signals: Signals
+
+    def __getitem__(self, name: str) -> Estimate:
+        return next(estimate for estimate in self.estimates if estimate.name == name)
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether nothing fatal was found."""
+        return not any(finding.fatal for finding in self.findings)
