@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Self
 
@@ -209,8 +209,10 @@ def _write_header(file: h5py.File, header: Header) -> None:
 
 
 def _software() -> dict[str, str]:
-    names = ("hil", "numpy", "h5py", "numba")
-    versions = {name: version(name) for name in names} | {"python": platform.python_version(), "os": sys.platform}
+    versions = {"python": platform.python_version(), "os": sys.platform}
+    for name in ("hil", "numpy", "h5py", "numba"):
+        with suppress(PackageNotFoundError):  # a checkout that is run without being installed has none
+            versions[name] = version(name)
     checkout = Path(__file__).parent.parent
     if (checkout / ".git").exists():
         with suppress(OSError, subprocess.SubprocessError):

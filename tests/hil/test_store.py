@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +18,7 @@ import h5py
 import numpy as np
 import pytest
 
+from hil import part as part_module
 from hil import store
 from hil.errors import Untrustworthy, WrongUse
 from hil.part import Header, PartFile, finalise, missing_row, write
@@ -348,6 +351,19 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="broadcast"):
         write(tmp_path / "a.h5", HEADER, {"time": np.zeros(3), "torque": np.zeros(4)})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_checkout_that_was_not_installed_records_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def known(name: str) -> str:
+        if name == "hil":
+            raise PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(part_module, "version", known)
+    with Recording(recorded(tmp_path / "a.h5", 5).finish("done")) as recording:
+        software = json.loads(recording.attributes["software"])
+    assert "hil" not in software
+    assert software["numpy"] == np.__version__
 
 
 def test_a_missing_row_holds_its_number_and_nothing_else() -> None:
