@@ -7,6 +7,7 @@ Rules every servo keeps, and that the contract tests hold it to:
 
 * A set-point is bounded by `Limits.bound` before it is encoded: a NaN is refused, never clamped.
 * `disarm` and `close` may be called twice, at any time, on a latched or half-dead device, and leave the torque off.
+  Where that is not confirmed `disarm` raises a DriverError, and may be called again until it is; `close` never raises.
 * Stopping means torque off. No servo holds a position to stop.
 * A reply that does not come is `NoReply` (data: the recorder counts a gap); a link that is gone is `LinkLost`.
 """
@@ -222,11 +223,11 @@ class Servo(Protocol):
         ...
 
     def disarm(self) -> None:
-        """Torque off. Harmless when already off."""
+        """Torque off. Harmless when already off. Raises DriverError where the device has not confirmed it."""
         ...
 
     def close(self) -> None:
-        """Torque off, then let go of the link. Harmless when already closed."""
+        """Torque off, then let go of the link. Harmless when already closed; never raises."""
         ...
 
 

@@ -60,8 +60,16 @@ class TorqueUnreadable:
     end: float
 
 
-Fault = LinkDrops | Silence | CorruptReplies | FaultLatches | EncoderFreezes | TorqueUnreadable
-Interval = Silence | CorruptReplies | TorqueUnreadable
+@dataclass(frozen=True, slots=True)
+class RepliesRepeat:
+    """From `start` to `end` the drive answers with what it last read, its clock included; set-points still act."""
+
+    start: float
+    end: float
+
+
+Fault = LinkDrops | Silence | CorruptReplies | FaultLatches | EncoderFreezes | TorqueUnreadable | RepliesRepeat
+Interval = Silence | CorruptReplies | TorqueUnreadable | RepliesRepeat
 
 
 def within(plan: tuple[Fault, ...], kind: type[Interval], t: float) -> bool:
@@ -95,5 +103,6 @@ def _random_fault(rng: Generator, duration: float) -> Fault:
         FaultLatches(at, int(rng.integers(16, 32))),
         EncoderFreezes(at),
         TorqueUnreadable(at, end),
+        RepliesRepeat(at, end),
     )
     return kinds[int(rng.integers(len(kinds)))]

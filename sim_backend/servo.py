@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from sim_backend.faults import (
     CorruptReplies,
     Fault,
     FaultLatches,
+    RepliesRepeat,
     Silence,
     TorqueUnreadable,
     device_faults,
@@ -42,7 +44,7 @@ from sim_backend.plant import (
     TORQUE,
     WINDING,
 )
-from sim_backend.sensors import Noise, Sensors
+from sim_backend.sensors import Noise, Reading, Sensors
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
@@ -103,7 +105,9 @@ class SimServo:
         self._ahead = deque(device_faults(faults))
         self._under_way: deque[tuple[float, Command]] = deque()
         self._limits: Limits | None = None
+        self._live = False
         self._closed = False
+        self._answered: Reading | None = None
         self._info = ServoInfo(
             backend="sim",
             model="simulated joint",
@@ -139,6 +143,7 @@ class SimServo:
                 f"{self._sensors.torque_lsb:.3g} N m: raise it"
             )
         self._under_way.clear()
+        self._live = True
         self._drive.enable(limits)
         self._limits = limits
 
@@ -160,6 +165,7 @@ class SimServo:
         self._drive.feed()
         if self._limits is None and self._drive.enabled:
             self._drive.disable()  # the drive had not heard that it was disarmed; now it does
+            self._live = False
         self._under_way.append((arrived + self._parameters.drive.command_delay, bounded))
         if draw.lost < link.lost_reply or returned - sent > link.reply_timeout:
             self._time_out(sent)
@@ -167,27 +173,35 @@ class SimServo:
         self._raise_fault()
         if within(self._plan, CorruptReplies, arrived - self._opened):
             raise BadReply("the reply failed its checksum: the sample is dropped")
-        reading = self._sensors.read(self._drive, draw)
+        status = Status(0)
+        if self._answered is not None and within(self._plan, RepliesRepeat, arrived - self._opened):
+            reading, status = self._answered, Status.STALE
+        else:
+            reading = self._answered = self._sensors.read(self._drive, draw)
         if within(self._plan, TorqueUnreadable, arrived - self._opened):
             reading = reading._replace(motor_torque=math.nan, joint_torque=math.nan)
         saturated = self._drive.take_saturated() or (command.quantity is Quantity.TORQUE and bounded != command)
-        status = Status.SATURATED if saturated else Status(0)
+        if saturated:
+            status |= Status.SATURATED
         return Sample(sent, 0.5 * (sent + returned), *reading, status)
 
     def disarm(self) -> None:
-        """Torque off. Where the link is gone or silent the drive does not hear it, and its watchdog does the same."""
+        """Torque off. Harmless when already off.
+
+        Raises LinkLost, NoReply where the drive cannot hear it; its watchdog then does the same.
+        """
         self._limits = None
-        now = self._clock.now()
-        since = now - self._opened
-        if self._closed or since >= self._link_ends or within(self._plan, Silence, since):
+        if not self._live or self._closed:
             return
-        self._advance(now)
+        self._advance(self._reach())
         self._under_way.clear()
         self._drive.disable()
+        self._live = False
 
     def close(self) -> None:
-        """Torque off, then let go of the link."""
-        self.disarm()
+        """Torque off, then let go of the link. Never raises."""
+        with contextlib.suppress(DriverError):
+            self.disarm()
         self._closed = True
 
     def truth(self) -> dict[str, float]:

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from drivers.servo import BadReply, Command, DeviceFault, DriverError, LinkLost, NoReply, Quantity
+from drivers.servo import BadReply, Command, DeviceFault, DriverError, LinkLost, NoReply, Quantity, Status
 from sim_backend.faults import (
     CorruptReplies,
     EncoderFreezes,
     Fault,
     FaultLatches,
     LinkDrops,
+    RepliesRepeat,
     Silence,
     TorqueUnreadable,
     random_plan,
@@ -82,7 +83,8 @@ def test_a_silence_longer_than_the_watchdog_ends_in_its_fault(quiet: SimParamete
 def test_a_servo_disarmed_in_a_silence_learns_of_it_when_the_silence_ends(quiet: SimParameters, limits: Limits) -> None:
     servo = faulty(quiet, limits, Silence(0.1, 0.12))
     outcomes(servo, 0.11)
-    servo.disarm()
+    with pytest.raises(NoReply):
+        servo.disarm()
     assert servo.true_state().enabled
     servo.clock.sleep_until(0.125)
     servo.exchange(Command.rest())
@@ -117,6 +119,46 @@ def test_a_frozen_encoder_repeats_itself_while_the_motor_goes_on(quiet: SimParam
     assert {sample.motor_velocity for sample in frozen} == {0.0}
     assert not any(sample.status for sample in frozen)
     assert abs(servo.true_state().motor_position - frozen[-1].motor_position) > 0.1
+
+
+def test_a_torque_off_that_is_not_heard_is_said_until_it_is(quiet: SimParameters, limits: Limits) -> None:
+    servo = faulty(quiet, limits, Silence(0.1, 0.15))
+    outcomes(servo, 0.11)
+    refused = 0
+    while servo.true_state().enabled:
+        servo.clock.sleep_until(servo.clock.now() + 2e-3)
+        try:
+            servo.disarm()
+        except NoReply:
+            refused += 1
+    assert refused > 5
+    assert servo.clock.now() == pytest.approx(0.15, abs=5e-3)
+    servo.disarm()
+
+
+def test_a_torque_off_over_a_lost_link_is_said_and_closing_still_is_not(quiet: SimParameters, limits: Limits) -> None:
+    servo = faulty(quiet, limits, LinkDrops(0.1))
+    outcomes(servo, 0.11)
+    for _ in range(2):
+        with pytest.raises(LinkLost):
+            servo.disarm()
+    servo.close()
+    servo.disarm()
+
+
+def test_a_servo_that_was_never_armed_has_nothing_to_turn_off(quiet: SimParameters) -> None:
+    servo = SimServo(quiet, seed=1, clock=VirtualClock(), faults=(LinkDrops(0.0),))
+    servo.disarm()
+
+
+def test_replies_can_repeat_themselves_and_say_so(quiet: SimParameters, limits: Limits) -> None:
+    servo = faulty(quiet, limits, RepliesRepeat(0.02, 0.05))
+    samples = [(t, outcome) for t, outcome in outcomes(servo, 0.1) if not isinstance(outcome, DriverError)]
+    stale = [sample for t, sample in samples if 0.02 <= t + 3e-4 < 0.05]
+    assert len(stale) == 15
+    assert {Status.STALE in sample.status for sample in stale} == {True}
+    assert len({sample.motor_position for sample in stale}) == 1
+    assert not any(sample.status for t, sample in samples if t + 3e-4 >= 0.05 or t < 0.019)
 
 
 def test_both_torques_can_be_unreadable_for_a_while(quiet: SimParameters, limits: Limits) -> None:
