@@ -8,23 +8,31 @@ from __future__ import annotations
 
 import gc
 import math
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from statistics import fmean, median
 
 import numpy as np
 
-from drivers.servo import BadReply, Command, DriverError, NoReply, Quantity, Sample, Servo, Status
-from hil.guard import AtJoint, Guard, LimitReached, StopRequest
+from drivers.servo import BadReply, Command, NoReply, Quantity, Sample, Servo, Status
+from hil.errors import WrongUse
+from hil.guard import AtJoint, Guard
 from hil.part import PartFile, Row
 from hil.profiles import Profile
+from hil.setpoints import SetPoints
 from hil.stand import Stand
+from hil.stop import StopRequest
 
 _REST_SAMPLES = 16  # averaged for the zero of the deflection
 _REST_TRIES = 100
 _RAMP_DOWN = 0.1  # s; a first request to stop lets the cable down over this long
 _BLOCK = 512  # set-points computed at a time
+_OFF_TRIES, _OFF_PAUSE = 20, 0.05  # times that the torque-off is asked for, s between two
+
+
+class _StopAsked(Exception):
+    """A request to stop came before anything was driven."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +49,7 @@ class Outcome:
     """How a run went.
 
     error: what ended it early, None where it ran to its end or was stopped on request. signal: the one that asked.
+    alarm: what people must be told first, where the torque may still be on; "" otherwise.
     """
 
     samples: int = 0
@@ -49,7 +58,8 @@ class Outcome:
     saturated: int = 0
     end_reason: str = "done"
     signal: int = 0
-    error: Exception | None = None
+    error: BaseException | None = None
+    alarm: str = ""
 
 
 def tick_count(profile: Profile, rate: float) -> int:
@@ -61,85 +71,118 @@ class Recorder:
     """One run on an open servo. Set-points are at the joint, in N m or rad; what is sent is at the motor shaft."""
 
     def __init__(self, stand: Stand, servo: Servo, profile: Profile, rate: float, part: PartFile) -> None:
+        limits = stand.checked_limits()
         self._stand = stand.stand
         self._motor_limits = stand.motor_limits
         self._servo = servo
         self._profile = profile
         self._rate = rate
         self._part = part
-        self._guard = Guard(stand.checked_limits())
+        # a profile of torque swings by twice its amplitude; in a profile of position the limit is what is known
+        by_torque = profile.quantity is Quantity.TORQUE
+        self._guard = Guard(limits, moves=profile.amplitude if by_torque else 0.5 * limits.torque)
         self._outcome = Outcome()
-        self._start = 0.0
+        self._start = math.nan
 
     def run(self, stop: StopRequest) -> Outcome:
         """Record until the profile's end, a request to stop or a fault. The servo is disarmed on return.
 
-        Never raises for what a drive does: the outcome holds it, since what was recorded is still to be kept.
+        Never raises: the outcome holds what went wrong, since what was recorded is still to be kept.
         """
         outcome = self._outcome
         try:
-            zero = self._find_zero()
-            with _quiet_collector():
-                self._servo.arm(self._motor_limits(zero.motor))
-                self._loop(zero, stop)
-        except (DriverError, LimitReached, OSError) as error:
+            self._record(stop)
+        except _StopAsked:
+            self._stopped(stop)
+        except BaseException as error:  # noqa: BLE001 - whatever it is, the torque goes off and the data is kept
             outcome.error = error
             outcome.end_reason = f"{type(error).__name__}: {error}"
         finally:
             self._torque_off()
-        if outcome.error is not None:
-            self._part.event(self._since_start(), type(outcome.error).__name__, str(outcome.error))
+        self._note_end()
         outcome.samples = len(self._part)
         return outcome
 
-    def _find_zero(self) -> Zero:
-        """Read the axis at rest, without driving it. Raises NoReply where it does not answer."""
-        found: deque[Sample] = deque(maxlen=_REST_SAMPLES)
+    def _record(self, stop: StopRequest) -> None:
+        with SetPoints(self._part.path.parent) as set_points:
+            for times in self._times():
+                _heed(stop)
+                set_points.extend(self._profile.at(times))
+            zero = self._find_zero(stop)
+            with _quiet_collector():
+                _heed(stop)
+                self._servo.arm(self._motor_limits(zero.motor))
+                self._loop(set_points, zero, stop)
+
+    def _times(self) -> Iterator[np.ndarray[tuple[int], np.dtype[np.float64]]]:
+        count = tick_count(self._profile, self._rate)
+        for first in range(0, count, _BLOCK):
+            yield np.arange(first, min(first + _BLOCK, count)) / self._rate
+
+    def _find_zero(self, stop: StopRequest) -> Zero:
+        """Read the axis at rest, without driving it.
+
+        Raises NoReply where it does not answer, BadReply where it does not say what is needed, WrongUse where a tick
+        is too short for it, LimitReached where it is too warm.
+        """
+        found = self._at_rest(stop)
+        motor = _mean(sample.motor_position for sample in found)
+        joint = _mean(sample.joint_position for sample in found)
+        if not math.isfinite(motor):
+            raise BadReply("the drive reports no position: a deflection cannot be recorded")
+        zero = Zero(motor, joint if math.isfinite(joint) else 0.0, math.isfinite(joint))
+        seen = [self._at_joint(sample, zero) for sample in found]
+        if not any(math.isfinite(at_joint.torque) for at_joint in seen):
+            source = self._stand.torque_source
+            raise BadReply(f"the stand file says torque_source = {source!r}, but no torque is reported there")
+        self._guard.check_start(found, seen)
+        return zero
+
+    def _at_rest(self, stop: StopRequest) -> list[Sample]:
+        found: list[Sample] = []
+        took: list[float] = []
         clock = self._servo.clock
         begin = clock.now()
         for attempt in range(_REST_TRIES):
             clock.sleep_until(begin + attempt / self._rate)
+            _heed(stop)
+            asked = clock.now()
             try:
                 found.append(self._servo.exchange(Command.rest()))
             except (NoReply, BadReply):
                 continue
+            took.append(clock.now() - asked)
             if len(found) == _REST_SAMPLES:
                 break
         else:
             raise NoReply(f"{len(found)} replies to {_REST_TRIES} requests: check power, cable, id and baud rate")
-        self._guard.check_start(found[-1])
-        motor = float(np.mean([sample.motor_position for sample in found]))
-        joint = float(np.mean([sample.joint_position for sample in found]))
-        if not math.isfinite(motor):
-            raise BadReply("the drive reports no position: a deflection cannot be recorded")
-        source = self._stand.torque_source
-        if math.isnan(found[-1].joint_torque if source == "joint" else found[-1].motor_torque):
-            raise BadReply(f"the stand file says torque_source = {source!r}, but no torque is reported there")
-        return Zero(motor, joint if math.isfinite(joint) else 0.0, math.isfinite(joint))
+        if median(took) > 1.0 / self._rate:
+            raise WrongUse(
+                f"--rate {self._rate:g}: this servo takes {median(took) * 1e3:.3g} ms to answer, so it can be asked at "
+                f"most {1.0 / median(took):.0f} times a second: lower the rate"
+            )
+        return found
 
-    def _loop(self, zero: Zero, stop: StopRequest) -> None:
+    def _loop(self, set_points: Iterable[float], zero: Zero, stop: StopRequest) -> None:
         clock = self._servo.clock
         period = 1.0 / self._rate
         self._start = clock.now() + period
         stopping_at = math.inf
-        for seq, set_point in enumerate(self._set_points()):
+        for seq, set_point in enumerate(set_points):
             due = seq * period
             clock.sleep_until(self._start + due)
             if stop.count and math.isinf(stopping_at):
                 stopping_at = due
-                self._outcome.end_reason = "stopped on request"
-                self._outcome.signal = stop.number
+                self._stopped(stop)
                 self._part.event(due, "stop-requested", f"signal {stop.number}")
             left = min(1.0, 1.0 - (due - stopping_at) / _RAMP_DOWN) if math.isfinite(stopping_at) else 1.0
             if left <= 0.0 or stop.count > 1:
                 return
             self._tick(seq, due, set_point * left, zero)
 
-    def _set_points(self) -> Iterator[float]:
-        count = tick_count(self._profile, self._rate)
-        for first in range(0, count, _BLOCK):
-            times = np.arange(first, min(first + _BLOCK, count)) / self._rate
-            yield from self._profile.at(times).tolist()
+    def _stopped(self, stop: StopRequest) -> None:
+        self._outcome.end_reason = "stopped on request"
+        self._outcome.signal = stop.number
 
     def _tick(self, seq: int, due: float, set_point: float, zero: Zero) -> None:
         try:
@@ -194,14 +237,45 @@ class Recorder:
         )
 
     def _torque_off(self) -> None:
-        try:
-            self._servo.disarm()
-        except DriverError as error:
-            self._outcome.error = self._outcome.error or error
-            self._outcome.end_reason = f"torque-off not confirmed ({error}): CUT THE POWER"
+        """Ask for it until the drive confirms it, about a second long; nothing that is raised ends this early."""
+        trouble: BaseException | None = None
+        for _ in range(_OFF_TRIES):
+            try:
+                self._servo.disarm()
+            except BaseException as error:  # noqa: BLE001 - a live motor is worse than anything this could be
+                trouble = error
+            else:
+                break
+            try:
+                self._servo.clock.sleep_until(self._servo.clock.now() + _OFF_PAUSE)
+            except BaseException as error:  # noqa: BLE001 - the same
+                trouble = error
+        else:
+            self._outcome.alarm = f"CUT THE POWER: the torque-off is not confirmed ({trouble})"
+            self._outcome.end_reason = f"{self._outcome.end_reason}; {self._outcome.alarm}"
+        if self._outcome.alarm or not isinstance(trouble, Exception | None):
+            self._outcome.error = self._outcome.error or trouble
 
-    def _since_start(self) -> float:
-        return self._servo.clock.now() - self._start
+    def _note_end(self) -> None:
+        """Say in the recording what ended it. The run is over: nothing that fails here is worth more than its data."""
+        if self._outcome.error is None:
+            return
+        try:
+            since = self._servo.clock.now() - self._start if math.isfinite(self._start) else 0.0
+            self._part.event(since, type(self._outcome.error).__name__, self._outcome.end_reason)
+        except Exception as error:  # noqa: BLE001 - the same
+            self._outcome.end_reason += f"; {error}"
+
+
+def _heed(stop: StopRequest) -> None:
+    if stop.count:
+        raise _StopAsked
+
+
+def _mean(values: Iterable[float]) -> float:
+    """The mean of those that are numbers, NaN where none is."""
+    numbers = [value for value in values if math.isfinite(value)]
+    return fmean(numbers) if numbers else math.nan
 
 
 @contextmanager

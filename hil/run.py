@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.errors import WrongUse
-from hil.guard import StopRequest
 from hil.live import beside
 from hil.part import Header, PartFile
 from hil.profiles import Profile
 from hil.recorder import Outcome, Recorder, tick_count
 from hil.stand import Stand, check_backend, open_servo
+from hil.stop import StopRequest
 from hil.target import check_target, next_free
 
 

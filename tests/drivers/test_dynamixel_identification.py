@@ -11,11 +11,11 @@ import pytest
 
 from drivers.servo import Quantity
 from hil import profiles
-from hil.guard import StopRequest
 from hil.part import Header, PartFile
 from hil.recorder import Recorder, tick_count
 from hil.signals import prepare
 from hil.stand import parse
+from hil.stop import StopRequest
 from hil.store import Recording
 from sim_backend.parameters import CouplingParameters
 from sim_backend.wire.dynamixel_device import Device

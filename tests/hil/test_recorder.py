@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drivers.servo import BadReply, Command, DeviceFault, DriverError, LinkLost, NoReply, Quantity, Status
+from drivers.servo import BadReply, Command, DeviceFault, DriverError, LinkLost, NoReply, Quantity, Sample, Status
 from hil import profiles
-from hil.guard import LimitReached, StopRequest
+from hil.errors import WrongUse
+from hil.guard import LimitReached
 from hil.part import Header, PartFile
 from hil.profiles import Profile
 from hil.recorder import Outcome, Recorder, tick_count
 from hil.stand import Stand, parse
+from hil.stop import StopRequest
 from hil.store import Recording
 
 from .conftest import SpringServo, lost
@@ -236,16 +239,179 @@ def test_no_number_of_signals_skips_the_torque_off(bench: Bench) -> None:
 
 def test_an_error_nobody_foresaw_still_leaves_the_torque_off(bench: Bench) -> None:
     bench.servo.script = {10: ZeroDivisionError("a fault of our own")}
-    with pytest.raises(ZeroDivisionError):
-        bench.run()
+    outcome = bench.run()
+    assert isinstance(outcome.error, ZeroDivisionError)
+    assert outcome.samples == 10
     assert not bench.servo.armed
 
 
-def test_a_torque_off_that_is_not_confirmed_is_shouted(bench: Bench) -> None:
-    bench.servo.disarm_error = NoReply("no answer to torque off")
+@pytest.mark.parametrize(
+    "trouble", [NoReply("no answer to torque off"), OSError(5, "I/O error"), RuntimeError("a fault of the driver's")]
+)
+def test_a_torque_off_that_is_not_confirmed_is_shouted(bench: Bench, trouble: Exception) -> None:
+    bench.servo.disarm_error = trouble
     outcome = bench.run()
-    assert "CUT THE POWER" in outcome.end_reason
-    assert outcome.error is bench.servo.disarm_error
+    assert outcome.alarm.startswith("CUT THE POWER: ")
+    assert outcome.alarm in outcome.end_reason
+    assert outcome.error is trouble
+    assert bench.servo.disarms == 20
+
+
+def test_a_torque_off_that_is_not_confirmed_is_shouted_over_an_earlier_error(bench: Bench) -> None:
+    bench.servo.script = {70: LinkLost("cable")}
+    bench.servo.disarm_error = LinkLost("still no cable")
+    outcome = bench.run()
+    assert outcome.alarm == "CUT THE POWER: the torque-off is not confirmed (still no cable)"
+    assert "LinkLost: cable; CUT THE POWER" in outcome.end_reason
+    assert outcome.error is bench.servo.script[70]
+
+
+def test_a_torque_off_is_asked_for_until_it_is_heard(bench: Bench) -> None:
+    bench.servo.disarm_error, bench.servo.heard_after = NoReply("a moment's silence"), 7
+    outcome = bench.run()
+    assert (bench.servo.disarms, bench.servo.armed) == (7, False)
+    assert (outcome.alarm, outcome.error, outcome.end_reason) == ("", None, "done")
+    assert bench.servo.clock.t - 102.16 == pytest.approx(6 * 0.05)
+
+
+def test_ctrl_c_in_the_torque_off_does_not_skip_it(bench: Bench) -> None:
+    """Signals are a flag while a run listens for them; this is what holds where nobody listens."""
+    bench.servo.disarm_error, bench.servo.heard_after = KeyboardInterrupt(), 3
+    outcome = bench.run()
+    assert not bench.servo.armed
+    assert isinstance(outcome.error, KeyboardInterrupt)
+
+
+@pytest.mark.parametrize("moment", [100.0, 100.05, 100.1499])
+def test_a_request_to_stop_before_the_start_drives_nothing(bench: Bench, moment: float) -> None:
+    """At rest the axis is read for 0.15 s; the motor must not be made live for somebody who said stop."""
+    bench.servo.clock.plans = [(moment, lambda: os.kill(os.getpid(), signal.SIGTERM))]
+    with bench.stop.listening():
+        outcome = bench.run()
+    assert (bench.servo.limits, bench.servo.driven) == (None, [])
+    assert (outcome.end_reason, outcome.signal) == ("stopped on request", signal.SIGTERM)
+    assert (outcome.error, outcome.samples) == (None, 0)
+
+
+@pytest.mark.parametrize("name", ["joint_torque", "motor_position", "motor_velocity", "temperature"])
+def test_a_sensor_that_goes_blind_ends_the_run_at_the_third_reply(bench: Bench, name: str) -> None:
+    nothing = {name: math.nan}
+    bench.servo.script = dict.fromkeys([20, 21, 30, *range(80, 201)], nothing)
+    outcome = bench.run()
+    assert isinstance(outcome.error, BadReply)
+    assert "missing from 3 replies" in str(outcome.error)
+    assert len(bench.servo.driven) == 83
+    assert not bench.servo.armed
+
+
+def test_a_sensor_the_stand_does_not_have_is_not_missed(bench: Bench) -> None:
+    blind = {"temperature": math.nan, "motor_velocity": math.nan}
+    bench.servo.rest = blind
+    bench.servo.script = dict.fromkeys(range(201), blind)
+    assert bench.run().end_reason == "done"
+
+
+def test_a_missing_reading_does_not_hide_that_a_limit_is_passed(bench: Bench) -> None:
+    beyond, nothing = {"joint_torque": 0.12}, {"joint_torque": math.nan}
+    bench.servo.script = {80: beyond, 81: nothing, 82: beyond, 83: nothing, 84: beyond}
+    outcome = bench.run()
+    assert isinstance(outcome.error, LimitReached)
+    assert len(bench.servo.driven) == 85
+
+
+def test_a_drive_whose_clock_stands_still_ends_the_run(bench: Bench) -> None:
+    """Three replies are too few where they come every 10 ms: 50 ms of them are asked for."""
+    stale = {"status": float(int(Status.STALE))}
+    bench.servo.script = dict.fromkeys([20, 21, 22, 23, *range(80, 201)], stale)
+    outcome = bench.run()
+    assert isinstance(outcome.error, BadReply)
+    assert len(bench.servo.driven) in {85, 86}  # the fifth is 50 ms after the last fresh one, give or take rounding
+    assert not bench.servo.armed
+
+
+def test_an_encoder_that_stands_still_while_the_torque_moves_ends_the_run(bench: Bench) -> None:
+    """The torque swings by 0.05 N m either way; in the half second from its peak it changes by more than that."""
+    stuck = {"motor_position": 7.0 + 4.0 * 0.05 / 2.0}
+    bench.servo.script = dict.fromkeys(range(75, 201), stuck)
+    outcome = bench.run()
+    assert isinstance(outcome.error, BadReply)
+    assert "encoder" in str(outcome.error)
+    assert 75 + 20 < len(bench.servo.driven) < 75 + 30
+    assert not bench.servo.armed
+
+
+def test_an_axis_that_rests_is_not_taken_for_a_frozen_one(tmp_path: Path) -> None:
+    steps = profiles.make(
+        "steps", Quantity.TORQUE, amplitude=0.05, default_amplitude=1.0, duration=4.0, band=(0.25, 0.25), rate=RATE
+    )
+    assert Bench(tmp_path, asked=steps).run().end_reason == "done"
+
+
+@pytest.mark.parametrize(("temperature", "starts"), [(55.0, True), (55.5, False)])
+def test_a_motor_is_started_up_to_fifteen_degrees_below_its_limit(
+    bench: Bench, temperature: float, starts: bool
+) -> None:
+    bench.servo.rest = {"temperature": temperature}
+    assert (bench.run().end_reason == "done") == starts
+
+
+@pytest.mark.parametrize(("temperature", "goes_on"), [(65.0, True), (65.5, False)])
+def test_a_motor_runs_up_to_five_degrees_below_its_limit(bench: Bench, temperature: float, goes_on: bool) -> None:
+    bench.servo.script = {100: {"temperature": temperature}}
+    outcome = bench.run()
+    assert (outcome.end_reason == "done") == goes_on
+    assert isinstance(outcome.error, LimitReached) != goes_on
+
+
+def test_every_set_point_is_worked_out_before_the_motor_is_live(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    armed = []
+
+    def shape(time: np.ndarray[tuple[int], np.dtype[np.float64]]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        armed.append(bench.servo.limits is not None)
+        return np.sin(time)
+
+    bench.profile = replace(profile(duration=20.0), shape=shape)
+    assert bench.run().samples == 2001
+    assert armed == [False] * 4
+    np.testing.assert_allclose(bench.channel("command"), bench.profile.at(np.arange(2001) / RATE))
+
+
+def test_a_set_point_that_is_no_number_is_found_before_the_motor_is_live(bench: Bench) -> None:
+    bench.profile = replace(bench.profile, shape=lambda time: np.where(time > 1.5, np.nan, 0.0))
+    outcome = bench.run()
+    assert isinstance(outcome.error, WrongUse)
+    assert bench.servo.limits is None
+
+
+def test_a_rate_the_servo_cannot_answer_at_is_refused_before_the_motor_is_live(bench: Bench) -> None:
+    class Slow(SpringServo):
+        def exchange(self, command: Command) -> Sample:
+            sample = super().exchange(command)
+            self.clock.t += 0.0125
+            return sample
+
+    bench.servo = Slow()
+    outcome = bench.run()
+    assert isinstance(outcome.error, WrongUse)
+    assert "12.5 ms to answer, so it can be asked at most 80 times a second" in str(outcome.error)
+    assert bench.servo.limits is None
+
+
+def test_what_is_ignored_stays_ignored_and_what_ends_a_process_is_a_flag() -> None:
+    """nohup has SIGHUP ignored; the run it shields must not be ended by a closed terminal."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        stop = StopRequest()
+        with stop.listening():
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert stop.count == 0
+            for number in (signal.SIGQUIT, signal.SIGTSTP, signal.SIGUSR1):
+                os.kill(os.getpid(), number)
+            assert (stop.count, stop.number) == (3, signal.SIGQUIT)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_late_ticks_are_marked(bench: Bench) -> None:
