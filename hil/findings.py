@@ -13,3 +13,21 @@ class Finding:
     message: str
     parameter: str | None = None
     fatal: bool = False
+
+
+_MANY_LATE, _MOSTLY_LATE = 0.01, 0.1  # share of ticks that began more than half a period after their time
+
+
+def lateness(late: int, samples: int) -> list[Finding]:
+    """What is to be said of a run of which `late` ticks of `samples` came late; fatal above a tenth."""
+    share = late / samples if samples else 0.0
+    if share <= _MANY_LATE:
+        return []
+    return [
+        Finding(
+            "many-late",
+            f"{share:.1%} of the ticks came more than half a period late, so the motor was not driven as the profile "
+            "says: lower --rate, or free the computer of other work",
+            fatal=share > _MOSTLY_LATE,
+        )
+    ]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from drivers.servo import Status
 from hil.dataset import recording_findings, stand_of
 from hil.errors import Untrustworthy
-from hil.findings import Finding
+from hil.findings import Finding, lateness
 from hil.local_polynomial import kernel, local_polynomial, widest
 from hil.signals import Signals, prepare
 from hil.store import Recording
@@ -106,7 +106,9 @@ def inspect(path: Path) -> Inspection:
             band=signals.band,
             rate_window=signals.rate_window,
             torque_from=signals.torque_from,
-            findings=tuple(recording_findings(recording, signals) + _quality(measured)),
+            findings=tuple(
+                recording_findings(recording, signals) + _quality(measured) + lateness(late, len(recording))
+            ),
         )
 
 

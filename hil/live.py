@@ -6,7 +6,6 @@ its standard input does, which is when the recorder closes it or is gone.
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import threading
@@ -25,12 +24,20 @@ _REFRESH = 0.1  # s
 
 @contextmanager
 def beside(part: Path) -> Iterator[None]:
-    """Watch the recording at `part` from a process of its own, where standard error is a terminal."""
+    """Watch the recording at `part` from a process of its own, where standard error is a terminal.
+
+    The viewer is in a session of its own: Ctrl-C is the recorder's to answer, and does not reach it. A run does
+    without one that cannot be started.
+    """
     if not sys.stderr.isatty():
         yield
         return
     command = [sys.executable, "-m", "hil.live", str(part)]
-    viewer = subprocess.Popen(command, stdin=subprocess.PIPE)  # noqa: S603 - our own module
+    try:
+        viewer = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - our own module
+    except OSError:
+        yield
+        return
     try:
         yield
     finally:
@@ -44,6 +51,7 @@ def watch(path: Path) -> None:
     """Draw the line for the recording in progress at `path` until standard input ends."""
     from rich.console import Console
     from rich.live import Live
+    from rich.text import Text
 
     with h5py.File(path, "r") as file:
         offset, length = int(file["live"].id.get_offset()), len(file["live"])
@@ -54,7 +62,7 @@ def watch(path: Path) -> None:
     console = Console(stderr=True)
     with Live(console=console, auto_refresh=False, transient=True) as live:
         while not ended.wait(_REFRESH):
-            live.update(line(rows, duration), refresh=True)
+            live.update(Text(line(rows, duration), no_wrap=True, overflow="crop"), refresh=True)
 
 
 def _wait_for_end(ended: threading.Event) -> None:
@@ -73,9 +81,11 @@ def line(rows: Rows, duration: float) -> str:
     elapsed = float(np.nanmax(recent))
     rate = (len(recent) - 1) / (elapsed - float(np.nanmin(recent)))
     lost = int(np.count_nonzero(done["status"] & np.uint64(int(Status.NO_REPLY | Status.BAD_REPLY))))
+    torque = float(last["torque"])
+    told = f"{torque:+7.2f} N m" if abs(torque) >= 1.0 else f"{torque * 1e3:+7.2f} mN m"
     return (
-        f"{max(0.0, duration - elapsed):6.1f} s left   {rate:6.0f} Hz   "
-        f"torque {float(last['torque']) * 1e3:+8.2f} mN m   deflection {float(last['dtheta']):+8.4f} rad   {lost} lost"
+        f"{max(0.0, duration - elapsed):6.1f} s left  {rate:5.0f} Hz  "
+        f"torque {told} at {float(last['dtheta']):+7.4f} rad  {lost} lost"
     )
 
 
@@ -92,5 +102,4 @@ def _written(rows: Rows) -> int:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the recorder's to answer
     watch(Path(sys.argv[1]))

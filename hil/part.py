@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
@@ -22,8 +23,10 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
+from hil.errors import Untrustworthy, WrongUse
+from hil.posix import hold, is_at, open_binary, remove, write_at
 from hil.store import BLOCK, CHANNELS, END_MARK, EVENT, EVENTS, ROW, SCHEMA, Array, Event, Recording, Rows
-from hil.target import check_space, part_path, writing
+from hil.target import Taken, check_space, part_path, replacing, writing
 
 _OVERHEAD = 1 << 18  # bytes of a file that are not samples, generously
 _DURABLE = 0.25  # s between two requests that the disk keep what it was given
@@ -54,44 +57,49 @@ class PartFile:
 
     `length` rows are reserved on disk before anything moves. Rows are handed to the operating system in batches of
     `batch` rows, so a killed process loses at most one batch; a thread makes them durable four times a second, so a
-    power cut loses little more.
-    Raises WrongUse where the target cannot hold the run.
+    power cut loses little more. The file is held, so that nobody gives it up, until it is closed.
+    Raises WrongUse where the target cannot hold the run, Taken where another recording has its name.
     """
 
     def __init__(self, path: Path, header: Header, length: int, *, batch: int = 10) -> None:
         self.path = part_path(path)
-        self._final = path
+        self.final = path
         self._pending: list[Row] = []
         self._batch = batch
         self._rows = 0
         self._events = 0
         self._file: int | None = None
+        self._trouble: OSError | None = None
         self._closing = threading.Event()
         self._syncer = threading.Thread(target=self._keep_durable, daemon=True)
         with writing(self.path):
             check_space(self.path, 2 * length * ROW.itemsize + _OVERHEAD)  # the second stage stands beside the first
+            self._file = _hold_new(self.path)
             try:
-                self._offset, self._event_offset = _create_part(self.path, header, length)
-                self._file = os.open(self.path, os.O_RDWR | getattr(os, "O_BINARY", 0))
-                self._reserve(length)
-            except FileExistsError:
-                raise  # another recorder's, which is not ours to remove
+                self._offset, self._event_offset = _fill_part(self.path, header, length)
+                self._reserve(max(length, 1))
+                self._syncer.start()
             except BaseException:
                 self.discard()
                 raise
-        self._syncer.start()
 
     def _keep_durable(self) -> None:
         # outside the control loop, which a slow disk must not stop
         while not self._closing.wait(_DURABLE) and self._file is not None:
-            os.fsync(self._file)
+            try:
+                os.fsync(self._file)
+            except OSError as error:
+                self._trouble = error  # the next row that is written says so
+                return
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if self._file is not None:
-            self.flush()
+        try:
+            if self._file is not None:
+                self.flush()
+        finally:
             self.close()
 
     def __len__(self) -> int:
@@ -111,68 +119,105 @@ class PartFile:
         if self._file is None:
             raise ValueError(f"{self.path} is closed")
         data = rows.tobytes()
-        written = _write_at(self._file, data, offset)
+        written = write_at(self._file, data, offset)
         if written != len(data):
-            raise OSError(f"{self.path}: {written} of {len(data)} bytes were written; is the disk full?")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def _add(self, rows: Rows, offset: int) -> None:
+        try:
+            if self._trouble is not None:
+                raise self._trouble
+            self._write(rows, offset)
+        except OSError as error:
+            raise Untrustworthy(
+                f"{self.path} cannot be written any further ({error.strerror or error}): what it holds is kept"
+            ) from error
 
     def append(self, row: Row) -> None:
-        """Take one row, its fields in the order of CHANNELS."""
+        """Take one row, its fields in the order of CHANNELS. Raises Untrustworthy where the disk fails."""
         self._pending.append(row)
         if len(self._pending) >= self._batch:
             self.flush()
 
     def extend(self, rows: Rows) -> None:
-        """Take many rows, (n,) of ROW, and hand them to the operating system."""
-        self._write(rows, self._offset + self._rows * ROW.itemsize)
+        """Take many rows, (n,) of ROW, and hand them to the operating system. Raises Untrustworthy."""
+        self._add(rows, self._offset + self._rows * ROW.itemsize)
         self._rows += len(rows)
 
     def flush(self) -> None:
-        """Hand the pending rows to the operating system."""
+        """Hand the pending rows to the operating system. Raises Untrustworthy where the disk fails."""
         if self._pending:
             self.extend(np.array(self._pending, dtype=ROW))
             self._pending.clear()
 
     def event(self, time: float, code: str, message: str) -> None:
-        """Note something that happened. Past the table's end the note is dropped: samples matter more."""
+        """Note something that happened. Past the table's end the note is dropped: samples matter more.
+
+        Raises Untrustworthy where the disk fails.
+        """
         if self._events < EVENTS:
             entry = np.array([(time, code.encode()[:32], message.encode()[:200])], dtype=EVENT)
-            self._write(entry, self._event_offset + self._events * EVENT.itemsize)
+            self._add(entry, self._event_offset + self._events * EVENT.itemsize)
             self._events += 1
 
     def finish(self, end_reason: str) -> Path:
-        """Write the final file in place of the `.part` and return its path. The `.part` stays if that fails."""
-        self.flush()
-        self.close()
-        finalise(self.path, self._final, end_reason=end_reason)
-        self.path.unlink()
-        return self._final
+        """Write the final file, remove the `.part` and return the file's path. The `.part` stays if that fails.
 
-    def close(self) -> None:
-        """Let go of the file, keeping it as it is. Harmless when already closed."""
+        Raises WrongUse, and Untrustworthy where the disk fails.
+        """
+        self.flush()
+        self._stop_syncing()
+        if self._file is None or not is_at(self._file, self.path):
+            raise WrongUse(f"{self.path} is not the file that was recorded into any more: somebody has replaced it")
+        finalise(self.path, self.final, end_reason=end_reason)
+        file, self._file = self._file, None
+        remove(file, self.path)
+        return self.final
+
+    def _stop_syncing(self) -> None:
         self._closing.set()
         if self._syncer.is_alive():
             self._syncer.join()
+
+    def close(self) -> None:
+        """Let go of the file, keeping it as it is. Harmless when already closed."""
+        self._stop_syncing()
         if self._file is not None:
-            os.close(self._file)
-            self._file = None
+            file, self._file = self._file, None
+            os.close(file)
 
     def discard(self) -> None:
-        """Remove a recording in which nothing was recorded."""
+        """Remove a recording in which nothing was recorded. Harmless when already closed."""
+        self._pending.clear()
+        self._stop_syncing()
+        if self._file is not None and is_at(self._file, self.path):
+            file, self._file = self._file, None
+            remove(file, self.path)
         self.close()
-        with suppress(FileNotFoundError):
-            self.path.unlink()
 
 
-def _write_at(file: int, data: bytes, offset: int) -> int:
-    if hasattr(os, "pwrite"):
-        return os.pwrite(file, data, offset)
-    os.lseek(file, offset, os.SEEK_SET)  # Windows has no pwrite; one writer, so seek and write is the same
-    return os.write(file, data)
+def _hold_new(path: Path) -> int:
+    """A new, empty file, held. Raises Taken where there is one already: it may be another recorder's."""
+    try:
+        file = open_binary(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
+    except FileExistsError:
+        raise Taken(f"{path} is another recording that has not ended (File exists): name another with -o") from None
+    try:
+        hold(file)
+    except BlockingIOError:
+        pass  # somebody is giving it up; it is gone from its place, or will be
+    except OSError:
+        return file  # the filesystem knows no locks: two recorders are kept apart by the name alone
+    else:
+        if is_at(file, path):
+            return file
+    os.close(file)
+    raise Taken(f"{path} was given up by somebody else while it was made: start again")
 
 
-def _create_part(path: Path, header: Header, length: int) -> tuple[int, int]:
-    """A `.part` with all but its rows; the byte offsets of the rows and of the events."""
-    with h5py.File(path, "x", libver="latest") as file:  # never over another recording in progress
+def _fill_part(path: Path, header: Header, length: int) -> tuple[int, int]:
+    """Make the held file a `.part` with all but its rows; the byte offsets of the rows and of the events."""
+    with h5py.File(path, "w", libver="latest", locking=False) as file:  # it is held by us already
         _write_header(file, header)
         file.attrs.update(complete=False, end_reason="")
         return _reserve_contiguous(file, "live", length, ROW), _reserve_contiguous(file, "live_events", EVENTS, EVENT)
@@ -229,21 +274,14 @@ def finalise(source: Path, target: Path, *, end_reason: str | None = None) -> in
     Returns the number of samples.
     Raises WrongUse where the target cannot be written.
     """
-    with Recording(source) as recording, writing(target):
-        temporary = target.with_name(target.name + ".tmp")
-        check_space(temporary, len(recording) * ROW.itemsize + _OVERHEAD)
-        try:
-            with h5py.File(temporary, "w", libver="latest") as file:
-                _copy_attributes(recording, file)
-                file.attrs["complete"] = end_reason == "done"
-                file.attrs["end_reason"] = "recovered" if end_reason is None else end_reason
-                file.attrs["sha256"] = _write_samples(file, recording)
-                _write_events(file, recording.events())
-            _replace(temporary, target)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink()
-            raise
+    with Recording(source) as recording:
+        check_space(target, len(recording) * ROW.itemsize + _OVERHEAD)
+        with replacing(target) as temporary, h5py.File(temporary, "x", libver="latest") as file:
+            _copy_attributes(recording, file)
+            file.attrs["complete"] = end_reason == "done"
+            file.attrs["end_reason"] = "recovered" if end_reason is None else end_reason
+            file.attrs["sha256"] = _write_samples(file, recording)
+            _write_events(file, recording.events())
         return len(recording)
 
 
@@ -281,6 +319,7 @@ def _write_samples(file: h5py.File, recording: Recording) -> str:
         dataset = group.create_dataset(
             name,
             shape=(length,),
+            maxshape=(length or None,),  # HDF5 has no chunks for what is empty and must stay so
             dtype=ROW[name],
             chunks=(min(4096, max(length, 1)),),
             shuffle=True,
@@ -303,16 +342,3 @@ def _write_events(file: h5py.File, events: list[Event]) -> None:
     group.create_dataset("time", data=np.array([event.time for event in events], dtype="<f8"))
     group.create_dataset("code", data=np.array([event.code for event in events], dtype=object), dtype=text)
     group.create_dataset("message", data=np.array([event.message for event in events], dtype=object), dtype=text)
-
-
-def _replace(temporary: Path, target: Path) -> None:
-    """Make the new file durable, then let it appear under its name."""
-    with temporary.open("rb+") as file:
-        os.fsync(file.fileno())
-    temporary.replace(target)
-    if hasattr(os, "O_DIRECTORY"):
-        folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)

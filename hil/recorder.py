@@ -99,8 +99,8 @@ class Recorder:
             outcome.end_reason = f"{type(error).__name__}: {error}"
         finally:
             self._torque_off()
-        self._note_end()
         outcome.samples = len(self._part)
+        self._note_end()
         return outcome
 
     def _record(self, stop: StopRequest) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from drivers.servo import Servo
 from hil.errors import WrongUse
 from hil.live import beside
 from hil.part import Header, PartFile
@@ -11,7 +12,9 @@ from hil.profiles import Profile
 from hil.recorder import Outcome, Recorder, tick_count
 from hil.stand import Stand, check_backend, open_servo
 from hil.stop import StopRequest
-from hil.target import check_target, next_free
+from hil.target import Taken, check_part, check_target, give_up, next_free
+
+_FOLDER = Path("recordings")
 
 
 def run(
@@ -28,14 +31,18 @@ def run(
 ) -> tuple[Path, Outcome]:
     """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
 
-    The servo is closed, and the torque off, however it ends; the outcome says how that was. seed: of the simulator.
+    The servo is closed, and the torque off, however it ends; the outcome says how that was, and the path is where the
+    data is. force: overwrite, and give up an unfinished recording of that name. seed: of the simulator.
     Raises WrongUse before anything moves, DriverError where the servo cannot be opened.
     """
     check_backend(stand.stand.backend)
-    path = next_free(Path("recordings")) if output is None else output
-    check_target(path, force=force)
+    if output is not None:
+        check_target(output, force=force)
+        if not force:
+            check_part(output)
     with StopRequest().listening() as stop:
         servo, truth = open_servo(stand, seed=seed, realtime=realtime)
+        outcome = Outcome()
         try:
             header = Header(
                 profile=profile.attributes() | {"rate": rate},
@@ -45,15 +52,58 @@ def run(
                 operator_note=note,
                 command_line=command_line,
             )
-            with PartFile(path, header, tick_count(profile, rate)) as part, beside(part.path):
-                outcome = Recorder(stand, servo, profile, rate, part).run(stop)
-        finally:
-            servo.close()
-        if not outcome.samples:
-            part.discard()
-        else:
+            part = _claim(output, header, tick_count(profile, rate), force=force)
             try:
-                part.finish(outcome.end_reason)
-            except WrongUse as error:
-                raise WrongUse(f"{error}\nThe run itself is safe: hil recover {part.path} -o OTHER.h5") from error
-    return path, outcome
+                with beside(part.path):
+                    outcome = Recorder(stand, servo, profile, rate, part).run(stop)
+            except BaseException:
+                _leave(part)
+                raise
+        finally:
+            _let_go(servo, outcome)
+        return _keep(part, outcome), outcome
+
+
+def _claim(output: Path | None, header: Header, length: int, *, force: bool) -> PartFile:
+    """The `.part` of a new recording, under a name that nobody else takes at the same time."""
+    if output is not None:
+        if force:
+            give_up(output)
+        return PartFile(output, header, length)
+    while True:
+        path = next_free(_FOLDER)
+        try:
+            part = PartFile(path, header, length)
+        except Taken:
+            continue
+        if not path.exists():
+            return part
+        part.discard()  # another recorder began and ended under this name since we looked
+
+
+def _leave(part: PartFile) -> None:
+    with part:
+        if not len(part):
+            part.discard()
+
+
+def _let_go(servo: Servo, outcome: Outcome) -> None:
+    try:
+        servo.close()
+    except BaseException as error:  # noqa: BLE001 - the data of a run outlives a fault of its driver
+        outcome.error = outcome.error or error
+
+
+def _keep(part: PartFile, outcome: Outcome) -> Path:
+    """Make the recording final; where it then is. What fails is in the outcome: the rows are safe in the `.part`."""
+    try:
+        with part:
+            if len(part):
+                return part.finish(outcome.end_reason)
+            part.discard()
+    except Exception as error:  # noqa: BLE001 - whatever it is, people must learn where their data is
+        problem = WrongUse(f"{error}\nThe run itself is safe: hil recover {part.path} -o OTHER.h5")
+        problem.__cause__ = error
+        outcome.error = outcome.error or problem
+        return part.path if part.path.exists() else part.final
+    return part.final

@@ -1,15 +1,21 @@
-"""Where a recording goes: the next free name, and what must not be overwritten."""
+"""Where a file goes: the next free name, what must not be overwritten, and how a name is taken."""
 
 from __future__ import annotations
 
 import os
 import re
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hil.errors import WrongUse
+from hil.posix import claim, is_at, open_binary, remove, sync_folder
+
+
+class Taken(WrongUse):
+    """Another recording has the name."""
 
 
 def part_path(path: Path) -> Path:
@@ -26,26 +32,54 @@ def next_free(folder: Path) -> Path:
     return folder / f"run{max(numbers, default=0) + 1}.h5"
 
 
-def check_target(path: Path, *, force: bool) -> None:
+def check_target(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> None:
     """Raise WrongUse where writing `path` would overwrite something, or where there is no folder for it.
 
-    With `force` an unfinished recording of that name is given up, so that a new one can be made in its place.
+    inputs: what the command reads, which not even `force` overwrites. Only looks.
     """
-    if path.is_dir():
-        raise WrongUse(f"{path} is a folder: name a file, such as {path / 'run1.h5'}")
-    if not path.parent.is_dir():
-        raise WrongUse(f"{path.parent} is not a folder: make it first, or name another output with -o")
-    if force:
-        with writing(path):
-            part_path(path).unlink(missing_ok=True)
-        return
-    if path.exists():
-        raise WrongUse(f"{path} exists: choose another name with -o, or overwrite it with --force")
-    if part_path(path).exists():
-        raise WrongUse(
-            f"{part_path(path)} is a recording that never ended: keep it with `hil recover {part_path(path)}`, "
-            "choose another name with -o, or give it up with --force"
-        )
+    with writing(path):
+        if path.is_dir():
+            raise WrongUse(f"{path} is a folder: name a file, such as {path / 'run1.h5'}")
+        if not path.parent.is_dir():
+            raise WrongUse(f"{path.parent} is not a folder: make it first, or name another output with -o")
+        if any(_is_same(path, given) for given in inputs):
+            raise WrongUse(f"{path} is also what is read: name another output")
+        if path.exists() and not force:
+            raise WrongUse(f"{path} exists: choose another name with -o, or overwrite it with --force")
+
+
+def check_part(path: Path) -> None:
+    """Raise WrongUse where there is an unfinished recording that would become `path`. Only looks."""
+    part = part_path(path)
+    with writing(path):
+        if part.exists():
+            raise WrongUse(
+                f"{part} is a recording that never ended: keep it with `hil recover {part}`, choose another name with "
+                "-o, or give it up with `hil record --force`"
+            )
+
+
+def give_up(path: Path) -> None:
+    """Remove the unfinished recording that would become `path`, where there is one. Raises WrongUse for a live one."""
+    part = part_path(path)
+    with writing(path):
+        try:
+            file = open_binary(part, os.O_RDWR)
+        except FileNotFoundError:
+            return
+        try:
+            claim(file)
+        except BlockingIOError:
+            os.close(file)
+            raise WrongUse(
+                f"{part} is being recorded or read at this moment: wait for it, or choose another name with -o"
+            ) from None
+        except OSError:
+            pass  # the filesystem knows no locks, so nobody can hold one
+        if is_at(file, part):
+            remove(file, part)
+        else:
+            os.close(file)
 
 
 def check_space(path: Path, size: int) -> None:
@@ -62,12 +96,38 @@ def check_space(path: Path, size: int) -> None:
 
 
 @contextmanager
+def replacing(target: Path) -> Iterator[Path]:
+    """A name beside `target` to write to, which then takes its place: it appears whole or not at all.
+
+    Raises WrongUse where that cannot be done.
+    """
+    temporary = target.with_name(f".hil-{uuid.uuid4().hex}.tmp")
+    with writing(target):
+        try:
+            yield temporary
+            with temporary.open("rb+") as file:
+                os.fsync(file.fileno())
+            temporary.replace(target)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+        sync_folder(target.parent)
+
+
+@contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Turn what the operating system says of a target that cannot be written into a WrongUse."""
     try:
         yield
     except (OSError, RuntimeError, ValueError) as error:  # HDF5 reports a full disk as any of the three
         raise WrongUse(f"{path} cannot be written ({_reason(error)}): choose another folder with -o") from error
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    with suppress(OSError):
+        return path.samefile(other)
+    return path.absolute() == other.absolute()
 
 
 def _reason(error: Exception) -> str:

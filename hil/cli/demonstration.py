@@ -10,6 +10,7 @@ import typer
 
 from hil.cli.identification import identify_and_show
 from hil.cli.progress import progress
+from hil.cli.recording import answer_for, told
 from hil.cli.terminal import Checkpoint, Json, print_json, say, tell, tell_interrupted
 
 
@@ -40,7 +41,8 @@ def demo(
     )
     print("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
     path, outcome = run(stand, made, rate=500.0, seed=1, note="hil demo", command_line="hil demo", output=path)
-    print(f"{path}: {outcome.samples} samples, {outcome.lost} lost")
+    print(told(path, outcome))
+    answer_for(outcome)
     search = Search("default", PRESETS["default"], trials=30, seed=0, workers=os.cpu_count() or 1, bounds={})
     print("Identifying ...")
     identify_and_show([path], parse_model("linear"), search, path.with_suffix(".html"), as_json=False)

@@ -51,9 +51,10 @@ def import_data(
     """Bring a CSV file into a recording."""
     from hil.importer import Column, Condition, import_csv
     from hil.stand import load
-    from hil.target import check_target
+    from hil.target import check_part, check_target
 
-    check_target(output, force=force)
+    check_target(output, force=force, inputs=[source] if stand is None else [source, stand])
+    check_part(output)
     named = {
         "time": (time, time_unit),
         "torque": (torque, torque_unit),
@@ -85,9 +86,6 @@ def recover(
     if output is None and part.suffix != ".part":
         raise WrongUse(f"{part} does not end in .part: name the output with -o")
     target = output or part.with_suffix("")
-    if target == part:
-        raise WrongUse("the output is the input: name another with -o")
-    if output is not None or target.exists():
-        check_target(target, force=force)
+    check_target(target, force=force, inputs=[part])
     rows = finalise(part, target)
     print(f"{target}: {rows} samples recovered; {part} is still there")

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.terminal import Force, Json, Output, command_line, print_json
+from hil.cli.terminal import STAND_FAILED, UNTRUSTWORTHY, Force, Json, Output, command_line, print_json, say, tell
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
     from drivers.servo import Quantity
     from hil.profiles import Profile
+    from hil.recorder import Outcome
     from hil.stand import Stand
 
 
@@ -38,6 +39,7 @@ def record(
     """Drive the motor against the locked joint and record torque, deflection and rate."""
     from hil import profiles
     from hil.run import run
+    from hil.target import check_target
 
     if list_profiles:
         for name, kind in profiles.KINDS.items():
@@ -57,6 +59,8 @@ def record(
         setpoints=setpoints,
     )
     _check_amplitude(opened, made)
+    if output is not None:
+        check_target(output, force=force, inputs=[path for path in (stand, setpoints) if path is not None])
     path, outcome = run(
         opened,
         made,
@@ -72,7 +76,7 @@ def record(
         print_json(
             {
                 "schema": "hil-record/1",
-                "recording": str(path),
+                "recording": str(path) if outcome.samples else None,
                 "samples": outcome.samples,
                 "lost": outcome.lost,
                 "late": outcome.late,
@@ -81,11 +85,36 @@ def record(
             }
         )
     else:
-        print(f"{path}: {outcome.samples} samples, {outcome.lost} lost, {outcome.late} late ({outcome.end_reason})")
+        print(told(path, outcome))
+    answer_for(outcome)
+
+
+def told(path: Path, outcome: Outcome) -> str:
+    """One line on how a run went."""
+    if not outcome.samples:
+        return f"nothing was recorded ({outcome.end_reason})"
+    return f"{path}: {outcome.samples} samples, {outcome.lost} lost, {outcome.late} late ({outcome.end_reason})"
+
+
+def answer_for(outcome: Outcome) -> None:
+    """Raise what a run that did not go as planned ends the command with; what is urgent is said first."""
+    from drivers.servo import DriverError, LinkLost
+    from hil.findings import lateness
+
+    if outcome.alarm:
+        say(outcome.alarm)
+        say(f"hil: {outcome.error}")
+        raise typer.Exit(STAND_FAILED)
+    if isinstance(outcome.error, OSError) and not isinstance(outcome.error, DriverError):
+        raise LinkLost(f"the link failed: {outcome.error}") from outcome.error
     if outcome.error is not None:
         raise outcome.error
     if outcome.signal:
         raise typer.Exit(128 + outcome.signal)
+    found = lateness(outcome.late, outcome.samples)
+    tell(found)
+    if any(finding.fatal for finding in found):
+        raise typer.Exit(UNTRUSTWORTHY)
 
 
 def _stand_of(backend: str | None, path: Path | None) -> Stand:
@@ -116,8 +145,11 @@ def _limit_of(stand: Stand, quantity: str) -> float:
 
 
 def _checked_rate(rate: float) -> float:
-    if not 1.0 <= rate <= 10_000.0:
-        raise WrongUse(f"--rate {rate:g}: it must lie between 1 and 10000 Hz")
+    if not 20.0 <= rate <= 10_000.0:
+        raise WrongUse(
+            f"--rate {rate:g}: it must lie between 20 and 10000 Hz; a drive that is asked less often takes its host "
+            "for dead and turns the torque off"
+        )
     return rate
 
 

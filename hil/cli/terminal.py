@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -34,7 +35,7 @@ def say(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def tell(findings: tuple[Finding, ...]) -> None:
+def tell(findings: Sequence[Finding]) -> None:
     """Say every finding, with its code."""
     for finding in findings:
         say(f"{'problem' if finding.fatal else 'note'} [{finding.code}]: {finding.message}")

@@ -64,8 +64,8 @@ class Bench:
         header = Header(profile=self.profile.attributes())
         with PartFile(self._path, header, tick_count(self.profile, RATE), batch=3) as part:
             self.outcome = Recorder(self.stand, self.servo, self.profile, RATE, part).run(self.stop)
-        if self.outcome.samples:
-            part.finish(self.outcome.end_reason)
+            if self.outcome.samples:
+                part.finish(self.outcome.end_reason)
         return self.outcome
 
     def channel(self, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,7 +25,7 @@ from hil import store
 from hil.errors import Untrustworthy, WrongUse
 from hil.part import Header, PartFile, finalise, missing_row, write
 from hil.store import CHANNELS, ROW, SCHEMA, Recording
-from hil.target import check_target, next_free
+from hil.target import Taken, check_part, check_target, give_up, next_free
 
 from .conftest import Maker
 
@@ -223,22 +225,135 @@ def test_the_next_free_name_counts_unfinished_recordings_too(tmp_path: Path) -> 
     assert next_free(folder).name == "run8.h5"
 
 
-@pytest.mark.parametrize("existing", ["a.h5", "a.h5.part"])
-def test_nothing_is_overwritten_without_force(tmp_path: Path, existing: str) -> None:
-    (tmp_path / existing).touch()
+def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
+    (tmp_path / "a.h5").touch()
+    (tmp_path / "b.h5.part").touch()
     with pytest.raises(WrongUse, match="--force"):
         check_target(tmp_path / "a.h5", force=False)
-    assert (tmp_path / existing).exists()
+    with pytest.raises(WrongUse, match="--force"):
+        check_part(tmp_path / "b.h5")
+
+
+def test_looking_whether_a_name_is_free_removes_nothing(tmp_path: Path) -> None:
+    for name in ("a.h5", "a.h5.part"):
+        (tmp_path / name).write_text("data")
     check_target(tmp_path / "a.h5", force=True)
-    assert not (tmp_path / "a.h5.part").exists()
+    assert sorted(item.read_text() for item in tmp_path.iterdir()) == ["data", "data"]
+
+
+def test_what_is_read_is_never_overwritten_whatever_it_is_called(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("data")
+    (tmp_path / "b.csv").symlink_to("a.csv")
+    for name in ("a.csv", "b.csv", "../" + tmp_path.name + "/a.csv"):
+        with pytest.raises(WrongUse, match="what is read"):
+            check_target(tmp_path / name, force=True, inputs=[tmp_path / "a.csv"])
+
+
+def test_a_left_over_part_can_be_given_up_and_a_live_one_cannot(tmp_path: Path) -> None:
+    give_up(tmp_path / "a.h5")  # there is none
+    part = recorded(tmp_path / "a.h5", 5)
+    with pytest.raises(WrongUse, match="is being recorded"):
+        give_up(tmp_path / "a.h5")
+    with Recording(part.path) as recording:
+        assert len(recording) == 5
+    part.close()
+    give_up(tmp_path / "a.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_live_part_of_another_process_is_not_given_up(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from hil.errors import WrongUse\n"
+        "from hil.target import give_up\n"
+        "try: give_up(Path(sys.argv[1]))\n"
+        "except WrongUse as error: print(error)\n"
+    )
+    with recorded(tmp_path / "a.h5", 5) as part:
+        other = subprocess.run(
+            [sys.executable, "-c", code, str(tmp_path / "a.h5")], check=True, capture_output=True, text=True
+        )
+        assert "is being recorded" in other.stdout
+        assert part.path.exists()
+
+
+def test_a_live_part_can_be_watched_with_any_reader(tmp_path: Path) -> None:
+    with recorded(tmp_path / "a.h5", 5) as part, h5py.File(part.path) as file:
+        assert file["live"][3]["seq"] == 3
 
 
 def test_two_recorders_never_share_a_file(tmp_path: Path) -> None:
     with recorded(tmp_path / "a.h5", 5) as first:
-        with pytest.raises(WrongUse, match="File exists"):
+        with pytest.raises(Taken, match="File exists"):
             PartFile(tmp_path / "a.h5", HEADER, 5)
         with Recording(first.path) as recording:
             assert len(recording) == 5
+
+
+def test_what_took_the_place_of_the_part_is_not_finished_in_its_stead(tmp_path: Path) -> None:
+    with recorded(tmp_path / "a.h5", 12) as part:
+        part.path.unlink()
+        recorded(tmp_path / "b.h5", 3).close()
+        (tmp_path / "b.h5.part").rename(part.path)
+        with pytest.raises(WrongUse, match="somebody has replaced it"):
+            part.finish("done")
+    with Recording(part.path) as recording:
+        assert len(recording) == 3
+
+
+def test_a_part_is_discarded_only_where_it_is_ours(tmp_path: Path) -> None:
+    part = PartFile(tmp_path / "a.h5", HEADER, 5)
+    part.path.unlink()
+    part.path.write_text("somebody else's")
+    part.discard()
+    assert part.path.read_text() == "somebody else's"
+
+
+def test_a_temporary_file_of_somebody_elses_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "a.h5.tmp").write_text("my own data")
+    recorded(tmp_path / "a.h5", 5).finish("done")
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["a.h5", "a.h5.tmp"]
+    assert (tmp_path / "a.h5.tmp").read_text() == "my own data"
+
+
+@pytest.mark.parametrize("planned", [0, 40])
+def test_a_part_without_a_row_is_recovered_as_an_empty_recording(tmp_path: Path, planned: int) -> None:
+    part = PartFile(tmp_path / "a.h5", HEADER, planned)
+    part.close()
+    assert finalise(part.path, tmp_path / "a.h5") == 0
+    with Recording(tmp_path / "a.h5") as recording:
+        assert (len(recording), recording.verify()) == (0, True)
+        assert recording.truth() == {"Kc": 0.01775}
+
+
+@pytest.mark.parametrize("where", ["hil.part.write_at", "os.fsync"])
+def test_a_disk_that_fails_under_a_run_is_said_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    failed = threading.Event()
+
+    def fail(*words: object) -> int:
+        failed.set()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(len(words)))
+
+    part = recorded(tmp_path / "a.h5", 12, planned=100)
+    monkeypatch.setattr(where, fail)
+    if where == "os.fsync":  # asked for by a thread of its own
+        assert failed.wait(10.0)
+        part._syncer.join()
+    with pytest.raises(Untrustworthy, match="No space left on device"):
+        recorded_more(part, 7)
+    with pytest.raises(Untrustworthy):
+        part.event(0.5, "note", "half way")
+    part.close()
+    monkeypatch.undo()
+    with Recording(part.path) as recording:
+        assert len(recording) == 12
+
+
+def recorded_more(part: PartFile, rows: int) -> None:
+    for seq in range(len(part), len(part) + rows):
+        part.append(row(seq))
 
 
 def test_a_target_without_a_folder_is_refused(tmp_path: Path) -> None:
