@@ -24,6 +24,7 @@ Shape = Callable[[Array], Array]
 
 _EDGE = 0.02  # s; a torque step through a cable is eased over this long, so that the cable does not whip
 _RELEASE = 0.1  # s; the shortest soft start and stop
+_LINES_BLOCK = 256  # of a multisine, worked out at a time
 _LINES_PERIOD = 20.0  # s; the longest base period of a multisine, so that its lines stay few
 
 
@@ -113,6 +114,8 @@ def make(
     if (kind == "file") != (setpoints is not None):
         raise WrongUse("--profile file and --setpoints FILE.csv go together: give both or neither")
     if setpoints is not None:
+        if band is not None:
+            raise WrongUse("--band has no meaning with --profile file: the set-points are the file's; leave it out")
         shape, peak, end = _from_file(setpoints)
         amplitude = peak if amplitude is None else amplitude
         duration = end if duration is None else duration
@@ -178,11 +181,17 @@ def _multisine(band: tuple[float, float], duration: float, seed: int) -> Shape:
     omega = 2.0 * np.pi * lines / period
 
     def total(time: Array) -> Array:
-        return np.asarray(np.cos(np.outer(time, omega) + phases).sum(axis=1))
+        found = np.zeros_like(time)
+        for first in range(0, lines.size, _LINES_BLOCK):  # a wide band has 50,000 lines, too many for one table
+            some = slice(first, first + _LINES_BLOCK)
+            found += np.cos(np.outer(time, omega[some]) + phases[some]).sum(axis=1)
+        return found
 
     # sixteen points a period of the fastest line find the peak to within 2 %, which the scale leaves room for
-    grid = np.linspace(0.0, period, int(16 * band[1] * period) + 16)
-    peak = 1.02 * max(float(np.abs(total(part)).max()) for part in np.array_split(grid, 1 + grid.size // 4096))
+    points = 16 * int(lines[-1])
+    spectrum = np.zeros(points // 2 + 1, dtype=np.complex128)
+    spectrum[lines] = 0.5 * points * np.exp(1j * phases)
+    peak = 1.02 * float(np.abs(np.fft.irfft(spectrum, points)).max())
     return lambda time: total(time) / peak
 
 
@@ -236,7 +245,10 @@ def _from_file(path: Path) -> tuple[Shape, float, float]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise WrongUse(f"{path}: the set-points cannot be read ({error})") from None
-    rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].startswith("#")]
+    try:
+        rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].startswith("#")]
+    except csv.Error as error:
+        raise WrongUse(f"{path}: the set-points are no CSV ({error})") from None
     body = rows[1:] if rows and not _is_number(rows[0][0]) else rows
     for number, row in enumerate(body, start=1 + len(rows) - len(body)):
         if len(row) != 2 or not all(_is_number(cell) for cell in row):

@@ -5,14 +5,15 @@ from __future__ import annotations
 import base64
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.target import writing
+from hil.errors import WrongUse
+from hil.target import replacing
 
 if TYPE_CHECKING:  # rich costs 50 ms, and what these modules import more
     from rich.table import Table
@@ -95,29 +96,34 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def identification_table(found: Identification) -> Table:
-    """Table 1 of the paper, with the exact optimum and its interval beside the search."""
+def identification_tables(found: Identification, width: int) -> list[Table]:
+    """Table 1 of the paper, with the exact optimum and its interval beside the search.
+
+    One table where it fits into `width` characters, two that are narrower where it does not.
+    """
+    from rich.console import Console
+
+    title = f"{found.model.name}, {found.samples} samples, {len(found.trials.fitness)} trials"
+    headings = ("best trial", "mean ± std", "exact", "95 % interval")
+    table = _estimates(found, headings, title)
+    if Console(width=1000).measure(table).maximum <= width:
+        return [table]
+    return [_estimates(found, headings[:2], title), _estimates(found, headings[2:], "")]
+
+
+def _estimates(found: Identification, headings: Sequence[str], title: str) -> Table:
     from rich.box import SIMPLE
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(
-        title=f"{found.model.name}, {found.samples} samples, {len(found.trials.fitness)} trials",
-        box=SIMPLE,
-        pad_edge=False,
-    )
-    for heading in ("", "best trial", "mean ± std", "exact", "95 % interval", ""):
-        table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    table = Table(title=Text(title) if title else None, box=SIMPLE, pad_edge=False)
+    for heading in ("", *headings, ""):
+        table.add_column(heading, justify="right" if heading else "left", overflow="fold")
     for estimate in found.estimates:
         factor, unit = people_unit(estimate.unit, milli=_milli(found))
-        low, high = (end * factor for end in estimate.ci95)
-        table.add_row(
-            estimate.name if estimate.identifiable else f"{estimate.name} ?",
-            f"{estimate.value * factor:.5g}",
-            f"{estimate.trials_mean * factor:.5g} ± {estimate.trials_std * factor:.0e}",
-            f"{estimate.exact * factor:.5g}",
-            f"{low:.5g} to {high:.5g}" if math.isfinite(low) else "cannot be told",
-            unit,
-        )
+        cells = _cells(estimate, factor)
+        name = estimate.name if estimate.identifiable else f"{estimate.name} ?"
+        table.add_row(name, *(cells[heading] for heading in headings), unit)
     return table
 
 
@@ -144,6 +150,19 @@ def ladder_table(found: Identification) -> Table:
     return table
 
 
+def _cells(estimate: Estimate, factor: float) -> dict[str, str]:
+    low, high = (end * factor for end in estimate.ci95)
+    spread = (
+        f" ± {estimate.trials_std * factor:.0e}" if math.isfinite(estimate.trials_std) else ""
+    )  # of one trial: none
+    return {
+        "best trial": f"{estimate.value * factor:.5g}",
+        "mean ± std": f"{estimate.trials_mean * factor:.5g}{spread}",
+        "exact": f"{estimate.exact * factor:.5g}",
+        "95 % interval": f"{low:.5g} to {high:.5g}" if math.isfinite(low) else "cannot be told",
+    }
+
+
 def identification_lines(found: Identification) -> list[str]:
     """What the table does not say: the fitness and its gap, the held-out part, the work done."""
     factor, unit = people_unit("N*m", milli=_milli(found))
@@ -159,8 +178,10 @@ def identification_lines(found: Identification) -> list[str]:
 def inspection_table(seen: Inspection) -> Table:
     """What a recording holds, a line each."""
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=f"{seen.path}: {seen.kind}, {seen.end_reason}", show_header=False)
+    # a name is shown as it is: "[red]" in it is no colour
+    table = Table(title=Text(f"{seen.path}: {seen.kind}, {seen.end_reason}"), show_header=False)
     factor, unit = people_unit("N*m", milli=seen.torque < 1.0)
     rows: Mapping[str, str] = {
         "samples": f"{seen.samples} over {seen.duration:.3g} s",
@@ -174,7 +195,7 @@ def inspection_table(seen: Inspection) -> Table:
         "rate from": f"a local polynomial over {seen.rate_window * 1e3:.3g} ms" if seen.rate_window else "the file",
     }
     for name, text in rows.items():
-        table.add_row(name, text)
+        table.add_row(name, Text(text))
     return table
 
 
@@ -215,8 +236,8 @@ def draw(found: Identification, path: Path) -> None:
     panels["loop"].set(xlabel="deflection [rad]", ylabel=f"torque at the joint [{unit}]")
     for panel in panels.values():
         panel.grid(visible=True, lw=0.3)
-    with writing(path):
-        figure.savefig(path, dpi=110)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
 
 
 def _modelled(found: Identification) -> NDArray[np.float64]:
@@ -237,9 +258,19 @@ def _title(found: Identification) -> str:
     return ",  ".join(parts)
 
 
+def page_files(path: Path) -> tuple[Path, Path]:
+    """The page at `path` and the picture beside it. Raises WrongUse where the two would be one file."""
+    picture = path.with_suffix(".png")
+    if picture == path:
+        raise WrongUse(
+            f"{path} is the name of the report's picture: name the page, such as {path.with_suffix('.html')}"
+        )
+    return path, picture
+
+
 def write_page(found: Identification, path: Path) -> list[Path]:
     """Write a page that stands alone (`path`, HTML) and its picture beside it; the files written. Raises WrongUse."""
-    picture = path.with_suffix(".png")
+    path, picture = page_files(path)
     draw(found, picture)
     rows = "".join(
         f"<tr><td>{estimate.name}</td><td>{estimate.value * factor:.5g}</td>"
@@ -260,6 +291,6 @@ def write_page(found: Identification, path: Path) -> list[Path]:
         f"<th>identifiable</th></tr>{rows}</table>{lines}<ul>{said}</ul>"
         f'<img alt="measured and modelled torque" src="data:image/png;base64,{data}"></html>\n'
     )
-    with writing(path):
-        path.write_text(page, encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
     return [path, picture]

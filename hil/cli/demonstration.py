@@ -11,7 +11,7 @@ import typer
 from hil.cli.identification import identify_and_show
 from hil.cli.progress import progress
 from hil.cli.recording import answer_for, told
-from hil.cli.terminal import Checkpoint, Json, print_json, say, tell, tell_interrupted
+from hil.cli.terminal import LARGEST_SEED, Checkpoint, Json, out, print_json, say, tell, tell_interrupted
 
 
 def demo(
@@ -23,12 +23,15 @@ def demo(
     from ga.models import parse as parse_model
     from hil import profiles
     from hil.identify import Search
+    from hil.report import page_files
     from hil.run import run
     from hil.stand import SIMULATED, parse
-    from hil.target import next_free
+    from hil.target import check_target, next_free
 
     stand = parse(SIMULATED)
     path = next_free(output)
+    for made_later in page_files(path.with_suffix(".html")):
+        check_target(made_later, force=False)
     made = profiles.make(
         "chirp",
         Quantity.TORQUE,
@@ -39,21 +42,21 @@ def demo(
         rate=500.0,
         seed=1,
     )
-    print("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
+    out("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
     path, outcome = run(stand, made, rate=500.0, seed=1, note="hil demo", command_line="hil demo", output=path)
-    print(told(path, outcome))
+    out(told(path, outcome))
     answer_for(outcome)
     search = Search("default", PRESETS["default"], trials=30, seed=0, workers=os.cpu_count() or 1, bounds={})
-    print("Identifying ...")
+    out("Identifying ...")
     identify_and_show([path], parse_model("linear"), search, path.with_suffix(".html"), as_json=False)
-    print(f"The recording is {path}; look at it with: hil inspect {path}")
-    print("Its true values are in its /truth group: Kc 17.75 mN m/rad, Bc 0.19 mN m s/rad.")
+    out(f"The recording is {path}; look at it with: hil inspect {path}")
+    out("Its true values are in its /truth group: Kc 17.75 mN m/rad, Bc 0.19 mN m s/rad.")
 
 
 def replicate(
     evaluations: Annotated[int, typer.Option(min=1, help="Of each trial; the paper's is 200000000.")] = 2_000_000,
     trials: Annotated[int, typer.Option(min=1, help="Independent searches.")] = 30,
-    seed: Annotated[int, typer.Option(min=0, help="Of the simulated stand and of the search.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the simulated stand and of the search.")] = 0,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; all cores otherwise.")] = None,
     checkpoint: Checkpoint = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="The folder to write into.")] = Path("hil-replicate"),
@@ -84,8 +87,8 @@ def replicate(
         print_json(experiment.as_json(done))
     else:
         for line in experiment.table(done):
-            print(line)
-        print(
+            out(line)
+        out(
             f"{done.identification.trials.evaluations:.3g} evaluations in {done.identification.search_seconds:.1f} s: "
             f"{done.evaluations_per_second:.3g} a second, {done.ratio_to_numpy:.0f} times NumPy on one core"
         )

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, Output, command_line, print_json, tell
+from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, Output, command_line, out, out_table, print_json, tell
 from hil.errors import WrongUse
 
 
@@ -15,8 +15,6 @@ def inspect(
     recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")], as_json: Json = False
 ) -> None:
     """Say what a recording holds and whether it can be used."""
-    from rich.console import Console
-
     from hil.inspection import inspect as look
     from hil.report import inspection_json, inspection_table
 
@@ -24,8 +22,8 @@ def inspect(
     if as_json:
         print_json(inspection_json(seen))
     else:
-        Console().print(inspection_table(seen))
-        print("usable" if seen.usable else "not usable")
+        out_table(inspection_table(seen))
+        out("usable" if seen.usable else "not usable")
     tell(seen.findings)
     if not seen.usable:
         raise typer.Exit(UNTRUSTWORTHY)
@@ -71,7 +69,7 @@ def import_data(
         stand=None if stand is None else load(stand),
         command_line=command_line(),
     )
-    print(f"{output}: {count} samples")
+    out(f"{output}: {count} samples")
 
 
 def recover(
@@ -88,4 +86,4 @@ def recover(
     target = output or part.with_suffix("")
     check_target(target, force=force, inputs=[part])
     rows = finalise(part, target)
-    print(f"{target}: {rows} samples recovered; {part} is still there")
+    out(f"{target}: {rows} samples recovered; {part} is still there")

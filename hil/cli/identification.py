@@ -9,7 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli.progress import progress
-from hil.cli.terminal import UNTRUSTWORTHY, Checkpoint, Force, Json, print_json, say, tell, tell_interrupted
+from hil.cli.terminal import (
+    LARGEST_SEED,
+    UNTRUSTWORTHY,
+    Checkpoint,
+    Force,
+    Json,
+    columns,
+    out,
+    out_table,
+    print_json,
+    say,
+    tell,
+    tell_interrupted,
+)
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -36,7 +49,7 @@ def identify(
     weights: Annotated[str | None, typer.Option(help="Of equation 6; see docs/paper.md.")] = None,
     replacement: Annotated[str | None, typer.Option(help="What a child replaces; see docs/paper.md.")] = None,
     bounds: Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI; may be repeated.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the search.")] = 0,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; all cores otherwise.")] = None,
     checkpoint: Checkpoint = None,
     report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture.")] = None,
@@ -45,10 +58,12 @@ def identify(
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
     from hil.identify import Search
+    from hil.report import page_files
     from hil.target import check_target
 
     if report is not None:
-        check_target(report, force=force)
+        for path in page_files(report):
+            check_target(path, force=force, inputs=recordings)
     chosen = _model(model or ("linear" if preset == "paper" else "auto"))
     readings = {"selection": selection, "weights": weights, "replacement": replacement}
     sizes = {"generations": generations, "population": population, "mutation": mutation}
@@ -93,15 +108,14 @@ def identify_and_show(
 
 
 def _show(found: Identification) -> None:
-    from rich.console import Console
-
-    from hil.report import identification_lines, identification_table, ladder_table
+    from hil.report import identification_lines, identification_tables, ladder_table
 
     if found.rungs:
-        Console().print(ladder_table(found))
-    Console().print(identification_table(found))
+        out_table(ladder_table(found))
+    for table in identification_tables(found, columns()):
+        out_table(table)
     for line in identification_lines(found):
-        print(line)
+        out(line)
 
 
 def _model(name: str) -> Model | None:

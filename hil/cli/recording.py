@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.terminal import STAND_FAILED, UNTRUSTWORTHY, Force, Json, Output, command_line, print_json, say, tell
+from hil.cli.terminal import (
+    LARGEST_SEED,
+    STAND_FAILED,
+    UNTRUSTWORTHY,
+    Force,
+    Json,
+    Output,
+    command_line,
+    out,
+    print_json,
+    say,
+    tell,
+)
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -28,7 +40,9 @@ def record(
     quantity: Annotated[str, typer.Option(help="What is commanded: torque or position.")] = "torque",
     soft: Annotated[float, typer.Option(help="s of soft start and soft stop.")] = 1.0,
     setpoints: Annotated[Path | None, typer.Option(help="The CSV of --profile file: time (s), set-point.")] = None,
-    seed: Annotated[int, typer.Option(help="Of all that is random: the simulator, a PRBS.")] = 1,
+    seed: Annotated[
+        int, typer.Option(min=0, max=LARGEST_SEED, help="Of all that is random: the simulator, a PRBS.")
+    ] = 1,
     realtime: Annotated[bool, typer.Option("--realtime", help="Simulate in wall time.")] = False,
     note: Annotated[str, typer.Option(help="A remark kept in the file.")] = "",
     output: Output = None,
@@ -43,7 +57,7 @@ def record(
 
     if list_profiles:
         for name, kind in profiles.KINDS.items():
-            print(f"{name:10} {kind.explanation}")
+            out(f"{name:10} {kind.explanation}")
         return
     opened = _stand_of(backend, stand)
     made = profiles.make(
@@ -85,7 +99,7 @@ def record(
             }
         )
     else:
-        print(told(path, outcome))
+        out(told(path, outcome))
     answer_for(outcome)
 
 
