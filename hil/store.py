@@ -22,6 +22,7 @@ from __future__ import annotations
 import hashlib
 import stat
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -87,12 +88,13 @@ class Recording:
         self.path = path
         self._file = _open(path)
         try:
-            self._check_schema()
-            self.attributes = {name: _plain(self._file.attrs[name]) for name in self._file.attrs}
-            self.profile = {name: _plain(value) for name, value in self._group("profile").attrs.items()}
-            self.live = "live" in self._file
-            self.complete = bool(self.attributes.get("complete", False))
-            self._length = self._count_live() if self.live else self._check_samples()
+            with _legible(path):
+                self._check_schema()
+                self.attributes = {name: _plain(self._file.attrs[name]) for name in self._file.attrs}
+                self.profile = {name: _plain(value) for name, value in self._group("profile").attrs.items()}
+                self.live = "live" in self._file
+                self.complete = bool(self.attributes.get("complete", False))
+                self._length = self._count_live() if self.live else self._check_samples()
         except BaseException:
             self._file.close()
             raise
@@ -137,22 +139,24 @@ class Recording:
         return np.asarray(self._read(f"samples/{name}", start, stop), dtype=np.float64)
 
     def events(self) -> list[Event]:
-        """What happened during the run, in order."""
-        if self.live:
-            table = self._read("live_events", 0, EVENTS)
-            return [
-                Event(float(row["time"]), row["code"].decode(), row["message"].decode(errors="replace"))
-                for row in table
-                if row["code"]
-            ]
-        group = self._group("events")
-        text = (group["code"].asstr()[()], group["message"].asstr()[()])
-        return [Event(float(time), str(code), str(said)) for time, code, said in zip(group["time"], *text, strict=True)]
+        """What happened during the run, in order. Raises WrongUse for a damaged file."""
+        with _legible(self.path):
+            if self.live:
+                return [
+                    Event(float(row["time"]), *(row[name].decode(errors="replace") for name in ("code", "message")))
+                    for row in self._file["live_events"][:EVENTS]
+                    if row["code"]
+                ]
+            group = self._group("events")
+            text = (group["code"].asstr()[()], group["message"].asstr()[()])
+            rows = zip(group["time"], *text, strict=True)
+            return [Event(float(time), str(code), str(said)) for time, code, said in rows]
 
     def truth(self) -> dict[str, float]:
         """The simulator's own parameters, {} for a real stand. Identification never calls this."""
-        group = self._file.get("truth")
-        return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
+        with _legible(self.path):
+            group = self._file.get("truth")
+            return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
 
     def verify(self) -> bool:
         """Whether the samples still have the hash they were written with (an unfinished recording has none)."""
@@ -164,8 +168,8 @@ class Recording:
     def _read(self, name: str, start: int, stop: int) -> Any:
         try:
             return self._file[name][start:stop]
-        except (OSError, RuntimeError) as error:
-            raise Untrustworthy(f"{self.path}: {name} is damaged and cannot be read ({error})") from error
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+            raise Untrustworthy(f"{self.path}: {name} is damaged and cannot be read ({_first_line(error)})") from error
 
     def _group(self, name: str) -> h5py.Group:
         group = self._file.get(name)
@@ -208,6 +212,21 @@ class Recording:
         return lengths["time"]
 
 
+@contextmanager
+def _legible(path: Path) -> Iterator[None]:
+    """Turn whatever HDF5 and its wrapper make of damaged metadata into a WrongUse: there is no end to the kinds."""
+    try:
+        yield
+    except (WrongUse, Untrustworthy):
+        raise
+    except Exception as error:
+        raise WrongUse(f"{path} is damaged and cannot be read ({_first_line(error)}): use a copy of it") from error
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
 def _open(path: Path) -> h5py.File:
     """Open read-only what is an ordinary HDF5 file; a FIFO or a device would hang the reader."""
     try:
@@ -222,6 +241,8 @@ def _open(path: Path) -> h5py.File:
         if isinstance(error, PermissionError):
             raise WrongUse(f"{path} cannot be opened (permission denied)") from None
         raise WrongUse(f"{path} is not HDF5, or is cut off: bring CSV data in with `hil import`") from error
+    except Exception as error:
+        raise WrongUse(f"{path} is damaged and cannot be opened ({_first_line(error)}): use a copy of it") from error
 
 
 def _refuse_foreign_storage(file: h5py.File, path: Path) -> None:
