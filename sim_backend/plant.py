@@ -119,6 +119,18 @@ def constants(parameters: SimParameters) -> Constants:
     )
 
 
+def fastest_rate(c: Constants) -> float:
+    """1/s, the fastest of the stand's parts on its own: what the integrator's steps have to follow.
+
+    Of an inertia on a spring and a damper the larger root of J s^2 + B s + K, in magnitude.
+    """
+    square = c.gear_ratio**2
+    motor = (c.inertia, c.viscous_friction + c.damping / square, c.stiffness / square)
+    joint = (c.joint_inertia, c.fixture_damping + c.damping, c.fixture_stiffness + c.stiffness)
+    roots = [float(np.abs(np.roots(part)).max()) for part in (motor, joint)]
+    return max(*roots, c.current_rate, c.cell_rate, c.velocity_rate)
+
+
 def at_rest(c: Constants) -> Vector:
     """The state nobody has touched: no torque, no deflection, everything at ambient temperature. Shape (STATES,)."""
     state = np.zeros(STATES)

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from hil.recorder import Outcome
     from hil.stand import Stand
 
+_FAST_PART = 1e6  # 1/s; from there on a simulated second takes about as long as a real one
+
 
 def record(
     backend: Annotated[str | None, typer.Option(help="A built-in stand: sim.")] = None,
@@ -73,6 +75,7 @@ def record(
         setpoints=setpoints,
     )
     _check_amplitude(opened, made)
+    _say_if_slow(opened)
     if output is not None:
         check_target(output, force=force, inputs=[path for path in (stand, setpoints) if path is not None])
     path, outcome = run(
@@ -142,6 +145,24 @@ def _stand_of(backend: str | None, path: Path | None) -> Stand:
         raise WrongUse("which stand? --backend sim for the simulated one, --stand stand.toml for your own")
     check_backend(backend)
     return parse(SIMULATED)
+
+
+def _say_if_slow(stand: Stand) -> None:
+    """Say beforehand that a simulated stand will take its time: the steps of the integrator follow its fastest part."""
+    if stand.stand.backend != "sim":
+        return
+    from hil.findings import Finding
+    from sim_backend.plant import constants, fastest_rate
+
+    table = stand.stand
+    parameters = stand.sim.resolved(table.gear_ratio, table.motor_inertia or None, table.motor_damping)
+    rate = fastest_rate(constants(parameters))
+    if rate > _FAST_PART:
+        said = (
+            f"a part of the simulated stand moves at {rate / 6283.0:.0f} kHz, so that every simulated second takes "
+            f"about {rate:.0e} steps: for less, lower fixture.stiffness or raise the inertias"
+        )
+        tell([Finding("slow-simulation", said)])
 
 
 def _quantity(name: str) -> Quantity:

@@ -115,6 +115,7 @@ def test_an_unknown_unit_is_refused_with_the_nearest(tmp_path: Path) -> None:
     ("unit", "dimension", "si"),
     [
         ("kgf*cm", "torque", 0.0980665),
+        ("gf*cm", "torque", 9.80665e-5),
         ("ozf*in", "torque", 0.00706155),
         ("deg", "angle", 0.01745329),
         ("rpm", "rate", 0.10471976),

@@ -290,3 +290,18 @@ def test_the_past_is_remembered_between_the_steps_and_said_to_be_forgotten_beyon
     for tick in range(300):
         integrate(path, 1e-3 * (tick % 2), 0.02 + 2e-3 * (tick + 1), record)
     assert not recall(path, 0.02, there)
+
+
+@pytest.mark.parametrize("stiffness", [1e6, 1e7])
+def test_the_fastest_rate_is_the_stiff_fixtures_and_the_steps_follow_it(stiffness: float) -> None:
+    parameters = SimParameters(fixture=FixtureParameters(stiffness=stiffness, damping=0.0, inertia=5e-6))
+    c = plant.constants(parameters)
+    rate = plant.fastest_rate(c)
+    assert rate == pytest.approx(math.sqrt(stiffness / 5e-6), rel=1e-3)
+    path = start(c)
+    integrate(path, 1e-3, 0.05, packed(c, plant.Constants._fields)[0])
+    assert path.written[0] / 0.05 == pytest.approx(rate, rel=0.4)
+
+
+def test_the_default_stand_is_not_a_slow_one() -> None:
+    assert plant.fastest_rate(plant.constants(SimParameters())) == pytest.approx(2.0 * math.pi * 2000.0)  # the cell's
