@@ -83,6 +83,8 @@ class Recorder:
         self._guard = Guard(limits, moves=profile.amplitude if by_torque else 0.5 * limits.torque)
         self._outcome = Outcome()
         self._start = math.nan
+        self._off_asked = False
+        self._trouble: BaseException | None = None
 
     def run(self, stop: StopRequest) -> Outcome:
         """Record until the profile's end, a request to stop or a fault. The servo is disarmed on return.
@@ -98,7 +100,8 @@ class Recorder:
             outcome.error = error
             outcome.end_reason = f"{type(error).__name__}: {error}"
         finally:
-            self._torque_off()
+            if not self._off_asked:  # nothing was driven, or the torque-off itself was interrupted
+                self._torque_off()
         outcome.samples = len(self._part)
         self._note_end()
         return outcome
@@ -109,10 +112,14 @@ class Recorder:
                 _heed(stop)
                 set_points.extend(self._profile.at(times))
             zero = self._find_zero(stop)
+            limits = self._motor_limits(zero.motor)
             with _quiet_collector():
                 _heed(stop)
-                self._servo.arm(self._motor_limits(zero.motor))
-                self._loop(set_points, zero, stop)
+                try:
+                    self._servo.arm(limits)
+                    self._loop(set_points, zero, stop)
+                finally:  # before anything else, which might take its time
+                    self._torque_off()
 
     def _times(self) -> Iterator[np.ndarray[tuple[int], np.dtype[np.float64]]]:
         count = tick_count(self._profile, self._rate)
@@ -252,19 +259,23 @@ class Recorder:
                 trouble = error
         else:
             self._outcome.alarm = f"CUT THE POWER: the torque-off is not confirmed ({trouble})"
-            self._outcome.end_reason = f"{self._outcome.end_reason}; {self._outcome.alarm}"
         if self._outcome.alarm or not isinstance(trouble, Exception | None):
-            self._outcome.error = self._outcome.error or trouble
+            self._trouble = trouble
+        self._off_asked = True
 
     def _note_end(self) -> None:
         """Say in the recording what ended it. The run is over: nothing that fails here is worth more than its data."""
-        if self._outcome.error is None:
+        outcome = self._outcome
+        outcome.error = outcome.error or self._trouble
+        if outcome.alarm:
+            outcome.end_reason = f"{outcome.end_reason}; {outcome.alarm}"
+        if outcome.error is None:
             return
         try:
             since = self._servo.clock.now() - self._start if math.isfinite(self._start) else 0.0
-            self._part.event(since, type(self._outcome.error).__name__, self._outcome.end_reason)
+            self._part.event(since, type(outcome.error).__name__, outcome.end_reason)
         except Exception as error:  # noqa: BLE001 - the same
-            self._outcome.end_reason += f"; {error}"
+            outcome.end_reason += f"; {error}"
 
 
 def _heed(stop: StopRequest) -> None:

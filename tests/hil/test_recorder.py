@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import signal
+import sys
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from types import FrameType
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, LinkLost, NoReply, Quantity, Sample, Status
-from hil import profiles
+from hil import profiles, recorder
 from hil.errors import WrongUse
 from hil.guard import LimitReached
-from hil.part import Header, PartFile
+from hil.part import Header, PartFile, Row
 from hil.profiles import Profile
 from hil.recorder import Outcome, Recorder, tick_count
 from hil.stand import Stand, parse
@@ -280,6 +286,73 @@ def test_ctrl_c_in_the_torque_off_does_not_skip_it(bench: Bench) -> None:
     outcome = bench.run()
     assert not bench.servo.armed
     assert isinstance(outcome.error, KeyboardInterrupt)
+
+
+class Pages:
+    """Stands in for a `.part`: takes rows and events, in memory."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "a.h5.part"
+        self.rows: list[Row] = []
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def append(self, row: Row) -> None:
+        self.rows.append(row)
+
+    def event(self, time: float, code: str, message: str) -> None:
+        assert (math.isfinite(time), bool(code), bool(message)) == (True, True, True)
+
+
+class Listed(list[float]):
+    """Stands in for the set-points on disk."""
+
+    def __init__(self, folder: Path) -> None:
+        assert folder.is_dir()
+        super().__init__()
+
+    def __enter__(self) -> Listed:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        pass
+
+
+def test_ctrl_c_at_any_line_of_the_recorder_leaves_the_torque_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Raised by the tracer before the n-th line that is executed, for every n; servo and store are closed forms."""
+    monkeypatch.setattr(recorder, "_REST_SAMPLES", 2)
+    monkeypatch.setattr(recorder, "SetPoints", Listed)
+    monkeypatch.setattr(gc, "collect", lambda: 0)
+    short = profiles.make(
+        "sine", Quantity.TORQUE, amplitude=0.05, default_amplitude=1.0, duration=0.03, band=(2.0, 2.0), rate=RATE
+    )
+    for at in count(1):
+        servo, lines = SpringServo(), count(1)
+
+        def trace(frame: FrameType, event: str, _: object, at: int = at, lines: Iterator[int] = lines) -> Any:
+            if frame.f_code.co_filename != recorder.__file__:
+                return None
+            if event == "line" and next(lines) == at:
+                raise KeyboardInterrupt
+            return trace
+
+        run = Recorder(parse(STAND), servo, short, RATE, cast("PartFile", Pages(tmp_path)))
+        raised: BaseException | None = None
+        sys.settrace(trace)
+        try:
+            outcome = run.run(StopRequest())
+        except KeyboardInterrupt as error:
+            raised = error
+        finally:
+            sys.settrace(None)
+        assert not servo.armed, at
+        if raised is None and outcome.error is None and next(lines) <= at:
+            break
+    assert at > 200
+    assert len(servo.driven) == 4
 
 
 @pytest.mark.parametrize("moment", [100.0, 100.05, 100.1499])
