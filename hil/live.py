@@ -41,10 +41,11 @@ def beside(part: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError, subprocess.TimeoutExpired):
+        with suppress(Exception):  # the run's outcome is worth more than its viewer's
             viewer.communicate(timeout=5.0)
-        viewer.kill()
-        viewer.wait()
+        with suppress(Exception):
+            viewer.kill()
+            viewer.wait()
 
 
 def watch(path: Path) -> None:
