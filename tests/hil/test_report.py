@@ -14,7 +14,7 @@ from rich.console import Console
 from ga.evolution import PRESETS
 from ga.models import parse
 from hil.errors import WrongUse
-from hil.identify import Identification, Search, identify
+from hil.result import Identification, Search, identify
 from hil.report import draw, identification_tables, page_files, write_page
 
 from .conftest import Maker
