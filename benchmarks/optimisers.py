@@ -1,9 +1,10 @@
 """The optimisers of others, each with the settings that did best here, behind one fitness that is watched.
 
-Each searches the unit square, which the watched fitness maps onto the box. Each hands over a whole generation at a time
-through what its public interface offers for that (the comments name it), and its own stop rules are off. Of the
-population sizes 10, 20, 50 and 100 (differential evolution: 6 to 30, CMA-ES: 6 to 24) each has the one that came
-soonest within 1e-6 of the optimum at 2,500 samples.
+Each searches the unit square, which the watched fitness maps onto the box, or, of those that are told, onto the cube
+around the least-squares solution that our `default` begins in (`ga.start`), in its coordinates. Each hands over a whole
+generation at a time through what its public interface offers for that (the comments name it), and its own stop rules
+are off. Of the population sizes 10, 20, 50 and 100 (differential evolution: 6 to 30, CMA-ES: 6 to 24) each has the one
+that came soonest within 1e-6 of the optimum at 2,500 samples.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from scipy.optimize import differential_evolution
 from ga.compiled import compiled
 from ga.exact import Optimum, least_absolute_deviations
 from ga.space import Bounds, bounds_from_data
+from ga.start import Start, start_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -47,11 +49,12 @@ LANES = 128
 
 @dataclass(frozen=True)
 class Data:
-    """The paper's joint under a chirp with noise, the box to search and the proven optimum."""
+    """The paper's joint under a chirp with noise, the box to search, where ours begins and the proven optimum."""
 
     columns: Array
     torque: Array
     bounds: Bounds
+    start: Start
     optimum: Optimum
 
 
@@ -63,19 +66,23 @@ def recording(samples: int) -> Data:
     rate = 0.3 * 2.0 * np.pi * (0.1 + sweep * at) * np.cos(phase)
     columns = np.stack([0.3 * np.sin(phase), rate], axis=1)
     torque = columns @ np.array([17.75e-3, 0.19e-3]) + np.random.default_rng(0).normal(scale=2e-4, size=samples)
-    return Data(columns, torque, bounds_from_data(columns, torque), least_absolute_deviations(columns, torque))
+    bounds = bounds_from_data(columns, torque)
+    start = start_of(columns, torque, bounds)
+    assert start is not None
+    return Data(columns, torque, bounds, start, least_absolute_deviations(columns, torque))
 
 
 @compiled
-def mean_errors(torque: Array, columns: Array, low: Array, width: Array, units: Array) -> Array:
-    """Equation 5 for chromosomes (m, 2) in units of the box, from torque (n,) and columns (2, n): (m,), N m.
+def mean_errors(torque: Array, columns: Array, corner: Array, sides: Array, units: Array) -> Array:
+    """Equation 5 for chromosomes corner + sides . units, units (m, 2), from torque (n,), columns (2, n): (m,), N m.
 
     Partial sums side by side, so that it runs in the vector units: the best a user of the others could write.
     """
     errors, total = np.empty(len(units)), np.empty(LANES)
     whole = len(torque) - len(torque) % LANES
     for i in range(len(units)):
-        stiffness, damping = low[0] + units[i, 0] * width[0], low[1] + units[i, 1] * width[1]
+        stiffness = corner[0] + sides[0, 0] * units[i, 0] + sides[0, 1] * units[i, 1]
+        damping = corner[1] + sides[1, 0] * units[i, 0] + sides[1, 1] * units[i, 1]
         total[:] = 0.0
         for b in range(0, whole, LANES):
             measured, angle, rate = torque[b : b + LANES], columns[0, b : b + LANES], columns[1, b : b + LANES]
@@ -104,22 +111,30 @@ class Ended(BaseException):
 
 @dataclass
 class Watched:
-    """The fitness the others call, a generation at a time; it keeps the book on targets and cap."""
+    """The fitness the others call, a generation at a time; it keeps the book on targets and cap.
+
+    told: whether the unit square is the cube that ours begins in, or the whole box.
+    """
 
     data: Data
     cap: float
+    told: bool = False
     evaluations: int = 0
     reached: dict[float, Reached] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.began = time.perf_counter()
         self.columns = np.ascontiguousarray(self.data.columns.T)
-        self.width = self.data.bounds.high - self.data.bounds.low
+        bounds, start = self.data.bounds, self.data.start
+        self.corner, self.sides = bounds.low, np.diag(bounds.high - bounds.low)
+        if self.told:
+            self.sides = 2.0 * start.reach * start.backward
+            self.corner = start.centre - self.sides @ [0.5, 0.5]
 
     def __call__(self, units: Array) -> Array:
         """The fitness (m,), N m, of chromosomes (m, 2), the box being the unit square."""
         data = self.data
-        errors = mean_errors(data.torque, self.columns, data.bounds.low, self.width, units)
+        errors = mean_errors(data.torque, self.columns, self.corner, self.sides, units)
         seconds = time.perf_counter() - self.began
         if seconds > self.cap:
             raise Ended

@@ -44,8 +44,12 @@ BAR, BAR_TARGET, BAR_SAMPLES = 10.0, 1e-6, 2500
 PACKAGES = ("numpy", "numba", "scipy", "pymoo", "pygad", "deap", "cma", "cmaes")
 NEVER = Reached(math.inf, math.inf)
 
+TOLD = ", told"
+"""Behind the name of a method that is given the cube ours begins in."""
+
 OURS: Mapping[str, Settings] = {  # every stop rule is off, ours as well as theirs
     "hil, default": replace(PRESETS["default"], tolerance=None),
+    "hil, default, not told": replace(PRESETS["default"], tolerance=None, start="uniform"),
     "hil, paper": PRESETS["paper"],
 }
 
@@ -58,8 +62,8 @@ class Outcome:
     gave_up: bool = False
 
 
-def watch(peer: Callable[[Watched, int], None], data: Data, seed: int, cap: float) -> Outcome:
-    fitness = Watched(data, cap)
+def watch(peer: Callable[[Watched, int], None], data: Data, seed: int, cap: float, *, told: bool) -> Outcome:
+    fitness = Watched(data, cap, told)
     try:
         peer(fitness, seed)
     except Ended:
@@ -106,7 +110,9 @@ class Round:
     """
 
     data: Data
-    runs: dict[str, list[Outcome]] = field(default_factory=lambda: {name: [] for name in [*PEERS, *OURS]})
+    runs: dict[str, list[Outcome]] = field(
+        default_factory=lambda: {name: [] for name in [*PEERS, *(name + TOLD for name in PEERS), *OURS]}
+    )
     shipped: list[tuple[float, float, float]] = field(default_factory=list)
     single: list[float] = field(default_factory=list)
 
@@ -132,7 +138,8 @@ class Round:
     def take(self, seed: int, cap: float) -> None:
         """Every method once."""
         for name, peer in PEERS.items():
-            self.runs[name].append(watch(peer, self.data, seed, cap))
+            self.runs[name].append(watch(peer, self.data, seed, cap, told=False))
+            self.runs[name + TOLD].append(watch(peer, self.data, seed, cap, told=True))
         for name, settings in OURS.items():
             self.runs[name].append(clock(settings, self.data, seed, cap))
         found, seconds = call(self.data, PRESETS["default"], seed)
@@ -181,7 +188,7 @@ def duration(seconds: float, cap: float) -> str:
 
 
 def verdict(n: int, one: Round, cap: float) -> list[str]:
-    """The ratio to the fastest of the others, held against the bar where it applies, and what makes it up."""
+    """The ratios to the fastest of the others, held against the bar where it applies, and what makes them up."""
     ours = one.median("hil, default", BAR_TARGET)
     fastest = min(PEERS, key=lambda name: one.median(name, BAR_TARGET).seconds)
     theirs = one.median(fastest, BAR_TARGET)
@@ -189,24 +196,37 @@ def verdict(n: int, one: Round, cap: float) -> list[str]:
         return [
             f"No ratio within {power(BAR_TARGET)} at {n:,} samples: ours or all others were not there in {cap:g} s."
         ]
-    ratio = theirs.seconds / ours.seconds
-    much = f"{ratio:.3g} times faster" if ratio >= 1.0 else f"{1.0 / ratio:.3g} times slower"
-    first = (
-        f"Within {power(BAR_TARGET)} at {n:,} samples `default` needs {duration(ours.seconds, cap)}, the fastest of the"
-        f" others, {fastest}, {duration(theirs.seconds, cap)}: `default` is **{much}**."
+    lines = [compared(one, cap, "hil, default", list(PEERS), "the fastest of the others")]
+    lines.append(
+        compared(one, cap, "hil, default", [name + TOLD for name in PEERS], "the fastest that is told as much")
     )
-    if n == BAR_SAMPLES:
-        missed = f"missed by a factor of {BAR / ratio:.2g}"
-        first += f" The bar is {BAR:g} times faster: {'met' if ratio >= BAR else missed}."
+    lines.append(compared(one, cap, "hil, default, not told", list(PEERS), "the fastest of those not told either"))
     fixed = statistics.median(one.single)
     each = (ours.seconds - fixed) / ours.evaluations
-    why = (
+    lines.append(
         f"Of our {duration(ours.seconds, cap)} a call that runs a single generation takes {duration(fixed, cap)}; what"
         f" is left is {quick(each)} for each of {ours.evaluations:,.0f} evaluations. {fastest} makes"
         f" {theirs.evaluations:,.0f} evaluations, of {quick(one.each)} each in the fitness it was given; the rest of"
         " its time is its own."
     )
-    return [first, why]
+    return lines
+
+
+def compared(one: Round, cap: float, name: str, others: list[str], which: str) -> str:
+    """One sentence: ours against the fastest of some others, and against the bar where it applies."""
+    ours = one.median(name, BAR_TARGET).seconds
+    fastest = min(others, key=lambda other: one.median(other, BAR_TARGET).seconds)
+    theirs = one.median(fastest, BAR_TARGET).seconds
+    ratio, n = theirs / ours, len(one.data.torque)
+    much = f"{ratio:.3g} times faster" if ratio >= 1.0 else f"{1.0 / ratio:.3g} times slower"
+    text = (
+        f"Within {power(BAR_TARGET)} at {n:,} samples `{name}` needs {duration(ours, cap)}, {which}, {fastest},"
+        f" {duration(theirs, cap)}: **{much}**."
+    )
+    if n == BAR_SAMPLES and name == "hil, default":
+        missed = f"missed by a factor of {BAR / ratio:.2g}"
+        text += f" The bar is {BAR:g} times faster: {'met' if ratio >= BAR else missed}."
+    return text
 
 
 def quick(seconds: float) -> str:
@@ -255,6 +275,10 @@ PROSE = (
     "ask and tell), the unit square for a box, and of several population sizes the one that served them best",
     "(`benchmarks/optimisers.py`). The CMA-ES begin at the centre of the box, which is the least-squares solution: an",
     "advantage they keep. Stop rules are off, ours too.",
+    "",
+    "Our `default` takes its start from the data: a cube of four standard errors around the least-squares solution,",
+    "which it works out on its clock. `not told` is the same without, uniform in the box. For the others, `told` means",
+    "that their unit square is that cube, in its own coordinates, worked out before their clock starts.",
 )
 
 
@@ -281,7 +305,7 @@ def draw(rounds: Mapping[int, Round], cap: float) -> None:
             worst = [min(max(r.seconds for r in one.times(name, t)), cap) for t in TARGETS]
             spread = [[0.0] * len(TARGETS), [w - m for w, m in zip(worst, median, strict=True)]]
             ours = {"linewidth": 2.5, "linestyle": "-" if "default" in name else "--", "color": "black"}
-            style = ours if name not in PEERS else {"linewidth": 1.2}
+            style = ours if name in OURS else {"linewidth": 1.2, "linestyle": ":" if name.endswith(TOLD) else "-"}
             axes.errorbar(TARGETS, median, yerr=spread, marker="o", capsize=3, label=name, **style)
         axes.axhline(cap, color="grey", linestyle=":")
         axes.set(xscale="log", yscale="log", title=f"{n:,} samples", xlabel="within, relative to the optimum")
@@ -307,7 +331,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description="How soon others and we come near the exact optimum.")
     options.add_argument("--samples", type=int, nargs="+", default=[2500, 1_000_000], help="lengths of the recordings")
     options.add_argument("--seeds", type=int, default=5, help="runs of each method")
-    options.add_argument("--cap", type=float, default=5.0, help="s after which a run counts as not having reached")
+    options.add_argument("--cap", type=float, default=4.0, help="s after which a run counts as not having reached")
     given = options.parse_args()
     began = time.perf_counter()
     rounds = measure(given.samples, given.seeds, given.cap)
