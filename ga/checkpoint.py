@@ -89,6 +89,6 @@ def load(path: Path, belongs: dict[str, str]) -> State:
     if differing:
         raise WrongCheckpoint(
             f"{path} is the checkpoint of another run, with different {', '.join(differing)}: "
-            "run it as it was begun, or name another file to begin anew"
+            "run it as it was begun, or remove it to begin anew"
         )
     return State([Population(*parts) for parts in zip(*arrays, strict=True)], records)

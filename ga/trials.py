@@ -59,6 +59,8 @@ class Trials:
 
     genes: (trials, p), the best chromosome of each, SI. fitness: (trials,), N m. evaluations: of all trials together,
     those known to be hopeless included. generations: (trials,). finished: (trials,), which were not cut short.
+    made: how many of the evaluations were made by this run, not by the one it went on from. processor_seconds: what
+    they took, on all cores together.
     """
 
     genes: NDArray[np.float64]
@@ -67,6 +69,8 @@ class Trials:
     generations: NDArray[np.int64]
     history: History
     finished: NDArray[np.bool_]
+    made: int
+    processor_seconds: float
 
     @property
     def interrupted(self) -> bool:
@@ -150,6 +154,7 @@ def run_trials(
     """
     if trials < 1 or workers < 1:
         raise ValueError(f"{trials} trials with {workers} workers: give 1 or more of each")
+    began = time.process_time()
     columns, torque = (np.require(array, np.float64, ["C", "W"]) for array in (columns, torque))  # as is compiled for
     start = start_of(columns, torque, bounds) if settings.start == "informed" else None
     engine = engine_for(columns, torque, bounds, _expected(settings, bounds.low.size), start)
@@ -159,6 +164,7 @@ def run_trials(
     )
     state = load(checkpoint, belongs) if checkpoint and checkpoint.exists() else None
     running = _begun(run, engine, start, seed, trials) if state is None else _gone_on_with(state)
+    before = 0 if state is None else sum(trial.population.evaluations for trial in running)
 
     def keep() -> None:
         if checkpoint:
@@ -174,7 +180,7 @@ def run_trials(
             raise
     finally:
         keep()
-    return _outcome(running, run.grid)
+    return _outcome(running, run.grid, before, time.process_time() - began)
 
 
 def _expected(settings: Settings, p: int) -> int:
@@ -297,19 +303,22 @@ class _Watch:
             self.progress(sum(parts) / len(parts))
 
 
-def _outcome(running: list[_Trial], grid: NDArray[np.int64]) -> Trials:
+def _outcome(running: list[_Trial], grid: NDArray[np.int64], before: int, seconds: float) -> Trials:
     generations = np.array([t.population.generation for t in running], dtype=np.int64)
     fitness = np.array([t.population.best_fitness[0] for t in running])
     last = int(np.searchsorted(grid, generations.max())) + 1
     record = np.stack([t.record[:last] for t in running])
+    evaluations = sum(t.population.evaluations for t in running)
     return Trials(
         genes=np.stack([t.population.best for t in running]),
         fitness=fitness,
-        evaluations=sum(t.population.evaluations for t in running),
+        evaluations=evaluations,
         generations=generations,
         # where a search was cut short, its record ends
         history=History(
             np.minimum(grid[:last], generations.max()), np.where(np.isnan(record), fitness[:, None], record)
         ),
         finished=np.array([t.finished for t in running]),
+        made=evaluations - before,
+        processor_seconds=seconds,
     )

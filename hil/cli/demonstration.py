@@ -80,6 +80,9 @@ def replicate(
             checkpoint=kept,
             progress=note,
         )
+    interrupted = done.identification.trials.interrupted
+    if checkpoint is None and not interrupted:
+        kept.unlink(missing_ok=True)
     recording = done.identification.recordings[0]
     picture = recording.with_suffix(".png")
     experiment.draw_convergence(done, picture)
@@ -89,12 +92,10 @@ def replicate(
         for line in experiment.table(done):
             out(line)
         out(
-            f"{done.identification.trials.evaluations:.3g} evaluations in {done.identification.search_seconds:.1f} s: "
+            f"{done.identification.trials.made:.3g} evaluations in {done.identification.search_seconds:.1f} s: "
             f"{done.evaluations_per_second:.3g} a second, {done.ratio_to_numpy:.0f} times NumPy on one core"
         )
     say(f"wrote {recording} and {picture} (Figure 8)")
     tell(done.identification.findings)
-    if done.identification.trials.interrupted:
+    if interrupted:
         tell_interrupted(kept)
-    if checkpoint is None:
-        kept.unlink(missing_ok=True)

@@ -14,8 +14,9 @@ from rich.console import Console
 from ga.evolution import PRESETS
 from ga.models import parse
 from hil.errors import WrongUse
-from hil.result import Identification, Search, identify
+from hil.identify import Search, identify
 from hil.report import draw, identification_tables, page_files, write_page
+from hil.result import Identification
 
 from .conftest import Maker
 
