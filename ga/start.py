@@ -65,11 +65,14 @@ def start_of(columns: Matrix, torque: Vector, bounds: Bounds) -> Start | None:
     reach = _locate(columns, torque, centre, forward, backward)
     if not 0.0 < reach < np.inf:
         return None
-    extent = reach * np.abs(backward).sum(axis=1)
-    inside = bool(np.all((centre > bounds.low) & (centre < bounds.high)))
-    if not inside or bool(np.any(2.0 * extent > bounds.high - bounds.low)):
-        return None
-    return Start(centre, forward, backward, reach)
+    return within(Start(centre, forward, backward, reach), bounds)
+
+
+def within(start: Start, bounds: Bounds) -> Start | None:
+    """The start, if its centre is inside the bounds and it is smaller than they are."""
+    extent = start.reach * np.abs(start.backward).sum(axis=1)
+    inside = bool(np.all((start.centre > bounds.low) & (start.centre < bounds.high)))
+    return start if inside and bool(np.all(2.0 * extent <= bounds.high - bounds.low)) else None
 
 
 @compiled

@@ -16,7 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.compiled import compiled
 from ga.exact import Optimum, least_absolute_deviations
+from ga.start import Start
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -24,6 +26,9 @@ Blocks = Callable[[], Iterable[tuple[Matrix, Vector]]]
 """The data as often as they are asked for, in order: columns (m, p) and torque (m,), N m, of any number of rows."""
 
 _SUBSAMPLE: Final = 200_000
+_SHARE: Final = 0.01
+"""The part of all rows that is drawn where that is more: the subsample's work and what it leaves stay in step."""
+
 _SIGMAS: Final = 6.0
 """Standard errors of the subsample's optimum that the ball reaches, in each direction."""
 
@@ -37,12 +42,15 @@ class Reduced:
 
     length: rows of the whole, over which the mean is. optimum: of the whole. The mean absolute error of these rows
     times `share` is the fitness of the whole in a ball around the optimum, and never more than it elsewhere.
+    start: where a search of these rows may begin, around the subsample's optimum; None where all rows are here, or a
+    column tells nothing.
     """
 
     columns: Matrix
     torque: Vector
     length: int
     optimum: Optimum
+    start: Start | None = None
 
     @property
     def share(self) -> float:
@@ -63,6 +71,7 @@ def reduce(blocks: Blocks, rows: int) -> Reduced:
     whitening, columns, torque, floor = _subsample(blocks, rows)
     genes = least_absolute_deviations(columns, torque).genes
     radius = _radius(columns, torque, genes)
+    start = _start(genes, whitening, radius)
     for _ in range(_ATTEMPTS):
         columns, torque = _collapse(blocks, genes, whitening, radius)
         optimum = least_absolute_deviations(columns, torque)
@@ -70,20 +79,20 @@ def reduce(blocks: Blocks, rows: int) -> Reduced:
         if moved < radius:
             share = len(torque) / rows
             whole = replace(optimum, fitness=optimum.fitness * share, floor=floor)
-            return Reduced(columns, torque, rows, whole)
+            return Reduced(columns, torque, rows, whole, start)
         genes, radius = optimum.genes, _WIDER * max(radius, moved)
     raise RuntimeError("the optimum could not be bracketed: the columns are too nearly collinear")
 
 
 def _subsample(blocks: Blocks, rows: int) -> tuple[Matrix, Matrix, Vector, float]:
     """Whitening (p, p) of the columns of all rows, some rows drawn at random, and 1e-6 of the mean |torque|, N m."""
-    rng = np.random.default_rng(0)
+    rng, share = np.random.default_rng(0), max(_SUBSAMPLE / rows, _SHARE)
     drawn: list[tuple[Matrix, Vector]] = []
     gram, size = np.zeros((1, 1)), 0.0
     for columns, torque in blocks():
         gram = gram + columns.T @ columns
         size += float(np.abs(torque).sum())
-        kept = rng.random(len(torque)) < _SUBSAMPLE / rows
+        kept = rng.random(len(torque)) < share
         drawn.append((columns[kept], torque[kept]))
     values, vectors = np.linalg.eigh(gram / rows)
     # a direction that no row tells apart has no length: nothing settles or unsettles along it
@@ -105,17 +114,55 @@ def _radius(columns: Matrix, torque: Vector, genes: Vector) -> float:
     return _SIGMAS * float(np.sqrt(columns.shape[1])) * max(sigma, 1e-12 * size)
 
 
+def _start(genes: Vector, whitening: Matrix, radius: float) -> Start | None:
+    """The cube within the ball of some radius around `genes`."""
+    p = len(genes)
+    if np.linalg.matrix_rank(whitening) < p:
+        return None
+    # an orthogonal turn makes the whitening triangular, and leaves the columns orthogonal
+    forward: Matrix = np.linalg.qr(np.linalg.inv(whitening))[1]
+    return Start(genes, forward, np.asarray(np.linalg.inv(forward), np.float64), radius / float(np.sqrt(p)))
+
+
 def _collapse(blocks: Blocks, genes: Vector, whitening: Matrix, radius: float) -> tuple[Matrix, Vector]:
     """The rows that may change sign within `radius` of `genes`, under one row for all the others."""
-    settled_columns, settled_torque = np.zeros(len(genes)), 0.0
+    settled = np.zeros(len(genes) + 1)
     kept: list[tuple[Matrix, Vector]] = []
-    for columns, torque in blocks():
-        residuals = torque - columns @ genes
-        undecided = np.abs(residuals) <= radius * np.linalg.norm(columns @ whitening, axis=1)
-        signs = np.sign(np.where(undecided, 0.0, residuals))
-        settled_columns += signs @ columns
-        settled_torque += float(signs @ torque)
+    whitening = np.ascontiguousarray(whitening)
+    for block in blocks():
+        columns, torque = (np.require(array, np.float64, ["C", "W"]) for array in block)  # as is compiled for
+        undecided, part = np.empty(len(torque), np.bool_), np.zeros(len(genes) + 1)
+        _settle(columns, torque, genes, whitening, radius, undecided, part)
+        settled += part
         kept.append((columns[undecided], torque[undecided]))
-    first = (settled_columns[None, :], np.array([settled_torque]))
+    first = (settled[None, 1:], settled[:1])
     columns, torque = (np.concatenate(part) for part in zip(first, *kept, strict=True))
     return columns, torque
+
+
+@compiled
+def _settle(  # noqa: PLR0917 - compiled functions take their parts by position
+    columns: Matrix,
+    torque: Vector,
+    genes: Vector,
+    whitening: Matrix,
+    radius: float,
+    undecided: NDArray[np.bool_],
+    settled: Vector,
+) -> None:
+    """Mark the rows that may change sign; add the torque and the columns of the others, times their sign, up."""
+    n, p = columns.shape
+    for i in range(n):
+        residual, length = torque[i], 0.0
+        for k in range(p):
+            residual -= columns[i, k] * genes[k]
+            along = 0.0
+            for j in range(p):
+                along += columns[i, j] * whitening[j, k]
+            length += along * along
+        undecided[i] = abs(residual) <= radius * np.sqrt(length)
+        if not undecided[i]:
+            sign = 1.0 if residual >= 0.0 else -1.0
+            settled[0] += sign * torque[i]
+            for k in range(p):
+                settled[k + 1] += sign * columns[i, k]

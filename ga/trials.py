@@ -15,7 +15,7 @@ from ga.checkpoint import State, belonging, load, save
 from ga.evolution import Settings, advance, begin
 from ga.fitness import Engine, Samples, engine_for, fork
 from ga.population import Population, Record
-from ga.start import Start, start_of
+from ga.start import Start, start_of, within
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -133,6 +133,7 @@ def run_trials(
     trials: int,
     seed: int,
     workers: int,
+    start: Start | None = None,
     progress: Callable[[float], None] | None = None,
     stop: Callable[[], bool] | None = None,
     checkpoint: Path | None = None,
@@ -141,7 +142,8 @@ def run_trials(
     """Search `trials` times for the genes of columns (n, p) that fit torque (n,), N m, best.
 
     Each trial has its own generator, seeded from (seed, trial): the result does not depend on `workers`, the number of
-    threads. `progress` is called in this thread, several times a second, with the part done, 0 to 1.
+    threads. start: where an informed search begins, if the data cannot tell because they stand for others (Reduced).
+    `progress` is called in this thread, several times a second, with the part done, 0 to 1.
 
     Ctrl-C ends the run within some tenths of a second with KeyboardInterrupt. Where `stop` is given it is asked as
     often; once it says True, or at Ctrl-C, what has been found so far is returned, marked as interrupted.
@@ -156,7 +158,10 @@ def run_trials(
         raise ValueError(f"{trials} trials with {workers} workers: give 1 or more of each")
     began = time.process_time()
     columns, torque = (np.require(array, np.float64, ["C", "W"]) for array in (columns, torque))  # as is compiled for
-    start = start_of(columns, torque, bounds) if settings.start == "informed" else None
+    if settings.start == "uniform":
+        start = None
+    else:
+        start = start_of(columns, torque, bounds) if start is None else within(start, bounds)
     engine = engine_for(columns, torque, bounds, _expected(settings, bounds.low.size), start)
     run = _Run(SimpleQueue(), bounds, settings, _grid(settings.generations), threading.Event())
     belongs = (

@@ -32,6 +32,7 @@ from hil.spool import Progress
 Array = NDArray[np.float64]
 
 _FOLDS = 10  # blocks in time; every fifth is held out
+_COUNTED = 1 << 18  # samples looked at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +204,7 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
             trials=search.trials,
             seed=search.seed,
             workers=search.workers,
+            start=None if data.whole else reduced.start,
             progress=None if progress is None else partial(progress, "searching"),
             stop=lambda: False,  # with one, Ctrl-C keeps what was found
             checkpoint=search.checkpoint,
@@ -254,7 +256,8 @@ def _hold_out(data: Dataset, found: _Found) -> Holdout:
     def is_in(number: NDArray[np.int64]) -> NDArray[np.bool_]:
         return ~is_out(number)
 
-    kept = int(np.count_nonzero(is_in(np.arange(data.samples))))
+    firsts = range(0, data.samples, _COUNTED)  # the numbers of all samples at once would not fit in memory either
+    kept = sum(int(is_in(np.arange(at, min(at + _COUNTED, data.samples))).sum()) for at in firsts)
     genes = _exact(lambda: found.blocks(is_in), kept).optimum.genes
     count, absolute, square, total, power = 0, 0.0, 0.0, 0.0, 0.0
     for columns, torque in found.blocks(is_out):

@@ -9,8 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from ga import streaming
+from ga.evolution import PRESETS
 from ga.exact import least_absolute_deviations
+from ga.space import bounds_from_data
 from ga.streaming import Blocks, Reduced, reduce
+from ga.trials import run_trials
 
 Data = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -79,6 +82,21 @@ def test_a_ball_that_is_too_small_is_widened_until_it_holds_the_optimum(
     monkeypatch.setattr(streaming, "_SIGMAS", sigmas)
     whole = least_absolute_deviations(columns, torque)
     np.testing.assert_allclose(reduced(columns, torque).optimum.genes, whole.genes, rtol=1e-9)
+
+
+def test_a_search_of_the_reduced_rows_begins_around_the_optimum_and_ends_there() -> None:
+    columns, torque = data(2)
+    found = reduced(columns, torque)
+    assert found.start is not None
+    away = found.start.forward @ (found.optimum.genes - found.start.centre)
+    assert np.abs(away).max() < found.start.reach
+    whitened = columns @ found.start.backward
+    np.testing.assert_allclose(whitened.T @ whitened / len(torque), np.eye(2), atol=1e-9)
+    bounds = bounds_from_data(columns, torque)
+    trials = run_trials(
+        found.columns, found.torque, bounds, PRESETS["default"], trials=5, seed=0, workers=1, start=found.start
+    ).scaled(found.share)
+    assert found.optimum.relative_gap(float(trials.fitness.max())) < 1e-6
 
 
 def test_few_rows_are_taken_as_they_are() -> None:
