@@ -1,4 +1,4 @@
-"""Where the benchmarks write: one section each of docs/performance.md, and the machine that it was measured on."""
+"""Where the benchmarks write: one section each of a page of docs/, and the machine that it was measured on."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def machine() -> str:
     )
 
 
-def write_section(name: str, text: str) -> None:
+def write_section(name: str, text: str, to: str = "performance.md") -> None:
     """Put the text between the section's marks, at the end of the page where it has none yet."""
-    path = DOCS / "performance.md"
+    path = DOCS / to
     page = path.read_text(encoding="utf-8") if path.exists() else "# Performance\n"
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     section = f"{begin}\n{text.strip()}\n\n{end}\n"
