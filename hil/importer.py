@@ -1,32 +1,26 @@
-"""Other people's CSV into a recording: named columns, units, a row filter."""
+"""Other people's tables into a recording: named columns, units, signs, a row filter."""
 
 from __future__ import annotations
 
-import csv
-import gzip
-import math
-import operator
-import re
-import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from io import TextIOWrapper
 from pathlib import Path
 from types import MappingProxyType
-from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil import units
+from hil import tables, units
+from hil.condition import Condition
 from hil.errors import WrongUse
+from hil.exporter import heading
 from hil.part import Header, write
 from hil.stand import Stand
+from hil.store import CHANNELS
 
 Array = NDArray[np.float64]
 
-_DIMENSION = MappingProxyType(
+DIMENSION: Mapping[str, str] = MappingProxyType(
     {
         "time": "time",
         "torque": "torque",
@@ -36,167 +30,166 @@ _DIMENSION = MappingProxyType(
         "motor_position": "angle",
     }
 )
-_COMPARISONS: Mapping[str, Callable[[float, float], bool]] = MappingProxyType(
-    {
-        "==": operator.eq,
-        "!=": operator.ne,
-        "<=": operator.le,
-        ">=": operator.ge,
-        "<": operator.lt,
-        ">": operator.gt,
-    }
-)
+"""The channels that a column can be named for, and what each measures."""
+
+_SI: Mapping[str, str] = MappingProxyType({"time": "s", "torque": "N*m", "angle": "rad", "rate": "rad/s"})
+_SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """Where a channel comes from: the column's name in the file and its unit there."""
+    """Where a channel comes from: the column's name, its unit there, and what its numbers are multiplied by besides.
+
+    unit: None takes the one that the heading names ("tau [mN m]", "tau_mNm"), SI where it names none. scale: -1 turns
+    the sign.
+    """
 
     name: str
-    unit: str
+    unit: str | None = None
+    scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
-    """A row is kept where `column` compares so with `value`."""
+class Imported:
+    """What was brought in. duration: s. units: of each column that has one, as they were understood."""
 
-    column: str
-    comparison: str
-    value: float
-
-    @classmethod
-    def parse(cls, text: str) -> Condition:
-        """A condition such as "test_nr==100". Raises WrongUse."""
-        match = re.fullmatch(r"\s*(.+?)\s*(==|!=|<=|>=|<|>)\s*(\S+)\s*", text)
-        if match:
-            try:
-                return cls(match[1], match[2], float(match[3]))
-            except ValueError:
-                pass
-        raise WrongUse(
-            f"--where {text!r}: write a column, one of {' '.join(_COMPARISONS)}, and a number: 'test_nr==100'"
-        )
-
-    def holds(self, value: float) -> bool:
-        """Whether a row with `value` in the column is kept."""
-        return _COMPARISONS[self.comparison](value, self.value)
+    samples: int
+    duration: float
+    units: Mapping[str, str]
 
 
-def import_csv(
+def import_table(
     source: Path,
     target: Path,
     columns: Mapping[str, Column],
-    where: list[Condition],
+    where: Sequence[Condition],
     *,
     stand: Stand | None = None,
     command_line: str = "",
-) -> int:
-    """Write the rows of a CSV (or .csv.gz) that meet every condition as a recording; the number of rows.
+) -> Imported:
+    """Write the rows of a CSV, .csv.gz, Parquet or .mat file that meet every condition as a recording.
 
-    columns: channel (time, torque, dtheta, dtheta_dot, motor_torque, motor_position) to its column; time and either
-    torque with dtheta or motor_torque with motor_position and a stand. Raises WrongUse with the row at fault.
+    columns: channel (see DIMENSION) to its column: time, torque or motor_torque, and dtheta or motor_position; what is
+    of the motor comes to the joint through the stand's gear. {}: the file is an export of hil, whose headings say all.
+    Raises WrongUse, with the row where one is at fault.
     """
-    _check_channels(columns, stand)
-    factors = {channel: units.factor(_DIMENSION[channel], column.unit) for channel, column in columns.items()}
-    names = [column.name for column in columns.values()]
-    table, numbers = _read(source, names, where)
-    channels = {channel: table[index] * factors[channel] for index, channel in enumerate(columns)}
-    _check_time(source, channels["time"], numbers)
-    channels["time"] = channels["time"] - channels["time"][0]
-    if stand is not None and "motor_torque" in channels:
-        ratio = stand.stand.gear_ratio
-        channels["torque"] = ratio * channels["motor_torque"]
-        position = channels["motor_position"]
-        channels["dtheta"] = (position - position[np.isfinite(position)][:1].sum()) / ratio
+    if columns:
+        _check_channels(columns, stand)
+    known = tables.titles(source)
+    names = {channel: column.name for channel, column in columns.items()} or _own(source, known)
+    understood = {
+        channel: _unit(channel, known[tables.place(source, known, column.name)], column)
+        for channel, column in columns.items()
+    }
+    table, rows = tables.read(source, list(names.values()), where)
+    channels = dict(zip(names, table, strict=True))
+    for channel, unit in understood.items():
+        channels[channel] = channels[channel] * (columns[channel].scale * units.factor(DIMENSION[channel], unit))
+    _check_time(source, channels["time"], rows)
+    if columns:
+        _complete(source, channels, stand)
     header = Header(
-        profile={"kind": "imported", "source": source.name, "where": " and ".join(_said(item) for item in where)},
+        profile={"kind": "imported", "source": source.name, "where": " and ".join(str(item) for item in where)},
         stand_toml="" if stand is None else stand.text,
         command_line=command_line,
     )
     write(target, header, channels)
-    return len(numbers)
+    return Imported(len(rows), float(channels["time"][-1] - channels["time"][0]), understood)
 
 
-def _said(condition: Condition) -> str:
-    return f"{condition.column}{condition.comparison}{condition.value:g}"
+def _own(source: Path, known: Sequence[str]) -> dict[str, str]:
+    """The columns of a file that `hil export` wrote, by channel."""
+    found = {name: heading(name) for name in CHANNELS if name != "seq"}  # the rows are numbered anew
+    if not set(found.values()) <= set(known):
+        raise WrongUse(f"name the columns of {source} with --time, --torque and --dtheta; it has {', '.join(known)}")
+    return found
 
 
 def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
-    motor = {"motor_torque", "motor_position"}
-    if motor & set(columns):
-        if not motor <= set(columns) or stand is None:
-            raise WrongUse("torque from the motor needs --motor-torque, --motor-position and --stand together")
-        if {"torque", "dtheta"} & set(columns):
-            raise WrongUse("give either --torque and --dtheta, or --motor-torque and --motor-position")
-    elif not {"torque", "dtheta"} <= set(columns):
-        raise WrongUse("name the columns: --torque and --dtheta, or --motor-torque, --motor-position and --stand")
+    if "time" not in columns:
+        raise WrongUse("name the column of the time with --time")
+    for joint, motor in (("torque", "motor_torque"), ("dtheta", "motor_position")):
+        options = f"--{joint}", f"--{motor.replace('_', '-')}"
+        if joint in columns and motor in columns:
+            raise WrongUse(f"give either {options[0]} or {options[1]}, not both")
+        if joint not in columns and motor not in columns:
+            raise WrongUse(f"name the columns: {options[0]}, or {options[1]} with --stand, is missing")
+        if motor in columns and stand is None:
+            raise WrongUse(f"{options[1]} needs --stand: its gear_ratio brings the motor's side to the joint")
+    if stand is not None and "motor_torque" in columns and stand.stand.torque_source != "motor":
+        raise WrongUse('the stand has torque_source = "joint": name the torque cell\'s column with --torque')
+    for channel, column in columns.items():
+        if not np.isfinite(column.scale) or column.scale == 0.0:
+            raise WrongUse(f"{channel} cannot be scaled by {column.scale:g}: give a number that is not zero")
 
 
-def _check_time(source: Path, time: Array, numbers: list[int]) -> None:
+def _unit(channel: str, title: str, column: Column) -> str:
+    """The unit of a column: the one given, or else the heading's, or else SI. Raises WrongUse where the two differ."""
+    dimension = DIMENSION[channel]
+    name, inside = units.split(title)
+    named = inside or units.suffix(dimension, name)
+    if column.unit is None:
+        if named and units.canonical(dimension, named) is None:
+            raise WrongUse(f"column {title!r} names a unit of {dimension} that is not known: {_give(channel)}")
+        return named or _SI[dimension]
+    factor = units.factor(dimension, column.unit)
+    if named and units.canonical(dimension, named) is not None and units.factor(dimension, named) != factor:
+        raise WrongUse(
+            f"column {title!r} is in {named} by its heading and in {column.unit} by the command: mend the heading, or "
+            "leave the option out"
+        )
+    return column.unit
+
+
+def _give(channel: str) -> str:
+    option = channel.replace("motor_torque", "torque").replace("motor_position", "dtheta").replace("_", "-")
+    return f"give it with --{option}-unit, one of {', '.join(units.UNITS[DIMENSION[channel]])}"
+
+
+def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
-        raise WrongUse(f"{source}, row {numbers[bad[0]]}: the time is not a number")
+        raise WrongUse(f"{source}, row {rows[bad[0]]}: the time is not a number")
     backwards = np.flatnonzero(np.diff(time) < 0.0)
     if backwards.size:
         raise WrongUse(
-            f"{source}, row {numbers[backwards[0] + 1]}: the time goes backwards; "
+            f"{source}, row {rows[backwards[0] + 1]}: the time goes backwards; "
             "if the file holds several runs, choose one with --where"
         )
 
 
-@contextmanager
-def _text(source: Path) -> Iterator[TextIO]:
-    try:
-        if source.suffix == ".gz":
-            with gzip.open(source, "rb") as packed, TextIOWrapper(packed, encoding="utf-8-sig", newline="") as text:
-                yield text
-        else:
-            with source.open(encoding="utf-8-sig", newline="") as text:
-                yield text
-    except (OSError, EOFError, UnicodeDecodeError, csv.Error, zlib.error) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise WrongUse(f"{source} cannot be read ({reason}): check the name, and that it is CSV or .csv.gz") from None
+def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> None:
+    """Let the time begin at zero, and bring what is of the motor to the joint."""
+    channels["time"] = channels["time"] - channels["time"][0]
+    if stand is not None and "motor_torque" in channels:
+        channels["torque"] = stand.stand.gear_ratio * channels["motor_torque"]
+    if stand is not None and "motor_position" in channels:
+        position = channels["motor_position"]
+        channels["dtheta"] = (position - position[np.isfinite(position)][:1].sum()) / stand.stand.gear_ratio
+    if "dtheta_dot" in channels:
+        _check_rate(source, channels["time"], channels["dtheta"], channels["dtheta_dot"])
 
 
-def _read(source: Path, names: list[str], where: list[Condition]) -> tuple[Array, list[int]]:
-    """The named columns of the rows that are kept, (columns, rows), and the rows' numbers in the file."""
-    kept: list[list[float]] = []
-    numbers: list[int] = []
-    with _text(source) as text:
-        header = text.readline().rstrip("\r\n")
-        delimiter = max(",;\t", key=header.count)
-        titles = [title.strip() for title in next(csv.reader([header], delimiter=delimiter), [])]
-        wanted = [_index(source, titles, name) for name in names]
-        tests = [(_index(source, titles, condition.column), condition) for condition in where]
-        for number, row in enumerate(csv.reader(text, delimiter=delimiter), start=2):
-            if not row:
-                continue
-            if len(row) != len(titles):
-                raise WrongUse(f"{source}, row {number}: {len(row)} fields, but the header names {len(titles)}")
-            if all(condition.holds(_number(source, number, titles[at], row[at])) for at, condition in tests):
-                kept.append([_number(source, number, titles[at], row[at]) for at in wanted])
-                numbers.append(number)
-    if not kept:
-        what = "no row meets " + " and ".join(_said(condition) for condition in where) if where else "no rows"
-        raise WrongUse(f"{source}: {what}")
-    return np.array(kept, dtype=np.float64).T, numbers
+def _check_rate(source: Path, time: Array, dtheta: Array, rate: Array) -> None:
+    """Refuse a rate that has the deflection's shape and another size: their units or signs are mixed.
 
-
-def _index(source: Path, titles: list[str], name: str) -> int:
-    if name not in titles:
-        raise WrongUse(f"{source} has no column {name!r}; it has {', '.join(titles)}")
-    if titles.count(name) > 1:
-        raise WrongUse(f"{source} has {titles.count(name)} columns named {name!r}: rename all but one")
-    return titles.index(name)
-
-
-def _number(source: Path, row: int, title: str, cell: str) -> float:
-    """A cell's number; NaN for an empty one, which identification drops and counts."""
-    text = cell.strip()
-    if not text:
-        return math.nan
-    try:
-        return float(text)
-    except ValueError:
-        comma = "; write decimals with a point" if re.fullmatch(r"[-+]?\d+,\d+", text) else ""
-        raise WrongUse(f"{source}, row {row}, column {title}: {text!r} is not a number{comma}") from None
+    The rate's integral is compared with the deflection, both without a line in time: noise and a coarse clock matter
+    little there, and what is not alike in shape is not judged.
+    """
+    good = np.isfinite(dtheta) & np.isfinite(rate)
+    time, dtheta, rate = time[good], dtheta[good], rate[good]
+    if len(time) < 3 or np.ptp(time) == 0.0:
+        return
+    integral = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
+    line = np.column_stack([np.ones_like(time), (time - time.mean()) / np.ptp(time)])
+    both = np.column_stack([dtheta, integral])
+    moved, implied = (both - line @ np.linalg.lstsq(line, both, rcond=None)[0]).T
+    product, power = float(moved @ implied), float(implied @ implied) * float(moved @ moved)
+    if power == 0.0 or product**2 < _SAME_SHAPE * power:
+        return
+    ratio = product / float(moved @ moved)
+    if not 0.5 < ratio < 2.0:
+        raise WrongUse(
+            f"{source}: the rate of the deflection is {ratio:.3g} times what the deflection does: their units or signs "
+            "differ; give --dtheta-unit and --dtheta-dot-unit, or turn a sign with --dtheta-dot-scale -1"
+        )

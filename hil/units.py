@@ -1,8 +1,9 @@
-"""Units that people write, as factors to SI."""
+"""Units that people write, in options and in the headings of tables, as factors to SI."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from difflib import get_close_matches
 from types import MappingProxyType
@@ -15,16 +16,19 @@ _INCH = 0.0254  # m, exact
 
 UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
-        "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+        "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
         "torque": {
             "N*m": 1.0,
             "mN*m": 1e-3,
             "uN*m": 1e-6,
             "N*cm": 1e-2,
+            "N*mm": 1e-3,
+            "kgf*m": _STANDARD_GRAVITY,
             "kgf*cm": _STANDARD_GRAVITY * 1e-2,
             "gf*cm": _STANDARD_GRAVITY * 1e-5,
             "ozf*in": _POUND / 16.0 * _STANDARD_GRAVITY * _INCH,
             "lbf*in": _POUND * _STANDARD_GRAVITY * _INCH,
+            "lbf*ft": _POUND * _STANDARD_GRAVITY * _INCH * 12.0,
         },
         "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
         "rate": {
@@ -37,15 +41,76 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     }
 )
 
+_SPELLINGS: Mapping[str, str] = MappingProxyType(
+    {
+        "µs": "us",
+        "kgfcm": "kgf*cm",
+        "kgcm": "kgf*cm",
+        "gcm": "gf*cm",
+        "ozin": "ozf*in",
+        "lbin": "lbf*in",
+        "inlb": "lbf*in",
+        "lbft": "lbf*ft",
+        "ftlb": "lbf*ft",
+        "radians": "rad",
+        "degrees": "deg",
+        "°": "deg",
+        "turns": "rev",
+        "turn": "rev",
+        "rotations": "rev",
+        "°/s": "deg/s",
+        "dps": "deg/s",
+        "Hz": "rev/s",
+        "turns/s": "rev/s",
+        "turn/s": "rev/s",
+        "1/min": "rpm",
+    }
+)
+"""Other names of the units above, without what stands between the letters."""
+
+
+def canonical(dimension: str, unit: str) -> str | None:
+    """The table's name of a unit however its factors are joined ("Nm", "N m", "N·m", "N.m"); None: not in the table.
+
+    Case counts: a capital letter is another prefix.
+    """
+    table = UNITS[dimension]
+    squeezed = _squeeze(unit)
+    for name in table:
+        if _squeeze(name) == squeezed:
+            return name
+    spelled = _SPELLINGS.get(squeezed)
+    return spelled if spelled in table else None
+
+
+def _squeeze(unit: str) -> str:
+    joined = re.sub(r"[\s*.·⋅_-]", "", unit.replace("μ", "µ").replace("µN", "uN"))  # Greek mu is not the micro sign
+    return re.sub(r"sec(onds)?$", "s", joined)
+
 
 def factor(dimension: str, unit: str) -> float:
     """What a number in `unit` is multiplied by to be in SI.
 
     dimension: "time", "torque", "angle" or "rate". Raises WrongUse for a unit that is not in the table.
     """
+    name = canonical(dimension, unit)
     table = UNITS[dimension]
-    if unit in table:
-        return table[unit]
+    if name is not None:
+        return table[name]
     near = get_close_matches(unit, table, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     raise WrongUse(f"unknown unit of {dimension} {unit!r}: {hint}known are {', '.join(table)}")
+
+
+def split(title: str) -> tuple[str, str | None]:
+    """A column's heading as name and unit: "tau [mN m]" and "tau (mN m)" both name mN m; None where there is none."""
+    match = re.fullmatch(r"\s*(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*", title)
+    if match is None or not match[1]:
+        return title.strip(), None
+    return match[1], (match[2] if match[2] is not None else match[3]).strip()
+
+
+def suffix(dimension: str, title: str) -> str | None:
+    """The unit that a name such as "torque_mNm" or "angle_deg" ends in; None where the end is no unit."""
+    _, line, last = title.rpartition("_")
+    return canonical(dimension, last) if line and last else None

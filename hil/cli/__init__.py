@@ -9,7 +9,7 @@ from typing import Any, NoReturn, cast
 import typer
 
 from hil.cli.demonstration import demo, replicate
-from hil.cli.files import import_data, inspect, recover
+from hil.cli.files import export_data, import_data, inspect, recover
 from hil.cli.identification import identify
 from hil.cli.recording import record
 from hil.cli.terminal import DONE, INTERRUPTED, LIMIT_REACHED, STAND_FAILED, UNTRUSTWORTHY, WRONG_USE, say
@@ -34,6 +34,7 @@ app.command()(record)
 app.command()(identify)
 app.command()(inspect)
 app.command("import")(import_data)
+app.command("export")(export_data)
 app.command()(recover)
 app.command()(demo)
 app.command()(replicate)

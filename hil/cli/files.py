@@ -1,14 +1,17 @@
-"""`hil inspect`, `hil import`, `hil recover`: what is done with files."""
+"""`hil inspect`, `hil import`, `hil export`, `hil recover`: what is done with files."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, Output, command_line, out, out_table, print_json, tell
 from hil.errors import WrongUse
+
+if TYPE_CHECKING:
+    from hil.importer import Column
 
 
 def inspect(
@@ -30,46 +33,76 @@ def inspect(
 
 
 def import_data(
-    source: Annotated[Path, typer.Argument(help="CSV or .csv.gz with a header line.")],
+    source: Annotated[Path, typer.Argument(help="CSV (or .csv.gz) with a heading line, .parquet or .mat.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The recording to write.")],
-    time: Annotated[str, typer.Option(help="Column of the time.")],
+    time: Annotated[str | None, typer.Option(help="Column of the time. No column at all: an export of hil.")] = None,
     torque: Annotated[str | None, typer.Option(help="Column of the torque at the joint.")] = None,
     dtheta: Annotated[str | None, typer.Option(help="Column of the deflection.")] = None,
     dtheta_dot: Annotated[str | None, typer.Option(help="Column of its rate; else from the deflection.")] = None,
     motor_torque: Annotated[str | None, typer.Option(help="Column of the motor's torque (with --stand).")] = None,
     motor_position: Annotated[str | None, typer.Option(help="Column of the motor's position (with --stand).")] = None,
-    time_unit: Annotated[str, typer.Option(help="s, ms, us, ns.")] = "s",
-    torque_unit: Annotated[str, typer.Option(help="N*m, mN*m, N*cm, kgf*cm, ...; of either torque.")] = "N*m",
-    dtheta_unit: Annotated[str, typer.Option(help="rad, mrad, deg, rev; of deflection or motor position.")] = "rad",
-    dtheta_dot_unit: Annotated[str, typer.Option(help="rad/s, deg/s, rev/s, rpm.")] = "rad/s",
+    time_unit: Annotated[str | None, typer.Option(help="s, ms, us, ns; else as the heading says, or s.")] = None,
+    torque_unit: Annotated[str | None, typer.Option(help="N*m, mN*m, kgf*cm, ...; of either torque.")] = None,
+    dtheta_unit: Annotated[str | None, typer.Option(help="rad, deg, rev; of deflection or motor position.")] = None,
+    dtheta_dot_unit: Annotated[str | None, typer.Option(help="rad/s, deg/s, rev/s, rpm.")] = None,
+    torque_scale: Annotated[float, typer.Option(help="Multiplies the torque besides; -1 turns its sign.")] = 1.0,
+    dtheta_scale: Annotated[float, typer.Option(help="The same of the deflection or the motor position.")] = 1.0,
+    dtheta_dot_scale: Annotated[float, typer.Option(help="The same of the rate.")] = 1.0,
     where: Annotated[list[str] | None, typer.Option(help="Keep rows: 'test_nr==100'; may be repeated.")] = None,
     stand: Annotated[Path | None, typer.Option(help="The stand file the data was made on.")] = None,
     force: Force = False,
 ) -> None:
-    """Bring a CSV file into a recording."""
-    from hil.importer import Column, Condition, import_csv
+    """Bring a table into a recording: CSV, Parquet, MATLAB, or what hil export wrote."""
+    from hil.condition import Condition
+    from hil.importer import import_table
     from hil.stand import load
     from hil.target import check_part, check_target
 
     check_target(output, force=force, inputs=[source] if stand is None else [source, stand])
     check_part(output)
-    named = {
-        "time": (time, time_unit),
-        "torque": (torque, torque_unit),
-        "dtheta": (dtheta, dtheta_unit),
-        "dtheta_dot": (dtheta_dot, dtheta_dot_unit),
-        "motor_torque": (motor_torque, torque_unit),
-        "motor_position": (motor_position, dtheta_unit),
-    }
-    count = import_csv(
+    torques, angles, rates = (
+        (torque_unit, torque_scale),
+        (dtheta_unit, dtheta_scale),
+        (dtheta_dot_unit, dtheta_dot_scale),
+    )
+    done = import_table(
         source,
         output,
-        {channel: Column(name, unit) for channel, (name, unit) in named.items() if name is not None},
+        _columns("time", (time_unit, 1.0), time=time)
+        | _columns("torque", torques, torque=torque, motor_torque=motor_torque)
+        | _columns("dtheta", angles, dtheta=dtheta, motor_position=motor_position)
+        | _columns("dtheta-dot", rates, dtheta_dot=dtheta_dot),
         [Condition.parse(text) for text in where or ()],
         stand=None if stand is None else load(stand),
         command_line=command_line(),
     )
-    out(f"{output}: {count} samples")
+    units = "".join(f"; {channel} in {unit}" for channel, unit in done.units.items())
+    out(f"{output}: {done.samples} samples over {done.duration:.4g} s{units}")
+
+
+def _columns(option: str, given: tuple[str | None, float], **names: str | None) -> dict[str, Column]:
+    """The columns that were named, with the unit and scale of their option. Raises WrongUse where those have none."""
+    from hil.importer import Column
+
+    found = {channel: Column(name, *given) for channel, name in names.items() if name is not None}
+    if not found and given != (None, 1.0):
+        columns = " or ".join(f"--{channel.replace('_', '-')}" for channel in names)
+        raise WrongUse(f"--{option}-unit and --{option}-scale are of a column: name it with {columns}")
+    return found
+
+
+def export_data(
+    recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="FILE.csv, FILE.csv.gz or FILE.parquet.")],
+    force: Force = False,
+) -> None:
+    """Write every channel of a recording as a table, with the units in its headings."""
+    from hil.exporter import check_format, export
+    from hil.target import check_target
+
+    check_format(output)
+    check_target(output, force=force, inputs=[recording])
+    out(f"{output}: {export(recording, output)} rows")
 
 
 def recover(

@@ -359,7 +359,7 @@ def test_wrong_words_end_in_a_sentence_and_status_two(
 
 def test_an_unknown_unit_is_wrong_use(hil: Hil, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,q,p\n0,1,2\n")
-    words = ("--time", "t", "--torque", "q", "--dtheta", "p", "--torque-unit", "mNm")
+    words = ("--time", "t", "--torque", "q", "--dtheta", "p", "--torque-unit", "mN*M")
     ended = hil("import", "a.csv", "-o", "b.h5", *words)
     assert ended.status == 2
     assert "did you mean 'mN*m'" in ended.err

@@ -13,7 +13,7 @@ import pytest
 PACKAGES = ("hil", "ga", "drivers", "sim_backend")
 ALLOWED = {
     "hil": {"hil", "ga", "drivers", "sim_backend", "numpy", "h5py", "rich", "typer", "click", "pydantic", "matplotlib"}
-    | {"scipy"},
+    | {"scipy", "pyarrow"},
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers"},
     "sim_backend": {"sim_backend", "drivers.servo", "numpy", "numba", "annotated_types"},

@@ -1,0 +1,58 @@
+"""Which rows of a table are kept: a column compared with a number."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+
+_COMPARISONS: Mapping[str, Callable[..., bool | np.bool_ | NDArray[np.bool_]]] = MappingProxyType(
+    {
+        "==": operator.eq,
+        "!=": operator.ne,
+        "<=": operator.le,
+        ">=": operator.ge,
+        "<": operator.lt,
+        ">": operator.gt,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """A row is kept where `column` compares so with `value`."""
+
+    column: str
+    comparison: str
+    value: float
+
+    @classmethod
+    def parse(cls, text: str) -> Condition:
+        """A condition such as "test_nr==100". Raises WrongUse."""
+        match = re.fullmatch(r"\s*(.+?)\s*(==|!=|<=|>=|<|>)\s*(\S+)\s*", text)
+        if match:
+            try:
+                return cls(match[1], match[2], float(match[3]))
+            except ValueError:
+                pass
+        raise WrongUse(
+            f"--where {text!r}: write a column, one of {' '.join(_COMPARISONS)}, and a number: 'test_nr==100'"
+        )
+
+    def __str__(self) -> str:
+        return f"{self.column}{self.comparison}{self.value:g}"
+
+    def holds(self, value: float) -> bool:
+        """Whether a row with `value` in the column is kept."""
+        return bool(_COMPARISONS[self.comparison](value, self.value))
+
+    def mask(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of the rows with `values` (n,) in the column are kept, (n,)."""
+        return np.asarray(_COMPARISONS[self.comparison](values, self.value), dtype=np.bool_)
