@@ -8,6 +8,7 @@ from typing import Any, NoReturn, cast
 
 import typer
 
+from hil.cli.comparison import compare
 from hil.cli.demonstration import demo, replicate
 from hil.cli.files import export_data, import_data, inspect, recover
 from hil.cli.identification import identify
@@ -32,6 +33,7 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # what typer raise
 
 app.command()(record)
 app.command()(identify)
+app.command()(compare)
 app.command()(inspect)
 app.command("import")(import_data)
 app.command("export")(export_data)

@@ -1,0 +1,56 @@
+"""`hil compare`: several recordings of one joint side by side."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, print_json, progress, say, tell
+from hil.errors import WrongUse
+
+
+def compare(
+    recordings: Annotated[list[Path], typer.Argument(help="Two or more recordings of one joint on one stand.")],
+    model: Annotated[str, typer.Option(help="As for hil identify; the same for all.")] = "linear",
+    trials: Annotated[int, typer.Option(min=1, help="Independent searches of each recording.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    picture: Annotated[Path | None, typer.Option(help="Also draw the recordings side by side (PNG).")] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Say whether Kc and Bc repeat from recording to recording, and whether they drift."""
+    from ga.evolution import PRESETS
+    from ga.models import parse as parse_model
+    from hil import compare as engine
+    from hil.comparison_report import as_json as to_json
+    from hil.comparison_report import comparison_table, draw
+    from hil.identify import Search
+    from hil.target import check_target
+
+    if picture is not None:
+        check_target(picture, force=force)
+    try:
+        chosen = parse_model(model)
+    except ValueError as error:
+        raise WrongUse(f"--model {model!r}: {error}") from None
+    workers = os.cpu_count() or 1
+    search = Search("default", PRESETS["default"], trials=trials, seed=seed, workers=workers, bounds={})
+    with progress("identifying") as done:
+        found = engine.compare(recordings, chosen, search, done)
+    if as_json:
+        print_json(to_json(found))
+    else:
+        from rich.console import Console
+
+        Console().print(comparison_table(found))
+        for parameter in found.parameters:
+            print(parameter.verdict)
+    if picture is not None:
+        draw(found, picture)
+        say(f"wrote {picture}")
+    tell(found.findings)
+    if not found.trustworthy:
+        raise typer.Exit(UNTRUSTWORTHY)

@@ -1,0 +1,201 @@
+"""Several recordings of one joint side by side: does it repeat, does it drift, and what is one recording worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from ga.models import Model
+from hil.errors import Untrustworthy, WrongUse
+from hil.findings import Finding
+from hil.identify import Estimate, Identification, Search, identify
+from hil.provenance import check_together
+from hil.repeatability import Drift, Pooled, between, drift
+from hil.store import Recording
+
+COMPARED = ("Kc", "Bc")
+"""What is compared: the coupling; other terms are of the stand."""
+
+_NORMAL = 1.959964  # half a 95 % interval in standard errors
+_CHANCE = 0.05
+_ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
+_HOUR = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What one recording tells. created: UTC, None where it is not known. hours: since the first of all.
+
+    estimates: of COMPARED, by name; {} where the recording could not be used. told: the names of those that the
+    recording can tell. model: that was fitted.
+    """
+
+    path: Path
+    created: datetime | None
+    hours: float
+    model: str
+    estimates: dict[str, Estimate]
+    told: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Repeated:
+    """One parameter over all recordings that tell it.
+
+    pooled: None with fewer than two recordings. drift: per hour, in the parameter's unit; None with fewer than three.
+    repeats: whether nothing lies between the recordings that their own errors do not explain; None where it cannot be
+    told. verdict: a sentence or two.
+    """
+
+    name: str
+    unit: str
+    told_by: tuple[Path, ...]
+    pooled: Pooled | None
+    drift: Drift | None
+    repeats: bool | None
+    verdict: str
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What `hil compare` found."""
+
+    model: str
+    recordings: tuple[Measured, ...]
+    parameters: tuple[Repeated, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether nothing fatal was found."""
+        return not any(finding.fatal for finding in self.findings)
+
+
+def compare(
+    paths: Sequence[Path], model: Model, search: Search, progress: Callable[[float], None] | None = None
+) -> Comparison:
+    """Identify `model` in each recording on its own, and tell what lies within them from what lies between.
+
+    progress is called with the fraction that is done. Raises WrongUse for fewer than two recordings, for different
+    stands and for the same run twice. A recording that cannot be used is left out, and said to be.
+    """
+    if len(paths) < 2:
+        raise WrongUse("a comparison needs at least two recordings")
+    findings = check_together(paths)
+    created, imported = zip(*(_origin(path) for path in paths), strict=True)
+    if any(imported):
+        findings.append(
+            Finding("time-of-import", "the time of an imported recording is that of its import: so is any drift")
+        )
+    first = min((moment for moment in created if moment is not None), default=None)
+    measured = []
+    for index, path in enumerate(paths):
+        found = _identified(path, model, search, findings, _share(progress, index, len(paths)))
+        hours = (created[index] - first).total_seconds() / _HOUR if created[index] and first else math.nan
+        measured.append(_measured(path, created[index], hours, model, found))
+    models = {one.model for one in measured if one.estimates}
+    if len(models) > 1:
+        said = ", ".join(sorted(models))
+        findings.append(
+            Finding(
+                "models-differ", f"the recordings were fitted with different models ({said}): name one with --model"
+            )
+        )
+    repeated = tuple(_repeated(name, measured) for name in COMPARED)
+    findings += [Finding("cannot-compare", one.verdict, one.name, fatal=True) for one in repeated if one.pooled is None]
+    return Comparison(" or ".join(sorted(models)) or model.name, tuple(measured), repeated, tuple(findings))
+
+
+def _origin(path: Path) -> tuple[datetime | None, bool]:
+    """When a recording was made, and whether it was imported."""
+    with Recording(path) as recording:
+        imported = recording.profile.get("kind") == "imported"
+        try:
+            moment = datetime.fromisoformat(str(recording.attributes.get("created", "")))
+        except ValueError:
+            return None, imported
+        return (moment if moment.tzinfo else None), imported
+
+
+def _share(progress: Callable[[float], None] | None, index: int, count: int) -> Callable[[float], None] | None:
+    if progress is None:
+        return None
+    told = progress
+    return lambda done: told((index + done) / count)
+
+
+def _identified(
+    path: Path, model: Model, search: Search, findings: list[Finding], progress: Callable[[float], None] | None
+) -> Identification | None:
+    try:
+        found = identify([path], model, search, progress)
+    except Untrustworthy as error:
+        findings.append(Finding("left-out", f"{error}; it is left out"))
+        return None
+    # of one recording among several: the comparison's own trust is judged by what is left
+    findings += [Finding(one.code, f"{path}: {one.message}", one.parameter) for one in found.findings]
+    return found
+
+
+def _measured(
+    path: Path, created: datetime | None, hours: float, model: Model, found: Identification | None
+) -> Measured:
+    if found is None:
+        return Measured(path, created, hours, model.name, {}, frozenset())
+    estimates = {name: found[name] for name in COMPARED}
+    doubted = {finding.parameter for finding in found.findings if finding.fatal}
+    told = {name for name, estimate in estimates.items() if estimate.identifiable and not {name, None} & doubted}
+    return Measured(path, created, hours, found.model.name, estimates, frozenset(told))
+
+
+def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
+    told = [one for one in measured if name in one.told]
+    estimates = [one.estimates[name] for one in told]
+    values = np.array([estimate.exact for estimate in estimates])
+    errors = np.array([standard_error(estimate) for estimate in estimates])
+    paths = tuple(one.path for one in told)
+    unit = next((one.estimates[name].unit for one in measured if name in one.estimates), "")
+    if len(told) < 2:
+        verdict = f"{name} cannot be compared: {len(told)} of {len(measured)} recordings tell it, and it takes two."
+        return Repeated(name, unit, paths, None, None, None, verdict)
+    pooled = between(values, errors)
+    hours = np.array([one.hours for one in told])
+    slope = drift(hours, values, errors) if len(told) > 2 and np.isfinite(hours).all() and np.ptp(hours) > 0 else None
+    repeats = pooled.p_alike >= _CHANCE and (slope is None or slope.p >= _CHANCE)
+    return Repeated(name, unit, paths, pooled, slope, repeats, _verdict(name, pooled, slope, len(told)))
+
+
+def standard_error(estimate: Estimate) -> float:
+    """An estimate's standard error, in its unit, from its 95 % interval."""
+    half = 0.5 * (estimate.ci95[1] - estimate.ci95[0])
+    return max(half / _NORMAL, _ROUNDING * abs(estimate.exact), math.ulp(0.0))
+
+
+def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:
+    scale = 100.0 / abs(pooled.value)
+    within, apart = pooled.within * scale, pooled.between * scale
+    low, high = (end * scale for end in pooled.between_ci95)
+    if pooled.p_alike < _CHANCE:
+        said = (
+            f"{name} does not repeat: it differs from recording to recording by {apart:.2g} % (standard deviation; "
+            f"95 %: {low:.2g} to {high:.2g} %), and one recording's own error is {within:.2g} %. Quote the pooled "
+            "interval, never one recording's"
+        )
+    elif high > 2.0 * within:
+        said = (
+            f"{name} agrees within the recordings' own errors of {within:.2g} %, but {count} of them cannot rule out "
+            f"that it differs by up to {high:.2g} %: record more"
+        )
+    else:
+        said = (
+            f"{name} repeats: what lies between the recordings is at most {high:.2g} %, and one recording's own error "
+            f"is {within:.2g} %"
+        )
+    if slope is not None and slope.p < _CHANCE:
+        said += f". It drifts by {slope.slope * scale:+.2g} % an hour (p = {slope.p:.2g})"
+    return f"{said}."
