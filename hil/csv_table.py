@@ -108,7 +108,7 @@ def _text(source: Path) -> Iterator[TextIO]:
 def _bytes(source: Path) -> gzip.GzipFile | BufferedReader:
     if not source.is_file():  # a FIFO would hang the reader
         raise WrongUse(f"{source} cannot be read: there is no such file")
-    return gzip.open(source, "rb") if source.suffix == ".gz" else source.open("rb")
+    return gzip.open(source, "rb") if source.suffix.lower() == ".gz" else source.open("rb")
 
 
 def _encoding(source: Path) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil import csv_table
+from hil import csv_table, mat_table
 from hil.condition import Condition
 from hil.errors import WrongUse
 from hil.units import split
@@ -24,7 +22,7 @@ Rows = NDArray[np.int64]
 
 def titles(source: Path) -> list[str]:
     """The columns that a file has, in order. Raises WrongUse for a file that cannot be read."""
-    if source.suffix in _FILES:
+    if source.suffix.lower() in _FILES:
         return list(_columns(source))
     return csv_table.titles(source)
 
@@ -53,7 +51,7 @@ def read(source: Path, wanted: Sequence[str], where: Sequence[Condition]) -> tup
     at = [place(source, known, name) for name in wanted]
     tests = [(place(source, known, condition.column), condition) for condition in where]
     table, rows = (
-        _read_whole(source, known, at, tests) if source.suffix in _FILES else csv_table.read(source, at, tests)
+        _read_whole(source, known, at, tests) if source.suffix.lower() in _FILES else csv_table.read(source, at, tests)
     )
     if not len(rows):
         what = "no row meets " + " and ".join(str(condition) for condition in where) if where else "it has no rows"
@@ -96,7 +94,7 @@ _Columns = Mapping[str, Callable[[], Any]]
 def _columns(source: Path) -> _Columns:
     if not source.is_file():
         raise WrongUse(f"{source} cannot be read: there is no such file")
-    return _FILES[source.suffix](source)
+    return _FILES[source.suffix.lower()](source)
 
 
 def parquet(path: Path) -> ModuleType:
@@ -113,49 +111,31 @@ def _parquet(source: Path) -> _Columns:
     module = parquet(source)
     try:
         file = module.ParquetFile(source)
+        names = list(file.schema_arrow.names)
     except (OSError, ValueError) as error:  # pyarrow's own errors are of these two
-        raise WrongUse(f"{source} is not Parquet, or is cut off ({str(error).splitlines()[0]})") from None
+        raise WrongUse(f"{source} is not Parquet, or is cut off ({_first_line(error)})") from None
 
     def reader(name: str) -> Callable[[], Any]:
-        return lambda: file.read(columns=[name]).column(name).to_numpy()
+        def read_column() -> Any:
+            try:
+                return file.read(columns=[name]).column(name).to_numpy()
+            except (OSError, ValueError) as error:
+                raise WrongUse(f"{source}: column {name!r} is damaged ({_first_line(error)})") from None
 
-    return {name: reader(name) for name in file.schema_arrow.names}
+        return read_column
+
+    return {name: reader(name) for name in names}
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [""])[0]
 
 
 def _matlab(source: Path) -> _Columns:
-    """Vectors of numbers, and those in a struct as "struct.field"."""
-    import scipy.io
-
-    try:
-        if source.read_bytes()[:10] == b"MATLAB 7.3":
-            raise WrongUse(f"{source} is of MATLAB's version 7.3: save it with save(..., '-v7'), or as CSV")
-        found = scipy.io.loadmat(source, squeeze_me=True)
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        LookupError,
-        struct.error,
-        zlib.error,
-        scipy.io.matlab.MatReadError,
-    ) as error:
-        raise WrongUse(f"{source} is not a MATLAB file, or is cut off ({error})") from None
-    flat = dict(found)
-    for name, value in found.items():
-        if isinstance(value, np.ndarray) and value.dtype.names and value.ndim == 0:
-            flat |= {f"{name}.{part}": value[part].item() for part in value.dtype.names}
-    return _vectors(flat)
-
-
-def _vectors(found: Mapping[str, Any]) -> _Columns:
-    def holder(values: Any) -> Callable[[], Any]:
+    def holder(values: Array) -> Callable[[], Array]:
         return lambda: values
 
-    return {
-        name: holder(value)
-        for name, value in found.items()
-        if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "fiub"
-    }
+    return {name: holder(values) for name, values in mat_table.vectors(source).items()}
 
 
 _FILES: Mapping[str, Callable[[Path], _Columns]] = {".parquet": _parquet, ".pq": _parquet, ".mat": _matlab}

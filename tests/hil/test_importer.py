@@ -314,7 +314,7 @@ def test_vectors_of_a_matlab_file_are_columns_a_structs_too(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"MATLAB 7.3 MAT-file", "save it with"), (b"junk" * 64, "not a MATLAB file"), (b"", "MATLAB")],
+    [(b"MATLAB 7.3 MAT-file", "save it with"), (b"junk" * 64, "not a MAT-file"), (b"", "not a MAT-file")],
 )
 def test_a_matlab_file_that_cannot_be_read_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "a.mat").write_bytes(content)

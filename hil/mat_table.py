@@ -1,0 +1,115 @@
+"""Vectors out of MATLAB's level 5 MAT-files (save -v6 and -v7), as MathWorks' "MAT-File Format" describes them.
+
+SciPy reads more of the format, and ends the process with a segmentation fault on a damaged file. Here every length is
+checked against what is there.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+
+Array = NDArray[np.float64]
+
+_HEADER = 128
+_MATRIX, _COMPRESSED = 14, 15
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_STRUCT = 2
+_NUMERIC = range(6, 16)  # classes: double, single, and the integers
+_COMPLEX = 0x0800
+
+
+def vectors(source: Path) -> dict[str, Array]:
+    """Every real vector of the file by name, (n,) each; those in a struct of one element as "struct.field".
+
+    Raises WrongUse for what is no MAT-file of level 5, and for a damaged one.
+    """
+    try:
+        data = source.read_bytes()
+    except OSError as error:
+        raise WrongUse(f"{source} cannot be read ({error.strerror}): check the name") from None
+    if data.startswith(b"MATLAB 7.3"):
+        raise WrongUse(f"{source} is of MATLAB's version 7.3: save it with save(..., '-v7'), or as CSV")
+    order = {b"IM": "<", b"MI": ">"}.get(data[_HEADER - 2 : _HEADER])
+    if order is None:
+        raise WrongUse(f"{source} is not a MAT-file of MATLAB 5 or later: save it with save(..., '-v7'), or as CSV")
+    found: dict[str, Array] = {}
+    try:
+        for kind, content in _elements(data[_HEADER:], order):
+            if kind == _COMPRESSED:
+                [(kind, content)] = list(_elements(zlib.decompress(content), order))  # noqa: PLW2901 - what was packed
+            if kind == _MATRIX:
+                _collect(found, _Matrix.of(content, order), order)
+    except (ValueError, StopIteration, struct.error, zlib.error) as error:
+        raise WrongUse(f"{source} is a damaged MAT-file, or is cut off ({error}): save it again") from None
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Matrix:
+    """One variable: its class, flags, sizes and name, and the elements that follow."""
+
+    kind: int
+    complex: bool
+    sizes: tuple[int, ...]
+    name: str
+    rest: Iterator[tuple[int, bytes]]
+
+    @classmethod
+    def of(cls, content: bytes, order: str) -> _Matrix:
+        parts = _elements(content, order)
+        flags = struct.unpack(f"{order}II", next(parts)[1])[0]
+        sizes = tuple(int(size) for size in np.frombuffer(next(parts)[1], f"{order}i4"))
+        name = next(parts)[1].decode("latin-1")
+        return cls(flags & 0xFF, bool(flags & _COMPLEX), sizes, name, parts)
+
+
+def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """The elements of a stretch of the file in turn, each its type and content."""
+    at = 0
+    while at < len(data):
+        first, size = struct.unpack_from(f"{order}II", data, at)
+        if first >> 16:  # a small element: type, size and up to four bytes in one
+            first, size, start, step = first & 0xFFFF, first >> 16, at + 4, 8
+        else:
+            start = at + 8
+            step = 8 + (size if first == _COMPRESSED else (size + 7) // 8 * 8)
+        if start + size > len(data) or (step == 8 and size > 4):
+            raise ValueError("an element is longer than what is there")
+        yield first, data[start : start + size]
+        at += step
+
+
+def _collect(found: dict[str, Array], matrix: _Matrix, order: str) -> None:
+    if matrix.kind == _STRUCT and set(matrix.sizes) == {1}:
+        width = int(np.frombuffer(next(matrix.rest)[1], f"{order}i4")[0])
+        names = next(matrix.rest)[1]
+        if width <= 0:
+            raise ValueError("a struct without field names")
+        for start, (_, content) in zip(range(0, len(names), width), matrix.rest, strict=False):
+            field = names[start : start + width].split(b"\0")[0].decode("latin-1")
+            _vector(found, f"{matrix.name}.{field}", _Matrix.of(content, order), order)
+    else:
+        _vector(found, matrix.name, matrix, order)
+
+
+def _vector(found: dict[str, Array], name: str, matrix: _Matrix, order: str) -> None:
+    """Keep a real numeric array with at most one size above one; what else there is, a table has no use for."""
+    long = [size for size in matrix.sizes if size != 1]
+    if matrix.kind not in _NUMERIC or matrix.complex or len(long) > 1:
+        return
+    kind, content = next(matrix.rest)
+    if kind not in _NUMBERS:
+        raise ValueError(f"{name} is kept as type {kind}, which is not known")
+    values = np.frombuffer(content, f"{order}{_NUMBERS[kind]}")
+    if len(values) != (long[0] if long else 1):
+        raise ValueError(f"{name} has {len(values)} numbers and says otherwise")
+    found[name] = values.astype(np.float64)
