@@ -90,7 +90,7 @@ def compare(
     created, imported = zip(*(_origin(path) for path in paths), strict=True)
     if any(imported):
         findings.append(
-            Finding("time-of-import", "the time of an imported recording is that of its import: so is any drift")
+            Finding("time-unknown", "an imported recording does not say when it was made: no drift is told with it")
         )
     first = min((moment for moment in created if moment is not None), default=None)
     measured = []
@@ -112,14 +112,15 @@ def compare(
 
 
 def _origin(path: Path) -> tuple[datetime | None, bool]:
-    """When a recording was made, and whether it was imported."""
+    """When a recording was made, None where it is not known; and whether it was imported, at another time."""
     with Recording(path) as recording:
-        imported = recording.profile.get("kind") == "imported"
+        if recording.profile.get("kind") == "imported":
+            return None, True
         try:
             moment = datetime.fromisoformat(str(recording.attributes.get("created", "")))
         except ValueError:
-            return None, imported
-        return (moment if moment.tzinfo else None), imported
+            return None, False
+        return (moment if moment.tzinfo else None), False
 
 
 def _share(progress: Callable[[float], None] | None, index: int, count: int) -> Callable[[float], None] | None:
@@ -186,6 +187,8 @@ def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:
             f"95 %: {low:.2g} to {high:.2g} %), and one recording's own error is {within:.2g} %. Quote the pooled "
             "interval, never one recording's"
         )
+    elif high < 0.1 * within:
+        said = f"{name} repeats, more closely than the recordings' own errors of {within:.2g} % would have it"
     elif high > 2.0 * within:
         said = (
             f"{name} agrees within the recordings' own errors of {within:.2g} %, but {count} of them cannot rule out "

@@ -17,8 +17,10 @@ from ga.evolution import PRESETS
 from ga.models import parse as parse_model
 from hil.cli import run
 from hil.compare import Comparison, compare, standard_error
+from hil.condition import Condition
 from hil.errors import WrongUse
 from hil.identify import Estimate, Search
+from hil.importer import Column, import_table
 from hil.provenance import check_together
 
 from .conftest import Maker
@@ -95,10 +97,37 @@ def test_a_recording_that_cannot_tell_a_parameter_is_left_out_of_it(make_recordi
     assert "1 of 2 recordings tell it" in alone.parameters[0].verdict
 
 
-def test_the_hour_of_an_import_is_not_taken_for_the_hour_of_the_run_in_silence(make_recording: Maker) -> None:
-    paths = [stamped(make_recording(f"{name}.h5"), kind="imported") for name in "ab"]
+def test_the_hour_of_an_import_is_not_taken_for_the_hour_of_the_run(make_recording: Maker) -> None:
+    paths = [
+        stamped(
+            make_recording(f"{seed}.h5", kc=0.02 + 1e-4 * seed, noise=1e-5, seed=seed), float(seed), kind="imported"
+        )
+        for seed in range(4)
+    ]
     found = compare(paths, parse_model("linear"), SEARCH)
-    assert "time-of-import" in {finding.code for finding in found.findings}
+    assert found.parameters[0].drift is None
+    assert [one.created for one in found.recordings] == [None] * 4
+    assert "time-unknown" in {finding.code for finding in found.findings}
+
+
+def test_recordings_that_agree_more_closely_than_their_errors_are_said_to(make_recording: Maker) -> None:
+    """The same noise in each, so that they agree by construction."""
+    paths = [stamped(make_recording(f"{name}.h5", noise=1e-4, seed=5), hour) for hour, name in enumerate("abc")]
+    verdict = compare(paths, parse_model("linear"), SEARCH).parameters[0].verdict
+    assert verdict.startswith("Kc repeats, more closely than the recordings' own errors of")
+
+
+def test_the_real_runs_of_one_actuator_agree(tmp_path: Path, locked_output: Path) -> None:
+    """Two ramps of base_onyx of +-25 to 40 N m, whose friction is a term of its own."""
+    columns = {"time": Column("TIME"), "torque": Column("TORQUE"), "dtheta": Column("POSITION", "rev")}
+    paths = [tmp_path / f"{run}.h5" for run in (100, 101)]
+    for path in paths:
+        where = [Condition.parse(f"test_nr=={path.stem}")]
+        import_table(locked_output / "base_onyx_runin1.csv.gz", path, columns, where)
+    kc = compare(paths, parse_model("linear+offset+coulomb"), SEARCH).parameters[0]
+    assert kc.pooled is not None
+    assert 240.0 < kc.pooled.value < 300.0
+    assert kc.pooled.between_ci95[0] < 0.1 * kc.pooled.value
 
 
 @pytest.mark.parametrize(("half", "error"), [(1.959964, 1.0), (0.0, 2e-8), (math.inf, math.inf)])
