@@ -10,6 +10,7 @@ import typer
 
 from hil.cli.comparison import compare
 from hil.cli.demonstration import demo, replicate
+from hil.cli.designing import design
 from hil.cli.files import export_data, import_data, inspect, recover
 from hil.cli.identification import identify
 from hil.cli.recording import record
@@ -40,6 +41,7 @@ app.command("export")(export_data)
 app.command()(recover)
 app.command()(demo)
 app.command()(replicate)
+app.command()(design)
 
 
 def main() -> NoReturn:

@@ -1,0 +1,112 @@
+"""The profile that tells most of Kc and Bc within a stand's limits.
+
+The deflection answers a profile linearly, so every profile is judged at the largest amplitude that the limits leave
+it, for every Kc and Bc within `SLACK` of the rough ones, and the search is over its kind and its band alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+from hil import profiles
+from hil.design import Assessment, Task, assess, rounded, strained
+from hil.errors import WrongUse
+from hil.fisher import covariance, sensitivities
+from hil.motion import respond
+from hil.profiles import Profile
+
+SEED = 1
+"""Of a PRBS, as in `hil record`."""
+
+_KINDS = ("chirp", "multisine", "prbs")
+_OCTAVES = 2.0  # the narrowest band searched: one speed tells no friction from damping
+_PERIODS = 2.0  # of the lowest frequency in the run, at least
+_TICKS = 10.0  # a period of the highest frequency, for which the narrowest window's rate is within 0.5 %
+_LONGEST = 8.0  # s on which the search is done; all errors go with the root of the duration
+
+
+def best(task: Task, duration: float) -> Assessment:
+    """The profile of `duration` s with the least relative error of Kc and Bc within the limits, judged.
+
+    A grid over kind and band, an octave apart; then, for each kind, steps of the best band's two ends, made shorter
+    until they matter no more. Raises WrongUse where no band fits the rate and the duration.
+    """
+    span = min(duration, _LONGEST)
+    lowest, highest = rounded(_PERIODS / span), rounded(task.rate / _TICKS, down=True)
+    if not highest >= lowest * 2.0**_OCTAVES:
+        raise WrongUse(
+            f"{duration:g} s at {task.rate:g} Hz leave no band of {_OCTAVES:g} octaves to choose from: "
+            "give a longer --duration or a higher --rate"
+        )
+    search = _Search(task, span, (lowest, highest))
+    ends = _octaves(lowest, highest)
+    for kind, low, high in itertools.product(_KINDS, ends, ends):
+        search.judge(kind, low, high)
+    for kind in _KINDS:
+        search.refine(kind)
+    kind, band = min(search.errors, key=search.errors.__getitem__)
+    return assess(task, _largest(task, _made(task, kind, band, duration)))
+
+
+class _Search:
+    """The relative error of every kind and band that was tried, up to a factor common to all."""
+
+    def __init__(self, task: Task, duration: float, reach: tuple[float, float]) -> None:
+        self.errors: dict[tuple[str, tuple[float, float]], float] = {}
+        self._task = task
+        self._duration = duration
+        self._reach = reach
+
+    def judge(self, kind: str, low: float, high: float) -> None:
+        """Add the nearest band within reach, where it is wide enough and was not tried yet."""
+        low, high = rounded(max(low, self._reach[0])), rounded(min(high, self._reach[1]))
+        if kind == "prbs":  # which begins at zero whatever its band
+            low = self._reach[0]
+        if high >= low * 2.0**_OCTAVES and (kind, (low, high)) not in self.errors:
+            self.errors[kind, (low, high)] = _error(self._task, kind, (low, high), self._duration)
+
+    def refine(self, kind: str) -> None:
+        """Walk from the best band of the kind to the best within steps of five percent."""
+        step = math.sqrt(2.0)
+        while step > 1.05:
+            low, high = min((key for key in self.errors if key[0] == kind), key=self.errors.__getitem__)[1]
+            before = self.errors[kind, (low, high)]
+            for lower, upper in ((low / step, high), (low * step, high), (low, high / step), (low, high * step)):
+                self.judge(kind, lower, upper)
+            if min(error for key, error in self.errors.items() if key[0] == kind) > 0.999 * before:
+                step = math.sqrt(step)
+
+
+def _octaves(lowest: float, highest: float) -> list[float]:
+    """Frequencies from the lowest to the highest, an octave or a little less apart."""
+    count = math.ceil(math.log2(highest / lowest))
+    return [lowest * (highest / lowest) ** (index / count) for index in range(count + 1)]
+
+
+def _error(task: Task, kind: str, band: tuple[float, float], duration: float) -> float:
+    """The larger relative error of Kc and Bc, up to a common factor, at the largest amplitude."""
+    motion, _ = respond(task.joint, _largest(task, _made(task, kind, band, duration)), task.rate)
+    variance = covariance(sensitivities(task.terms, task.joint, motion)).diagonal()[:2]
+    rough = (task.joint.stiffness, task.joint.damping)
+    return max(math.sqrt(value) / size for value, size in zip(variance, rough, strict=True))
+
+
+def _largest(task: Task, profile: Profile) -> Profile:
+    """The same profile, of amplitude one, at the largest amplitude within every limit."""
+    amplitude = min(task.own_limit, 1.0 / max(strained(task, profile)))
+    return replace(profile, amplitude=rounded(amplitude, down=True))
+
+
+def _made(task: Task, kind: str, band: tuple[float, float], duration: float) -> Profile:
+    return profiles.make(
+        kind,
+        task.quantity,
+        amplitude=1.0,
+        default_amplitude=1.0,
+        duration=duration,
+        band=band,
+        rate=task.rate,
+        seed=SEED,
+    )

@@ -1,0 +1,274 @@
+"""How well parameters could be told from a motion: the Fisher information of what would be read.
+
+Two errors are predicted. The bound of Cramer and Rao is what no unbiased estimate from these readings can beat, and
+what least squares reaches in Gaussian noise. `hil identify` minimises absolute deviations, as the paper does, which in
+white Gaussian noise costs a factor sqrt(pi/2) = 1.25 on it (Koenker, Quantile Regression, 2005, section 4.3).
+
+Both come from the sensitivities x of the torque to each parameter and the spectrum of what is left of the torque when
+the model is right: the torque's own noise, and that of the angle, which the coupling turns into torque.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.motion import Joint, Motion
+from hil.signals import excited_band, local_cubic, window_half
+
+Array = NDArray[np.float64]
+Spectrum = NDArray[np.complex128]
+
+_SMOOTHING = 0.05  # of the Coulomb term, as a part of the r.m.s. rate
+_SINGULAR = 1e-12  # of the correlation matrix's eigenvalues, below which a direction is not told at all
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """What the stand's sensors make of the motion, all at the joint.
+
+    torque_noise: N m, white, Gaussian; torque_lsb: N m a count; angle_lsb: rad, the root of the sum of squares of the
+    counts of every encoder in the deflection; skew: s, how much older the torque reading is than the angle's;
+    motor_side: whether the torque is inferred from the motor's through equation (1).
+    """
+
+    torque_noise: float
+    torque_lsb: float
+    angle_lsb: float
+    skew: float
+    motor_side: bool
+
+    @property
+    def white(self) -> float:
+        """The torque reading's standard deviation, N m, counts included."""
+        return math.hypot(self.torque_noise, self.torque_lsb / math.sqrt(12.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter as it would be told, SI.
+
+    rough: the value the prediction is for. error: standard error of the least absolute deviations of `hil identify`.
+    bound: of Cramer and Rao. bias: what the stand's known skew and the way the rate is made add to the mean.
+    inflation: how many times more variance it has than if all others were known. Infinite where nothing is told.
+    """
+
+    name: str
+    unit: str
+    rough: float
+    error: float
+    bound: float
+    bias: float
+    inflation: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Term:
+    parameters: tuple[tuple[str, str], ...]
+    columns: Callable[[Joint, Motion], tuple[Array, ...]]
+
+
+def _coulomb(motion: Motion) -> Array:
+    speed = _SMOOTHING * float(np.sqrt(np.mean(motion.dtheta_dot**2)))
+    return np.tanh(motion.dtheta_dot / speed) if speed > 0.0 else np.zeros_like(motion.dtheta_dot)
+
+
+_TERMS: Mapping[str, _Term] = MappingProxyType(
+    {
+        "linear": _Term((("Kc", "N*m/rad"), ("Bc", "N*m*s/rad")), lambda _, motion: (motion.dtheta, motion.dtheta_dot)),
+        "offset": _Term((("tau0", "N*m"),), lambda _, motion: (np.ones_like(motion.time),)),
+        "drift": _Term((("drift", "N*m/s"),), lambda _, motion: (motion.time,)),
+        "coulomb": _Term((("Fc", "N*m"),), lambda _, motion: (_coulomb(motion),)),
+        "cubic": _Term((("K3", "N*m/rad^3"),), lambda _, motion: (motion.dtheta**3,)),
+        "skew": _Term((("skew", "s"),), lambda joint, motion: (_ageing(joint, motion),)),
+        "inertia": _Term((("J", "kg*m^2"),), lambda _, motion: (motion.acceleration,)),
+    }
+)
+
+TERMS = tuple(_TERMS)
+"""The terms whose errors can be predicted. Play and slack are not among them: near zero the torque has no slope."""
+
+
+def _ageing(joint: Joint, motion: Motion) -> Array:
+    """How the torque read changes with its age, (n,) N m/s."""
+    return -(joint.stiffness * motion.dtheta_dot + joint.damping * motion.acceleration)
+
+
+def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Motion) -> Array:
+    """The torque's slope (n, p) along every parameter of the terms, at the rough Kc, Bc and zero for the others."""
+    return np.stack([column for term in terms for column in _TERMS[term].columns(joint, motion)], axis=1)
+
+
+def covariance(columns: Array) -> Array:
+    """The inverse (p, p) of X'X for columns (n, p); infinite variance where they do not tell a parameter."""
+    norms = np.linalg.norm(columns, axis=0)
+    scale = np.where(norms > 0.0, norms, 1.0)
+    values, vectors = np.linalg.eigh((columns / scale).T @ (columns / scale))
+    lost = values < _SINGULAR * values[-1]
+    inverse = (vectors[:, ~lost] / values[~lost]) @ vectors[:, ~lost].T
+    untold = (np.abs(vectors[:, lost]) > 1e-3).any(axis=1) if values[-1] > 0.0 else np.ones(len(norms), dtype=bool)
+    inverse[untold, untold] = np.inf
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Readings) -> tuple[Parameter, ...]:
+    """What would be told of every parameter of the terms from this motion."""
+    columns = sensitivities(terms, joint, motion)
+    window = _Window(motion, readings.angle_lsb)
+    inverse = covariance(columns)
+    told = np.isfinite(np.diag(inverse))
+    bound, error, bias, inflation = (np.full(len(told), np.inf) for _ in range(4))
+    if told.any():
+        kept = columns[:, told]
+        bound[told] = np.sqrt(np.diag(_bound(kept, joint, readings, window.step)))
+        bias[told], misfit = _bias(terms, joint, motion, readings, window, told)
+        error[told] = np.sqrt(np.diag(_absolute(kept, misfit, joint, readings, window)))
+        inflation[told] = np.diag(inverse)[told] * np.sum(kept**2, axis=0)
+    names = [parameter for term in terms for parameter in _TERMS[term].parameters]
+    rough = _rough(terms, joint, readings)
+    return tuple(
+        Parameter(name, unit, *(float(values[index]) for values in (rough, error, bound, bias, inflation)))
+        for index, (name, unit) in enumerate(names)
+    )
+
+
+def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> float:
+    """What one N m of dry friction that the terms leave out adds to Bc in a fit, N m s/rad; 0 where they do not."""
+    if "coulomb" in terms:
+        return 0.0
+    columns = sensitivities(terms, joint, motion)
+    norms = np.linalg.norm(columns, axis=0)
+    norms[norms == 0.0] = 1.0
+    return float((np.linalg.lstsq(columns / norms, _coulomb(motion), rcond=None)[0] / norms)[1])
+
+
+class _Window:
+    """The local cubic that `hil identify` would put over this motion: its answers to a single sample of one."""
+
+    def __init__(self, motion: Motion, angle_lsb: float) -> None:
+        seen = np.round(motion.dtheta / angle_lsb) * angle_lsb
+        self.step = float(motion.time[1] - motion.time[0])
+        self.half = window_half(motion.time, excited_band(motion.time, seen)[1])
+        # the cubic's answer at one sample to another's value: the slope's is odd, so the order matters
+        width = 2 * self.half + 1
+        impulse = np.zeros(2 * width + 1)
+        impulse[width] = 1.0
+        value, slope, _ = local_cubic(np.arange(impulse.size, dtype=np.float64) * self.step, impulse, self.half)
+        inner = slice(width - self.half, width + self.half + 1)
+        self.value, self.slope = value[inner], slope[inner]
+
+    def smoothed(self, values: Array) -> Array:
+        """The cubic's value at every sample of (n,), which begin and end at rest."""
+        return self._over(values, self.value)
+
+    def sloped(self, values: Array) -> Array:
+        """The cubic's slope at every sample."""
+        return self._over(values, self.slope)
+
+    def _over(self, values: Array, kernel: Array) -> Array:
+        from scipy.signal import fftconvolve
+
+        return np.asarray(fftconvolve(values, kernel, mode="same"))
+
+    def gains(self, count: int) -> tuple[Spectrum, Spectrum]:
+        """The gains of value and slope at the frequencies of a transform of `count` samples."""
+        value, slope = np.zeros(count), np.zeros(count)
+        value[: 2 * self.half + 1], slope[: 2 * self.half + 1] = self.value, self.slope
+        return np.fft.rfft(np.roll(value, -self.half)), np.fft.rfft(np.roll(slope, -self.half))
+
+
+def _bound(columns: Array, joint: Joint, readings: Readings, step: float) -> Array:
+    """The inverse (p, p) of the Fisher information, by frequency: the angle's noise grows with it, the torque's not."""
+    count = _padded(len(columns))
+    slope = 2j * np.pi * np.fft.rfftfreq(count, step)
+    turned = joint.stiffness + joint.damping * slope
+    if readings.motor_side:
+        turned = turned + joint.friction * slope + joint.inertia * slope**2
+    density = readings.white**2 + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2
+    return _inverse(_form(columns, 1.0 / density))
+
+
+def _absolute(columns: Array, misfit: Array, joint: Joint, readings: Readings, window: _Window) -> Array:
+    """The covariance (p, p) of the least absolute deviations, A^-1 B A^-1; misfit: (n,) N m, as `_bias` has it.
+
+    A is twice the sum of x x' times the residual's density at zero, B the covariance of the sum of x times its sign.
+    Signs of Gaussian residuals covary by 2/pi times the arc sine of their correlation, which the window makes of
+    neighbours; where the misfit stands above the noise both density and sign hardly change any more.
+    """
+    from scipy.special import ndtr
+
+    value, slope = window.gains(_padded(len(columns)))
+    if readings.motor_side:
+        turned = joint.stiffness * value + (joint.damping + joint.friction) * slope + joint.inertia * slope**2
+        density = readings.white**2 * np.abs(value) ** 2
+    else:
+        turned = joint.stiffness + joint.damping * slope
+        density = np.full(len(value), readings.white**2)
+    density = density + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2
+    alike = np.fft.irfft(density)
+    variance = float(alike[0])
+    signs = np.fft.rfft(np.arcsin(np.clip(alike / variance, -1.0, 1.0))).real
+    at_zero = _density_at_zero(variance, 0.0 if readings.motor_side else readings.torque_lsb)
+    inverse = _inverse((columns.T * np.maximum(np.exp(-(misfit**2) / (2.0 * variance)), 1e-12)) @ columns)
+    below = ndtr(misfit / math.sqrt(variance))
+    undecided = np.sqrt(4.0 * below * (1.0 - below))
+    middle = 2.0 / np.pi * _form(columns * undecided[:, None], signs)
+    return np.asarray(inverse @ middle @ inverse / (2.0 * at_zero) ** 2)
+
+
+def _density_at_zero(variance: float, lsb: float) -> float:
+    """Of a Gaussian error and the rounding to counts of `lsb`, of this variance, N^2 m^2, together."""
+    gaussian = math.sqrt(max(variance - lsb**2 / 12.0, 0.0))
+    if lsb <= 1e-6 * gaussian:
+        return 1.0 / (math.sqrt(2.0 * math.pi) * gaussian)
+    return math.erf(lsb / (2.0 * math.sqrt(2.0) * gaussian)) / lsb if gaussian > 0.0 else 1.0 / lsb
+
+
+def _bias(  # noqa: PLR0917 - a private step of `predict`, which calls it by the same names
+    terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Readings, window: _Window, told: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """What a fit to the readings without their noise is off by, for the parameters told, and its residual (n,) N m."""
+    rate = window.sloped(motion.dtheta)
+    acceleration = window.sloped(rate)
+    if readings.motor_side:
+        aged = motion.drive - readings.skew * np.gradient(motion.drive, window.step)
+        torque = window.smoothed(aged) - joint.inertia * acceleration - joint.friction * rate
+        angle = window.smoothed(motion.dtheta)
+    else:
+        torque = motion.torque + readings.skew * _ageing(joint, motion)
+        angle = motion.dtheta
+    seen = Motion(motion.time, angle, rate, acceleration, torque, motion.drive)
+    columns = sensitivities(terms, joint, seen)[:, told]
+    norms = np.linalg.norm(columns, axis=0)
+    found = np.linalg.lstsq(columns / norms, torque, rcond=None)[0] / norms
+    return np.asarray(found - _rough(terms, joint, readings)[told]), np.asarray(torque - columns @ found)
+
+
+def _rough(terms: tuple[str, ...], joint: Joint, readings: Readings) -> Array:
+    values = {"Kc": joint.stiffness, "Bc": joint.damping, "skew": readings.skew}
+    return np.array([values.get(name, 0.0) for term in terms for name, _ in _TERMS[term].parameters])
+
+
+def _padded(count: int) -> int:
+    """A length of a transform in which nothing wraps round."""
+    return 1 << (2 * count - 1).bit_length()
+
+
+def _form(columns: Array, weight: Array) -> Array:
+    """X' W X (p, p) for columns (n, p) and a stationary W given by its spectrum (m,)."""
+    count = 2 * (len(weight) - 1)
+    spectra = np.fft.rfft(columns, count, axis=0)
+    twice = np.full(len(weight), 2.0)  # each frequency but the first and the last stands for its negative too
+    twice[0] = twice[-1] = 1.0
+    return np.asarray(((np.conj(spectra).T * (weight * twice)) @ spectra).real / count)
+
+
+def _inverse(matrix: Array) -> Array:
+    """The inverse (p, p), scaled so that units do not count."""
+    scale = np.sqrt(np.diag(matrix))
+    return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
