@@ -60,7 +60,8 @@ def _near_limits(judged: Assessment) -> list[Finding]:
         Finding(
             "near-limit",
             f"{named(judged.profile)}: keeps the limits for this Kc and Bc, and passes that on {judged.limited_by} by "
-            f"{max(judged.strained) - 1.0:.0%} where Kc is a quarter more or a fifth less, or Bc a half more or a third less",
+            f"{max(judged.strained) - 1.0:.0%} where Kc is a quarter more or a fifth less, or Bc half more or a third "
+            "less",
         )
     ]
 

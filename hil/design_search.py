@@ -44,6 +44,11 @@ def best(task: Task, duration: float) -> Assessment:
     ends = _octaves(lowest, highest)
     for kind, low, high in itertools.product(_KINDS, ends, ends):
         search.judge(kind, low, high)
+    if math.isinf(min(search.errors.values())):
+        raise WrongUse(
+            f"no profile tells Kc and Bc with --model {'+'.join(task.terms)}: some of its terms look the same in every "
+            "motion (skew is the sum of a damping and an inertia); leave one out"
+        )
     for kind in _KINDS:
         search.refine(kind)
     kind, band = min(search.errors, key=search.errors.__getitem__)
@@ -75,7 +80,7 @@ class _Search:
             before = self.errors[kind, (low, high)]
             for lower, upper in ((low / step, high), (low * step, high), (low, high / step), (low, high * step)):
                 self.judge(kind, lower, upper)
-            if min(error for key, error in self.errors.items() if key[0] == kind) > 0.999 * before:
+            if not min(error for key, error in self.errors.items() if key[0] == kind) < 0.999 * before:
                 step = math.sqrt(step)
 
 

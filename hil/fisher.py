@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
 _SMOOTHING = 0.05  # of the Coulomb term, as a part of the r.m.s. rate
+_REPEATS = 30  # of a reweighted fit, after which nothing moves
 _SINGULAR = 1e-12  # of the correlation matrix's eigenvalues, below which a direction is not told at all
 
 
@@ -109,9 +110,9 @@ def covariance(columns: Array) -> Array:
     norms = np.linalg.norm(columns, axis=0)
     scale = np.where(norms > 0.0, norms, 1.0)
     values, vectors = np.linalg.eigh((columns / scale).T @ (columns / scale))
-    lost = values < _SINGULAR * values[-1]
+    lost = values <= _SINGULAR * values[-1]
     inverse = (vectors[:, ~lost] / values[~lost]) @ vectors[:, ~lost].T
-    untold = (np.abs(vectors[:, lost]) > 1e-3).any(axis=1) if values[-1] > 0.0 else np.ones(len(norms), dtype=bool)
+    untold = (np.abs(vectors[:, lost]) > 1e-3).any(axis=1)
     inverse[untold, untold] = np.inf
     return np.asarray(inverse / np.outer(scale, scale))
 
@@ -126,8 +127,10 @@ def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Read
     if told.any():
         kept = columns[:, told]
         bound[told] = np.sqrt(np.diag(_bound(kept, joint, readings, window.step)))
-        bias[told], misfit = _bias(terms, joint, motion, readings, window, told)
-        error[told] = np.sqrt(np.diag(_absolute(kept, misfit, joint, readings, window)))
+        seen, residual = _seen(joint, motion, readings, window), _residual(len(kept), joint, readings, window)
+        fitted, misfit = _misfit(sensitivities(terms, joint, seen)[:, told], seen.torque, residual)
+        bias[told] = fitted - _rough(terms, joint, readings)[told]
+        error[told] = np.sqrt(np.diag(_absolute(kept, misfit, residual)))
         inflation[told] = np.diag(inverse)[told] * np.sum(kept**2, axis=0)
     names = [parameter for term in terms for parameter in _TERMS[term].parameters]
     rough = _rough(terms, joint, readings)
@@ -193,32 +196,47 @@ def _bound(columns: Array, joint: Joint, readings: Readings, step: float) -> Arr
     return _inverse(_form(columns, 1.0 / density))
 
 
-def _absolute(columns: Array, misfit: Array, joint: Joint, readings: Readings, window: _Window) -> Array:
-    """The covariance (p, p) of the least absolute deviations, A^-1 B A^-1; misfit: (n,) N m, as `_bias` has it.
+@dataclass(frozen=True, slots=True)
+class _Residual:
+    """What noise leaves of the torque when the model is right.
 
-    A is twice the sum of x x' times the residual's density at zero, B the covariance of the sum of x times its sign.
-    Signs of Gaussian residuals covary by 2/pi times the arc sine of their correlation, which the window makes of
-    neighbours; where the misfit stands above the noise both density and sign hardly change any more.
+    variance: N^2 m^2. at_zero: its density there, 1/(N m). signs: the spectrum (m,) of the covariance of its signs,
+    as a part of what white noise has.
     """
-    from scipy.special import ndtr
 
-    value, slope = window.gains(_padded(len(columns)))
+    variance: float
+    at_zero: float
+    signs: Array
+
+
+def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> _Residual:
+    """Signs of Gaussian residuals covary by 2/pi times the arc sine of their correlation; the window makes some."""
+    value, slope = window.gains(_padded(count))
     if readings.motor_side:
         turned = joint.stiffness * value + (joint.damping + joint.friction) * slope + joint.inertia * slope**2
         density = readings.white**2 * np.abs(value) ** 2
     else:
         turned = joint.stiffness + joint.damping * slope
         density = np.full(len(value), readings.white**2)
-    density = density + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2
-    alike = np.fft.irfft(density)
+    alike = np.fft.irfft(density + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2)
     variance = float(alike[0])
-    signs = np.fft.rfft(np.arcsin(np.clip(alike / variance, -1.0, 1.0))).real
-    at_zero = _density_at_zero(variance, 0.0 if readings.motor_side else readings.torque_lsb)
-    inverse = _inverse((columns.T * np.maximum(np.exp(-(misfit**2) / (2.0 * variance)), 1e-12)) @ columns)
-    below = ndtr(misfit / math.sqrt(variance))
+    signs = 2.0 / np.pi * np.fft.rfft(np.arcsin(np.clip(alike / variance, -1.0, 1.0))).real
+    return _Residual(variance, _density_at_zero(variance, 0.0 if readings.motor_side else readings.torque_lsb), signs)
+
+
+def _absolute(columns: Array, misfit: Array, residual: _Residual) -> Array:
+    """The covariance (p, p) of the least absolute deviations, A^-1 B A^-1; misfit: (n,) N m, as `_misfit` has it.
+
+    A is twice the sum of x x' times the residual's density at zero, B the covariance of the sum of x times its sign.
+    Where the misfit stands above the noise, both density and sign hardly change any more.
+    """
+    from scipy.special import ndtr
+
+    density = residual.at_zero * np.maximum(np.exp(-(misfit**2) / (2.0 * residual.variance)), 1e-12)
+    below = ndtr(misfit / math.sqrt(residual.variance))
     undecided = np.sqrt(4.0 * below * (1.0 - below))
-    middle = 2.0 / np.pi * _form(columns * undecided[:, None], signs)
-    return np.asarray(inverse @ middle @ inverse / (2.0 * at_zero) ** 2)
+    inverse = _inverse(2.0 * (columns.T * density) @ columns)
+    return np.asarray(inverse @ _form(columns * undecided[:, None], residual.signs) @ inverse)
 
 
 def _density_at_zero(variance: float, lsb: float) -> float:
@@ -229,10 +247,8 @@ def _density_at_zero(variance: float, lsb: float) -> float:
     return math.erf(lsb / (2.0 * math.sqrt(2.0) * gaussian)) / lsb if gaussian > 0.0 else 1.0 / lsb
 
 
-def _bias(  # noqa: PLR0917 - a private step of `predict`, which calls it by the same names
-    terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Readings, window: _Window, told: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """What a fit to the readings without their noise is off by, for the parameters told, and its residual (n,) N m."""
+def _seen(joint: Joint, motion: Motion, readings: Readings, window: _Window) -> Motion:
+    """The motion as `hil identify` would make it of readings without noise: late, and through the window."""
     rate = window.sloped(motion.dtheta)
     acceleration = window.sloped(rate)
     if readings.motor_side:
@@ -242,11 +258,24 @@ def _bias(  # noqa: PLR0917 - a private step of `predict`, which calls it by the
     else:
         torque = motion.torque + readings.skew * _ageing(joint, motion)
         angle = motion.dtheta
-    seen = Motion(motion.time, angle, rate, acceleration, torque, motion.drive)
-    columns = sensitivities(terms, joint, seen)[:, told]
-    norms = np.linalg.norm(columns, axis=0)
-    found = np.linalg.lstsq(columns / norms, torque, rcond=None)[0] / norms
-    return np.asarray(found - _rough(terms, joint, readings)[told]), np.asarray(torque - columns @ found)
+    return Motion(motion.time, angle, rate, acceleration, torque, motion.drive)
+
+
+def _misfit(columns: Array, torque: Array, residual: _Residual) -> tuple[Array, Array]:
+    """What absolute deviations are least for on average over the noise, (p,), and what is left of the torque, (n,).
+
+    The mean of |m + e| over Gaussian e has the slope 2 Phi(m/sigma) - 1, so the least is a fit weighted with that over
+    m, found by repeating it.
+    """
+    from scipy.special import ndtr
+
+    norms, sigma = np.linalg.norm(columns, axis=0), math.sqrt(residual.variance)
+    scaled, weight = columns / norms, np.ones_like(torque)
+    for _ in range(_REPEATS):
+        found = np.linalg.solve((scaled.T * weight) @ scaled, (scaled.T * weight) @ torque)
+        left = np.abs(torque - scaled @ found) + 1e-9 * sigma
+        weight = (2.0 * ndtr(left / sigma) - 1.0) / left * sigma
+    return found / norms, torque - scaled @ found
 
 
 def _rough(terms: tuple[str, ...], joint: Joint, readings: Readings) -> Array:
