@@ -71,7 +71,7 @@ def main() -> None:
     for ratio, lag in ((20.0, 1e-4), (10.0, 1e-3), (5.0, 2e-3), (3.0, 5e-3)):
         lines.append(row(ratio, lag))
         print(lines[-1], flush=True)
-    write_section("fixture", "\n".join(lines), to="data.md")
+    write_section("fixture", "\n".join(lines), file="data.md")
 
 
 if __name__ == "__main__":

@@ -27,10 +27,10 @@ def machine() -> str:
     )
 
 
-def write_section(name: str, text: str, to: str = "performance.md") -> None:
+def write_section(name: str, text: str, file: str = "performance.md") -> None:
     """Put the text between the section's marks, at the end of the page where it has none yet."""
-    path = DOCS / to
-    page = path.read_text(encoding="utf-8") if path.exists() else "# Performance\n"
+    path = DOCS / file
+    page = path.read_text(encoding="utf-8") if path.exists() else f"# {path.stem.capitalize()}\n"
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     section = f"{begin}\n{text.strip()}\n\n{end}\n"
     if begin in page:

@@ -69,7 +69,7 @@ def main() -> None:
         for ratio in (0.0, 0.5, 1.0, 3.0):
             lines.append(row(count, ratio, seeds))
             print(lines[-1], flush=True)
-    write_section("repeatability", "\n".join(lines), to="data.md")
+    write_section("repeatability", "\n".join(lines), file="data.md")
 
 
 if __name__ == "__main__":

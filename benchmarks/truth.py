@@ -1,0 +1,190 @@
+"""The truth study: does the identification say what is true, and do its intervals hold? `python benchmarks/truth.py`.
+
+Every case of `truth_cases` is recorded `--seeds` times by the simulated stand and as often written from a closed form;
+each recording is identified as `hil identify --json --model MODEL` does it, and by plain least squares with a gradient.
+Results are appended to a file of JSON lines, one recording each, so that a study that was stopped goes on where it was;
+the file's name carries the fingerprint of the code that it judges. The tables and a picture go into docs/accuracy.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import io
+import json
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from truth_cases import CASES, RATE, case_named
+from truth_page import write_page
+from truth_recordings import SOURCES
+
+from drivers.servo import Status
+from hil import cli
+from hil.dataset import stand_of
+from hil.store import Recording
+
+ROOT = Path(__file__).parent.parent
+TOLD_EVERY = 5.0  # s between two lines of progress
+
+
+class Job(NamedTuple):
+    """One recording to identify. Seed-major order, so that a study that is stopped has every case equally often."""
+
+    seed: int
+    source: str
+    case: str
+    model: str
+
+
+def estimate(path: Path, model: str) -> dict[str, Any]:
+    """What `hil identify` says of a recording: the one place that knows how it is asked.
+
+    status: the command's. model: the one chosen, "" where there is no result. Kc, Bc: value, ci95, standard_error (from
+    the interval where it is not given) in SI and identifiable. codes: of the warnings.
+    """
+    heard, said = io.StringIO(), io.StringIO()
+    began = time.perf_counter()
+    with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(said):
+        status = cli.run(["identify", str(path), "--json", "--workers", "1", "--model", model])
+    seconds = time.perf_counter() - began
+    if not heard.getvalue():
+        return {"status": status, "model": "", "codes": [], "seconds": seconds, "said": said.getvalue().strip()[-200:]}
+    found = json.loads(heard.getvalue())
+    return {
+        "status": status,
+        "model": found["model"],
+        "codes": sorted({warning["code"] for warning in found["warnings"]}),
+        "seconds": seconds,
+        **{name: _parameter(found["parameters"][name]) for name in ("Kc", "Bc")},
+    }
+
+
+def _parameter(said: dict[str, Any]) -> dict[str, Any]:
+    low, high = said["ci95"]
+    told = low is not None and high is not None
+    width = (high - low) / (2.0 * 1.959964) if told else None
+    return {
+        "value": said["value"],
+        "ci95": [low, high] if told else None,
+        "standard_error": said.get("standard_error", width),
+        "identifiable": said["identifiable"],
+    }
+
+
+def plain(path: Path) -> dict[str, float]:
+    """Kc and Bc, SI, by least squares on the angle and its `numpy.gradient`, as one would do it by hand.
+
+    Lost rows are dropped. Torque of the motor is taken through equation 1 with gradients of gradients.
+    """
+    with Recording(path) as recording:
+        stand = stand_of(recording)
+        channels = {name: recording.channel(name) for name in ("read_time", "dtheta", "torque", "status")}
+    answered = (channels["status"].astype(np.int64) & int(Status.NO_REPLY | Status.BAD_REPLY)) == 0
+    when, angle, torque = (channels[name][answered] for name in ("read_time", "dtheta", "torque"))
+    rate = np.gradient(angle, when)
+    if stand is not None and stand.torque_source == "motor":
+        square = stand.gear_ratio**2
+        torque = torque - square * (stand.motor_inertia * np.gradient(rate, when) + stand.motor_damping * rate)
+    found = np.linalg.lstsq(np.stack([angle, rate], axis=1), torque, rcond=None)[0]
+    return {"Kc": float(found[0]), "Bc": float(found[1])}
+
+
+def judge(job: Job) -> dict[str, Any]:
+    """One row of the results: the recording is made, identified and thrown away."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "one.h5"
+        SOURCES[job.source](case_named(job.case), job.seed, path)
+        return {**job._asdict(), "asked": job.model, **estimate(path, job.model), "plain": plain(path)}
+
+
+def fingerprint() -> str:
+    """Of all the code that a result depends on."""
+    digest = hashlib.sha256()
+    for folder in ("hil", "ga", "drivers", "sim_backend"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            digest.update(path.read_bytes())
+    for name in ("truth.py", "truth_cases.py", "truth_recordings.py"):
+        digest.update((Path(__file__).parent / name).read_bytes())
+    return digest.hexdigest()[:10]
+
+
+def rows_of(results: Path) -> list[dict[str, Any]]:
+    """The results there are; a line that a stopped study left half written is passed over."""
+    rows = []
+    for line in results.read_text(encoding="utf-8").splitlines() if results.exists() else []:
+        with contextlib.suppress(json.JSONDecodeError):
+            rows.append(json.loads(line))
+    return rows
+
+
+def missing(rows: list[dict[str, Any]], wanted: list[Job]) -> list[Job]:
+    """The jobs that no row answers, in their order."""
+    done = {(row["seed"], row["source"], row["case"], row["asked"]) for row in rows}
+    return [job for job in wanted if tuple(job) not in done]
+
+
+def study(jobs: list[Job], workers: int, results: Path) -> None:
+    """Do the jobs in `workers` processes and append each result as it comes."""
+    # each process has one thread: two of them with two each would only be in each other's way
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    results.parent.mkdir(parents=True, exist_ok=True)
+    with multiprocessing.get_context("spawn").Pool(workers) as pool, results.open("a", encoding="utf-8") as file:
+        file.write("\n" if results.stat().st_size else "")  # after a line that was cut short
+        for row in _with_progress(pool.imap_unordered(judge, jobs), len(jobs)):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+
+
+def _with_progress(rows: Iterator[dict[str, Any]], count: int) -> Iterator[dict[str, Any]]:
+    began = told = time.monotonic()
+    for number, row in enumerate(rows, start=1):
+        yield row
+        now = time.monotonic()
+        if now - told > TOLD_EVERY or number == count:
+            told = now
+            left = (now - began) / number * (count - number)
+            print(f"{number} of {count} recordings, {left / 60.0:.1f} min left", file=sys.stderr, flush=True)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Monte Carlo truth study of hil identify")
+    parser.add_argument("--model", default="auto", help="as hil identify takes it")
+    parser.add_argument("--seeds", type=int, default=500, help="recordings of each case from each source")
+    parser.add_argument("--case", action="append", choices=[case.name for case in CASES], help="only these")
+    parser.add_argument("--source", action="append", choices=list(SOURCES), help="only these")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--results", type=Path, help="file of JSON lines; otherwise one in the temporary folder")
+    return parser.parse_args()
+
+
+def main() -> None:
+    options = _options()
+    where = Path(tempfile.gettempdir()) / "hil-truth" / f"{options.model}-{fingerprint()}.jsonl"
+    results = options.results or where
+    wanted = [
+        Job(seed, source, case.name, options.model)
+        for seed in range(options.seeds)
+        for case in CASES
+        for source in options.source or SOURCES
+        if case.name in (options.case or [case.name])
+    ]
+    jobs = missing(rows_of(results), wanted)
+    print(f"{len(wanted)} recordings of {RATE:g} Hz, {len(wanted) - len(jobs)} done before; results in {results}")
+    if jobs:
+        study(jobs, options.workers, results)
+    asked = {tuple(job) for job in wanted}
+    rows = [row for row in rows_of(results) if (row["seed"], row["source"], row["case"], row["asked"]) in asked]
+    print(write_page(options.model, rows))
+
+
+if __name__ == "__main__":
+    main()
