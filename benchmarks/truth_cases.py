@@ -293,15 +293,18 @@ def case_named(name: str) -> Case:
 def simulated_tables(case: Case) -> dict[str, dict[str, float | bool]]:
     """The `[sim]` tables of a case: a stand with nothing wrong but 0.2 mN m of noise, and the case's own on top.
 
-    The torque cell's filter cannot be left out, so the angle is made late by as much. The position loop is slow enough
-    that the staircase of set-points leaves the rate at the samples true to 0.05 %, and has no integral part, which
-    would overshoot at 15 Hz; 0.376 rad of set-point deflect by 0.350 at 0.1 Hz and by 0.349 at 14 Hz.
+    The torque cell's filter cannot be left out, so the angle is made late by as much. Set-points come as a staircase
+    that the joint follows with a ripple of the same period as the samples, so the rate where a sample is taken is not
+    the rate through the samples. The position loop is slow enough, and acts late enough after the sample (0.3 ms),
+    that Bc is true to 0.1 % all the same. It has no integral part, which would overshoot at 15 Hz; 0.376 rad of
+    set-point deflect by 0.350 at 0.1 Hz and by 0.349 at 14 Hz.
     """
     base: dict[str, dict[str, float | bool]] = {
         "coupling": {"coulomb_friction": 0.0},
         "fixture": {"stiffness": 2000.0, "damping": 0.1},
         "drive": {
             "torque_limit": 0.02,
+            "command_delay": 2e-4,
             "position_gain": 0.015,
             "position_integral_gain": 0.0,
             "position_damping_gain": 7e-5,

@@ -154,6 +154,13 @@ UNTOLD_HEAD = (
     "| case | source | runs | Kc not identifiable, % | Bc not identifiable, % | exit 1, % | bar |\n|" + " --- |" * 7
 )
 CHOSEN_HEAD = "| case | source | models chosen | exit not 0, % | warned of | seconds, median |\n|" + " --- |" * 6
+STUDY = """\
+`python benchmarks/truth.py` records every case many times, from two sources that share nothing: the simulated stand
+through the recorder, and a closed form (a prescribed deflection, its exact derivatives, the torque from them). Kc 17.75
+mN m/rad, Bc 0.19 mN m s/rad, 500 Hz, 20 s, chirp of 0.35 rad from 0.1 to 15 Hz, torque noise of 0.2 mN m; results go
+to a file and a study that was stopped goes on. But for what a case names the simulated stand has no friction, a rigid
+fixture, 2^24 counts, no delay, no jitter and no loss; it is driven in position with a soft start and stop of 0.1 s
+(`benchmarks/truth_cases.py` has every number)."""
 CASES_HEAD = "| case | what is wrong | simulator | closed form |\n| --- | --- | --- | --- |"
 
 EXPLANATION = """\
@@ -195,10 +202,7 @@ def cases_section() -> str:
     return "\n\n".join(
         [
             "## The study",
-            "`python benchmarks/truth.py` records every case many times, from two sources that share nothing: the "
-            "simulated stand through the recorder, and a closed form (a prescribed deflection, its exact derivatives, "
-            "the torque from them). Kc 17.75 mN m/rad, Bc 0.19 mN m s/rad, 500 Hz, 20 s, chirp of 0.35 rad from 0.1 to "
-            "15 Hz, torque noise of 0.2 mN m. The simulator is driven in position, its soft start and stop last 0.1 s.",
+            STUDY,
             "\n".join([CASES_HEAD, *lines]),
         ]
     )
