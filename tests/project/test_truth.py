@@ -179,8 +179,7 @@ def test_one_command_runs_the_study_and_writes_the_page_and_a_second_one_only_th
         done = subprocess.run(
             [sys.executable, "benchmarks/truth.py", *words, "--results", str(results)],
             cwd=tmp_path,
-            env=os.environ
-            | {"PYTHONPATH": os.pathsep.join([str(BENCHMARKS.parent), os.environ.get("PYTHONPATH", "")])},
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(where)},
             capture_output=True,
             text=True,
             check=True,
