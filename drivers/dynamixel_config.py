@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, get_args
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
 
 from annotated_types import Ge, Gt, Le
 
 from drivers.dynamixel_models import models
+from drivers.servo import Quantity
+
+if TYPE_CHECKING:
+    ModelName = str
+else:
+    ModelName = Literal[tuple(sorted(models()))]  # so that whoever checks the table can name them all
 
 Mode = Literal["current", "extended-position", "current-based-position"]
 Baudrate = Literal[9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000]
@@ -28,7 +35,7 @@ class DynamixelConfig:
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     port: str
-    model: str
+    model: ModelName
     id: Annotated[int, Ge(0), Le(252)] = 1
     baudrate: Baudrate = 1_000_000
     mode: Mode | None = None
@@ -39,17 +46,40 @@ class DynamixelConfig:
     reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
 
     def __post_init__(self) -> None:
-        if self.model not in models():
-            raise ValueError(f"dynamixel.model {self.model!r} is not known; there are {', '.join(sorted(models()))}")
+        wrong = list(self._misfits())
+        if wrong:
+            raise ValueError("; ".join(wrong))
+
+    def _misfits(self) -> Iterator[str]:
         if self.baudrate not in get_args(Baudrate):
-            raise ValueError(f"dynamixel.baudrate {self.baudrate}: one of {', '.join(map(str, get_args(Baudrate)))}")
-        if not models()[self.model].current_lsb and self.effective_mode != "extended-position":
-            raise ValueError(f"dynamixel.mode {self.mode!r}: the {self.model} has no current control")
+            yield f"dynamixel.baudrate {self.baudrate}: one of {', '.join(map(str, get_args(Baudrate)))}"
+        if self.model not in models():
+            yield f"dynamixel.model {self.model!r} is not known; there are {', '.join(sorted(models()))}"
+        elif not models()[self.model].current_lsb and self.effective_mode != "extended-position":
+            yield f"dynamixel.mode {self.mode!r}: the {self.model} has no current control"
         if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
-            raise ValueError(
+            yield (
                 f"dynamixel.watchdog {self.watchdog} s is not above twice dynamixel.reply_timeout "
                 f"{self.reply_timeout} s: one lost reply would stop the servo"
             )
+
+    def for_quantity(self, quantity: Quantity) -> Self:
+        """The same servo in a mode that commands `quantity`; positions under the torque limit where it can.
+
+        Raises ValueError where the stated mode commands something else, or no mode of the model does.
+        """
+        current = bool(models()[self.model].current_lsb)
+        if self.mode is not None:
+            if (self.mode == "current") != (quantity is Quantity.TORQUE):
+                raise ValueError(
+                    f"dynamixel.mode = {self.mode!r} takes no {quantity}: leave it out, or ask for the other"
+                )
+            return self
+        if quantity is Quantity.TORQUE:
+            if not current:
+                raise ValueError(f"the {self.model} has no current control: use --quantity position")
+            return replace(self, mode="current")
+        return replace(self, mode="current-based-position" if current else "extended-position")
 
     @property
     def effective_mode(self) -> Mode:

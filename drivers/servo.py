@@ -125,7 +125,8 @@ class Limits:
 class Sample:
     """What one round trip read; NaN where the stand has no such sensor.
 
-    t: s, when the set-point was sent. t_read: s, the midpoint of the bus read. Both on the servo's clock.
+    t: s, when the set-point was sent. t_read: s, the midpoint of the bus read. t_joint: s, when another device read the
+    joint; NaN where none does. All on the servo's clock.
     motor_position rad, motor_velocity rad/s, motor_torque N m: at the motor shaft.
     joint_position rad, joint_torque N m: at the locked joint.
     temperature degC, voltage V.
@@ -141,6 +142,7 @@ class Sample:
     temperature: float = math.nan
     voltage: float = math.nan
     status: Status = field(default=Status(0))
+    t_joint: float = math.nan
 
     @classmethod
     def missing(cls, t: float, status: Status = Status.NO_REPLY) -> Self:
@@ -235,8 +237,9 @@ class JointSensor(Protocol):
     """A second device that reads the locked joint, on its own link."""
 
     def read(self) -> tuple[float, float]:
-        """The time of the reading, s on the servo's clock, and the joint torque, N m.
+        """The newest reading, at once: when it was taken, s on the servo's clock, and the joint torque, N m.
 
+        Asked again before there is a new one, it returns the same, so that the loop never waits for a slow sensor.
         Raises NoReply, BadReply, LinkLost.
         """
         ...

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from drivers.servo import Servo
+from hil.backends import check_backend
 from hil.errors import WrongUse
 from hil.live import beside
 from hil.part import Header, PartFile
 from hil.profiles import Profile
 from hil.recorder import Outcome, Recorder, tick_count
-from hil.stand import Stand, check_backend, open_servo
+from hil.stand import Stand, open_servo
 from hil.stop import StopRequest
 from hil.target import Taken, check_part, check_target, give_up, next_free
 
@@ -41,7 +42,7 @@ def run(
         if not force:
             check_part(output)
     with StopRequest().listening() as stop:
-        servo, truth = open_servo(stand, seed=seed, realtime=realtime)
+        servo, truth = open_servo(stand, quantity=profile.quantity, seed=seed, realtime=realtime)
         outcome = Outcome()
         try:
             header = Header(

@@ -135,7 +135,8 @@ def answer_for(outcome: Outcome) -> None:
 
 
 def _stand_of(backend: str | None, path: Path | None) -> Stand:
-    from hil.stand import SIMULATED, check_backend, load, parse
+    from hil.backends import check_backend
+    from hil.stand import SIMULATED, load, parse
 
     if path is not None and backend is not None:
         raise WrongUse("give --backend or --stand, not both: a stand file names its own backend")

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from pydantic import TypeAdapter, ValidationError
 
+from drivers.dynamixel_config import DynamixelConfig, Mode
+from drivers.servo import Quantity
+from hil.backends import BACKENDS, SENSORS, Device, check_backend
 from hil.errors import WrongUse
-from hil.stand import SIMULATED, check_backend, load, open_servo, parse
+from hil.stand import SIMULATED, load, open_servo, parse
 from sim_backend.parameters import SimParameters
 
 
@@ -95,6 +102,87 @@ def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:
 def test_an_unknown_backend_is_refused_with_the_known_ones(name: str | None, said: str) -> None:
     with pytest.raises(WrongUse, match=said):
         check_backend(name)
+
+
+def test_a_backends_own_table_is_checked_with_the_rest_of_the_file() -> None:
+    text = """
+    [stand]
+    gear_ratio = 0.0
+    backend = "dynamixel"
+    [dynamixel]
+    model = "xl333"
+    id = 300
+    bauderate = 57600
+    """
+    with pytest.raises(WrongUse, match=r"5 problem\(s\)") as refusal:
+        parse(text)
+    said = str(refusal.value)
+    for key in ("stand.gear_ratio", "dynamixel.port: must be given", "dynamixel.model = 'xl333'", "dynamixel.id = 300"):
+        assert key in said
+    assert "dynamixel.bauderate: no such key" in said
+
+
+def test_keys_that_do_not_fit_each_other_are_all_named() -> None:
+    table = 'port = "p"\nmodel = "xl430-w250"\nmode = "current"\nwatchdog = 0.01\n'
+    with pytest.raises(WrongUse, match=r"dynamixel\.mode.+no current control; dynamixel\.watchdog"):
+        parse(f"[stand]\n[dynamixel]\n{table}")
+
+
+def test_a_backend_without_its_table_is_refused_with_what_the_table_must_hold() -> None:
+    stand = parse('[stand]\nbackend = "dynamixel"\n')
+    with pytest.raises(WrongUse, match=r"no \[dynamixel\]: add it with at least port, model"):
+        open_servo(stand)
+
+
+def test_only_the_devices_that_a_file_names_are_loaded() -> None:
+    code = (
+        "import sys\n"
+        "from hil.stand import SIMULATED, parse\n"
+        "parse(SIMULATED)\n"
+        "print(sorted({'dynamixel_sdk', 'serial', 'can', 'canopen', 'drivers.dynamixel_config'} & set(sys.modules)))\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("device", [*BACKENDS.values(), *SENSORS.values()], ids=[*BACKENDS, *SENSORS])
+def test_a_device_of_the_registry_can_be_loaded_and_forbids_unknown_keys(device: Device) -> None:
+    with pytest.raises(ValidationError) as refusal:
+        TypeAdapter(device.table_class()).validate_python({"no_such_key": 1})
+    assert any(error["loc"] == ("no_such_key",) for error in refusal.value.errors())
+    if device.opener:
+        module, name = device.opener.split(":")
+        assert callable(getattr(import_module(module), name))
+
+
+@pytest.mark.parametrize(
+    ("model", "mode", "quantity", "expected"),
+    [
+        ("xl330-m288", None, Quantity.TORQUE, "current"),
+        ("xl330-m288", None, Quantity.POSITION, "current-based-position"),
+        ("xl330-m288", "extended-position", Quantity.POSITION, "extended-position"),
+        ("xl430-w250", None, Quantity.POSITION, "extended-position"),
+    ],
+)
+def test_the_quantity_chooses_the_mode_of_a_dynamixel(
+    model: str, mode: Mode | None, quantity: Quantity, expected: str
+) -> None:
+    assert DynamixelConfig(port="p", model=model, mode=mode).for_quantity(quantity).mode == expected
+
+
+@pytest.mark.parametrize(
+    ("table", "quantity", "said"),
+    [
+        ('model = "xl430-w250"', Quantity.TORQUE, "no current control"),
+        ('model = "xl330-m288"\nmode = "current"', Quantity.POSITION, "takes no position"),
+    ],
+)
+def test_a_quantity_the_drive_cannot_take_is_refused_before_its_port_is_opened(
+    table: str, quantity: Quantity, said: str
+) -> None:
+    stand = parse(f'[stand]\nbackend = "dynamixel"\n[dynamixel]\nport = "/dev/none"\n{table}\n')
+    with pytest.raises(WrongUse, match=said):
+        open_servo(stand, quantity=quantity)
 
 
 @pytest.mark.parametrize(("text", "said"), [(b"[stand\n", "not TOML"), (b"\xff\xfe", "cannot be read")])

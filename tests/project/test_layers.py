@@ -15,8 +15,8 @@ ALLOWED = {
     "hil": {"hil", "ga", "drivers", "sim_backend", "numpy", "h5py", "rich", "typer", "click", "pydantic", "matplotlib"}
     | {"scipy", "pyarrow"},
     "ga": {"ga", "numpy", "numba", "scipy"},
-    "drivers": {"drivers"},
-    "sim_backend": {"sim_backend", "drivers.servo", "numpy", "numba", "annotated_types"},
+    "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},
+    "sim_backend": {"sim_backend", "drivers.servo", "numpy", "numba", "annotated_types", "can"},
 }
 
 
