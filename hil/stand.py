@@ -82,10 +82,13 @@ class Stand:
         return parameters
 
     def simulated(self) -> SimParameters:
-        """[sim] with the motor and gear of [stand] where [sim.motor] states none."""
+        """[sim] with the motor and gear of [stand] where [sim.motor] states none.
+
+        The gear is the stand's even where it is left at 1: the recorder reckons with it.
+        """
         stated = self.stand.model_dump(include=self.stand.model_fields_set)
         return self.sim.resolved(
-            gear_ratio=stated.get("gear_ratio"),
+            gear_ratio=self.stand.gear_ratio,
             motor_inertia=stated.get("motor_inertia") or None,
             motor_damping=stated.get("motor_damping"),
         )

@@ -12,6 +12,7 @@ from hil.cli.comparison import compare
 from hil.cli.demonstration import demo, replicate
 from hil.cli.designing import design
 from hil.cli.files import export_data, import_data, inspect, recover
+from hil.cli.drives import emulate
 from hil.cli.identification import identify
 from hil.cli.recording import record
 from hil.cli.terminal import DONE, INTERRUPTED, LIMIT_REACHED, STAND_FAILED, UNTRUSTWORTHY, WRONG_USE, say
@@ -42,6 +43,7 @@ app.command()(recover)
 app.command()(demo)
 app.command()(replicate)
 app.command()(design)
+app.command()(emulate)
 
 
 def main() -> NoReturn:

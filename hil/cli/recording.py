@@ -51,15 +51,21 @@ def record(
     force: Force = False,
     as_json: Json = False,
     list_profiles: Annotated[bool, typer.Option("--list-profiles", help="Explain the profiles.")] = False,
+    list_backends: Annotated[bool, typer.Option("--list-backends", help="Explain the backends.")] = False,
 ) -> None:
     """Drive the motor against the locked joint and record torque, deflection and rate."""
     from hil import profiles
+    from hil.backends import BACKENDS
     from hil.run import run
     from hil.target import check_target
 
     if list_profiles:
         for name, kind in profiles.KINDS.items():
             out(f"{name:10} {kind.explanation}")
+        return
+    if list_backends:
+        for name, device in BACKENDS.items():
+            print(f"{name:10} {device.explanation}")
         return
     opened = _stand_of(backend, stand)
     made = profiles.make(
@@ -144,7 +150,8 @@ def _stand_of(backend: str | None, path: Path | None) -> Stand:
         return load(path)
     if backend is None:
         raise WrongUse("which stand? --backend sim for the simulated one, --stand stand.toml for your own")
-    check_backend(backend)
+    if check_backend(backend) != "sim":
+        raise WrongUse(f"backend {backend!r} needs a stand file, with its limits and its port: --stand stand.toml")
     return parse(SIMULATED)
 
 

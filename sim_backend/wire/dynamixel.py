@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel_bus import Bus, Timing
 from sim_backend.wire.dynamixel_device import Device
-from sim_backend.wire.dynamixel_tables import MODELS
+from sim_backend.wire.dynamixel_tables import BAUD, MODELS
 from sim_backend.wire.pty_line import PtyLine
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from sim_backend.parameters import SimParameters
@@ -39,3 +40,30 @@ def serve(
     now = time.monotonic()
     devices = [Device(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
     return PtyLine(link, Bus(devices, timing=timing))
+
+
+def emulate(
+    link: Path,
+    model: str = "xl330-m288",
+    idents: Sequence[int] = (1,),
+    *,
+    baudrate: int = 1_000_000,
+    parameters: SimParameters | None = None,
+    instant: bool = False,
+) -> PtyLine:
+    """What `hil emulate dynamixel` serves: `serve` with the times of a real line and a USB adapter, unless `instant`.
+
+    parameters: the plant, in which the motor's constant and winding are made the model's. Raises ValueError, with a
+    sentence for a person, for a model, an id or a baud rate that cannot be, FileExistsError as `serve` does.
+    """
+    if model not in MODELS:
+        raise ValueError(f"model {model!r} is not known: there are {', '.join(KNOWN)}")
+    if baudrate not in BAUD:
+        raise ValueError(f"baud rate {baudrate}: a servo knows {', '.join(map(str, BAUD))}")
+    if len(set(idents)) < len(idents) or not all(0 <= ident <= 252 for ident in idents):
+        raise ValueError("ids must differ and lie between 0 and 252")
+    if parameters is not None:
+        volts, amperes, torque = MODELS[model].stall
+        motor = replace(parameters.motor, torque_constant=torque / amperes, winding_resistance=volts / amperes)
+        parameters = replace(parameters, motor=motor)
+    return serve(link, model, idents, baudrate=baudrate, parameters=parameters, timing=None if instant else Timing())

@@ -144,7 +144,7 @@ def test_a_stands_joint_sensor_is_joined_to_its_servo() -> None:
     servo.clock.sleep_until(0.3)
     sample = servo.exchange(Command.rest())
     assert (sample.t_joint, sample.joint_torque) == (0.25, 0.5)
-    assert truth["gear_ratio"] == 4.0
+    assert truth["gear_ratio"] == 1.0
 
 
 @pytest.mark.usefixtures("registered")

@@ -42,6 +42,11 @@ def test_the_simulator_has_the_motor_the_stand_states_unless_it_is_told_its_own(
     assert (truth["gear_ratio"], truth["motor_inertia"]) == (6.0, 9e-7)
 
 
+def test_the_simulators_gear_is_the_stands_even_where_it_is_not_stated() -> None:
+    _, truth = open_servo(parse('[stand]\nbackend = "sim"\n'), seed=0, realtime=False)
+    assert truth["gear_ratio"] == 1.0
+
+
 def test_every_problem_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path) -> None:
     path = tmp_path / "stand.toml"
     path.write_text(

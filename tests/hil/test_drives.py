@@ -1,0 +1,134 @@
+"""A drive that is not the simulator, from its stand file to a recording: over the emulator's wire, in real time."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.cli import run
+from hil.emulators import EMULATORS
+from hil.signals import prepare
+from hil.stand import load
+from hil.store import Recording
+from sim_backend.wire.dynamixel import serve
+
+STAND = """
+[stand]
+backend = "dynamixel"
+motor_inertia = 3.2e-6
+motor_damping = 1.6e-6
+[limits]
+torque = 0.03
+deflection = 1.5
+velocity = 60.0
+temperature = 65.0
+[dynamixel]
+port = "{port}"
+model = "xl330-m288"
+reply_timeout = 0.3
+watchdog = 1.0
+"""
+
+
+def stand_file(folder: Path, text: str = STAND) -> Path:
+    path = folder / "stand.toml"
+    path.write_text(text.format(port=folder / "ttyDXL"))
+    return path
+
+
+@contextmanager
+def emulated(*words: str) -> Iterator[subprocess.Popen[str]]:
+    """`hil emulate` as a person starts it, from the moment it says that it is there."""
+    code = "from hil.cli import main; main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, "emulate", *words], stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stderr is not None
+            assert " is there " in process.stderr.readline()
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Path, number: signal.Signals) -> None:
+    stand = stand_file(tmp_path)
+    recording = tmp_path / "run.h5"
+    link = tmp_path / "ttyDXL"
+    with emulated("dynamixel", "--link", str(link), "--id", "1", "--id", "2", "--stand", str(stand)) as process:
+        words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--soft", "0.5", "--rate", "200"]
+        assert run(["record", "--stand", str(stand), *words, "--amplitude", "0.01", "-o", str(recording)]) == 0
+        process.send_signal(number)
+        assert process.wait(20.0) == 0
+    assert not link.is_symlink()
+    with Recording(recording) as made:
+        signals = prepare(made, load(stand).stand)
+    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    kc = float(np.linalg.lstsq(design, signals.torque, rcond=None)[0][0])
+    assert kc == pytest.approx(17.75e-3, rel=0.1)
+
+
+def test_a_position_profile_puts_the_drive_into_a_position_mode(tmp_path: Path) -> None:
+    stand = stand_file(tmp_path)
+    recording = tmp_path / "run.h5"
+    words = ["--profile", "sine", "--band", "1", "--duration", "1.5", "--soft", "0.25", "--rate", "100"]
+    with serve(tmp_path / "ttyDXL", "xl330-m288"):
+        words += ["--quantity", "position", "--amplitude", "0.3", "-o", str(recording)]
+        assert run(["record", "--stand", str(stand), *words]) == 0
+    with Recording(recording) as made:
+        command, dtheta = made.channel("command"), made.channel("dtheta")
+    assert np.ptp(dtheta) == pytest.approx(np.ptp(command), rel=0.2)
+
+
+def test_record_without_a_drive_at_the_port_fails_as_a_stand_does_and_says_what_to_do(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["record", "--stand", str(stand_file(tmp_path)), "-o", str(tmp_path / "run.h5")]) == 3
+    assert "there is no such port" in capfd.readouterr().err
+    assert not (tmp_path / "run.h5").exists()
+
+
+def test_the_backends_and_the_emulators_are_listed(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["record", "--list-backends"]) == 0
+    assert re.findall(r"^\w+", capfd.readouterr().out, re.MULTILINE)[:2] == ["sim", "dynamixel"]
+    assert run(["emulate"]) == 0
+    assert re.findall(r"^\w+", capfd.readouterr().out, re.MULTILINE) == list(EMULATORS)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["dynamixle"], "did you mean 'dynamixel'"),
+        (["dynamixel"], "needs --link"),
+        (["dynamixel", "--link", "x", "--bus", "slcan"], "takes no --bus: it takes --link, --model, --id"),
+        (["dynamixel", "--link", "x", "--model", "xl1"], "there are xc330-m181"),
+        (["dynamixel", "--link", "x", "--id", "1", "--id", "1"], "ids must differ"),
+        (["dynamixel", "--link", "x", "--baudrate", "1000"], "a servo knows 9600"),
+        (["dynamixel", "--link", "."], "is not a link"),
+    ],
+)
+def test_an_emulator_that_cannot_be_is_refused_in_a_sentence(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["emulate", *words]) == 2
+    assert said in capfd.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", EMULATORS)
+def test_an_emulators_function_takes_options_of_the_command_only(name: str) -> None:
+    import inspect
+
+    options = {"link", "bus", "channel", "model", "idents", "baudrate", "parameters", "instant"}
+    function: Callable[..., object] = EMULATORS[name].function()
+    assert set(inspect.signature(function).parameters) <= options
