@@ -20,6 +20,8 @@ from drivers.dynamixel_port import GONE
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from drivers.dynamixel_port import SerialPort
     from drivers.servo import Clock
 
@@ -29,6 +31,9 @@ ALERT = 0x80
 _HEAD = 7  # header, id and length
 _STATUS = 11  # bytes of a status packet without parameters
 _DAMAGED = 3
+_HEADER = b"\xff\xff\xfd\x00"
+_PING_ANSWER = 14  # bytes
+_ROLL_CALL = 0.8  # s; servos answer a broadcast ping one after the other, 3 ms for each id there can be
 
 ERRORS = {
     1: "it could not do that",
@@ -62,6 +67,27 @@ class Bus:
         """The model number and the firmware version."""
         data = self._ask(self._frame(self._id, PING, b""), 3, "ping")
         return int.from_bytes(data[:2], "little"), data[2]
+
+    def everyone(self) -> list[tuple[int, int]]:
+        """Id and model number of every servo that answers a broadcast ping within its window, `_ROLL_CALL`."""
+        self._settle()
+        self._quarantined = True
+        self._put(self._frame(BROADCAST, PING, b""))
+        deadline = self._clock.now() + _ROLL_CALL
+        heard = b""
+        while self._clock.now() < deadline:
+            self._port.expect(deadline, 0)
+            heard += self._port.readPort(256)
+        return [(part[0], int.from_bytes(part[5:7], "little")) for part in self._answers(heard)]
+
+    def _answers(self, heard: bytes) -> Iterator[bytes]:
+        """What follows the header in every sound answer to a ping."""
+        for part in heard.split(_HEADER)[1:]:
+            answer = _HEADER + part[: _PING_ANSWER - len(_HEADER)]
+            if len(answer) == _PING_ANSWER and self._packets.updateCRC(0, answer, _PING_ANSWER - 2) == int.from_bytes(
+                answer[-2:], "little"
+            ):
+                yield part
 
     def read(self, address: int, size: int) -> bytes:
         """`size` bytes from `address` on."""
@@ -99,7 +125,7 @@ class Bus:
 
     def _frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
         body = (bytes([instruction]) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-        frame = b"\xff\xff\xfd\x00" + bytes([ident]) + (len(body) + 2).to_bytes(2, "little") + body
+        frame = _HEADER + bytes([ident]) + (len(body) + 2).to_bytes(2, "little") + body
         checksum: int = self._packets.updateCRC(0, frame, len(frame))
         return frame + checksum.to_bytes(2, "little")
 

@@ -33,11 +33,16 @@ class HasMode(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """A line: what a person is told of it, where its table's class is, and where what opens it is ("": see below)."""
+    """A line: what a person is told of it, where its table's class is, and where what opens it is ("": see below).
+
+    search: where what looks for devices on a silent link is, "" where nothing does; it takes the table and returns a
+    sentence for each device it finds.
+    """
 
     explanation: str
     table: str
     opener: str
+    search: str = ""
 
     def table_class(self) -> Any:
         """The class that its table in the stand file is checked with."""
@@ -49,7 +54,10 @@ BACKENDS: Mapping[str, Device] = MappingProxyType(
         # the simulator also needs the stand's motor, so `hil.stand` opens it itself
         "sim": Device("the simulated servo: no hardware, virtual time", "sim_backend.parameters:SimParameters", ""),
         "dynamixel": Device(
-            "DYNAMIXEL on a serial port", "drivers.dynamixel_config:DynamixelConfig", "drivers.dynamixel:DynamixelServo"
+            "DYNAMIXEL on a serial port",
+            "drivers.dynamixel_config:DynamixelConfig",
+            "drivers.dynamixel:DynamixelServo",
+            "drivers.dynamixel_scan:search",
         ),
     }
 )
@@ -95,6 +103,16 @@ def open_backend(name: str, table: Any, quantity: Quantity) -> Servo:
         servo.close()
         raise WrongUse(f"backend {name!r} as the stand file sets it takes no {quantity}: use --quantity {takes}")
     return servo
+
+
+def found_by_search(name: str, table: Any) -> list[str]:
+    """A sentence for each device of backend `name` that answers in some other way than the table says.
+
+    Raises DriverError where the link cannot be opened.
+    """
+    place = BACKENDS[name].search
+    found: list[str] = _named(place)(table) if place else []
+    return found
 
 
 def open_sensor(name: str, table: Any, clock: Clock) -> JointSensor:

@@ -11,8 +11,8 @@ import typer
 from hil.cli.comparison import compare
 from hil.cli.demonstration import demo, replicate
 from hil.cli.designing import design
+from hil.cli.drives import doctor, emulate
 from hil.cli.files import export_data, import_data, inspect, recover
-from hil.cli.drives import emulate
 from hil.cli.identification import identify
 from hil.cli.recording import record
 from hil.cli.terminal import DONE, INTERRUPTED, LIMIT_REACHED, STAND_FAILED, UNTRUSTWORTHY, WRONG_USE, say
@@ -44,6 +44,7 @@ app.command()(demo)
 app.command()(replicate)
 app.command()(design)
 app.command()(emulate)
+app.command()(doctor)
 
 
 def main() -> NoReturn:

@@ -75,7 +75,7 @@ def record(
         default_amplitude=_limit_of(opened, quantity) / 5.0,
         duration=duration,
         band=None if band is None else _band(band),
-        rate=_checked_rate(rate),
+        rate=checked_rate(rate),
         soft=soft,
         seed=seed,
         setpoints=setpoints,
@@ -187,7 +187,8 @@ def _limit_of(stand: Stand, quantity: str) -> float:
     return limits.torque if quantity == "torque" else limits.deflection
 
 
-def _checked_rate(rate: float) -> float:
+def checked_rate(rate: float) -> float:
+    """`rate` Hz, within what a loop on this side of a bus can be asked for. Raises WrongUse."""
     if not 20.0 <= rate <= 10_000.0:
         raise WrongUse(
             f"--rate {rate:g}: it must lie between 20 and 10000 Hz; a drive that is asked less often takes its host "

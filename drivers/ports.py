@@ -1,0 +1,118 @@
+"""The serial ports and CAN interfaces of this machine, what is wrong with each, and how to mend it.
+
+Latency timers and CAN interfaces are read from Linux's /sys and from `ip`; elsewhere they are left out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from serial.tools.list_ports import comports
+
+_SYS = Path("/sys")
+_CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/NAME/type
+_LATENCY = 1  # ms; what a round trip a tick needs
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """A serial port or a CAN interface. described: what is at it. problem: what is wrong and how to mend it, or ""."""
+
+    name: str
+    described: str
+    problem: str = ""
+
+
+def serial_ports(sys: Path = _SYS) -> list[Port]:
+    """The serial ports there are. Legacy ports of the mainboard, which mostly lead nowhere, are left out."""
+    found = []
+    for port in sorted(comports(), key=lambda port: str(port.device)):
+        if port.vid is None and port.device.startswith("/dev/ttyS"):
+            continue
+        described = " ".join(str(text) for text in (port.description, port.serial_number) if text not in {None, "n/a"})
+        found.append(Port(port.device, described, serial_problem(Path(port.device), sys)))
+    return found
+
+
+def serial_problem(port: Path, sys: Path = _SYS) -> str:
+    """What keeps `port` from being used well, with the remedy; "" where nothing is seen. It is not opened."""
+    real = port.resolve()
+    if os.name == "posix":
+        if not real.exists():
+            return f"{port} is not there: check the cable and the name"
+        if not os.access(real, os.R_OK | os.W_OK):
+            return f"no permission to read and write {port}: sudo usermod -aG {_group(real)} $USER, then log in again"
+    latency = latency_timer(real.name, sys)
+    if latency is not None and latency > _LATENCY:
+        return (
+            f"the USB adapter of {port} holds replies back for {latency} ms: "
+            f"echo {_LATENCY} | sudo tee /sys/bus/usb-serial/devices/{real.name}/latency_timer"
+        )
+    return ""
+
+
+def latency_timer(name: str, sys: Path = _SYS) -> int | None:
+    """ms that an FTDI adapter holds received bytes back; None for any other port."""
+    try:
+        return int((sys / "bus/usb-serial/devices" / name / "latency_timer").read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def can_interfaces(sys: Path = _SYS, details: Callable[[str], Mapping[str, Any]] | None = None) -> list[Port]:
+    """The CAN interfaces of the kernel. details: of one, as `ip -json` prints them; None: ask `ip`."""
+    found = []
+    for folder in sorted((sys / "class/net").glob("*")):
+        with contextlib.suppress(OSError):
+            if (folder / "type").read_text().strip() == _CAN_TYPE:
+                found.append(_can_interface(folder.name, (details or _ask_ip)(folder.name)))
+    return found
+
+
+def _can_interface(name: str, link: Mapping[str, Any]) -> Port:
+    kind = link.get("linkinfo", {}).get("info_kind", "can")
+    data = link.get("linkinfo", {}).get("info_data", {})
+    bitrate = data.get("bittiming", {}).get("bitrate")
+    state = str(data.get("state", link.get("operstate", "unknown")))
+    words = [str(kind), *([f"{bitrate} bit/s"] if bitrate else []), state.lower()]
+    bits = f" type can bitrate {bitrate or 1000000}" if kind == "can" else ""
+    problem = ""
+    if "UP" not in link.get("flags", ["UP"]):
+        problem = f"{name} is down: sudo ip link set {name} up{bits}"
+    elif state == "BUS-OFF":
+        problem = (
+            f"{name} is bus-off: nobody acknowledged or the bit rate is wrong; check power, both 120 ohm resistors and "
+            f"the bit rate, then sudo ip link set {name} down && sudo ip link set {name} up"
+        )
+    elif state in {"ERROR-PASSIVE", "ERROR-WARNING"}:
+        problem = f"{name} sees many errors ({state.lower()}): check the wires, the resistors and the bit rate"
+    return Port(name, ", ".join(words), problem)
+
+
+def _ask_ip(name: str) -> Mapping[str, Any]:
+    program = shutil.which("ip")
+    if program is None:
+        return {}
+    try:
+        asked = subprocess.run(  # noqa: S603 - a name that /sys gave, to a program found on the path
+            [program, "-details", "-json", "link", "show", name], capture_output=True, check=True, timeout=5.0
+        )
+        link: Mapping[str, Any] = json.loads(asked.stdout)[0]
+    except (subprocess.SubprocessError, OSError, ValueError, IndexError):
+        return {}
+    return link
+
+
+def _group(path: Path) -> str:
+    try:
+        return path.group()
+    except (KeyError, OSError, NotImplementedError):
+        return "dialout"
