@@ -57,7 +57,9 @@ class LimitsTable(_Table):
     temperature: Positive = 70.0
 
 
-class _File(_Table):
+class File(_Table):
+    """The tables that are the same for every stand."""
+
     stand: StandTable
     limits: LimitsTable | None = None
 
@@ -169,12 +171,12 @@ def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[str]]:
         return None, [f"joint_sensor.kind: {error}"]
 
 
-def _file_model(backends: frozenset[str], sensor: str | None) -> type[_File]:
+def _file_model(backends: frozenset[str], sensor: str | None) -> type[File]:
     """What a file with the tables of these backends and that sensor must hold; no other device's code is loaded."""
     tables: dict[str, Any] = {name: (BACKENDS[name].table_class(), ...) for name in sorted(backends)}
     if sensor is not None:
         tables["joint_sensor"] = (SENSORS[sensor].table_class(), ...)
-    return create_model("_FileOfStand", __base__=_File, **tables)
+    return create_model("_FileOfStand", __base__=File, **tables)
 
 
 def _problem(item: Any) -> str:

@@ -15,6 +15,7 @@ from hil.cli.drives import doctor, emulate
 from hil.cli.files import export_data, import_data, inspect, recover
 from hil.cli.identification import identify
 from hil.cli.recording import record
+from hil.cli.stands import stand
 from hil.cli.terminal import DONE, INTERRUPTED, LIMIT_REACHED, STAND_FAILED, UNTRUSTWORTHY, WRONG_USE, say
 from hil.errors import Untrustworthy, WrongUse
 
@@ -45,6 +46,7 @@ app.command()(replicate)
 app.command()(design)
 app.command()(emulate)
 app.command()(doctor)
+app.add_typer(stand, name="stand")
 
 
 def main() -> NoReturn:
