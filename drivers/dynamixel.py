@@ -1,26 +1,24 @@
-"""DYNAMIXEL X-series servos on a serial port, behind `drivers.servo.Servo`. Wiring and limits: docs/dynamixel.md.
+"""DYNAMIXEL servos on a serial port, behind `drivers.servo.Servo`. Wiring and limits: docs/dynamixel.md.
 
 A tick is one round trip: a Sync Write of the set-point, which no servo answers, and behind it in the same piece a Read
-of 120 to 146: Realtime Tick, Present Current, Velocity, Position, Input Voltage and Temperature, all of one moment.
-
-Source: e-manual, emanual.robotis.com/docs/en/dxl/x/xm430-w350/ (the other models' pages differ in numbers only, which
-stand in tables/dynamixel.toml).
+of one block with everything that is measured. What differs between the series is in `dynamixel_x` and `dynamixel_mx`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-import struct
 
 from drivers.dynamixel_bus import Bus
-from drivers.dynamixel_config import DynamixelConfig, Mode
+from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_control_table import ControlTable
-from drivers.dynamixel_faults import latched, reboot, watchdog
-from drivers.dynamixel_identity import BLOCK, BLOCK_SIZE, RETURN_DELAY_LSB, identify
-from drivers.dynamixel_models import POSITION_LSB, VELOCITY_LSB, Model, models, registers
+from drivers.dynamixel_identity import identify
+from drivers.dynamixel_models import POSITION_LSB, Model, models
+from drivers.dynamixel_mx import MxSeries
 from drivers.dynamixel_port import SerialPort
+from drivers.dynamixel_series import Series
 from drivers.dynamixel_tick import Freshness, TickClock
+from drivers.dynamixel_x import XSeries
 from drivers.servo import (
     BadReply,
     Clock,
@@ -36,13 +34,7 @@ from drivers.servo import (
     UnsafeCommand,
 )
 
-_MODE_CODES: dict[Mode, int] = {"current": 0, "extended-position": 4, "current-based-position": 5}
-_FIELDS = struct.Struct(
-    "<HBBhhiiiiHB"
-)  # tick, moving, status, PWM, current, velocity, position, two trajectories, V, degC
-_WATCHDOG_LSB = 0.02
-_LONGEST_POSITION = 256 * 4096
-_TORQUE_ON_BY_GOAL = 0x08  # Drive Mode(10) bit 3
+_LATE = 0.02  # s, before the watchdog would trip, from which a tick asks whether it has
 _TRIES = 3
 
 
@@ -60,8 +52,10 @@ class DynamixelServo:
         self._constant = config.torque_constant or self._model.torque_constant
         self._clock = clock or MonotonicClock()
         self._port = port or SerialPort(config.port, config.baudrate, self._clock)
-        self._bus = Bus(self._port, config.id, self._clock, config.reply_timeout)
-        self._table = ControlTable(self._bus)
+        kind = XSeries if self._model.protocol == 2 else MxSeries
+        self._series: Series = kind(self._model, config, self._torque_lsb)
+        self._bus = Bus(self._port, config.id, self._clock, config.reply_timeout, self._series.wire)
+        self._table = ControlTable(self._bus, self._series.registers, self._series.eeprom_end)
         self._tick = TickClock()
         self._impossible = 0
         self._limits: Limits | None = None
@@ -71,7 +65,7 @@ class DynamixelServo:
         self._heard = -math.inf
         self._port.openPort()
         try:
-            self._firmware = identify(self._bus, self._table, config)
+            self._firmware = identify(self._bus, self._table, config, self._series)
             self._live = True  # whoever drove it before may have left it on
             self.disarm()
         except BaseException:
@@ -98,14 +92,17 @@ class DynamixelServo:
     def arm(self, limits: Limits) -> None:
         """Write mode, limits and watchdog into the servo, read them back, and let current flow: none, at first.
 
-        In the position modes the servo then holds where it is. The torque limit goes into Current Limit(38), the
-        temperature into Temperature Limit(31), the velocity into Velocity Limit(44), each no higher than the model's.
+        In the position modes the servo then holds where it is. Torque, temperature and velocity limits go into the
+        servo's registers for them, each no higher than the model's.
         Raises DeviceFault where a fault is latched, DriverError where a register is refused; the torque is off then.
         """
         self._open()
         ceiling = self._torque_counts(limits)
         try:
-            self._prepare(limits, ceiling)
+            self._series.raise_latched(self._bus, self._table)
+            self._table.require("torque_enable", 0)
+            self._series.prepare(self._table, limits, ceiling)
+            self._bus.return_delay = self._config.return_delay
             self._enable(ceiling)
         except BaseException:
             with contextlib.suppress(DriverError):
@@ -124,10 +121,11 @@ class DynamixelServo:
         goal, saturated = self._goal(command)
         self._open()
         sent = self._clock.now()
-        if self._limits is not None and 0.0 < self._config.watchdog < sent - self._heard + _WATCHDOG_LSB:
+        if self._limits is not None and 0.0 < self._config.watchdog < sent - self._heard + _LATE:
             self._look_for_faults()
             sent = self._clock.now()
-        raw = self._bus.read(BLOCK, BLOCK_SIZE) if goal is None else self._bus.write_and_read(*goal, BLOCK, BLOCK_SIZE)
+        block = self._series.block
+        raw = self._bus.read(*block) if goal is None else self._bus.write_and_read(*goal, *block)
         received = self._clock.now()
         self._heard = sent
         if self._bus.alert:
@@ -152,9 +150,9 @@ class DynamixelServo:
             except DriverError as error:
                 trouble = error
                 with contextlib.suppress(DriverError):  # nobody may be able to answer and yet hear
-                    self._bus.send(registers()["torque_enable"].address, b"\0")
+                    self._bus.send(self._table.registers["torque_enable"].address, b"\0")
         with contextlib.suppress(DriverError):
-            self._table.put("bus_watchdog", 0)
+            self._series.rest(self._table)
         if self._live:
             kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
             raise kind(f"torque-off is not confirmed ({trouble}): cut the servo's power")
@@ -189,7 +187,7 @@ class DynamixelServo:
             firmware=self._firmware,
             quantities=frozenset({Quantity.TORQUE if current else Quantity.POSITION}),
             position_lsb=POSITION_LSB,
-            velocity_lsb=VELOCITY_LSB,
+            velocity_lsb=self._series.velocity_lsb,
             torque_lsb=self._torque_lsb if self._model.current_lsb else math.nan,
             torque_uncertainty=math.nan if stated else self._model.torque_uncertainty,
         )
@@ -203,7 +201,7 @@ class DynamixelServo:
         """The torque limit in counts of current. Raises DriverError where it is below one."""
         if not self._model.current_lsb:
             return 0
-        counts = min(math.floor(limits.torque / self._torque_lsb + 1e-9), self._model.current_max)
+        counts = self._series.ceiling(limits.torque)
         if counts < 1:
             raise DriverError(
                 f"torque limit {limits.torque:.3g} N m is below one count of the {self._model.name}, "
@@ -211,39 +209,12 @@ class DynamixelServo:
             )
         return counts
 
-    def _prepare(self, limits: Limits, ceiling: int) -> None:
-        """Torque off, no fault, then everything into the servo that must be there before current flows."""
-        table, model = self._table, self._model
-        self._raise_latched()
-        table.require("torque_enable", 0)
-        table.put("bus_watchdog", 0)
-        table.require("operating_mode", _MODE_CODES[self._mode])
-        table.require("drive_mode", table.get("drive_mode") & ~_TORQUE_ON_BY_GOAL)
-        table.require("return_delay_time", round(self._config.return_delay / RETURN_DELAY_LSB))
-        self._bus.return_delay = self._config.return_delay
-        table.require("temperature_limit", min(math.floor(limits.temperature), model.temperature_max))
-        velocity = math.floor(limits.velocity / VELOCITY_LSB)
-        table.require("velocity_limit", max(1, min(velocity, model.velocity_max)))
-        if model.current_lsb:
-            table.require("current_limit", ceiling)
-
     def _enable(self, ceiling: int) -> None:
         """Torque on without a jerk: at no current, or at the position it has."""
-        table = self._table
-        if self._mode == "current":
-            table.require("goal_current", 0)
-        else:
-            table.require("profile_velocity", 0)
-            table.require("profile_acceleration", 0)
-            if self._mode == "current-based-position":
-                table.require("goal_current", ceiling)
-            table.put("goal_position", table.get("present_position"))
-        table.require("goal_pwm", table.get("pwm_limit"))
-        if self._config.watchdog:
-            table.require("bus_watchdog", math.ceil(self._config.watchdog / _WATCHDOG_LSB - 1e-9))
-        self._live = True
-        table.put("torque_enable", 1)
-        if table.get("torque_enable") != 1:
+        self._live = True  # a goal may be enough for a servo to switch its torque on
+        self._series.enable(self._bus, self._table, ceiling)
+        self._table.put("torque_enable", 1)
+        if self._table.get("torque_enable") != 1:
             self._look_for_faults()
             raise DriverError("the servo does not let its torque be switched on: reboot it")
         self._heard = self._clock.now()
@@ -262,34 +233,32 @@ class DynamixelServo:
                 return None, False
             raise UnsafeCommand(f"a {command.quantity} set-point in mode {self._mode!r}: set dynamixel.mode otherwise")
         bounded = self._limits.bound(command)
-        if command.quantity is Quantity.TORQUE:
-            wanted, most, register = bounded.value / self._torque_lsb, self._ceiling, registers()["goal_current"]
-        else:
-            wanted, most, register = bounded.value / POSITION_LSB, _LONGEST_POSITION, registers()["goal_position"]
+        wanted = bounded.value / (self._torque_lsb if command.quantity is Quantity.TORQUE else POSITION_LSB)
         if not math.isfinite(wanted):
             raise UnsafeCommand(f"set-point {command.value} cannot be encoded: nothing was sent")
         counts = self._config.sign * round(wanted)
-        clipped = max(-most, min(most, counts))
-        return (register.address, register.encoded(clipped)), bounded != command or clipped != counts
+        address, data, held = self._series.goal(counts, self._ceiling)
+        return (address, data), bounded != command or held != counts
 
     def _sample(self, raw: bytes, sent: float, received: float, *, saturated: bool) -> Sample:
-        tick, _, _, _, current, velocity, position, _, _, voltage, temperature = _FIELDS.unpack(raw)
-        freshness = self._tick.judge(tick, sent, received)
-        if freshness is Freshness.IMPOSSIBLE:
-            self._refuse_impossible()
-        self._impossible = 0
+        state = self._series.state(raw)
         status = Status.SATURATED if saturated else Status(0)
-        if freshness is Freshness.STILL:
-            status |= Status.STALE
+        if state.tick is not None:
+            freshness = self._tick.judge(state.tick, sent, received)
+            if freshness is Freshness.IMPOSSIBLE:
+                self._refuse_impossible()
+            if freshness is Freshness.STILL:
+                status |= Status.STALE
+        self._impossible = 0
         sign = self._config.sign
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),
-            motor_position=sign * position * POSITION_LSB,
-            motor_velocity=sign * velocity * VELOCITY_LSB,
-            motor_torque=sign * current * self._torque_lsb if self._model.current_lsb else math.nan,
-            temperature=float(temperature),
-            voltage=voltage * 0.1,
+            motor_position=sign * state.position * POSITION_LSB,
+            motor_velocity=sign * state.velocity,
+            motor_torque=sign * state.current * self._constant,
+            temperature=state.temperature,
+            voltage=state.voltage,
             status=status,
         )
 
@@ -303,17 +272,8 @@ class DynamixelServo:
             self._look_for_faults()
         raise BadReply("the reply is older than its request, or the servo was restarted: the sample is dropped")
 
-    def _raise_latched(self) -> None:
-        bits = self._table.get("hardware_error_status")
-        if bits:
-            raise latched(bits)
-
     def _look_for_faults(self) -> None:
         """Raise DeviceFault where the servo is not doing any more what it was armed for."""
-        self._raise_latched()
-        if self._limits is None:
-            return
-        if self._config.watchdog and self._table.get("bus_watchdog") == -1:
-            raise watchdog(self._config.watchdog)
-        if self._table.get("torque_enable") == 0:
-            raise reboot()
+        self._series.raise_latched(self._bus, self._table)
+        if self._limits is not None:
+            self._series.raise_stopped(self._bus, self._table)

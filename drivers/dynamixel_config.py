@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
 
 from annotated_types import Ge, Gt, Le
 
-from drivers.dynamixel_models import models
+from drivers.dynamixel_models import Model, models
 from drivers.servo import Quantity
 
 if TYPE_CHECKING:
@@ -55,12 +55,27 @@ class DynamixelConfig:
             yield f"dynamixel.baudrate {self.baudrate}: one of {', '.join(map(str, get_args(Baudrate)))}"
         if self.model not in models():
             yield f"dynamixel.model {self.model!r} is not known; there are {', '.join(sorted(models()))}"
-        elif not models()[self.model].current_lsb and self.effective_mode != "extended-position":
-            yield f"dynamixel.mode {self.mode!r}: the {self.model} has no current control"
+        else:
+            yield from self._misfits_of(models()[self.model])
         if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
             yield (
                 f"dynamixel.watchdog {self.watchdog} s is not above twice dynamixel.reply_timeout "
                 f"{self.reply_timeout} s: one lost reply would stop the servo"
+            )
+
+    def _misfits_of(self, model: Model) -> Iterator[str]:
+        if not model.current_lsb and self.effective_mode != "extended-position":
+            yield f"dynamixel.mode {self.mode!r}: the {model.name} has no current control"
+        if model.protocol == 2:
+            return
+        if self.mode == "current-based-position":
+            yield f"dynamixel.mode {self.mode!r}: the {model.name} has current and extended-position"
+        if self.baudrate in {2_000_000, 4_000_000}:
+            yield f"dynamixel.baudrate {self.baudrate}: the {model.name} has no code for it; take 1000000 or 3000000"
+        if self.watchdog:
+            yield (
+                f"dynamixel.watchdog {self.watchdog} s: the {model.name} has none: set it to 0 and know that the motor "
+                "stays live when this computer dies"
             )
 
     def for_quantity(self, quantity: Quantity) -> Self:
@@ -79,7 +94,8 @@ class DynamixelConfig:
             if not current:
                 raise ValueError(f"the {self.model} has no current control: use --quantity position")
             return replace(self, mode="current")
-        return replace(self, mode="current-based-position" if current else "extended-position")
+        held = current and models()[self.model].protocol == 2
+        return replace(self, mode="current-based-position" if held else "extended-position")
 
     @property
     def effective_mode(self) -> Mode:

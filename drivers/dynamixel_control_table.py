@@ -4,28 +4,35 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from drivers.dynamixel_models import EEPROM_END, registers
 from drivers.servo import DriverError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from drivers.dynamixel_bus import Bus
+    from drivers.dynamixel_models import Register
 
 
 class ControlTable:
-    """The registers of the servo on `bus`. Every method raises what `Bus` does."""
+    """The registers of the servo on `bus`: by name, and those below `eeprom_end` keep their value without power.
 
-    def __init__(self, bus: Bus) -> None:
+    Every method raises what `Bus` does.
+    """
+
+    def __init__(self, bus: Bus, registers: Mapping[str, Register], eeprom_end: int) -> None:
+        self.registers = registers
         self._bus = bus
+        self._eeprom_end = eeprom_end
         self._found: dict[str, int] = {}
 
     def get(self, name: str) -> int:
         """The value of a register, in counts."""
-        register = registers()[name]
+        register = self.registers[name]
         return register.decoded(self._bus.read(register.address, register.size))
 
     def put(self, name: str, value: int) -> None:
         """Write a register."""
-        register = registers()[name]
+        register = self.registers[name]
         self._bus.write(register.address, register.encoded(value))
 
     def require(self, name: str, value: int) -> None:
@@ -36,7 +43,7 @@ class ControlTable:
         found = self.get(name)
         if found == value:
             return
-        if registers()[name].address < EEPROM_END:
+        if self.registers[name].address < self._eeprom_end:
             self._found.setdefault(name, found)
         self.put(name, value)
         kept = self.get(name)

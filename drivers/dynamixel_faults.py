@@ -30,6 +30,12 @@ def latched(bits: int) -> DeviceFault:
     return DeviceFault(bits, f"the servo latched hardware error {bits}: {'; '.join(words)}; then cut its power once")
 
 
+def shut_down(bits: int) -> DeviceFault:
+    """The fault for a servo with protocol 1.0 whose replies carry the error `bits` (0: it has shut down before)."""
+    words = [text for bit, text in _HARDWARE.items() if bits & bit] or ["it has shut down"]
+    return DeviceFault(bits, f"the servo reports error {bits}: {'; '.join(words)}; then cut its power once")
+
+
 def watchdog(period: float) -> DeviceFault:
     """The fault for a bus watchdog that has stopped the servo after `period` s of silence."""
     return DeviceFault(

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from drivers.dynamixel_models import models, name_of, registers
+from drivers.dynamixel_models import models, name_of
 from drivers.servo import BadReply, DriverError, NoReply
 
 if TYPE_CHECKING:
     from drivers.dynamixel_bus import Bus
     from drivers.dynamixel_config import DynamixelConfig
     from drivers.dynamixel_control_table import ControlTable
+    from drivers.dynamixel_series import Series
 
-BLOCK, BLOCK_SIZE = 120, 27
-"""What a tick reads: Realtime Tick(120) to Present Temperature(146)."""
 RETURN_DELAY_LSB = 2e-6
-"""s a count of Return Delay Time(9)."""
+"""s a count of Return Delay Time."""
 _TRIES = 3
 
 
-def identify(bus: Bus, table: ControlTable, config: DynamixelConfig) -> str:
+def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Series) -> str:
     """Check who answers, make it answer everything, and learn its return delay. Returns its firmware version.
 
     Raises NoReply, BadReply where several answer at once, DriverError for another model or firmware without a watchdog.
     """
-    number, firmware = _first_answer(bus, config)
+    number, firmware = _first_answer(bus, config, series)
     model = models()[config.model]
     if number != model.number:
         raise DriverError(
@@ -37,22 +36,22 @@ def identify(bus: Bus, table: ControlTable, config: DynamixelConfig) -> str:
             "bring it up to date with DYNAMIXEL Wizard, or set dynamixel.watchdog = 0 and know that the motor stays "
             "live when this computer dies"
         )
-    bus.send(registers()["status_return_level"].address, b"\x02")
+    bus.send(series.registers["status_return_level"].address, b"\x02")
     try:
         bus.return_delay = table.get("return_delay_time") * RETURN_DELAY_LSB
         for _ in range(_TRIES):
-            bus.read(BLOCK, BLOCK_SIZE)
+            bus.read(*series.block)
     except BadReply as error:
         raise BadReply(_garbled(config, error)) from None
     return str(firmware)
 
 
-def _first_answer(bus: Bus, config: DynamixelConfig) -> tuple[int, int]:
+def _first_answer(bus: Bus, config: DynamixelConfig, series: Series) -> tuple[int, int]:
     """Model number and firmware version; one reply may be lost."""
     trouble: DriverError = DriverError()
     for _ in range(_TRIES):
         try:
-            return bus.ping()
+            return series.identity(bus)
         except (NoReply, BadReply) as error:
             trouble = error
     if isinstance(trouble, BadReply):

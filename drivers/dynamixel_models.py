@@ -12,9 +12,7 @@ from statistics import fmean
 POSITION_LSB = 2.0 * math.pi / 4096.0
 """rad a count (Present Position(132): 4096 a turn)."""
 VELOCITY_LSB = 0.229 * 2.0 * math.pi / 60.0
-"""rad/s a count (Present Velocity(128): 0.229 rev/min)."""
-EEPROM_END = 64
-"""Addresses below it keep their value without power and are writable only with the torque off."""
+"""rad/s a count of the X series (Present Velocity(128): 0.229 rev/min)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +37,7 @@ class Model:
     """A servo; the fields are explained at the head of its table. `stall` holds (V, A, N m)."""
 
     name: str
+    protocol: int
     number: int
     current_lsb: float
     current_max: int
@@ -60,9 +59,10 @@ def _table() -> dict[str, dict[str, object]]:
 
 
 @cache
-def registers() -> dict[str, Register]:
-    """The registers by name."""
-    return {name: Register(*row) for name, row in _table()["registers"].items()}  # type: ignore[misc]  # TOML is Any
+def registers(protocol: int) -> dict[str, Register]:
+    """The registers by name, of the X series (protocol 2) or of the MX servos (protocol 1)."""
+    rows = _table()["registers" if protocol == 2 else "mx_registers"]
+    return {name: Register(*row) for name, row in rows.items()}  # type: ignore[misc]  # TOML is Any
 
 
 @cache
@@ -70,7 +70,7 @@ def models() -> dict[str, Model]:
     """The servos by name."""
     rows: dict[str, dict[str, object]] = _table()["models"]  # type: ignore[assignment]  # TOML is Any
     return {
-        name: Model(name, **row | {"stall": tuple(tuple(point) for point in row["stall"])})  # type: ignore[arg-type,attr-defined]  # TOML is Any
+        name: Model(name, **{"protocol": 2} | row | {"stall": tuple(tuple(point) for point in row["stall"])})  # type: ignore[arg-type,attr-defined]  # TOML is Any
         for name, row in rows.items()
     }
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel_bus import Bus, Timing
 from sim_backend.wire.dynamixel_device import Device
+from sim_backend.wire.dynamixel_mx_device import MxDevice
+from sim_backend.wire.dynamixel_mx_tables import MX_BAUD, MX_MODELS
 from sim_backend.wire.dynamixel_tables import BAUD, MODELS
 from sim_backend.wire.pty_line import PtyLine
 
@@ -17,8 +19,8 @@ if TYPE_CHECKING:
 
     from sim_backend.parameters import SimParameters
 
-KNOWN = tuple(sorted(MODELS))
-"""The models there are."""
+KNOWN = tuple(sorted(MODELS | MX_MODELS))
+"""The models there are; those with protocol 1.0 cannot share a line with the others."""
 
 
 def serve(
@@ -38,6 +40,9 @@ def serve(
     a file.
     """
     now = time.monotonic()
+    if model in MX_MODELS:
+        old = [MxDevice(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
+        return PtyLine(link, Bus(old, timing=timing, protocol=1))
     devices = [Device(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
     return PtyLine(link, Bus(devices, timing=timing))
 
@@ -56,14 +61,15 @@ def emulate(
     parameters: the plant, in which the motor's constant and winding are made the model's. Raises ValueError, with a
     sentence for a person, for a model, an id or a baud rate that cannot be, FileExistsError as `serve` does.
     """
-    if model not in MODELS:
+    if model not in KNOWN:
         raise ValueError(f"model {model!r} is not known: there are {', '.join(KNOWN)}")
-    if baudrate not in BAUD:
-        raise ValueError(f"baud rate {baudrate}: a servo knows {', '.join(map(str, BAUD))}")
+    rates = sorted(MX_BAUD.values() if model in MX_MODELS else BAUD)
+    if baudrate not in rates:
+        raise ValueError(f"baud rate {baudrate}: a servo knows {', '.join(map(str, rates))}")
     if len(set(idents)) < len(idents) or not all(0 <= ident <= 252 for ident in idents):
         raise ValueError("ids must differ and lie between 0 and 252")
     if parameters is not None:
-        volts, amperes, torque = MODELS[model].stall
+        volts, amperes, torque = (MODELS | MX_MODELS)[model].stall
         motor = replace(parameters.motor, torque_constant=torque / amperes, winding_resistance=volts / amperes)
         parameters = replace(parameters, motor=motor)
     return serve(link, model, idents, baudrate=baudrate, parameters=parameters, timing=None if instant else Timing())

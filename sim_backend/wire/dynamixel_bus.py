@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-from sim_backend.wire.dynamixel_device import Device
 from sim_backend.wire.dynamixel_faults import DropRequests, Fault, Reboots, Unplug, spoiled
 from sim_backend.wire.dynamixel_frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status
+from sim_backend.wire.dynamixel_mx_frames import MxFramer, mx_bulk_reads, mx_status, mx_sync_writes
 
 
 class Reply(NamedTuple):
@@ -30,14 +30,51 @@ class Timing:
     usb_latency: float = 1e-3
 
 
-class Bus:
-    """The line with its servos. timing: None where everything happens at once."""
+class Peer(Protocol):
+    """A servo as the line sees it; `sim_backend.wire.dynamixel_device` explains the methods."""
 
-    def __init__(self, devices: Iterable[Device], *, timing: Timing | None = None) -> None:
-        self.devices = list(devices)
+    @property
+    def id(self) -> int: ...  # noqa: D102 - see there, as for all below
+
+    @property
+    def shadow(self) -> int | None: ...  # noqa: D102
+
+    @property
+    def baudrate(self) -> int: ...  # noqa: D102
+
+    @property
+    def return_delay(self) -> float: ...  # noqa: D102
+
+    @property
+    def status_return_level(self) -> int: ...  # noqa: D102
+
+    def listens(self, now: float) -> bool: ...  # noqa: D102
+
+    def advance(self, now: float) -> None: ...  # noqa: D102
+
+    def heard(self, now: float) -> None: ...  # noqa: D102
+
+    def reboot(self, now: float) -> None: ...  # noqa: D102
+
+    def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None: ...  # noqa: D102
+
+    def read(self, address: int, size: int, now: float) -> tuple[int, bytes]: ...  # noqa: D102
+
+    def write(self, address: int, data: bytes) -> int: ...  # noqa: D102
+
+    def alerted(self, error: int) -> int: ...  # noqa: D102
+
+
+class Bus:
+    """The line with its servos, which all speak one protocol. timing: None where everything happens at once."""
+
+    def __init__(self, devices: Iterable[Peer], *, timing: Timing | None = None, protocol: int = 2) -> None:
+        self.devices: list[Any] = list(devices)  # whoever looks at them knows of what kind they are
         self.unplugged = False
         self._timing = timing
-        self._framer = Framer()
+        self._protocol = protocol
+        self._framer = Framer() if protocol == 2 else MxFramer()
+        self._status = status if protocol == 2 else mx_status
         self._free = 0.0
         self._replies = 0
         self._requests = 0
@@ -88,23 +125,24 @@ class Bus:
         if not frame.sound:
             return []
         if frame.instruction >= Instruction.SYNC_READ:
-            return self._together(frame, {device.id: device for device in awake}, now)
+            together = self._together if self._protocol == 2 else self._mx_together
+            return together(frame, {device.id: device for device in awake}, now)
         answers = [(d, d.answer(frame, now)) for d in sorted(awake, key=lambda d: d.id)]
         if frame.instruction != Instruction.PING:
             return []
-        return self._timed([(d, status(d.id, *a)) for d, a in answers if a is not None], now)
+        return self._timed([(d, self._status(d.id, *a)) for d, a in answers if a is not None], now)
 
-    def _addressed(self, frame: Frame, awake: list[Device], now: float) -> list[Reply]:
+    def _addressed(self, frame: Frame, awake: list[Peer], now: float) -> list[Reply]:
         """One id; a servo that has it as its shadow id does what it is told and says nothing."""
         for device in awake:
-            if device.id != frame.id and device.registers.get("secondary_id") == frame.id:
+            if device.id != frame.id and device.shadow == frame.id:
                 device.answer(frame, now)
         named = [device for device in awake if device.id == frame.id]
         answers = [device.answer(frame, now) for device in named]
-        packets = [status(frame.id, *answer) for answer in answers if answer is not None]
+        packets = [self._status(frame.id, *answer) for answer in answers if answer is not None]
         return self._timed([(named[0], _collided(packets))], now) if packets else []
 
-    def _together(self, frame: Frame, present: dict[int, Device], now: float) -> list[Reply]:
+    def _together(self, frame: Frame, present: dict[int, Peer], now: float) -> list[Reply]:
         """The instructions that speak to several servos at once."""
         p = frame.parameters
         if frame.instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
@@ -122,19 +160,34 @@ class Bus:
         packets = []
         for ident, address, size in wanted:
             device = present.get(ident)
-            if device is not None and device.registers.get("status_return_level") > 0:
+            if device is not None and device.status_return_level > 0:
                 error, data = device.read(address, size, now)
                 packets.append((device, status(ident, device.alerted(error), data)))
         return self._timed(packets, now)
 
-    def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, Device], now: float) -> list[Reply]:
+    def _mx_together(self, frame: Frame, present: dict[int, Peer], now: float) -> list[Reply]:
+        """The same of protocol 1.0: Sync Write, and Bulk Read, in which each waits for the one before it."""
+        if frame.instruction == Instruction.SYNC_WRITE:
+            for ident, address, data in mx_sync_writes(frame.parameters):
+                if ident in present:
+                    present[ident].write(address, data)
+        packets = []
+        for ident, address, size in mx_bulk_reads(frame):
+            device = present.get(ident)
+            if device is None or device.status_return_level == 0:
+                break
+            error, data = device.read(address, size, now)
+            packets.append((device, mx_status(ident, device.alerted(error), data)))
+        return self._timed(packets, now)
+
+    def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, Peer], now: float) -> list[Reply]:
         """One status packet that the servos write one after the other; it is not stuffed."""
         length = 1 + sum(size + 4 for _, _, size in wanted)
         out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([Instruction.STATUS])
         first = None
         for ident, address, size in wanted:
             device = present.get(ident)
-            if device is None or device.registers.get("status_return_level") == 0:
+            if device is None or device.status_return_level == 0:
                 break
             first = first or device
             error, data = device.read(address, size, now)
@@ -142,7 +195,7 @@ class Bus:
             out += crc(out).to_bytes(2, "little")
         return [] if first is None else self._timed([(first, out)], now)
 
-    def _timed(self, packets: list[tuple[Device, bytes]], now: float) -> list[Reply]:
+    def _timed(self, packets: list[tuple[Peer, bytes]], now: float) -> list[Reply]:
         """The packets at the host, one behind the other, spoiled as planned."""
         out: list[Reply] = []
         at = now

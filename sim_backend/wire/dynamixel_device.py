@@ -69,6 +69,16 @@ class Device:
         return self.registers.get("id")
 
     @property
+    def shadow(self) -> int | None:
+        """Another id it listens to without answering."""
+        return self.registers.get("secondary_id")
+
+    @property
+    def status_return_level(self) -> int:
+        """Which instructions it answers."""
+        return self.registers.get("status_return_level")
+
+    @property
     def baudrate(self) -> int:
         """bit/s."""
         return BAUD[self.registers.get("baud_rate")]

@@ -22,6 +22,8 @@ from sim_backend.servo import SimServo, VirtualClock
 from sim_backend.wire.dynamixel import serve
 from sim_backend.wire.dynamixel_bus import Bus, Timing
 from sim_backend.wire.dynamixel_device import Device
+from sim_backend.wire.dynamixel_mx_device import MxDevice
+from sim_backend.wire.dynamixel_mx_tables import MX_MODELS
 
 
 @pytest.fixture(autouse=True)
@@ -106,7 +108,7 @@ class Rig:
         return DynamixelServo(config, clock=self.clock, port=self.port)
 
     @property
-    def device(self) -> Device:
+    def device(self) -> Any:
         return self.bus.devices[0]
 
     def wait(self, seconds: float) -> None:
@@ -116,8 +118,13 @@ class Rig:
 
 def new_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
     clock = VirtualClock()
-    bus = Bus([Device(model, baudrate=baudrate, **device)], timing=Timing())
-    config = DynamixelConfig(port="loopback", model=model, baudrate=baudrate)  # type: ignore[arg-type]  # a Literal
+    bus: Bus
+    if model in MX_MODELS:
+        bus = Bus([MxDevice(model, baudrate=baudrate, **device)], timing=Timing(), protocol=1)
+    else:
+        bus = Bus([Device(model, baudrate=baudrate, **device)], timing=Timing())
+    watchdog = 0.0 if model in MX_MODELS else 0.1
+    config = DynamixelConfig(port="loopback", model=model, baudrate=baudrate, watchdog=watchdog)  # type: ignore[arg-type]  # a Literal
     return Rig(bus, clock, Loopback(bus, clock, baudrate), config)
 
 
@@ -137,6 +144,7 @@ def limits() -> Limits:
 
 
 SERVO_LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
+MX_LIMITS = Limits(torque=0.06, velocity=40.0, temperature=65.0, position=(-8.0, 8.0))
 SIM_LIMITS = Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0))
 
 
@@ -155,12 +163,14 @@ def on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
         yield from closed_after(servo, SERVO_LIMITS)
 
 
-@pytest.fixture(params=["sim", "dynamixel", "dynamixel on a pty"])
+@pytest.fixture(params=["sim", "dynamixel", "dynamixel on a pty", "dynamixel mx"])
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Servo, Limits]]:
     """Every servo the contract is held against, each with limits that suit it."""
     if request.param == "sim":
         yield from closed_after(SimServo(SimParameters(), seed=1, clock=VirtualClock()), SIM_LIMITS)
     elif request.param == "dynamixel":
         yield from closed_after(new_rig().open(), SERVO_LIMITS)
+    elif request.param == "dynamixel mx":
+        yield from closed_after(new_rig("mx-64").open(), MX_LIMITS)
     else:
         yield from on_a_pty(tmp_path)

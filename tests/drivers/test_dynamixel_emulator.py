@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_backend.wire.dynamixel import KNOWN, serve
+from sim_backend.wire.dynamixel import serve
 from sim_backend.wire.dynamixel_bus import Bus, Timing
 from sim_backend.wire.dynamixel_device import Device
 from sim_backend.wire.dynamixel_frames import Error, packet, status
@@ -29,7 +29,7 @@ def running(mode: int, model: str = "xl330-m288") -> Device:
     return device
 
 
-@pytest.mark.parametrize("model", KNOWN)
+@pytest.mark.parametrize("model", MODELS)
 def test_every_register_of_every_model_answers_and_begins_within_its_range(model: str) -> None:
     device = Device(model)
     for item in MODELS[model].items:

@@ -48,7 +48,7 @@ def test_every_model_is_opened_armed_driven_and_closed(make_rig: Make, limits: L
     assert rig.port.opened == 0
 
 
-@pytest.mark.parametrize("model", sorted(models()))
+@pytest.mark.parametrize("model", sorted(MODELS))
 def test_the_two_sets_of_tables_say_the_same_of_each_servo(model: str) -> None:
     ours, theirs = models()[model], MODELS[model]
     items = {item.name: item for item in theirs.items}

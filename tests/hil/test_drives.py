@@ -59,15 +59,14 @@ def emulated(*words: str) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Path) -> None:
     stand = stand_file(tmp_path)
     recording = tmp_path / "run.h5"
     link = tmp_path / "ttyDXL"
     with emulated("dynamixel", "--link", str(link), "--id", "1", "--id", "2", "--stand", str(stand)) as process:
         words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--soft", "0.5", "--rate", "200"]
         assert run(["record", "--stand", str(stand), *words, "--amplitude", "0.01", "-o", str(recording)]) == 0
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         assert process.wait(20.0) == 0
     assert not link.is_symlink()
     with Recording(recording) as made:
@@ -75,6 +74,15 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
     design = np.column_stack([signals.dtheta, signals.dtheta_dot])
     kc = float(np.linalg.lstsq(design, signals.torque, rcond=None)[0][0])
     assert kc == pytest.approx(17.75e-3, rel=0.1)
+
+
+def test_a_kill_ends_an_emulator_cleanly(tmp_path: Path) -> None:
+    link = tmp_path / "ttyDXL"
+    with emulated("dynamixel", "--link", str(link), "--model", "mx-64") as process:
+        assert link.is_symlink()
+        process.terminate()
+        assert process.wait(20.0) == 0
+    assert not link.is_symlink()
 
 
 def test_a_position_profile_puts_the_drive_into_a_position_mode(tmp_path: Path) -> None:
@@ -110,7 +118,7 @@ def test_the_backends_and_the_emulators_are_listed(capfd: pytest.CaptureFixture[
         (["dynamixle"], "did you mean 'dynamixel'"),
         (["dynamixel"], "needs --link"),
         (["dynamixel", "--link", "x", "--bus", "slcan"], "takes no --bus: it takes --link, --model, --id"),
-        (["dynamixel", "--link", "x", "--model", "xl1"], "there are xc330-m181"),
+        (["dynamixel", "--link", "x", "--model", "xl1"], "there are mx-106"),
         (["dynamixel", "--link", "x", "--id", "1", "--id", "1"], "ids must differ"),
         (["dynamixel", "--link", "x", "--baudrate", "1000"], "a servo knows 9600"),
         (["dynamixel", "--link", "."], "is not a link"),

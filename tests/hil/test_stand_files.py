@@ -50,7 +50,7 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     assert run(["stand", "new", "-o", str(path)]) == 0
     told = capfd.readouterr()
     assert told.out.strip() == ""
-    for said in ("-3: Input should be greater than 0", "elbow: Input should be", "xl1: Input should be 'xc330"):
+    for said in ("-3: Input should be greater than 0", "elbow: Input should be", "xl1: Input should be 'mx-106'"):
         assert said in told.err
     stand = load(path)
     assert (stand.stand.name, stand.stand.gear_ratio, stand.checked_limits().torque) == ("my finger", 2.0, 0.05)
