@@ -12,6 +12,14 @@ import pytest
 SHARED = Path(os.environ.get("HIL_SHARED", Path(__file__).parent.parent.parent / "shared"))
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--stand",
+        metavar="FILE",
+        help="Hold the contract of servos against this stand instead. The motor moves: lock the joint, hands off.",
+    )
+
+
 @pytest.fixture(autouse=True)
 def nothing_is_left_running() -> Iterator[None]:
     before = set(threading.enumerate())

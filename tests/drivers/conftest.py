@@ -17,6 +17,8 @@ from drivers.dynamixel import DynamixelServo
 from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_port import POLL, SerialPort
 from drivers.servo import Limits, Servo
+from hil.stand import load, open_servo
+from hil.stopping import answered
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo, VirtualClock
 from sim_backend.wire.dynamixel import serve
@@ -163,10 +165,31 @@ def on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
         yield from closed_after(servo, SERVO_LIMITS)
 
 
-@pytest.fixture(params=["sim", "dynamixel", "dynamixel on a pty", "dynamixel mx"])
+def on_a_stand(path: Path) -> Iterator[tuple[Servo, Limits]]:
+    """The stand of a file, within its own limits."""
+    stand = load(path)
+    servo, _ = open_servo(stand)
+    try:
+        zero = answered(servo).motor_position
+    except BaseException:
+        servo.close()
+        raise
+    yield from closed_after(servo, stand.motor_limits(zero))
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "bench" in metafunc.fixturenames:
+        path = metafunc.config.getoption("--stand")
+        known = ["sim", "dynamixel", "dynamixel on a pty", "dynamixel mx"]
+        metafunc.parametrize("bench", known if path is None else [Path(path)], indirect=True, ids=str)
+
+
+@pytest.fixture
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Servo, Limits]]:
-    """Every servo the contract is held against, each with limits that suit it."""
-    if request.param == "sim":
+    """Every servo the contract is held against, each with limits that suit it; with --stand that stand alone."""
+    if isinstance(request.param, Path):
+        yield from on_a_stand(request.param)
+    elif request.param == "sim":
         yield from closed_after(SimServo(SimParameters(), seed=1, clock=VirtualClock()), SIM_LIMITS)
     elif request.param == "dynamixel":
         yield from closed_after(new_rig().open(), SERVO_LIMITS)

@@ -1,0 +1,41 @@
+"""`pytest --stand FILE`: the contract of servos, held against somebody's own stand."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from sim_backend.wire.dynamixel import serve
+
+PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+CONTRACT = Path(__file__).parent / "test_servo_contract.py"
+STAND = """
+[stand]
+backend = "dynamixel"
+[limits]
+torque = 0.03
+deflection = 1.5
+velocity = 40.0
+temperature = 65.0
+[dynamixel]
+port = "{port}"
+model = "xl330-m288"
+reply_timeout = 0.3
+watchdog = 1.0
+"""
+
+
+def test_the_contract_runs_against_the_stand_of_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "stand.toml"
+    path.write_text(STAND.format(port=tmp_path / "ttyDXL"))
+    with serve(tmp_path / "ttyDXL", "xl330-m288"):
+        run = subprocess.run(
+            [*PYTEST, str(CONTRACT), "--stand", str(path), "-k", "turns_the_motor_forwards or closing_twice"],
+            cwd=CONTRACT.parent.parent.parent,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    assert run.returncode == 0, run.stdout
+    assert "2 passed" in run.stdout
