@@ -10,6 +10,7 @@ import pytest
 
 from hil.cli import run
 from hil.stand import parse
+from sim_backend.wire.dynamixel import emulate as served
 
 ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -50,6 +51,30 @@ def test_the_commands_for_ones_own_stand_run_on_the_stand_file_shown(
     for command in block("own stand", "sh").splitlines():
         assert run(shlex.split(command)[1:]) == 0, command
     assert (tmp_path / "mine.png").exists()
+
+
+def test_the_commands_for_a_drive_run_against_the_emulated_servo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    emulate, *commands = block("a drive", "sh").splitlines()
+    words = dict(zip(shlex.split(emulate)[3:-1:2], shlex.split(emulate)[4:-1:2], strict=True))
+    assert emulate.startswith("hil emulate dynamixel ")
+    assert emulate.endswith(" &")
+    with served(Path(words["--link"])):
+        for command in commands:
+            assert run(shlex.split(command)[1:]) == 0, command
+            if " stand new " in command:
+                be_patient(tmp_path / "servo.toml")
+
+
+def be_patient(stand: Path) -> None:
+    """Let a busy machine keep the emulated servo waiting, which lives in this very process."""
+    text = stand.read_text()
+    for key, value in (("reply_timeout", "0.3  "), ("watchdog", "1.0")):
+        text, count = re.subn(rf"# {key} = \S+", f"{key} = {value}", text)
+        assert count == 1
+    stand.write_text(text)
 
 
 def test_the_import_command_runs_on_such_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
