@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from drivers.ports import serial_problem
+from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
 from hil.backends import check_backend, found_by_search
 from hil.examination import Examination, Verdict
@@ -51,10 +51,20 @@ def examine(
 
 
 def _look_at_the_port(found: Examination, stand: Stand) -> None:
-    port = getattr(stand.devices.get(str(stand.stand.backend)), "port", None)
-    if isinstance(port, str) and "://" not in port:
-        problem = serial_problem(Path(port))
-        found.add("port", Verdict.PROBLEM if problem else Verdict.OK, problem or f"{port} can be read and written")
+    """The serial port or the CAN interface that the drive's table names, where it is this machine's."""
+    table = stand.devices.get(str(stand.stand.backend))
+    interface = getattr(table, "interface", None)
+    name = getattr(table, "port", None) if interface is None else getattr(table, "channel", None)
+    if not isinstance(name, str) or "://" in name:
+        return
+    if interface in {None, "slcan"}:
+        problem = serial_problem(Path(name.partition("@")[0]))
+    elif interface == "socketcan":
+        seen = {port.name: port.problem for port in can_interfaces()}
+        problem = seen.get(name, f"there is no CAN interface {name}: plug its adapter in, or correct the channel")
+    else:
+        return
+    found.add("port", Verdict.PROBLEM if problem else Verdict.OK, problem or f"{name} can be used")
 
 
 def _watchdog(stand: Stand) -> float:

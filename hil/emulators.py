@@ -1,19 +1,21 @@
 """The emulated peers of `hil emulate`: one line each.
 
-The function behind a line takes what it needs of the options below, by these names, and returns a `Served`; an option
-it has no parameter for is refused, and one without a default must be given. It raises ValueError or FileExistsError
-with a sentence for a person.
+The function behind a line takes what it needs of the command's options, by these names, and returns a `Served`; an
+option it has no parameter for is refused, and one without a default must be given. What it raises is told to a person.
 
-    link: Path (a symlink to a pty)     bus: str (slcan, udp_multicast)     channel: str (of that bus)
-    model: str      idents: Sequence[int]      baudrate: int, bit/s
-    parameters: SimParameters | None (the plant; None: the peer's own)      instant: bool (no time passes on the wire)
+    link: Path, or channel: str | Path           --link, --channel: a symlink to a pty; the channel of a CAN bus
+    interface: str                               --bus: slcan (a pty at --link), udp_multicast, socketcan ...
+    model: str, firmware: str                    --model, --firmware
+    idents: Sequence[int], baudrate: int         --id, --baudrate (bit/s)
+    parameters: SimParameters | None             --stand: its plant; None: the peer's own
+    instant: bool, or timing: object | None      --instant: no time passes; else what the line's `timing` makes
 """
 
 from __future__ import annotations
 
 import inspect
 import signal
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -38,15 +40,18 @@ class Served(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Emulator:
-    """A line: what a person is told of it, and where the function is, as "module:name"."""
+    """A line: what a person is told of it, and where the function is, as "module:name".
+
+    timing: where the class is whose default is the usual wire, for a function with a parameter `timing`.
+    """
 
     explanation: str
     place: str
+    timing: str = ""
 
     def function(self) -> Callable[..., Served]:
         """The function that makes it."""
-        module, name = self.place.split(":")
-        made: Callable[..., Served] = getattr(import_module(module), name)
+        made: Callable[..., Served] = _named(self.place)
         return made
 
 
@@ -66,18 +71,29 @@ def make(name: str, options: Mapping[str, Any]) -> Served:
         near = get_close_matches(name, EMULATORS, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise WrongUse(f"unknown emulator {name!r}: {hint}known are {', '.join(EMULATORS)}")
-    function = EMULATORS[name].function()
+    emulator = EMULATORS[name]
+    function = emulator.function()
     takes = inspect.signature(function).parameters
-    extra = [_option(option) for option in options if option not in takes]
+    words = {_parameter(option, takes): value for option, value in options.items()}
+    if "timing" in takes and emulator.timing and not words.pop("instant", False):
+        words["timing"] = _named(emulator.timing)()
+    extra = [_option(word) for word in words if word not in takes]
     if extra:
-        raise WrongUse(f"hil emulate {name} takes no {', '.join(extra)}: it takes {_listed(list(takes))}")
-    needed = [word for word, taken in takes.items() if taken.default is taken.empty and word not in options]
+        raise WrongUse(f"hil emulate {name} takes no {', '.join(extra)}: it takes {_listed(takes)}")
+    needed = [word for word, taken in takes.items() if taken.default is taken.empty and word not in words]
     if needed:
         raise WrongUse(f"hil emulate {name} needs {_listed(needed)}")
     try:
-        return function(**options)
-    except (ValueError, FileExistsError) as error:
-        raise WrongUse(str(error)) from None
+        return function(**words)
+    except Exception as error:
+        raise WrongUse(f"hil emulate {name}: {error}") from error
+
+
+def _parameter(option: str, takes: Mapping[str, inspect.Parameter]) -> str:
+    """The parameter that an option goes to."""
+    if option == "bus":
+        return "interface"
+    return "channel" if option == "link" and "link" not in takes else option
 
 
 @contextmanager
@@ -93,8 +109,14 @@ def ended_by_signal(served: Served) -> Iterator[None]:
 
 
 def _option(name: str) -> str:
-    return {"idents": "--id", "parameters": "--stand"}.get(name, f"--{name}")
+    known = {"idents": "--id", "parameters": "--stand", "interface": "--bus", "timing": "--instant"}
+    return known.get(name, "--link (or --channel)" if name == "channel" else f"--{name}")
 
 
-def _listed(names: list[str]) -> str:
+def _listed(names: Iterable[str]) -> str:
     return ", ".join(_option(name) for name in names)
+
+
+def _named(place: str) -> Any:
+    module, name = place.split(":")
+    return getattr(import_module(module), name)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.recording import checked_rate
 from hil.cli.terminal import STAND_FAILED, Json, print_json, say
 from hil.errors import WrongUse
 
@@ -20,9 +19,10 @@ if TYPE_CHECKING:
 def emulate(
     name: Annotated[str | None, typer.Argument(help="What to emulate; without it, what there is.")] = None,
     model: Annotated[str | None, typer.Option(help="Of several: which.")] = None,
+    firmware: Annotated[str | None, typer.Option(help="Of several: which.")] = None,
     ident: Annotated[list[int] | None, typer.Option("--id", help="Its id on the bus; repeat it for several.")] = None,
     link: Annotated[Path | None, typer.Option(help="The serial port to appear as: a symlink to a pty.")] = None,
-    bus: Annotated[str | None, typer.Option(help="The CAN bus to sit on: slcan (at --link), udp_multicast.")] = None,
+    bus: Annotated[str | None, typer.Option(help="The CAN bus to sit on: slcan (at --link), udp_multicast ...")] = None,
     channel: Annotated[str | None, typer.Option(help="The channel of --bus.")] = None,
     baudrate: Annotated[int | None, typer.Option(help="bit/s that it listens at.")] = None,
     stand: Annotated[Path | None, typer.Option(help="A stand file, whose [sim] is the plant behind it.")] = None,
@@ -36,7 +36,7 @@ def emulate(
             print(f"{known:10} {emulator.explanation}")
         return
     words: dict[str, Any] = {"model": model, "idents": ident, "link": link, "bus": bus, "channel": channel}
-    words |= {"baudrate": baudrate, "instant": instant or None}
+    words |= {"firmware": firmware, "baudrate": baudrate, "instant": instant or None}
     given = {key: value for key, value in words.items() if value not in (None, [])}
     described = ", ".join(f"{key} {value}" for key, value in given.items())
     if stand is not None:
@@ -55,7 +55,7 @@ def doctor(
     move: Annotated[bool, typer.Option("--move", help="Move the motor a little: checks signs and the lock.")] = False,
     amplitude: Annotated[float | None, typer.Option(help="Of --move: N m or rad at the joint; 1/20 limit.")] = None,
     quantity: Annotated[str, typer.Option(help="What is commanded: torque or position.")] = "torque",
-    rate: Annotated[float, typer.Option(help="Hz that the link is to manage.")] = 500.0,
+    rate: Annotated[float, typer.Option(min=1.0, max=10_000.0, help="Hz that the link is to manage.")] = 500.0,
     as_json: Json = False,
 ) -> None:
     """Look at ports and CAN interfaces, and with a stand file at the drive: what is wrong and how to mend it.
@@ -80,7 +80,7 @@ def doctor(
         _print_ports("CAN interface", interfaces)
         found.tell = _print_check
     if opened is not None:
-        examine(found, opened, Quantity(quantity), rate=checked_rate(rate), move=move, amplitude=amplitude)
+        examine(found, opened, Quantity(quantity), rate=rate, move=move, amplitude=amplitude)
     if as_json:
         print_json(_as_json(found, {"serial": ports, "can": interfaces}))
     if found.signal:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from hil.cli import run
-from hil.emulators import EMULATORS
+from hil.emulators import EMULATORS, Emulator, make
+from hil.errors import WrongUse
 from hil.signals import prepare
 from hil.stand import load
 from hil.store import Recording
@@ -135,8 +138,56 @@ def test_an_emulator_that_cannot_be_is_refused_in_a_sentence(
 
 @pytest.mark.parametrize("name", EMULATORS)
 def test_an_emulators_function_takes_options_of_the_command_only(name: str) -> None:
-    import inspect
+    options = {"link", "channel", "interface", "model", "firmware", "idents", "baudrate", "parameters"}
+    taken = set(inspect.signature(EMULATORS[name].function()).parameters)
+    assert taken <= options | {"instant", "timing"}
+    assert ("timing" in taken) == bool(EMULATORS[name].timing)
 
-    options = {"link", "bus", "channel", "model", "idents", "baudrate", "parameters", "instant"}
-    function: Callable[..., object] = EMULATORS[name].function()
-    assert set(inspect.signature(function).parameters) <= options
+
+class Wire:
+    """What stands for the times of a wire."""
+
+
+def serve_on_can(
+    channel: str | Path,
+    firmware: str = "0.6",
+    idents: Iterable[int] = (0,),
+    *,
+    interface: str = "slcan",
+    timing: Wire | None = None,
+) -> tuple[object, ...]:
+    if firmware == "0.1":
+        raise RuntimeError("no such bus")
+    return str(channel), firmware, list(idents), interface, type(timing)
+
+
+@pytest.fixture
+def can(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = ModuleType("a_can_drive")
+    module.__dict__.update(serve=serve_on_can, Wire=Wire)
+    monkeypatch.setitem(sys.modules, "a_can_drive", module)
+    monkeypatch.setattr(
+        "hil.emulators.EMULATORS", {"drive": Emulator("a drive", "a_can_drive:serve", "a_can_drive:Wire")}
+    )
+
+
+@pytest.mark.usefixtures("can")
+def test_the_options_go_to_the_parameters_of_an_emulator_by_name() -> None:
+    options = {"link": Path("ttyCAN"), "bus": "slcan", "idents": [1, 2]}
+    assert make("drive", options) == ("ttyCAN", "0.6", [1, 2], "slcan", Wire)  # type: ignore[comparison-overlap]  # a stand-in
+    options = {"channel": "239.0.0.1", "bus": "udp_multicast", "instant": True}
+    assert make("drive", options) == ("239.0.0.1", "0.6", [0], "udp_multicast", type(None))  # type: ignore[comparison-overlap]  # a stand-in
+
+
+@pytest.mark.usefixtures("can")
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, r"needs --link \(or --channel\)"),
+        ({"link": Path("x"), "model": "y"}, "takes no --model: it takes --link"),
+        ({"link": Path("x"), "firmware": "0.1"}, "hil emulate drive: no such bus"),
+    ],
+)
+def test_what_an_emulator_raises_is_told_in_a_sentence(options: dict[str, object], said: str) -> None:
+    with pytest.raises(WrongUse, match=said):
+        make("drive", options)
