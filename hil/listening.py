@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.servo import BadReply, Command, NoReply, Sample, Servo
 from hil.examination import BusFigures, Examination, Verdict
-from hil.guard import StopRequest
+from hil.stop import StopRequest
 from hil.stand import Stand
 
 _SECONDS = 1.0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.servo import Quantity, Servo
 from hil import profiles
-from hil.guard import StopRequest
+from hil.stop import StopRequest
 from hil.part import Header, PartFile
 from hil.recorder import Outcome, Recorder, tick_count
 from hil.stand import Stand

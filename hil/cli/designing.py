@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.recording import _band, _checked_rate, _limit_of, _quantity, _stand_of
+from hil.cli.recording import _band, checked_rate, _limit_of, _quantity, _stand_of
 from hil.cli.terminal import Json, print_json, tell
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def design(
         torque_noise=torque_noise,
         model=model,
         quantity=_quantity(quantity),
-        rate=_checked_rate(rate),
+        rate=checked_rate(rate),
     )
     made = profiles.make(
         profile,

@@ -75,7 +75,7 @@ def record(
         default_amplitude=_limit_of(opened, quantity) / 5.0,
         duration=duration,
         band=None if band is None else _band(band),
-        rate=_checked_rate(rate),
+        rate=checked_rate(rate),
         soft=soft,
         seed=seed,
         setpoints=setpoints,

@@ -19,7 +19,7 @@ from drivers.dynamixel_faults import RESTARTED
 from drivers.dynamixel_models import POSITION_LSB, models
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, NoReply, Quantity, Sample
 from hil import profiles
-from hil.guard import StopRequest
+from hil.stop import StopRequest
 from hil.part import Header, PartFile
 from hil.recorder import Recorder, tick_count
 from hil.signals import prepare

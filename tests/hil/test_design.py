@@ -199,3 +199,15 @@ def test_a_stand_that_is_not_simulated_needs_rough_values_and_says_what_it_assum
 def test_a_stand_without_limits_is_not_designed_for() -> None:
     with pytest.raises(WrongUse, match="sets no limits"):
         task(text='[stand]\nbackend = "sim"\n')
+
+
+def test_the_commands_of_the_page_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("stand.toml").write_text(REAL)
+    page = (Path(__file__).parents[2] / "docs" / "design.md").read_text(encoding="utf-8")
+    commands = [line for line in page.splitlines() if line.startswith("hil design")]
+    assert len(commands) == 3
+    for command in commands:
+        assert hil(shlex.split(command)[1:]) == 0, capfd.readouterr().err

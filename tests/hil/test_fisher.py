@@ -83,7 +83,8 @@ def test_dry_friction_is_told_from_damping_by_a_sweep_and_hardly_by_one_speed() 
 
 def spread(columns: Array, clean: Array, noise: list[Array]) -> Array:
     """The standard deviation (p,) of the exact fits to `clean` under each of the noises."""
-    return np.std([least_absolute_deviations(columns, clean + one).genes for one in noise], axis=0, ddof=1)
+    genes = np.array([least_absolute_deviations(columns, clean + one).genes for one in noise])
+    return np.asarray(genes.std(axis=0, ddof=1))
 
 
 @pytest.mark.parametrize("lsb", [0.0, 6e-4], ids=["fine counts", "counts of three sigma"])
