@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _NORMAL = 1.959964  # half a 95 % interval in standard deviations
-_HALVINGS = 200  # of an interval of variances: down to rounding
+_STEPS = 200  # a step at least doubles a variance that is far too small: enough for 60 decades
+_ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ def between(values: Array, standard_errors: Array) -> Pooled:
     fit = _fit(ones, values, standard_errors)
     value, error = float(fit.beta[0]), float(max(fit.scatter[0], fit.least[0]))
     half = float(fit.half_widths[0])
-    alike = _weighted_squares(ones, values, standard_errors**2)
+    alike = _weighted_squares(ones, values, standard_errors**2)[0]
     return Pooled(
         value=value,
         standard_error=error,
@@ -126,30 +127,29 @@ def _fit(design: Array, values: Array, errors: Array) -> _Fit:
     return _Fit(beta, scatter, least, half, variance, freedom)
 
 
-def _weighted_squares(design: Array, values: Array, variances: Array) -> float:
-    """The sum of squares about the best fit, each measurement weighted with its variance (m,)."""
+def _weighted_squares(design: Array, values: Array, variances: Array) -> tuple[float, float]:
+    """The sum of squares about the best fit, each measurement weighted with its variance (m,), and how fast it falls.
+
+    The latter is per unit by which all variances grow; the fit being the best, its own change counts for nothing.
+    """
     root = 1.0 / np.sqrt(variances)
     beta = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
-    return float(np.sum((root * (values - design @ beta)) ** 2))
+    squares = (root * (values - design @ beta)) ** 2
+    return float(squares.sum()), float((root**2) @ squares)
 
 
 def _variance_where(design: Array, values: Array, errors: Array, squares: float) -> float:
-    """The between variance at which the weighted sum of squares, which falls with it, is `squares`; 0 if none is."""
+    """The between variance at which the weighted sum of squares is `squares`; 0 if none is.
 
-    def excess(variance: float) -> float:
-        return _weighted_squares(design, values, errors**2 + variance) - squares
-
-    if excess(0.0) <= 0.0:
-        return 0.0
-    low, high = 0.0, float(np.max(errors) ** 2)
-    while excess(high) > 0.0:
-        low, high = high, 4.0 * high
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        if middle in {low, high}:
+    The sum falls with the variance, ever more slowly, so that Newton's steps from 0 never go too far.
+    """
+    variance = 0.0
+    for _ in range(_STEPS):
+        found, fall = _weighted_squares(design, values, errors**2 + variance)
+        if found <= squares or found - squares <= _ROUNDING * fall * variance:
             break
-        low, high = (middle, high) if excess(middle) > 0.0 else (low, middle)
-    return 0.5 * (low + high)
+        variance += (found - squares) / fall
+    return variance
 
 
 def _between_interval(design: Array, values: Array, errors: Array, freedom: int) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from hil.condition import Condition
 from hil.errors import WrongUse
 from hil.exporter import export
 from hil.importer import import_table
-from hil.part import Header, write
+from hil.part import Header, PartFile, missing_row, write
 from hil.store import CHANNELS, Recording
 
 
@@ -54,6 +54,13 @@ def test_headings_carry_the_units_and_nan_is_an_empty_cell(tmp_path: Path) -> No
     assert {"time [s]", "torque [N*m]", "dtheta [rad]", "dtheta_dot [rad/s]", "status [1]"} <= set(rows[0])
     assert rows[7]["torque [N*m]"] == rows[0]["joint_position [rad]"] == ""
     assert rows[7]["seq [1]"] == "7"
+
+
+def test_a_recording_that_never_ended_is_exported_as_far_as_it_goes(tmp_path: Path) -> None:
+    with PartFile(tmp_path / "a.h5", Header(profile={"kind": "chirp"}), 100) as part:
+        for seq in range(42):
+            part.append(missing_row(seq))
+    assert export(tmp_path / "a.h5.part", tmp_path / "a.csv") == 42
 
 
 def test_an_export_can_be_imported_in_part(tmp_path: Path) -> None:

@@ -55,6 +55,11 @@ def test_a_change_of_unit_changes_nothing_but_the_unit() -> None:
     assert small.p_alike == pytest.approx(large.p_alike)
 
 
+def test_measurements_a_million_errors_apart_are_pooled_all_the_same() -> None:
+    values = np.array([-1.0, 1.0, 0.0])
+    assert between(values, np.full(3, 1e-6)).between == pytest.approx(1.0, rel=1e-9)
+
+
 @pytest.mark.parametrize("ratio", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("count", [2, 4])
 def test_the_intervals_cover_with_few_recordings(count: int, ratio: float) -> None:
