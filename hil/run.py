@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from drivers.servo import Servo
@@ -29,11 +30,13 @@ def run(
     command_line: str = "",
     output: Path | None = None,
     force: bool = False,
+    alarm: Callable[[str], object] | None = None,
 ) -> tuple[Path, Outcome]:
     """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
 
     The servo is closed, and the torque off, however it ends; the outcome says how that was, and the path is where the
-    data is. force: overwrite, and give up an unfinished recording of that name. seed: of the simulator.
+    data is. force: overwrite, and give up an unfinished recording of that name. seed: of the simulator. alarm: told at
+    once, before the file is made final, where the torque may still be on.
     Raises WrongUse before anything moves, DriverError where the servo cannot be opened.
     """
     check_backend(stand.stand.backend)
@@ -62,6 +65,8 @@ def run(
                 raise
         finally:
             _let_go(servo, outcome)
+        if outcome.alarm and alarm is not None:
+            alarm(outcome.alarm)
         return _keep(part, outcome), outcome
 
 

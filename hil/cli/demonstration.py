@@ -43,7 +43,9 @@ def demo(
         seed=1,
     )
     out("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
-    path, outcome = run(stand, made, rate=500.0, seed=1, note="hil demo", command_line="hil demo", output=path)
+    path, outcome = run(
+        stand, made, rate=500.0, seed=1, note="hil demo", command_line="hil demo", output=path, alarm=say
+    )
     out(told(path, outcome))
     answer_for(outcome)
     search = Search("default", PRESETS["default"], trials=30, seed=0, workers=os.cpu_count() or 1, bounds={})

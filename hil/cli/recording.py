@@ -94,6 +94,7 @@ def record(
         command_line=command_line(),
         output=output,
         force=force,
+        alarm=say,
     )
     if as_json:
         print_json(
@@ -120,13 +121,16 @@ def told(path: Path, outcome: Outcome) -> str:
 
 
 def answer_for(outcome: Outcome) -> None:
-    """Raise what a run that did not go as planned ends the command with; what is urgent is said first."""
+    """Raise what a run that did not go as planned ends the command with.
+
+    That the torque may be on was said when it was found; it is said again, where the eye ends.
+    """
     from drivers.servo import DriverError, LinkLost
     from hil.findings import lateness
 
     if outcome.alarm:
-        say(outcome.alarm)
         say(f"hil: {outcome.error}")
+        say(outcome.alarm)
         raise typer.Exit(STAND_FAILED)
     if isinstance(outcome.error, OSError) and not isinstance(outcome.error, DriverError):
         raise LinkLost(f"the link failed: {outcome.error}") from outcome.error

@@ -168,10 +168,25 @@ def test_a_torque_off_that_is_not_confirmed_is_the_first_thing_said(
     spring.disarm_error = OSError(5, "Input/output error")
     assert record("-o", "a.h5") == 3
     said = capfd.readouterr().err.splitlines()
-    assert said[0] == "CUT THE POWER: the torque-off is not confirmed ([Errno 5] Input/output error)"
-    assert said[1] == "hil: the cable is out"
+    alarm = "CUT THE POWER: the torque-off is not confirmed ([Errno 5] Input/output error)"
+    assert said == [alarm, "hil: the cable is out", alarm]
     with Recording(Path("a.h5")) as recording:
         assert len(recording) == 50
+
+
+def test_an_alarm_is_told_before_the_file_is_made_final(spring: SpringServo, tmp_path: Path) -> None:
+    spring.disarm_error = OSError(5, "Input/output error")
+    seen: list[bool] = []
+    run(
+        STAND,
+        profile(0.5),
+        rate=RATE,
+        seed=0,
+        output=tmp_path / "a.h5",
+        alarm=lambda said: seen.append(said.startswith("CUT THE POWER") and not (tmp_path / "a.h5").exists()),
+    )
+    assert seen == [True]
+    assert (tmp_path / "a.h5").exists()
 
 
 def test_a_link_that_fails_in_a_way_its_driver_did_not_foresee_is_the_stands_failure(
