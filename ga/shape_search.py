@@ -7,6 +7,7 @@ the bottom of its valley on all of them: trials that end in different valleys di
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
@@ -30,11 +31,12 @@ _POLL: Final = 0.1
 
 @dataclass(eq=False)
 class _Trial:
-    """One search under way. record: the best fitness, N m, of each generation."""
+    """One search under way. record: the best fitness, N m, of each generation. seconds: of its thread's processor."""
 
     search: Search
     record: list[float] = field(default_factory=list)
     fit: Fit | None = None
+    seconds: float = 0.0
 
 
 def search_shapes(
@@ -79,14 +81,16 @@ def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None
 
 
 def _run(trial: _Trial, problem: Problem, thin: Problem, cancelled: threading.Event) -> None:
-    search = trial.search
+    search, began = trial.search, time.thread_time()
     while not search.done:
         if cancelled.is_set():
-            return
+            break
         shapes = search.ask()
         search.tell(shapes, [_fitness(thin, shape) for shape in shapes])
         trial.record.append(search.best_fitness)
-    trial.fit = by_compass(problem, descend(problem, search.best))
+    if search.done:
+        trial.fit = by_compass(problem, descend(problem, search.best))
+    trial.seconds = time.thread_time() - began
 
 
 def _fitness(problem: Problem, shape: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
@@ -104,6 +108,8 @@ def _outcome(running: list[_Trial], problem: Problem) -> Trials:
         genes=np.stack([fit.values for fit in fits]),
         fitness=np.array([fit.fitness for fit in fits]),
         evaluations=sum(trial.search.evaluations for trial in running),
+        made=sum(trial.search.evaluations for trial in running),
+        processor_seconds=sum(trial.seconds for trial in running),
         generations=np.array([len(trial.record) for trial in running], dtype=np.int64),
         history=History(np.arange(last), record),
         finished=np.array([trial.fit is not None for trial in running]),

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
-from ga.models import Model
 from hil.errors import Untrustworthy, WrongUse
 from hil.findings import Finding
-from hil.identify import Estimate, Identification, Search, identify
+from hil.identify import Search, identify
+from hil.model_choice import Coupling
 from hil.provenance import check_together
 from hil.repeatability import Drift, Pooled, between, drift
+from hil.result import Estimate, Identification
+from hil.spool import Progress
 from hil.store import Recording
 
 COMPARED = ("Kc", "Bc")
@@ -77,7 +79,7 @@ class Comparison:
 
 
 def compare(
-    paths: Sequence[Path], model: Model, search: Search, progress: Callable[[float], None] | None = None
+    paths: Sequence[Path], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Comparison:
     """Identify `model` in each recording on its own, and tell what lies within them from what lies between.
 
@@ -108,7 +110,11 @@ def compare(
         )
     repeated = tuple(_repeated(name, measured) for name in COMPARED)
     findings += [Finding("cannot-compare", one.verdict, one.name, fatal=True) for one in repeated if one.pooled is None]
-    return Comparison(" or ".join(sorted(models)) or model.name, tuple(measured), repeated, tuple(findings))
+    return Comparison(" or ".join(sorted(models)) or _name(model), tuple(measured), repeated, tuple(findings))
+
+
+def _name(model: Coupling | None) -> str:
+    return "auto" if model is None else model.name
 
 
 def _origin(path: Path) -> tuple[datetime | None, bool]:
@@ -123,15 +129,15 @@ def _origin(path: Path) -> tuple[datetime | None, bool]:
         return (moment if moment.tzinfo else None), False
 
 
-def _share(progress: Callable[[float], None] | None, index: int, count: int) -> Callable[[float], None] | None:
+def _share(progress: Progress | None, index: int, count: int) -> Progress | None:
     if progress is None:
         return None
     told = progress
-    return lambda done: told((index + done) / count)
+    return lambda what, done: told(what, (index + done) / count)
 
 
 def _identified(
-    path: Path, model: Model, search: Search, findings: list[Finding], progress: Callable[[float], None] | None
+    path: Path, model: Coupling | None, search: Search, findings: list[Finding], progress: Progress | None
 ) -> Identification | None:
     try:
         found = identify([path], model, search, progress)
@@ -144,10 +150,10 @@ def _identified(
 
 
 def _measured(
-    path: Path, created: datetime | None, hours: float, model: Model, found: Identification | None
+    path: Path, created: datetime | None, hours: float, model: Coupling | None, found: Identification | None
 ) -> Measured:
     if found is None:
-        return Measured(path, created, hours, model.name, {}, frozenset())
+        return Measured(path, created, hours, _name(model), {}, frozenset())
     estimates = {name: found[name] for name in COMPARED}
     doubted = {finding.parameter for finding in found.findings if finding.fatal}
     told = {name for name, estimate in estimates.items() if estimate.identifiable and not {name, None} & doubted}
@@ -174,7 +180,7 @@ def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
 def standard_error(estimate: Estimate) -> float:
     """An estimate's standard error, in its unit, from its 95 % interval."""
     half = 0.5 * (estimate.ci95[1] - estimate.ci95[0])
-    return max(half / _NORMAL, _ROUNDING * abs(estimate.exact), math.ulp(0.0))
+    return float(max(half / _NORMAL, _ROUNDING * abs(estimate.exact), math.ulp(0.0)))
 
 
 def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:

@@ -15,10 +15,10 @@ from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
 from hil.backends import check_backend, found_by_search
 from hil.examination import Examination, Verdict
-from hil.stop import StopRequest
 from hil.listening import judge_readings, listen, manageable
 from hil.movement import Movement, move_a_little
 from hil.stand import Stand, open_servo
+from hil.stop import StopRequest
 from hil.stopping import exercise_stop, fall_silent
 
 _SMALL = 1.0 / 20.0  # of a limit

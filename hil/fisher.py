@@ -18,8 +18,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.local_polynomial import kernel
 from hil.motion import Joint, Motion
-from hil.signals import excited_band, local_cubic, window_half
+from hil.signals import excited_band, windows
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
@@ -151,38 +152,38 @@ def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> f
 
 
 class _Window:
-    """The local cubic that `hil identify` would put over this motion: its answers to a single sample of one."""
+    """The local polynomials that `hil identify` would put over this motion: their answers to a single sample of one."""
 
     def __init__(self, motion: Motion, angle_lsb: float) -> None:
         seen = np.round(motion.dtheta / angle_lsb) * angle_lsb
         self.step = float(motion.time[1] - motion.time[0])
-        self.half = window_half(motion.time, excited_band(motion.time, seen)[1])
-        # the cubic's answer at one sample to another's value: the slope's is odd, so the order matters
-        width = 2 * self.half + 1
-        impulse = np.zeros(2 * width + 1)
-        impulse[width] = 1.0
-        value, slope, _ = local_cubic(np.arange(impulse.size, dtype=np.float64) * self.step, impulse, self.half)
-        inner = slice(width - self.half, width + self.half + 1)
-        self.value, self.slope = value[inner], slope[inner]
-
-    def smoothed(self, values: Array) -> Array:
-        """The cubic's value at every sample of (n,), which begin and end at rest."""
-        return self._over(values, self.value)
+        self.halves = windows(motion.time, excited_band(motion.time, seen)[1])
+        # the answer at one sample to another's value: the slope's is odd, so the order matters
+        self.slope, self.curvature = (
+            kernel(half, order)[::-1] / self.step**order for order, half in zip((1, 2), self.halves, strict=True)
+        )
 
     def sloped(self, values: Array) -> Array:
-        """The cubic's slope at every sample."""
+        """The slope at every sample of (n,), which begin and end at rest."""
         return self._over(values, self.slope)
 
-    def _over(self, values: Array, kernel: Array) -> Array:
+    def curved(self, values: Array) -> Array:
+        """The curvature at every sample."""
+        return self._over(values, self.curvature)
+
+    def _over(self, values: Array, weights: Array) -> Array:
         from scipy.signal import fftconvolve
 
-        return np.asarray(fftconvolve(values, kernel, mode="same"))
+        return np.asarray(fftconvolve(values, weights, mode="same"))
 
     def gains(self, count: int) -> tuple[Spectrum, Spectrum]:
-        """The gains of value and slope at the frequencies of a transform of `count` samples."""
-        value, slope = np.zeros(count), np.zeros(count)
-        value[: 2 * self.half + 1], slope[: 2 * self.half + 1] = self.value, self.slope
-        return np.fft.rfft(np.roll(value, -self.half)), np.fft.rfft(np.roll(slope, -self.half))
+        """The gains of slope and curvature at the frequencies of a transform of `count` samples."""
+        found = []
+        for half, weights in zip(self.halves, (self.slope, self.curvature), strict=True):
+            padded = np.zeros(count)
+            padded[: 2 * half + 1] = weights
+            found.append(np.fft.rfft(np.roll(padded, -half)))
+        return found[0], found[1]
 
 
 def _bound(columns: Array, joint: Joint, readings: Readings, step: float) -> Array:
@@ -211,13 +212,11 @@ class _Residual:
 
 def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> _Residual:
     """Signs of Gaussian residuals covary by 2/pi times the arc sine of their correlation; the window makes some."""
-    value, slope = window.gains(_padded(count))
+    slope, curvature = window.gains(_padded(count))
+    turned = joint.stiffness + joint.damping * slope
     if readings.motor_side:
-        turned = joint.stiffness * value + (joint.damping + joint.friction) * slope + joint.inertia * slope**2
-        density = readings.white**2 * np.abs(value) ** 2
-    else:
-        turned = joint.stiffness + joint.damping * slope
-        density = np.full(len(value), readings.white**2)
+        turned = turned + joint.friction * slope + joint.inertia * curvature
+    density = np.full(len(slope), readings.white**2)
     alike = np.fft.irfft(density + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2)
     variance = float(alike[0])
     signs = 2.0 / np.pi * np.fft.rfft(np.arcsin(np.clip(alike / variance, -1.0, 1.0))).real
@@ -250,15 +249,13 @@ def _density_at_zero(variance: float, lsb: float) -> float:
 def _seen(joint: Joint, motion: Motion, readings: Readings, window: _Window) -> Motion:
     """The motion as `hil identify` would make it of readings without noise: late, and through the window."""
     rate = window.sloped(motion.dtheta)
-    acceleration = window.sloped(rate)
+    acceleration = window.curved(motion.dtheta)
     if readings.motor_side:
         aged = motion.drive - readings.skew * np.gradient(motion.drive, window.step)
-        torque = window.smoothed(aged) - joint.inertia * acceleration - joint.friction * rate
-        angle = window.smoothed(motion.dtheta)
+        torque = aged - joint.inertia * acceleration - joint.friction * rate
     else:
         torque = motion.torque + readings.skew * _ageing(joint, motion)
-        angle = motion.dtheta
-    return Motion(motion.time, angle, rate, acceleration, torque, motion.drive)
+    return Motion(motion.time, motion.dtheta, rate, acceleration, torque, motion.drive)
 
 
 def _misfit(columns: Array, torque: Array, residual: _Residual) -> tuple[Array, Array]:

@@ -8,8 +8,8 @@ import numpy as np
 
 from drivers.servo import BadReply, Command, NoReply, Sample, Servo
 from hil.examination import BusFigures, Examination, Verdict
-from hil.stop import StopRequest
 from hil.stand import Stand
+from hil.stop import StopRequest
 
 _SECONDS = 1.0
 _MOST = 20_000  # exchanges in that time, however fast they are

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from drivers.servo import Quantity, Servo
 from hil import profiles
-from hil.stop import StopRequest
 from hil.part import Header, PartFile
 from hil.recorder import Outcome, Recorder, tick_count
 from hil.stand import Stand
+from hil.stop import StopRequest
 from hil.store import Recording
 
 Array = NDArray[np.float64]

@@ -29,6 +29,7 @@ _COARSE = 0.05  # share of repeated stamps from which a clock is called coarse
 _GAIN_ERROR = 3e-4  # of rate and acceleration, at the upper end of the band
 _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
 _PARTS = 20  # windows side by side that a recording has room for, so that few rows lie near its ends
+_FADE = 0.02  # of a recording at each end
 _APART = 4.0  # usual steps between two samples from which on they are of two stretches
 _SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 _PROBE = 1 << 20  # rows that show how a recording is to be read
@@ -224,10 +225,7 @@ def _usable(recording: Recording, source: _Source, start: int, stop: int) -> _Us
 def _window_for(usable: _Usable) -> _Window:
     time = usable.time
     band = excited_band(time, usable.dtheta)
-    cycles = band[1] * (time[-1] - time[0]) / (len(time) - 1)
-    most = min(_WIDEST, (len(time) - 1) // _PARTS)
-    slope, curvature = (widest(order, cycles, most, _GAIN_ERROR) for order in (1, 2))
-    return _Window(slope, min(slope, curvature), float(np.median(np.diff(time))), band)
+    return _Window(*windows(time, band[1]), float(np.median(np.diff(time))), band)
 
 
 def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int, int], *, coarse: bool) -> Signals:
@@ -261,6 +259,14 @@ def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int,
         rate_noise=None if source.given_rate else _rate_noise(dtheta - smooth, window),
         torque_from="motor" if source.motor_side else ("given" if source.stand is None else "joint"),
     )
+
+
+def windows(time: Array, highest: float) -> tuple[int, int]:
+    """The widest local polynomials, neighbours a side, that give slope and curvature of motion up to `highest` Hz."""
+    cycles = highest * (time[-1] - time[0]) / (len(time) - 1)
+    most = min(_WIDEST, (len(time) - 1) // _PARTS)
+    slope, curvature = (widest(order, cycles, most, _GAIN_ERROR) for order in (1, 2))
+    return slope, min(slope, curvature)
 
 
 def _is_sound(time: Array, window: _Window) -> NDArray[np.bool_]:
@@ -341,13 +347,14 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
 def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
     """The band, Hz, in which the deflection (n,) rad moved, above its own noise.
 
-    From 1 % of the deflection's power at the lower end to 95 % of the rate's at the upper. The noise floor is the
-    median density in the upper half of the spectrum.
+    From 1 % of the deflection's power at the lower end to 99 % of the rate's at the upper. The noise floor is the
+    median density in the upper half of the spectrum. Only the very ends are faded: a chirp is fastest at its end.
     """
     count = len(time)
     uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
     step = (time[-1] - time[0]) / (count - 1)
-    spectrum = np.abs(np.fft.rfft((uniform - uniform.mean()) * np.hanning(count))) ** 2
+    fade = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(count) + 0.5) / (_FADE * count))) ** 2
+    spectrum = np.abs(np.fft.rfft((uniform - uniform.mean()) * fade * fade[::-1])) ** 2
     frequency = np.fft.rfftfreq(count, step)
     density = np.convolve(spectrum, np.full(5, 0.2), mode="same")
     floor = float(np.median(density[len(density) // 2 :]))

@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, print_json, progress, say, tell
-from hil.errors import WrongUse
+from hil.cli.identification import chosen_model
+from hil.cli.progress import progress
+from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, out, out_table, print_json, say, tell
 
 
 def compare(
@@ -23,7 +24,6 @@ def compare(
 ) -> None:
     """Say whether Kc and Bc repeat from recording to recording, and whether they drift."""
     from ga.evolution import PRESETS
-    from ga.models import parse as parse_model
     from hil import compare as engine
     from hil.comparison_report import as_json as to_json
     from hil.comparison_report import comparison_table, draw
@@ -32,22 +32,17 @@ def compare(
 
     if picture is not None:
         check_target(picture, force=force)
-    try:
-        chosen = parse_model(model)
-    except ValueError as error:
-        raise WrongUse(f"--model {model!r}: {error}") from None
+    chosen = chosen_model(model)
     workers = os.cpu_count() or 1
     search = Search("default", PRESETS["default"], trials=trials, seed=seed, workers=workers, bounds={})
-    with progress("identifying") as done:
+    with progress() as done:
         found = engine.compare(recordings, chosen, search, done)
     if as_json:
         print_json(to_json(found))
     else:
-        from rich.console import Console
-
-        Console().print(comparison_table(found))
+        out_table(comparison_table(found))
         for parameter in found.parameters:
-            print(parameter.verdict)
+            out(parameter.verdict)
     if picture is not None:
         draw(found, picture)
         say(f"wrote {picture}")

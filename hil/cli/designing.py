@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.recording import _band, checked_rate, _limit_of, _quantity, _stand_of
+from hil.cli.recording import _band, _limit_of, _quantity, _stand_of, checked_rate
 from hil.cli.terminal import Json, print_json, tell
 
 if TYPE_CHECKING:

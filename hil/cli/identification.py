@@ -64,7 +64,7 @@ def identify(
     if report is not None:
         for path in page_files(report):
             check_target(path, force=force, inputs=recordings)
-    chosen = _model(model or ("linear" if preset == "paper" else "auto"))
+    chosen = chosen_model(model or ("linear" if preset == "paper" else "auto"))
     readings = {"selection": selection, "weights": weights, "replacement": replacement}
     sizes = {"generations": generations, "population": population, "mutation": mutation}
     given = {name: value for name, value in (readings | sizes).items() if value is not None}
@@ -118,7 +118,7 @@ def _show(found: Identification) -> None:
         out(line)
 
 
-def _model(name: str) -> Model | None:
+def chosen_model(name: str) -> Model | None:
     """The model of that name, None for the one that the ladder chooses. Raises WrongUse."""
     from ga.models import parse
 

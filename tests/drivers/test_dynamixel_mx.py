@@ -19,11 +19,11 @@ from drivers.dynamixel_faults import RESTARTED
 from drivers.dynamixel_models import POSITION_LSB, models
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, NoReply, Quantity, Sample
 from hil import profiles
-from hil.stop import StopRequest
 from hil.part import Header, PartFile
 from hil.recorder import Recorder, tick_count
 from hil.signals import prepare
 from hil.stand import parse
+from hil.stop import StopRequest
 from hil.store import Recording
 from sim_backend.parameters import CouplingParameters, FixtureParameters
 from sim_backend.wire.dynamixel_bus import Bus

@@ -19,9 +19,10 @@ from hil.cli import run
 from hil.compare import Comparison, compare, standard_error
 from hil.condition import Condition
 from hil.errors import WrongUse
-from hil.identify import Estimate, Search
+from hil.identify import Search
 from hil.importer import Column, import_table
 from hil.provenance import check_together
+from hil.result import Estimate
 
 from .conftest import Maker
 

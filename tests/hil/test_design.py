@@ -14,17 +14,18 @@ import pytest
 
 from drivers.servo import Quantity
 from ga.exact import least_absolute_deviations
-from ga.models import parse as parse_model
 from hil import profiles
 from hil.advice import findings
 from hil.cli import run as hil
-from hil.dataset import open_dataset
+from hil.dataset import stand_of
 from hil.design import Assessment, Task, assess, rounded, task_of
 from hil.design_search import best
 from hil.errors import WrongUse
 from hil.motion import respond
 from hil.run import run
+from hil.signals import Signals, prepare
 from hil.stand import SIMULATED, parse
+from hil.store import Recording
 
 REAL = SIMULATED.replace('backend = "sim"\n', "").replace("motor_inertia = 2.0e-7\n", "")
 
@@ -51,6 +52,11 @@ def judged(asked: Task, kind: str, band: tuple[float, float], amplitude: float, 
     )
 
 
+def signals_of(path: Path) -> Signals:
+    with Recording(path) as recording:
+        return prepare(recording, stand_of(recording))
+
+
 def test_the_predicted_errors_are_those_of_recordings_on_the_simulated_stand(tmp_path: Path) -> None:
     """Thirty of 1.5 s; their spread is uncertain by 13 %. docs/design.md has 200 of each of six profiles."""
     stand = parse(SIMULATED)
@@ -59,8 +65,9 @@ def test_the_predicted_errors_are_those_of_recordings_on_the_simulated_stand(tmp
     for seed in range(30):
         path, outcome = run(stand, made.profile, rate=250.0, seed=seed, output=tmp_path / "a.h5", force=True)
         assert outcome.error is None
-        with open_dataset([path], parse_model("linear")) as data:
-            genes.append(least_absolute_deviations(data.columns, data.torque).genes)
+        seen = signals_of(path)
+        columns = np.stack([seen.dtheta, seen.dtheta_dot], axis=1)
+        genes.append(least_absolute_deviations(columns, seen.coupling_torque).genes)
     predicted = [made["Kc"].error, made["Bc"].error]
     assert np.std(genes, axis=0, ddof=1) == pytest.approx(predicted, rel=0.35)
 
@@ -105,8 +112,7 @@ def test_the_command_it_prints_records_without_passing_a_limit(
     assert set(told["profiles"]) == {"given", "best"}
     chosen = told["profiles"]["best"]
     assert hil([*shlex.split(chosen["command"])[1:], "-o", "a.h5"]) == 0
-    with open_dataset([Path("a.h5")], parse_model("linear")) as data:
-        reached = float(np.abs(data.signals.dtheta).max())
+    reached = float(np.abs(signals_of(Path("a.h5")).dtheta).max())
     assert reached == pytest.approx(chosen["limits"]["deflection"]["peak"], rel=0.02)
 
 

@@ -13,8 +13,9 @@ from drivers.servo import Quantity
 from ga.exact import least_absolute_deviations
 from hil import profiles
 from hil.fisher import Parameter, Readings, covariance, mistaken_friction, predict
+from hil.local_polynomial import local_polynomial
 from hil.motion import Joint, Motion, respond
-from hil.signals import excited_band, local_cubic, window_half
+from hil.signals import excited_band, windows
 
 Array = NDArray[np.float64]
 
@@ -117,21 +118,19 @@ def test_the_error_is_predicted_where_a_skew_that_the_model_lacks_stands_above_t
     assert made["Kc"].error > 1.5 * told(("linear",), motion, replace(readings, skew=0.0))["Kc"].error
 
 
-def test_torque_from_the_motors_side_is_predicted_through_the_window_that_smooths_it() -> None:
+def test_torque_from_the_motors_side_is_predicted_without_what_the_motor_takes() -> None:
     motion, rng = moved(quantity=Quantity.POSITION), np.random.default_rng(3)
     readings = replace(CELL, motor_side=True)
-    half = window_half(motion.time, excited_band(motion.time, motion.dtheta)[1])
-    angle, rate, _ = local_cubic(motion.time, motion.dtheta, half)
-    acceleration = local_cubic(motion.time, rate, half)[1]
+    slope, curvature = windows(motion.time, excited_band(motion.time, motion.dtheta)[1])
+    rate = local_polynomial(motion.time, motion.dtheta, slope)[1]
+    acceleration = local_polynomial(motion.time, motion.dtheta, curvature)[2]
 
     def torque(noise: Array) -> Array:
-        smooth = local_cubic(motion.time, motion.drive + noise, half)[0]
-        return np.asarray(smooth - JOINT.inertia * acceleration - JOINT.friction * rate)
+        return np.asarray(motion.drive + noise - JOINT.inertia * acceleration - JOINT.friction * rate)
 
     still = torque(np.zeros_like(rate))
     noises = [torque(rng.normal(scale=2e-4, size=rate.size)) - still for _ in range(200)]
-    found = spread(np.stack([angle, rate], axis=1), still, noises)
+    found = spread(np.stack([motion.dtheta, rate], axis=1), still, noises)
     made = told(("linear",), motion, readings)
     assert found == pytest.approx([made["Kc"].error, made["Bc"].error], rel=0.15)
-    # neighbours that are alike bring the median's price down from the root of half pi
-    assert made["Kc"].error / made["Kc"].bound < 1.2
+    assert made["Kc"].error / made["Kc"].bound == pytest.approx(np.sqrt(np.pi / 2.0), rel=0.05)
