@@ -40,6 +40,10 @@ _ANYWHERE: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 _KINKED: Final = ("gap", "slack")
 """Where these end the torque jumps: the bottom of the valley is too rough to be found by its slope."""
 
+_AGREEMENTS: Final = 8
+_AGREED: Final = 1e-3
+"""How often, at most, and to what part the lag of flanks is found again from the fit that it led to."""
+
 _STEPS: Final = 20
 _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-9
@@ -55,17 +59,23 @@ class Curved(Protocol):
     def linear(self) -> tuple[Parameter, ...]: ...  # noqa: D102
     @property
     def shape(self) -> tuple[Parameter, ...]: ...  # noqa: D102
-    def columns(self, motion: Motion, shape: Array | None = None) -> Array: ...  # noqa: D102
+    @property
+    def lets_go(self) -> bool: ...  # noqa: D102
+    def columns(self, motion: Motion, shape: Array | None = None, lag: float = 0.0) -> Array: ...  # noqa: D102
     def target(self, motion: Motion, torque: Array, shape: Array | None = None) -> Array: ...  # noqa: D102
-    def slopes(self, motion: Motion, shape: Array, genes: Array) -> Array: ...  # noqa: D102
+    def slopes(self, motion: Motion, shape: Array, genes: Array, lag: float = 0.0) -> Array: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The bottom of a valley. shape: (q,); optimum: of the columns for that shape, its genes (p,)."""
+    """The bottom of a valley. shape: (q,); optimum: of the columns for that shape and lag, its genes (p,).
+
+    lag: s, Bc/Kc of these genes where the model has flanks that let go, else 0.
+    """
 
     shape: Array
     optimum: Optimum
+    lag: float = 0.0
 
     @property
     def fitness(self) -> float:
@@ -89,9 +99,20 @@ class Problem:
     high: Array
 
     def solve(self, shape: Array) -> Fit:
-        """The exact minimum for one shape (q,). Raises RuntimeError where no optimum can be proven."""
-        columns = self.model.columns(self.motion, shape)
-        return Fit(shape, least_absolute_deviations(columns, self.model.target(self.motion, self.torque, shape)))
+        """The exact minimum for one shape (q,). Raises RuntimeError where no optimum can be proven.
+
+        When flanks let go depends on Bc/Kc, which the minimum gives: both are repeated until they agree.
+        """
+        target, lag = self.model.target(self.motion, self.torque, shape), 0.0
+        best = Fit(shape, least_absolute_deviations(self.model.columns(self.motion, shape), target))
+        for _ in range(_AGREEMENTS if self.model.lets_go else 0):
+            kc, bc = best.optimum.genes[:2]
+            next_lag = max(0.0, bc / kc) if kc > 0.0 else 0.0
+            if abs(next_lag - lag) <= _AGREED * lag:
+                break
+            lag = next_lag
+            best = Fit(shape, least_absolute_deviations(self.model.columns(self.motion, shape, lag), target), lag)
+        return best
 
     def of(self, rows: NDArray[np.bool_] | slice) -> Problem:
         """The same on some of the rows."""
@@ -104,15 +125,15 @@ class Problem:
     def residuals(self, fit: Fit) -> Array:
         """What the fit leaves, (n,) N m."""
         target = self.model.target(self.motion, self.torque, fit.shape)
-        return np.asarray(target - self.model.columns(self.motion, fit.shape) @ fit.optimum.genes)
+        return np.asarray(target - self.model.columns(self.motion, fit.shape, fit.lag) @ fit.optimum.genes)
 
     def linearised(self, fit: Fit) -> tuple[Array, Array]:
         """Columns (n, p + q) and torque (n,) of the linear problem that the fit's neighbourhood looks like.
 
         Its residuals at `fit.values` are those of the fit.
         """
-        columns = self.model.columns(self.motion, fit.shape)
-        slopes = self.model.slopes(self.motion, fit.shape, fit.optimum.genes)
+        columns = self.model.columns(self.motion, fit.shape, fit.lag)
+        slopes = self.model.slopes(self.motion, fit.shape, fit.optimum.genes, fit.lag)
         target = self.model.target(self.motion, self.torque, fit.shape) + slopes @ fit.shape
         return np.concatenate([columns, slopes], axis=1), target
 

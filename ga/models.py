@@ -82,22 +82,30 @@ class Model:
         """
         return replace(self, origin=float(motion.time[0]) if len(motion) else 0.0, smoothing=_smoothing(motion))
 
-    def columns(self, motion: Motion, shape: Array | None = None) -> Array:
-        """The columns (n, p) for the shape parameters (q,), SI; None: all zero."""
+    @property
+    def lets_go(self) -> bool:
+        """Whether the coupling has flanks that can push only: where damping would make them pull, they part."""
+        return bool({"gap", "slack"} & set(self._names))
+
+    def columns(self, motion: Motion, shape: Array | None = None, lag: float = 0.0) -> Array:
+        """The columns (n, p) for the shape parameters (q,), SI; None: all zero.
+
+        lag: Bc/Kc, s, which says when flanks that can push only let go.
+        """
         model = self if self.smoothing is not None else self.anchored(motion)
-        return model._stacked(model._engaged(motion, shape), changing=None)
+        return model._stacked(model._engaged(motion, shape, lag), changing=None)
 
     def target(self, motion: Motion, torque: Array, shape: Array | None = None) -> Array:
         """What the columns are to make up, (n,) N m: the torque (n,) without what is known of it."""
         return np.asarray(torque - motion.delayed(self._of("skew", shape)).known)
 
-    def slopes(self, motion: Motion, shape: Array, genes: Array) -> Array:
+    def slopes(self, motion: Motion, shape: Array, genes: Array, lag: float = 0.0) -> Array:
         """How the torque changes with each shape parameter: (n, q), N m per unit, at shape (q,) and genes (p,).
 
-        Where a gap ends the damping torque jumps; what that adds at single samples is left out.
+        Where flanks meet the damping torque jumps; what that adds at single samples is left out.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
-        engaged = model._engaged(motion, shape)
+        engaged = model._engaged(motion, shape, lag)
         found = []
         for parameter in self.shape:
             if parameter.name == "skew":
@@ -137,7 +145,7 @@ class Model:
             return 0.0
         return float(shape[self._index(parameter) - len(self.linear)])
 
-    def _engaged(self, motion: Motion, shape: Array | None) -> _Engaged:
+    def _engaged(self, motion: Motion, shape: Array | None, lag: float = 0.0) -> _Engaged:
         """The motion as the torque reading saw it, beyond the gap or slack."""
         seen = motion.delayed(self._of("skew", shape))
         angle = seen.dtheta
@@ -145,7 +153,10 @@ class Model:
             angle = np.sign(angle) * np.maximum(np.abs(angle) - 0.5 * self._of("gap", shape), 0.0)
         elif "slack" in self and shape is not None:
             angle = np.maximum(angle - self._of("slack", shape), 0.0)
-        touching = (angle != 0.0).astype(np.float64) if {"gap", "slack"} & set(self._names) else np.ones(len(motion))
+        touching = np.ones(len(motion))
+        if self.lets_go:
+            touching = (angle * (angle + lag * seen.dtheta_dot) > 0.0).astype(np.float64)
+            angle = angle * touching
         return _Engaged(motion.time - (self.origin or 0.0), seen, angle, touching, self.smoothing or 0.0)
 
     @property
