@@ -26,6 +26,7 @@ from hil.stop import StopRequest
 
 _REST_SAMPLES = 16  # averaged for the zero of the deflection
 _REST_TRIES = 100
+_TOO_LONG = 1.5  # periods that an answer at rest may take; some drives answer sooner once they are armed
 _RAMP_DOWN = 0.1  # s; a first request to stop lets the cable down over this long
 _BLOCK = 512  # set-points computed at a time
 _OFF_TRIES, _OFF_PAUSE = 20, 0.05  # times that the torque-off is asked for, s between two
@@ -163,7 +164,7 @@ class Recorder:
                 break
         else:
             raise NoReply(f"{len(found)} replies to {_REST_TRIES} requests: check power, cable, id and baud rate")
-        if median(took) > 1.0 / self._rate:
+        if median(took) > _TOO_LONG / self._rate:
             raise WrongUse(
                 f"--rate {self._rate:g}: this servo takes {median(took) * 1e3:.3g} ms to answer, so it can be asked at "
                 f"most {1.0 / median(took):.0f} times a second: lower the rate"

@@ -366,6 +366,23 @@ def test_a_request_to_stop_before_the_start_drives_nothing(bench: Bench, moment:
     assert (outcome.error, outcome.samples) == (None, 0)
 
 
+@pytest.mark.parametrize("replies", [1, 16])
+def test_a_request_to_stop_is_heeded_between_any_two_requests_before_the_start(bench: Bench, replies: int) -> None:
+    """After the last reply at rest nothing is left but to arm."""
+    asked = 0
+
+    class Watched(SpringServo):
+        def exchange(self, command: Command) -> Sample:
+            nonlocal asked
+            asked += 1
+            bench.stop.count = int(asked == replies)
+            return super().exchange(command)
+
+    bench.servo = Watched()
+    assert bench.run().end_reason == "stopped on request"
+    assert (asked, bench.servo.limits) == (replies, None)
+
+
 @pytest.mark.parametrize("name", ["joint_torque", "motor_position", "motor_velocity", "temperature"])
 def test_a_sensor_that_goes_blind_ends_the_run_at_the_third_reply(bench: Bench, name: str) -> None:
     nothing = {name: math.nan}
@@ -461,13 +478,13 @@ def test_a_rate_the_servo_cannot_answer_at_is_refused_before_the_motor_is_live(b
     class Slow(SpringServo):
         def exchange(self, command: Command) -> Sample:
             sample = super().exchange(command)
-            self.clock.t += 0.0125
+            self.clock.t += 0.0160
             return sample
 
     bench.servo = Slow()
     outcome = bench.run()
     assert isinstance(outcome.error, WrongUse)
-    assert "12.5 ms to answer, so it can be asked at most 80 times a second" in str(outcome.error)
+    assert "16 ms to answer, so it can be asked at most 62 times a second" in str(outcome.error)
     assert bench.servo.limits is None
 
 
