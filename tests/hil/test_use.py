@@ -203,7 +203,7 @@ def test_a_name_is_shown_as_it_is(capfd: Captured) -> None:
     assert "[red]a.h5: chirp, done" in hil(capfd, "inspect", "[red]a.h5")[1]
 
 
-@pytest.mark.parametrize("words", ["inspect a.h5", "inspect a.h5 --json", "identify a.h5 --trials 1"])
+@pytest.mark.parametrize("words", ["inspect a.h5", "inspect a.h5 --json"])
 def test_a_reader_that_has_seen_enough_is_no_error(make_recording: Maker, words: str) -> None:
     make_recording("a.h5", noise=1e-4)
     code = "import sys; from hil.cli import main; sys.argv = ['hil', *sys.argv[1:]]; main()"
