@@ -25,7 +25,7 @@ from truth_cases import (
 )
 
 from drivers.servo import Clock, Command, Limits, Quantity, Sample, Servo, ServoInfo, Status
-from hil.guard import StopRequest
+from hil.stop import StopRequest
 from hil.part import Header, PartFile, write
 from hil.profiles import make
 from hil.recorder import Recorder, tick_count
