@@ -30,14 +30,19 @@ ENOUGH: Final = 2500
 """Rows on which a valley is told from another; the bottom is then found on all of them."""
 
 _GRID: Final[Mapping[str, tuple[float, ...]]] = MappingProxyType(
-    {"skew": (0.25, 0.5, 0.75), "gap": (0.0, 0.03, 0.1, 0.25, 0.5), "slack": (0.05, 0.2, 0.4, 0.6, 0.8)}
+    {
+        "skew": (0.25, 0.5, 0.75),
+        "gap": (0.0, 0.03, 0.1, 0.25, 0.5),
+        "centre": (0.3, 0.5, 0.7),
+        "slack": (0.05, 0.2, 0.4, 0.6, 0.8),
+    }
 )
 """Parts of the way from the low to the high bound from which a valley is looked for."""
 
 _ANYWHERE: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 """The same for a shape parameter of a user's own model."""
 
-_KINKED: Final = ("gap", "slack")
+_KINKED: Final = ("gap", "centre", "slack")
 """Where these end the torque jumps: the bottom of the valley is too rough to be found by its slope."""
 
 _AGREEMENTS: Final = 8

@@ -33,7 +33,7 @@ SMOOTHEST: Final = 0.05
 LONGEST_SKEW: Final = 0.02
 """s between two readings of one tick, at most."""
 
-WIDEST_GAP: Final = 0.8
+WIDEST_GAP: Final = 0.95
 """Part of the whole deflection that a gap or slack may take."""
 
 
@@ -125,13 +125,12 @@ class Model:
                 longest = min(LONGEST_SKEW, 0.25 / highest)  # a quarter of the shortest period: beyond it, none is told
                 low.append(-longest)
                 high.append(longest)
-            elif parameter.name == "gap":
-                low.append(0.0)
-                high.append(WIDEST_GAP * float(np.ptp(motion.dtheta)))
             else:
                 least, span = float(motion.dtheta.min()), float(np.ptp(motion.dtheta))
-                low.append(least)
-                high.append(least + WIDEST_GAP * span)
+                low.append({"gap": 0.0, "centre": least, "slack": least}[parameter.name])
+                high.append(
+                    {"gap": WIDEST_GAP * span, "centre": least + span}.get(parameter.name, least + WIDEST_GAP * span)
+                )
         return np.array(low), np.array(high)
 
     def __contains__(self, parameter: str) -> bool:
@@ -150,6 +149,7 @@ class Model:
         seen = motion.delayed(self._of("skew", shape))
         angle = seen.dtheta
         if "gap" in self:
+            angle = angle - self._of("centre", shape)
             angle = np.sign(angle) * np.maximum(np.abs(angle) - 0.5 * self._of("gap", shape), 0.0)
         elif "slack" in self and shape is not None:
             angle = np.maximum(angle - self._of("slack", shape), 0.0)
@@ -208,7 +208,7 @@ def parse(name: str) -> Model:
 
 def _model(terms: list[str]) -> Model:
     linear = tuple(p for term in terms if term in _COLUMNS for p in _COLUMNS[term].parameters)
-    return Model("+".join(terms), linear, tuple(_SHAPES[term] for term in terms if term in _SHAPES))
+    return Model("+".join(terms), linear, tuple(p for term in terms if term in _SHAPES for p in _SHAPES[term]))
 
 
 def _refuse_unknown(term: str) -> None:
@@ -292,11 +292,14 @@ _COLUMNS: Final[Mapping[str, _Columns]] = MappingProxyType(
     }
 )
 
-_SHAPES: Final[Mapping[str, Parameter]] = MappingProxyType(
+_SHAPES: Final[Mapping[str, tuple[Parameter, ...]]] = MappingProxyType(
     {
-        "backlash": Parameter("gap", "rad", "play of the coupling, its whole width", scales=False),
-        "slack": Parameter("slack", "rad", "deflection before the tendon pulls", scales=False),
-        "skew": Parameter("skew", "s", "how much older the torque reading is than that of the angle", scales=False),
+        "backlash": (
+            Parameter("gap", "rad", "play of the coupling, its whole width", scales=False),
+            Parameter("centre", "rad", "deflection in the middle of the play", scales=False),
+        ),
+        "slack": (Parameter("slack", "rad", "deflection before the tendon pulls", scales=False),),
+        "skew": (Parameter("skew", "s", "how much older the torque reading is than that of the angle", scales=False),),
     }
 )
 

@@ -1,22 +1,23 @@
 """Which model a recording asks for: from `linear` upwards, a term at a time, as long as the data pay for it.
 
-The path up is greedy: each step takes the term that lowers the fitness most. How far up it is followed is decided by
-what each term gains against what a term of no meaning would: the likelihood ratio of a median regression (Koenker and
-Machado 1999, 4 f(0) times the fall of the sum of absolute residuals), divided by how much more the residuals' own
-correlation makes its parameter vary (blocks in time), less log n (Schwarz 1978); and by held-out blocks of the
-recording, which must be told better too. What the density f(0) and the correlation are is read from the top of the
-path, lest what a term leaves out is taken for noise. On a tie the simpler model stands.
+Each step up takes the term that tells held-out blocks best, of those that pay; terms that do not pay any more are let
+go. What a term gains is held against what one of no meaning would: the likelihood ratio of a median regression (Koenker
+and Machado 1999, 4 f(0) times the fall of the sum of absolute residuals), divided by how much more the residuals' own
+correlation makes its parameters vary (blocks in time), less log n for each (Schwarz 1978). Held-out blocks must not be
+told clearly worse; and clearly better by a term with a break, whose likelihood ratio has no known law. What the density
+f(0) and the correlation are is read from the richest model, lest what a term leaves out is taken for noise.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.curved import Fit, Problem, descend, fit, valley
+from ga.curved import Fit, Problem, fit, valley
 from ga.models import Model, parse
 from ga.motion import Motion
 
@@ -28,12 +29,18 @@ TERMS = ("offset", "drift", "coulomb", "cubic", "backlash", "slack", "skew")
 SHAPING = frozenset({"backlash", "slack", "skew"})
 """Those of them that a model is not linear in."""
 
-_FOLDS = 10  # blocks in time; every fifth is held out
+_FOLDS = 10  # blocks in time, two of which at a time are held out
 _BLOCKS = 40  # blocks over which correlated residuals are counted
 _RIVAL = 1.1  # a term that makes the fitness worse than by this factor is none
+_BROKEN = frozenset({"backlash", "slack"})
+"""Terms with a break."""
+
+_BETTER = 2.0  # standard errors over the blocks
+_CONFUSED = 1000.0  # variance inflation from which a term's parameter is another's as much as its own
 _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
+_MARGIN = 1e-4  # of a range, within which a value is at its end
 _EXCLUDES = {"slack": "backlash", "backlash": "slack"}
-_NEEDS = {"drift": "offset"}
+_NEEDS = {"drift": "offset", "backlash": "offset", "slack": "offset"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +72,13 @@ class Ladder:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A model's fit to all the samples; held_out: N m, of the blocks that a fit to the others did not see."""
+    """A model's fit to all the samples; held_out: (_FOLDS,) N m, of blocks that fits to the others did not see."""
 
     terms: tuple[str, ...]
     model: Model
     problem: Problem
     fit: Fit
-    held_out: float
+    held_out: Array
 
 
 def climb(motion: Motion, torque: Array, highest: float, terms: tuple[str, ...] = TERMS) -> Ladder:
@@ -79,105 +86,162 @@ def climb(motion: Motion, torque: Array, highest: float, terms: tuple[str, ...] 
 
     Raises RuntimeError where not even the lowest rung can be fitted.
     """
-    climber = _Climber(motion, torque, highest)
-    path: list[tuple[str, ...]] = [("linear",)]
-    while (term := climber.next(path[-1], terms)) is not None:
-        path.append((*path[-1], term))
-        climber.step(path[-1], beside=path[-2])
-    steps = [climber.step(rung) for rung in path]
-    climber.look_from(steps[-1])
-    top = max((i for i in range(1, len(steps)) if climber.pays(steps[i - 1], steps[i], path[i][-1])), default=0)
-    chosen = climber.pruned(steps[top])
-    return Ladder(chosen.model, climber.rungs(chosen, terms))
+    climber = _Climber(motion, torque, highest, terms)
+    climber.listen()
+    chosen, seen = climber.step(climber.lowest), set[frozenset[str]]()
+    while (larger := climber.higher(chosen)) is not None:
+        seen.add(frozenset(chosen.terms))
+        larger = climber.pruned(larger)
+        if frozenset(larger.terms) in seen:
+            break  # the new term took the place of one that it needs: round and round
+        chosen = larger
+    chosen = climber.pruned(chosen)
+    return Ladder(chosen.model, climber.rungs(chosen))
 
 
 class _Climber:
     """A recording, the models fitted to it so far, and what its noise is like."""
 
-    def __init__(self, motion: Motion, torque: Array, highest: float) -> None:
-        self._motion, self._torque, self._highest = motion, torque, highest
+    def __init__(self, motion: Motion, torque: Array, highest: float, terms: tuple[str, ...]) -> None:
+        self._motion, self._torque, self._highest, self._candidates = motion, torque, highest, terms
         self._steps: dict[tuple[str, ...], _Step] = {}
+        self._glimpses: dict[tuple[str, ...], Fit | None] = {}
         self._size = float(np.mean(np.abs(torque)))
-        number = np.arange(len(torque)) * _FOLDS // len(torque)
-        self._out = number % 5 == 2
+        # no reading's zero is quite where the coupling's is: other terms would stand in for it on the way
+        self.lowest = ("linear", "offset") if "offset" in terms else ("linear",)
 
-    def _shape(self, terms: tuple[str, ...]) -> dict[str, float]:
-        """What the fit of these terms found for its shape, by name."""
-        step = self.step(terms)
-        return dict(zip((p.name for p in step.model.shape), step.fit.shape.tolist(), strict=True))
-
-    def next(self, terms: tuple[str, ...], candidates: tuple[str, ...]) -> str | None:
-        """The candidate that lowers the fitness most, as every so many-th sample shows; None where none does."""
-        tried = {term: self._glimpse(terms, term) for term in candidates if _fits_in(term, terms)}
-        best = min(tried, key=lambda term: tried[term], default=None)
-        return best if best is not None and tried[best] < 1.0 else None
-
-    def _glimpse(self, terms: tuple[str, ...], term: str) -> float:
-        """The fitness with the term over that without, on every so many-th sample."""
-        with_it, without = self._problem((*terms, term)).thinned(), self._problem(terms).thinned()
-        try:
-            return valley(with_it, self._shape(terms)).fitness / without.solve(self.step(terms).fit.shape).fitness
-        except RuntimeError:  # too much like the other columns to be solved for
-            return np.inf
-
-    def step(self, terms: tuple[str, ...], beside: tuple[str, ...] = ()) -> _Step:
-        """The model of these terms, fitted to all samples; beside: those of a model that its shape may be like."""
-        if terms not in self._steps:
-            problem = self._problem(terms)
-            found = fit(problem, self._shape(beside) if beside else {})
-            seen = descend(problem.of(~self._out), found.shape)
-            left = np.abs(problem.of(self._out).residuals(seen))
-            self._steps[terms] = _Step(terms, _model(terms), problem, found, float(left.mean()))
-        return self._steps[terms]
-
-    def look_from(self, top: _Step) -> None:
-        """Take what the richest model leaves for the noise."""
+    def listen(self) -> None:
+        """Take what the richest model leaves of the torque for the noise: less would take missing terms for noise."""
+        terms = self.lowest
+        while beyond := self._beyond(terms):
+            terms = (*terms, min(beyond, key=lambda term: beyond[term].fitness))
+        top = self.step(terms)
         residuals = top.problem.residuals(top.fit)
         self._signs = np.sign(residuals)
         near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
         inside = np.count_nonzero(np.abs(residuals) <= near)
         self._density = inside / (2.0 * near * len(residuals)) if near > 0.0 else np.inf
 
+    def _beyond(self, terms: tuple[str, ...]) -> dict[str, Fit]:
+        """The terms that lower the fitness, as some of the samples show, and what is then seen of them."""
+        less, found = self._glimpse(terms), {}
+        for term in self._candidates:
+            more = self._glimpse((*terms, term)) if _fits_in(term, terms) else None
+            if less is not None and more is not None and more.fitness < less.fitness:
+                found[term] = more
+        return found
+
+    def _glimpse(self, terms: tuple[str, ...]) -> Fit | None:
+        """The fit to some of the samples; None where the columns are too much alike."""
+        if terms not in self._glimpses:
+            less = self._glimpse(terms[:-1]) if len(terms) > 1 else None
+            near = {} if less is None else _shape(_model(terms[:-1]), less)
+            try:
+                self._glimpses[terms] = valley(self._problem(terms).thinned(), near)
+            except RuntimeError:
+                self._glimpses[terms] = None
+        return self._glimpses[terms]
+
+    def higher(self, step: _Step) -> _Step | None:
+        """With one more term: of those that pay, the one that tells held-out blocks best; None where none pays."""
+        errors = {
+            term: self._held_out(self._problem((*step.terms, term)), found).mean()
+            for term, found in self._beyond(step.terms).items()
+        }
+        for term in sorted(errors, key=lambda term: errors[term]):
+            larger = self.step((*step.terms, term), beside=step)
+            if self.pays(step, larger, term):
+                return larger
+        return None
+
+    def step(self, terms: tuple[str, ...], beside: _Step | None = None) -> _Step:
+        """The model of these terms, fitted to all samples; beside: a fit that its shape may be like."""
+        if terms not in self._steps:
+            problem = self._problem(terms)
+            found = fit(problem, _shape(beside.model, beside.fit) if beside else {})
+            self._steps[terms] = _Step(terms, _model(terms), problem, found, self._held_out(problem, found))
+        return self._steps[terms]
+
+    def _held_out(self, problem: Problem, found: Fit) -> Array:
+        """The mean error, N m, of each block in time, left out of the fit that judges it; the shape is that of all."""
+        thin = problem.thinned()
+        block = np.arange(len(thin.torque)) * _FOLDS // len(thin.torque)
+        errors = np.empty(_FOLDS)
+        for first in range(_FOLDS // 2):
+            out = block % (_FOLDS // 2) == first
+            left = np.abs(thin.of(out).residuals(thin.of(~out).solve(found.shape)))
+            for number in (first, first + _FOLDS // 2):
+                errors[number] = left[block[out] == number].mean()
+        return errors
+
     def gain(self, smaller: _Step, larger: _Step, term: str) -> float:
         """What the term gains beyond chance that the larger model has and the smaller has not."""
         count = len(self._torque)
         ratio = 4.0 * self._density * count * (smaller.fit.fitness - larger.fit.fitness)
-        return float(ratio / self._correlation(larger, term) - np.log(count))
+        alike = self._correlation(larger, term)
+        return float(ratio / alike - len(_own(term)) * np.log(max(count / alike, np.e)))
 
     def pays(self, smaller: _Step, larger: _Step, term: str) -> bool:
         """Whether the larger model is worth the term."""
         if smaller.fit.fitness < _EXPLAINED * self._size:
             return False
-        return self.gain(smaller, larger, term) > 0.0 and larger.held_out < smaller.held_out
+        if self._ends(larger, term) or not self._is_told(larger, term):
+            return False
+        better = smaller.held_out - larger.held_out
+        least = _BETTER if term in _BROKEN else -_BETTER
+        if better.mean() < least * better.std(ddof=1) / np.sqrt(_FOLDS):
+            return False
+        return self.gain(smaller, larger, term) > 0.0
+
+    def _own_columns(self, step: _Step, term: str) -> Iterator[tuple[Array, Array]]:
+        """For each parameter of the term: its column (n,), and what of that no other parameter's column can make."""
+        columns = step.problem.linearised(step.fit)[0]
+        names = [parameter.name for parameter in step.model.parameters]
+        for name in _own(term):
+            at = names.index(name)
+            others = np.delete(columns, at, axis=1)
+            yield columns[:, at], columns[:, at] - others @ np.linalg.lstsq(others, columns[:, at], rcond=None)[0]
 
     def _correlation(self, step: _Step, term: str) -> float:
-        """How many times more the term's parameter varies than if the residuals did not follow each other."""
-        columns = step.problem.linearised(step.fit)[0]
-        at = _place(step.model, term)
-        others = np.delete(columns, at, axis=1)
-        score = (columns[:, at] - others @ np.linalg.lstsq(others, columns[:, at], rcond=None)[0]) * self._signs
-        edges = np.arange(_BLOCKS) * len(score) // _BLOCKS
-        blocks = np.add.reduceat(score, edges)
-        return max(1.0, float(blocks @ blocks / (score @ score)))
+        """How many times more the term's parameters vary than if the residuals did not follow each other."""
+        found = 1.0
+        for _, alone in self._own_columns(step, term):
+            score = alone * self._signs
+            blocks = np.add.reduceat(score, np.arange(_BLOCKS) * len(score) // _BLOCKS)
+            power = float(score @ score)
+            found = max(found, float(blocks @ blocks) / power) if power > 0.0 else np.inf
+        return found
+
+    def _is_told(self, step: _Step, term: str) -> bool:
+        """Whether the term does what no other does: a skew is a damping where the joint moves slowly."""
+        return all(column @ column < _CONFUSED * (alone @ alone) for column, alone in self._own_columns(step, term))
+
+    def _ends(self, step: _Step, term: str) -> bool:
+        """Whether a parameter of the term came to an end of its bounds: the data do not want it at all."""
+        problem = step.problem
+        near = _MARGIN * (problem.high - problem.low)
+        ends = (step.fit.shape <= problem.low + near) | (step.fit.shape >= problem.high - near)
+        return any(end and p.name in _own(term) for end, p in zip(ends, step.model.shape, strict=True))
 
     def pruned(self, step: _Step) -> _Step:
         """The same without the terms that, now that all are there, do not pay."""
         idle = []
         for term in step.terms[1:]:
             if term not in (_NEEDS.get(other) for other in step.terms):
-                smaller = self.step(tuple(other for other in step.terms if other != term), beside=step.terms)
+                smaller = self.step(tuple(other for other in step.terms if other != term), beside=step)
                 if not self.pays(smaller, step, term):
                     idle.append((self.gain(smaller, step, term), smaller))
         return self.pruned(min(idle, key=lambda pair: pair[0])[1]) if idle else step
 
-    def rungs(self, chosen: _Step, candidates: tuple[str, ...]) -> tuple[Rung, ...]:
+    def rungs(self, chosen: _Step) -> tuple[Rung, ...]:
         """Up to the chosen model a term at a time, then what each other term would do to it."""
-        steps = [self.step(chosen.terms[: i + 1], beside=chosen.terms) for i in range(len(chosen.terms))]
+        steps = [self.step(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
         found = [_rung(steps[0], float("nan"), taken=True)]
         found += [_rung(b, self.gain(a, b, b.terms[-1]), taken=True) for a, b in pairwise(steps)]
-        for term in candidates:
-            if _fits_in(term, chosen.terms) and self._glimpse(chosen.terms, term) < _RIVAL:
-                more = self.step((*chosen.terms, term), beside=chosen.terms)
+        for term in self._candidates:
+            glimpsed = self._glimpse((*chosen.terms, term)) if _fits_in(term, chosen.terms) else None
+            if glimpsed is not None and glimpsed.fitness < _RIVAL * chosen.fit.fitness:
+                more = self.step((*chosen.terms, term), beside=chosen)
                 found.append(_rung(more, self.gain(chosen, more, term), taken=False))
         return tuple(found)
 
@@ -190,16 +254,29 @@ def _model(terms: tuple[str, ...]) -> Model:
     return parse("+".join(terms))
 
 
+def _shape(model: Model, fit: Fit) -> dict[str, float]:
+    """What a fit found for the shape, by name."""
+    return dict(zip((parameter.name for parameter in model.shape), fit.shape.tolist(), strict=True))
+
+
 def _fits_in(term: str, terms: tuple[str, ...]) -> bool:
     return term not in terms and _EXCLUDES.get(term) not in terms and (_NEEDS.get(term) or "linear") in terms
 
 
-def _place(model: Model, term: str) -> int:
-    """The place of a term's first parameter among all."""
-    own = _model(("linear", term)).parameters[2 if term != "linear" else 0].name
-    return [parameter.name for parameter in model.parameters].index(own)
+def _own(term: str) -> tuple[str, ...]:
+    """The names of a term's own parameters."""
+    return tuple(p.name for p in _model(("linear", term)).parameters if p.name not in {"Kc", "Bc"})
 
 
 def _rung(step: _Step, gain: float, *, taken: bool) -> Rung:
     kc, bc = step.fit.optimum.genes[:2]
-    return Rung(step.model.name, step.terms[-1], step.fit.fitness, step.held_out, gain, float(kc), float(bc), taken)
+    return Rung(
+        step.model.name,
+        step.terms[-1],
+        step.fit.fitness,
+        float(step.held_out.mean()),
+        gain,
+        float(kc),
+        float(bc),
+        taken,
+    )
