@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.terminal import STAND_FAILED, Json, print_json, say
+from hil.cli.terminal import STAND_FAILED, Json, out, print_json, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def emulate(
 
     if name is None:
         for known, emulator in EMULATORS.items():
-            print(f"{known:10} {emulator.explanation}")
+            out(f"{known:10} {emulator.explanation}")
         return
     words: dict[str, Any] = {"model": model, "idents": ident, "link": link, "bus": bus, "channel": channel}
     words |= {"firmware": firmware, "baudrate": baudrate, "instant": instant or None}
@@ -91,15 +91,15 @@ def doctor(
 
 def _print_ports(kind: str, ports: list[Port]) -> None:
     if not ports:
-        print(f"no {kind} is seen")
+        out(f"no {kind} is seen")
     for port in ports:
-        print(f"{kind} {port.name}" + (f" ({port.described})" if port.described else ""))
+        out(f"{kind} {port.name}" + (f" ({port.described})" if port.described else ""))
         if port.problem:
-            print(f"    problem: {port.problem}")
+            out(f"    problem: {port.problem}")
 
 
 def _print_check(check: Check) -> None:
-    print(f"{check.verdict:11} {check.name}: {check.message}", flush=True)
+    out(f"{check.verdict:11} {check.name}: {check.message}")
 
 
 def _as_json(found: Examination, ports: dict[str, list[Port]]) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def record(
         return
     if list_backends:
         for name, device in BACKENDS.items():
-            print(f"{name:10} {device.explanation}")
+            out(f"{name:10} {device.explanation}")
         return
     opened = _stand_of(backend, stand)
     made = profiles.make(
@@ -166,9 +166,7 @@ def _say_if_slow(stand: Stand) -> None:
     from hil.findings import Finding
     from sim_backend.plant import constants, fastest_rate
 
-    table = stand.stand
-    parameters = stand.sim.resolved(table.gear_ratio, table.motor_inertia or None, table.motor_damping)
-    rate = fastest_rate(constants(parameters))
+    rate = fastest_rate(constants(stand.simulated()))
     if rate > _FAST_PART:
         said = (
             f"a part of the simulated stand moves at {rate / 6283.0:.0f} kHz, so that every simulated second takes "

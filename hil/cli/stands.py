@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.terminal import Force, say
+from hil.cli.terminal import Force, out, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def schema() -> None:
     """Print the JSON schema of stand.toml, for editors that check and complete."""
     from hil.stand_schema import stand_schema
 
-    print(json.dumps(stand_schema(), indent=2, allow_nan=False))
+    out(json.dumps(stand_schema(), indent=2, allow_nan=False))
 
 
 def _given(draft: Draft, words: list[str]) -> dict[str, Any]:
