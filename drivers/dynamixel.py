@@ -12,7 +12,7 @@ import math
 from drivers.dynamixel_bus import Bus
 from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_control_table import ControlTable
-from drivers.dynamixel_identity import identify
+from drivers.dynamixel_identity import RETURN_DELAY_LSB, identify
 from drivers.dynamixel_models import POSITION_LSB, Model, models
 from drivers.dynamixel_mx import MxSeries
 from drivers.dynamixel_port import SerialPort
@@ -39,7 +39,7 @@ _TRIES = 3
 
 
 class DynamixelServo:
-    """One servo, opened, identified, and with its torque off.
+    """One servo, opened, identified, with its torque off and its return delay as in a run.
 
     clock and port are those of the machine unless a test brings its own. Raises DriverError where the port cannot be
     opened or another model answers, NoReply where nobody does, BadReply where what answers cannot be understood.
@@ -68,6 +68,8 @@ class DynamixelServo:
             self._firmware = identify(self._bus, self._table, config, self._series)
             self._live = True  # whoever drove it before may have left it on
             self.disarm()
+            self._table.require("return_delay_time", round(config.return_delay / RETURN_DELAY_LSB))
+            self._bus.return_delay = config.return_delay
         except BaseException:
             self._closed = True
             self._port.closePort()
@@ -102,7 +104,6 @@ class DynamixelServo:
             self._series.raise_latched(self._bus, self._table)
             self._table.require("torque_enable", 0)
             self._series.prepare(self._table, limits, ceiling)
-            self._bus.return_delay = self._config.return_delay
             self._enable(ceiling)
         except BaseException:
             with contextlib.suppress(DriverError):

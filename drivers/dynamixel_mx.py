@@ -15,7 +15,6 @@ import struct
 from typing import TYPE_CHECKING
 
 from drivers.dynamixel_faults import reboot, shut_down
-from drivers.dynamixel_identity import RETURN_DELAY_LSB
 from drivers.dynamixel_models import Model, Register, registers
 from drivers.dynamixel_series import State
 from drivers.dynamixel_wire import Wire, Wire1
@@ -48,7 +47,6 @@ class MxSeries:
         self.wire: Wire = Wire1()
         self.registers: Mapping[str, Register] = registers(1)
         self._model = model
-        self._config = config
         self._torque_mode = config.effective_mode == "current"
         # the torque limit is in 1/1023 of what the supply allows, and the goal in current: whichever count is larger
         strongest = max(torque for _, _, torque in model.stall)
@@ -82,7 +80,6 @@ class MxSeries:
 
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
         """See `Series`."""
-        table.require("return_delay_time", round(self._config.return_delay / RETURN_DELAY_LSB))
         table.require("temperature_limit", min(math.floor(limits.temperature), self._model.temperature_max))
         table.require("resolution_divider", 1)
         if not self._torque_mode:

@@ -12,7 +12,6 @@ import struct
 from typing import TYPE_CHECKING
 
 from drivers.dynamixel_faults import latched, reboot, watchdog
-from drivers.dynamixel_identity import RETURN_DELAY_LSB
 from drivers.dynamixel_models import VELOCITY_LSB, Model, Register, registers
 from drivers.dynamixel_series import State
 from drivers.dynamixel_wire import Wire, Wire2
@@ -72,7 +71,6 @@ class XSeries:
         table.put("bus_watchdog", 0)
         table.require("operating_mode", _MODE_CODES[self._mode])
         table.require("drive_mode", table.get("drive_mode") & ~_TORQUE_ON_BY_GOAL)
-        table.require("return_delay_time", round(self._config.return_delay / RETURN_DELAY_LSB))
         table.require("temperature_limit", min(math.floor(limits.temperature), model.temperature_max))
         velocity = math.floor(limits.velocity / VELOCITY_LSB)
         table.require("velocity_limit", max(1, min(velocity, model.velocity_max)))

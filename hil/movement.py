@@ -99,9 +99,9 @@ def move_a_little(
         header = Header(profile=profile.attributes(), stand_toml=stand.text)
         with PartFile(path, header, tick_count(profile, rate)) as part:
             outcome = Recorder(stand, servo, profile, rate, part).run(stop)
-        if outcome.error is not None or outcome.samples - outcome.lost < tick_count(profile, rate) // 2:
-            return outcome, None
-        part.finish(outcome.end_reason)
+            if outcome.error is not None or outcome.samples - outcome.lost < tick_count(profile, rate) // 2:
+                return outcome, None
+            part.finish(outcome.end_reason)
         with Recording(path) as recording:
             return outcome, _seen(recording, stand, quantity)
 

@@ -396,13 +396,13 @@ def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(make_rig: Mak
     servo = rig.open(torque_constant=kt)
     with PartFile(tmp_path / "run.h5", Header(profile=profile.attributes()), tick_count(profile, rate)) as part:
         outcome = Recorder(stand, servo, profile, rate, part).run(StopRequest())
-    servo.close()
-    part.finish(outcome.end_reason)
+        servo.close()
+        part.finish(outcome.end_reason)
     assert (outcome.end_reason, outcome.lost) == ("done", 0)
     with Recording(tmp_path / "run.h5") as recording:
         signals = prepare(recording, stand.stand)
     design = np.column_stack([signals.dtheta, signals.dtheta_dot])
-    found, *_ = np.linalg.lstsq(design, signals.torque, rcond=None)
+    found, *_ = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)
     # half a count of current and of position, whatever their signs, and half a period of skew in Bc
     worst = 0.5 * (kt * 4.5e-3 + kc * COUNT) * np.abs(np.linalg.pinv(design)).sum(axis=1)
     assert worst[0] < 0.03 * kc

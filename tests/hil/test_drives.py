@@ -75,7 +75,7 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
     with Recording(recording) as made:
         signals = prepare(made, load(stand).stand)
     design = np.column_stack([signals.dtheta, signals.dtheta_dot])
-    kc = float(np.linalg.lstsq(design, signals.torque, rcond=None)[0][0])
+    kc = float(np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0][0])
     assert kc == pytest.approx(17.75e-3, rel=0.1)
 
 
