@@ -100,8 +100,8 @@ def test_nothing_moves_unless_it_was_asked_for(make_rig: Callable[..., Any], exa
 def test_a_joint_that_is_not_locked_is_found_out(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
     free = behind(MODELS["xl330-m288"], CouplingParameters(stiffness=1e-5, damping=1e-6, coulomb_friction=0.0))
-    rig.bus.devices[0] = Device("xl330-m288", parameters=replace(free, motor=replace(free.motor, inertia=3e-5)))
-    found = examine_rig(rig, amplitude=3e-4)
+    rig.bus.devices[0] = Device("xl330-m288", parameters=replace(free, motor=replace(free.motor, inertia=3e-4)))
+    found = examine_rig(rig)
     assert verdicts(found)["lock"] == "problem"
     assert "lock the joint" in message(found, "lock")
     assert not rig.device.torque_on

@@ -67,7 +67,7 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
     recording = tmp_path / "run.h5"
     link = tmp_path / "ttyDXL"
     with emulated("dynamixel", "--link", str(link), "--id", "1", "--id", "2", "--stand", str(stand)) as process:
-        words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--soft", "0.5", "--rate", "200"]
+        words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--soft", "0.5", "--rate", "100"]
         assert run(["record", "--stand", str(stand), *words, "--amplitude", "0.01", "-o", str(recording)]) == 0
         process.send_signal(signal.SIGINT)
         assert process.wait(20.0) == 0
@@ -91,7 +91,7 @@ def test_a_kill_ends_an_emulator_cleanly(tmp_path: Path) -> None:
 def test_a_position_profile_puts_the_drive_into_a_position_mode(tmp_path: Path) -> None:
     stand = stand_file(tmp_path)
     recording = tmp_path / "run.h5"
-    words = ["--profile", "sine", "--band", "1", "--duration", "1.5", "--soft", "0.25", "--rate", "100"]
+    words = ["--profile", "sine", "--band", "1", "--duration", "1.5", "--soft", "0.25", "--rate", "50"]
     with serve(tmp_path / "ttyDXL", "xl330-m288"):
         words += ["--quantity", "position", "--amplitude", "0.3", "-o", str(recording)]
         assert run(["record", "--stand", str(stand), *words]) == 0
