@@ -240,6 +240,7 @@ class Recorder:
             sample.joint_position,
             sample.joint_torque,
             sample.t_read - self._start,
+            sample.t_joint - self._start,
             sample.temperature,
             int(status),
         )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from drivers.servo import Status
 from ga.motion import Motion
 from hil.errors import Untrustworthy
+from hil.joint_time import is_fresh, looked_up
 from hil.local_polynomial import kernel, local_polynomial, widest
 from hil.stand import StandTable
 from hil.store import Recording
@@ -113,17 +114,20 @@ def joined(parts: list[Signals]) -> Signals:
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """How a recording is read: torque from the motor's side or not, the rate as it came or from the deflection."""
+    """How a recording is read: torque from the motor's side or not, the rate as it came or from the deflection, and
+    whether the torque has times of its own."""
 
     stand: StandTable | None
     motor_side: bool
     given_rate: bool
+    own_time: bool
 
 
 @dataclass(frozen=True, slots=True)
 class _Usable:
     """The rows (n,) that were answered and are numbers: their place in the file and what was read, torque raw.
 
+    torque_time: s, when the torque was read, NaN where that is not known: `time` unless another device read it.
     lost, not_numbers: the places of the rows that were not answered, and of those that hold a NaN.
     """
 
@@ -132,6 +136,7 @@ class _Usable:
     torque: Array
     dtheta: Array
     reported_rate: Array
+    torque_time: Array
     lost: NDArray[np.int64]
     not_numbers: NDArray[np.int64]
 
@@ -197,7 +202,8 @@ def _source_of(recording: Recording, stand: StandTable | None) -> _Source:
         return bool(np.isfinite(recording.channel(name, 0, _PROBE)).any())
 
     from_motor = stand is not None and stand.torque_source == "motor" and present("motor_torque")
-    return _Source(stand, from_motor, present("dtheta_dot") and not present("motor_position"))
+    given_rate = present("dtheta_dot") and not present("motor_position")
+    return _Source(stand, from_motor, given_rate, own_time=not from_motor and present("joint_time"))
 
 
 def _usable(recording: Recording, source: _Source, start: int, stop: int) -> _Usable:
@@ -217,6 +223,7 @@ def _usable(recording: Recording, source: _Source, start: int, stop: int) -> _Us
         torque=torque[good],
         dtheta=dtheta[good],
         reported_rate=rate[good],
+        torque_time=(channel("joint_time") if source.own_time else time)[good],
         lost=np.flatnonzero(~answered) + start,
         not_numbers=np.flatnonzero(answered & ~good) + start,
     )
@@ -242,6 +249,11 @@ def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int,
     sound = np.ones(len(time), dtype=bool) if source.given_rate else _is_sound(time, window)
     starts, long_enough = _stretches(time, sound, window.step)
     kept = long_enough & inside
+    if source.own_time:
+        kept &= is_fresh(usable.torque_time)
+        at = usable.torque_time
+        dtheta, rate = looked_up(at, time, dtheta, rate), looked_up(at, time, rate, acceleration)
+        time, acceleration = at, np.interp(at, time, acceleration)
     return Signals(
         time=time[kept],
         torque=torque[kept],
@@ -256,7 +268,7 @@ def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int,
         coarse_clock=coarse,
         band=window.band,
         rate_window=0.0 if source.given_rate else (2 * window.slope + 1) * window.step,
-        rate_noise=None if source.given_rate else _rate_noise(dtheta - smooth, window),
+        rate_noise=None if source.given_rate else _rate_noise(usable.dtheta - smooth, window),
         torque_from="motor" if source.motor_side else ("given" if source.stand is None else "joint"),
     )
 

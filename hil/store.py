@@ -30,6 +30,7 @@ from typing import Any, Self
 
 import h5py
 import numpy as np
+from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy, WrongUse
@@ -53,10 +54,13 @@ CHANNELS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "joint_position": ("rad", "at the locked joint"),
         "joint_torque": ("N*m", "at the locked joint"),
         "read_time": ("s", "midpoint of the bus read, from the start"),
+        "joint_time": ("s", "when the joint was read, where another device reads it, from the start"),
         "temperature": ("degC", "of the winding, as the drive reports it"),
         "status": ("1", "bits: 1 no reply, 2 bad reply, 4 late, 8 saturated, 16 stale"),
     }
 )
+LATER = frozenset({"joint_time"})
+"""Channels that the first recordings of the schema do not have; they read as NaN."""
 _INTEGER = {"seq": "<u8", "status": "<u8"}
 ROW = np.dtype([(name, _INTEGER.get(name, "<f8")) for name in CHANNELS])
 EVENT = np.dtype([("time", "<f8"), ("code", "S32"), ("message", "S200")])
@@ -125,7 +129,7 @@ class Recording:
                 continue
             rows = np.empty(stop - start, dtype=ROW)
             for name in CHANNELS:
-                rows[name] = self._read(f"samples/{name}", start, stop)
+                rows[name] = self._column(name, start, stop)
             yield start, rows
 
     def channel(self, name: str, start: int = 0, stop: int | None = None) -> Array:
@@ -136,7 +140,7 @@ class Recording:
         stop = self._length if stop is None else min(stop, self._length)
         if self.live:
             return np.asarray(self._read("live", start, stop)[name], dtype=np.float64)
-        return np.asarray(self._read(f"samples/{name}", start, stop), dtype=np.float64)
+        return np.asarray(self._column(name, start, stop), dtype=np.float64)
 
     def events(self) -> list[Event]:
         """What happened during the run, in order. Raises WrongUse for a damaged file."""
@@ -161,9 +165,16 @@ class Recording:
     def verify(self) -> bool:
         """Whether the samples still have the hash they were written with (an unfinished recording has none)."""
         digest = hashlib.sha256()
+        kept = [name for name in CHANNELS if self.live or f"samples/{name}" in self._file]
         for _, rows in self.rows():
-            digest.update(rows.tobytes())
+            digest.update((rows if len(kept) == len(CHANNELS) else repack_fields(rows[kept])).tobytes())
         return self.live or digest.hexdigest() == self.attributes.get("sha256")
+
+    def _column(self, name: str, start: int, stop: int) -> Any:
+        """Rows of one channel of a finished recording."""
+        if name in LATER and f"samples/{name}" not in self._file:
+            return np.full(stop - start, np.nan)
+        return self._read(f"samples/{name}", start, stop)
 
     def _read(self, name: str, start: int, stop: int) -> Any:
         try:
@@ -199,13 +210,14 @@ class Recording:
 
     def _check_samples(self) -> int:
         samples = self._group("samples")
-        absent = [name for name in CHANNELS if not isinstance(samples.get(name), h5py.Dataset)]
+        names = [name for name in CHANNELS if name not in LATER or name in samples]
+        absent = [name for name in names if not isinstance(samples.get(name), h5py.Dataset)]
         if absent:
             raise WrongUse(f"{self.path}: /samples lacks {', '.join(absent)}: it is not a whole {SCHEMA} recording")
-        for name in CHANNELS:
+        for name in names:
             if samples[name].ndim != 1 or samples[name].dtype.kind not in "fiu":
                 raise WrongUse(f"{self.path}: /samples/{name} is not one column of numbers")
-        lengths = {name: len(samples[name]) for name in CHANNELS}
+        lengths = {name: len(samples[name]) for name in names}
         if len(set(lengths.values())) > 1:
             odd = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise WrongUse(f"{self.path}: channels of unequal length ({odd}): the file was not written whole")

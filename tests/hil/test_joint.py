@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import ModuleType
 from typing import ClassVar
 
+import h5py
+import numpy as np
 import pytest
 
 from drivers.servo import Clock, Command, DriverError, Limits, LinkLost, NoReply, Quantity
 from hil.backends import Device
 from hil.errors import WrongUse
 from hil.joint import SILENCE, StandServo
+from hil.part import Header, write
+from hil.signals import prepare
 from hil.stand import open_servo, parse
+from hil.store import CHANNELS, Array, Recording
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo, VirtualClock
+
+from .conftest import Maker
 
 LIMITS = Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0))
 
@@ -162,3 +171,47 @@ def test_a_stands_joint_sensor_is_joined_to_its_servo() -> None:
 def test_a_joint_sensors_table_is_checked_by_its_kind(table: str, said: str) -> None:
     with pytest.raises(WrongUse, match=said):
         parse(f"[stand]\n[joint_sensor]\n{table}\n")
+
+
+def test_a_slow_and_late_sensor_leaves_stiffness_and_damping_what_they_are(tmp_path: Path) -> None:
+    """80 readings a second, each up to 20 ms old when it is used, of a torque that is a closed form of the motion."""
+    kc, bc = 0.02, 2e-4
+    time = np.arange(5000) / 500.0
+    slow, fast = 2.0 * math.pi * 1.3, 2.0 * math.pi * 7.1
+
+    def dtheta(t: Array) -> Array:
+        return 0.2 * np.sin(slow * t) + 0.1 * np.sin(fast * t)
+
+    def rate(t: Array) -> Array:
+        return 0.2 * slow * np.cos(slow * t) + 0.1 * fast * np.cos(fast * t)
+
+    taken = np.maximum(np.floor((time - 7.5e-3) / 0.0125) * 0.0125, 0.0)
+    torque = kc * dtheta(taken) + bc * rate(taken)
+    channels = {"time": time, "read_time": time, "motor_position": dtheta(time), "dtheta": dtheta(time)}
+    channels |= {"torque": torque, "joint_torque": torque, "joint_time": taken}
+    path = tmp_path / "run.h5"
+    write(path, Header(profile={"kind": "imported"}), channels)
+    with Recording(path) as recording:
+        signals = prepare(recording, parse('[stand]\ntorque_source = "joint"\n').stand)
+    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    found = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0]
+    assert 700 < len(signals) <= 800
+    assert found == pytest.approx([kc, bc], rel=2e-3)
+    # as if every row were read when the motor was, damping would be lost in the delay
+    held = np.linalg.lstsq(np.column_stack([dtheta(time), rate(time)]), torque, rcond=None)[0]
+    assert held[1] < 0.5 * bc
+
+
+def test_a_recording_from_before_there_was_a_joint_time_is_read_as_it_is(make_recording: Maker) -> None:
+    path = make_recording()
+    with h5py.File(path, "r+") as file:
+        names = [name for name in CHANNELS if name != "joint_time"]
+        rows = np.empty(len(file["samples/time"]), dtype=[(name, file["samples"][name].dtype) for name in names])
+        for name in names:
+            rows[name] = file["samples"][name]
+        file.attrs["sha256"] = hashlib.sha256(rows.tobytes()).hexdigest()
+        del file["samples/joint_time"]
+    with Recording(path) as recording:
+        assert recording.verify()
+        assert np.isnan(recording.channel("joint_time")).all()
+        assert len(prepare(recording, None)) > 1000
