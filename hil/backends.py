@@ -59,6 +59,7 @@ BACKENDS: Mapping[str, Device] = MappingProxyType(
             "drivers.dynamixel:DynamixelServo",
             "drivers.dynamixel_scan:search",
         ),
+        "replay": Device("a recording played back: nothing turns", "hil.replay:ReplayConfig", "hil.replay:ReplayServo"),
     }
 )
 """The servos, by the name that `stand.backend` and their table have."""
