@@ -22,6 +22,7 @@ from hil.stop import StopRequest
 from hil.stopping import exercise_stop, fall_silent
 
 _SMALL = 1.0 / 20.0  # of a limit
+_OFF_TRIES, _OFF_PAUSE = 20, 0.05  # times that the torque-off is asked for, s between two
 
 
 def examine(
@@ -91,11 +92,22 @@ def _connected(found: Examination, stand: Stand, quantity: Quantity) -> Iterator
         found.add("drive", Verdict.PROBLEM, str(error))
     finally:
         try:
-            servo.disarm()
-        except DriverError as error:
-            found.add("torque off", Verdict.PROBLEM, f"not confirmed: CUT THE POWER ({error})")
+            _torque_off(found, servo)
         finally:
             servo.close()
+
+
+def _torque_off(found: Examination, servo: Servo) -> None:
+    """Ask for it until the drive confirms it, for about a second."""
+    for left in range(_OFF_TRIES, 0, -1):
+        try:
+            servo.disarm()
+        except DriverError as error:
+            if left == 1:
+                found.add("torque off", Verdict.PROBLEM, f"not confirmed: CUT THE POWER ({error})")
+            servo.clock.sleep_until(servo.clock.now() + _OFF_PAUSE)
+        else:
+            return
 
 
 def _searched(stand: Stand, error: DriverError) -> str:

@@ -16,7 +16,7 @@ import hil.doctor
 from drivers.dynamixel import DynamixelServo
 from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_scan import search
-from drivers.servo import Command, Quantity, Sample, Servo
+from drivers.servo import Command, DriverError, Quantity, Sample, Servo
 from hil.cli import run
 from hil.doctor import examine
 from hil.examination import Examination
@@ -124,6 +124,26 @@ def test_a_drive_whose_torque_does_not_go_off_is_cried_out(make_rig: Callable[..
     found = examine_rig(rig, move=False)
     assert verdicts(found)["torque off"] == "problem"
     assert "CUT THE POWER" in message(found, "torque off")
+
+
+def test_a_torque_off_that_is_not_heard_is_asked_for_again(
+    make_rig: Callable[..., Any], examine_rig: Examine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_rig()
+    disarm = DynamixelServo.disarm
+    refused: list[int] = []
+
+    def deaf(self: DynamixelServo) -> None:
+        if rig.device.torque_on and len(refused) < 5:
+            refused.append(1)
+            raise DriverError("it is still on")
+        disarm(self)
+
+    monkeypatch.setattr(DynamixelServo, "disarm", deaf)
+    found = examine_rig(rig, move=False)
+    assert len(refused) == 5
+    assert "torque off" not in verdicts(found)
+    assert not rig.device.torque_on
 
 
 def test_a_latched_fault_is_told_with_its_remedy(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
