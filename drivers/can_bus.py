@@ -1,0 +1,257 @@
+"""A CAN bus over python-can: opened by configuration alone, every wait bounded, every error named.
+
+What python-can leaves open is done here. Its `recv` counts time by the wall clock, which steps, so that its interfaces'
+own wait is called with a deadline of ours. Its slcan raises for ever after one byte above 0x7F, waits 2 s to open, and
+takes no lock. Its configuration files are never read. Frames that are shorter than they say are refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import can
+import serial
+
+from drivers.servo import BadReply, DriverError, LinkLost, NoReply
+
+if TYPE_CHECKING:
+    from drivers.servo import Clock
+
+WRITE_TIMEOUT = 0.02
+"""s that the interface may take to accept a frame."""
+BUDGET = 2048
+"""Frames looked at before a bus counts as one that never falls silent."""
+_BUS_OFF = 0x040  # class of error frame, include/uapi/linux/can/error.h
+_FD_CLOCK = 80_000_000
+_SLCAN_SETTLE = 0.05
+
+_REMEDIES = {
+    errno.ENODEV: "there is no such interface: check the adapter, and the name with `ip link`",
+    errno.ENOENT: "there is no such port: check the adapter and the name",
+    errno.ENETDOWN: "the interface is down: bring it up with `ip link set NAME up type can bitrate N`",
+    errno.EACCES: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
+    errno.EPERM: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
+    errno.EBUSY: "another program has it open: close that first",
+    errno.EWOULDBLOCK: "another program has it open: close that first",
+    errno.EAFNOSUPPORT: "this system has no SocketCAN: use interface = 'slcan' or the adapter's own",
+}
+_GONE = (can.CanError, OSError, serial.SerialException)
+_GARBLED = (ValueError, IndexError, TypeError, KeyError)
+"""What slcan raises on bytes that are no frame, or wraps; UnicodeDecodeError is a ValueError."""
+
+
+@dataclass(frozen=True, slots=True)
+class BusConfig:
+    """Where the bus is. bitrate, data_bitrate: bit/s; data_bitrate above 0 opens CAN FD."""
+
+    interface: str
+    channel: str
+    bitrate: int
+    data_bitrate: int = 0
+
+    @property
+    def name(self) -> str:
+        """What a person calls it."""
+        return f"{self.interface} {self.channel}"
+
+
+def frame(
+    ident: int, data: bytes = b"", *, remote: bool = False, extended: bool = False, fd: bool = False
+) -> can.Message:
+    """A frame to send; fd: a CAN FD frame with the faster data rate."""
+    return can.Message(
+        arbitration_id=ident,
+        data=data,
+        is_remote_frame=remote,
+        is_extended_id=extended,
+        is_fd=fd,
+        bitrate_switch=fd,
+        check=True,
+    )
+
+
+def _options(config: BusConfig) -> dict[str, Any]:
+    """What an interface wants to be told beyond its name; each takes bit rates in its own way."""
+    fd = config.data_bitrate > 0
+    if config.interface == "virtual":
+        return {}
+    if config.interface == "udp_multicast":
+        return {"hop_limit": 0, "fd": True}  # a hop limit of 1, the default, leaves this machine
+    if config.interface == "socketcan":
+        return {"fd": fd}  # the bit rates are those that `ip link` set
+    settle = {"sleep_after_open": _SLCAN_SETTLE} if config.interface == "slcan" else {}
+    if not fd:
+        return {"bitrate": config.bitrate, **settle}
+    timing = can.BitTimingFd.from_sample_point(
+        f_clock=_FD_CLOCK,
+        nom_bitrate=config.bitrate,
+        nom_sample_point=64.0,
+        data_bitrate=config.data_bitrate,
+        data_sample_point=56.0,
+    )
+    return {"timing": timing, **settle} if settle else {"timing": timing, "fd": True}
+
+
+def open_interface(config: BusConfig) -> can.BusABC:
+    """The python-can bus that `config` names. Raises DriverError with the remedy."""
+    try:
+        if config.interface == "slcan":
+            _check_free(config)
+        bus: can.BusABC = can.Bus(
+            interface=config.interface, channel=config.channel, ignore_config=True, **_options(config)
+        )
+    except (can.CanInterfaceNotImplementedError, ImportError, NotImplementedError) as error:
+        raise DriverError(
+            f"CAN interface {config.interface!r} cannot be used here: install what it needs, or correct its name "
+            f"({error})"
+        ) from None
+    except (*_GONE, ValueError, TypeError) as error:
+        raise DriverError(f"{config.name}: {_remedy(error)} ({error})") from None
+    port = getattr(bus, "serialPortOrig", None)
+    if port is not None:
+        with contextlib.suppress(ValueError, OSError):  # no locks on this platform
+            port.exclusive = True
+    return bus
+
+
+def _check_free(config: BusConfig) -> None:
+    """Raise DriverError where another program has the serial adapter open: python-can would close its channel."""
+    if "://" in config.channel:
+        return
+    try:
+        serial.Serial(config.channel.partition("@")[0], exclusive=True).close()
+    except serial.SerialException as error:
+        if "lock" in str(error):
+            raise DriverError(f"{config.name}: {_REMEDIES[errno.EBUSY]} ({error})") from None
+        raise
+
+
+def _remedy(error: BaseException) -> str:
+    cause: BaseException | None = error
+    while cause is not None:
+        number = getattr(cause, "error_code", None) or getattr(cause, "errno", None)
+        if number in _REMEDIES:
+            return _REMEDIES[number]
+        cause = cause.__cause__ or cause.__context__
+    return "it cannot be opened"
+
+
+class CanLink:
+    """An open bus. error_frames: how many its controller has reported.
+
+    bus: brought by a test; otherwise the one that `config` names is opened. Raises DriverError with the remedy.
+    """
+
+    def __init__(self, config: BusConfig, clock: Clock, bus: can.BusABC | None = None) -> None:
+        self.name = config.name
+        self.error_frames = 0
+        self._clock = clock
+        self._bus = bus or open_interface(config)
+        self._closed = False
+
+    def send(self, message: can.Message) -> None:
+        """Hand a frame to the interface. Raises LinkLost, and NoReply where nobody on the bus takes frames."""
+        if self._closed:
+            raise LinkLost(f"{self.name} is closed")
+        try:
+            self._bus.send(message, timeout=WRITE_TIMEOUT)
+        except _GONE as error:
+            number = getattr(error, "error_code", None) or getattr(error, "errno", None)
+            if number == errno.ENOBUFS:
+                raise NoReply(
+                    f"{self.name} has no room for another frame: nobody on the bus acknowledges; check the drive's "
+                    "power, the wiring and its termination, and the bit rate"
+                ) from None
+            raise self._lost(error) from None
+
+    def receive(self, deadline: float) -> can.Message | None:
+        """The next frame, or None where none has come by `deadline` s on the clock; looks at least once.
+
+        Raises LinkLost, BadReply where what arrived is no frame.
+        """
+        if self._closed:
+            raise LinkLost(f"{self.name} is closed")
+        for _ in range(BUDGET):
+            message = self._next(max(0.0, deadline - self._clock.now()))
+            if message is not None and message.is_error_frame:
+                self._count(message)
+            elif message is not None:
+                if not message.is_remote_frame and len(message.data) != message.dlc:
+                    raise BadReply("a frame arrived cut short: it is dropped")
+                return message
+            if message is None and self._clock.now() >= deadline and not self._unread():
+                return None
+        raise BadReply(
+            f"{self.name} never falls silent: error frames without end; check wiring, bit rate and termination"
+        )
+
+    def waiting(self) -> list[can.Message]:
+        """Every frame that has arrived and nobody has taken; damaged ones are left out. Raises LinkLost, BadReply."""
+        out: list[can.Message] = []
+        for _ in range(BUDGET):
+            try:
+                message = self.receive(-1.0)
+            except BadReply:
+                continue
+            if message is None:
+                return out
+            out.append(message)
+        raise BadReply(f"{self.name} never falls silent: another program or a broken drive keeps talking on it")
+
+    def close(self) -> None:
+        """Let go of the bus. Harmless when closed, or when the adapter is gone."""
+        if self._closed:
+            return
+        self._closed = True
+        with contextlib.suppress(*_GONE, *_GARBLED):
+            self._bus.shutdown()
+        port = getattr(self._bus, "serialPortOrig", None)
+        if port is not None:  # slcan keeps its port open where the goodbye could not be written
+            with contextlib.suppress(*_GONE):
+                port.close()
+
+    def _next(self, timeout: float) -> can.Message | None:
+        try:
+            # the interface's own wait: `recv` around it goes by the wall clock
+            message, _ = self._bus._recv_internal(timeout)
+        except (*_GONE, *_GARBLED) as error:
+            if not isinstance(error, _GARBLED) and not isinstance(error.__cause__, _GARBLED):
+                raise self._lost(error) from None
+            flush = getattr(self._bus, "flush", None)
+            if flush is not None:
+                with contextlib.suppress(*_GONE):
+                    flush()
+            raise BadReply("bytes arrived that are no CAN frame: they are dropped") from None
+        return message
+
+    def _unread(self) -> bool:
+        """Whether a serial adapter holds more; it also sends lines that are no frames."""
+        port = getattr(self._bus, "serialPortOrig", None)
+        if port is None:
+            return False
+        try:
+            return bool(port.in_waiting)
+        except _GONE as error:
+            raise self._lost(error) from None
+
+    def _count(self, message: can.Message) -> None:
+        self.error_frames += 1
+        if message.arbitration_id & _BUS_OFF:
+            raise LinkLost(
+                f"{self.name} is bus-off: its controller gave up after too many errors, so that torque-off cannot be "
+                "sent; cut the drive's power, then check wiring, termination and bit rate, and restart the interface"
+            )
+
+    def _lost(self, error: BaseException) -> LinkLost:
+        return LinkLost(
+            f"{self.name} is gone ({error}): {_after(error)}whether the motor is live is not known; "
+            "cut the power before touching it"
+        )
+
+
+def _after(error: BaseException) -> str:
+    remedy = _remedy(error)
+    return "" if remedy == "it cannot be opened" else f"{remedy}; "
