@@ -11,6 +11,7 @@ import os
 import resource
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from ga.evolution import PRESETS
 from ga.exact import least_absolute_deviations
 from ga.space import PAPER_BOUNDS
 from ga.trials import run_trials
+from hil.cli.progress import Lines
 
 PAPER = 200_000_000
 
@@ -58,7 +60,16 @@ def main() -> None:
     run_trials(columns, torque, PAPER_BOUNDS, warm, trials=options.workers, seed=1, workers=options.workers)
     plain = numpy_seconds(columns, torque)
     begin, begin_cpu = time.perf_counter(), time.process_time()
-    trials = run_trials(columns, torque, PAPER_BOUNDS, settings, trials=options.trials, seed=0, workers=options.workers)
+    trials = run_trials(
+        columns,
+        torque,
+        PAPER_BOUNDS,
+        settings,
+        trials=options.trials,
+        seed=0,
+        workers=options.workers,
+        progress=partial(Lines(), "searching"),
+    )
     seconds, cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
     plain = min(plain, numpy_seconds(columns, torque))
     exact = least_absolute_deviations(columns, torque)
