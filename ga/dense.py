@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ga.compiled import compiled, lean_apart
+from ga.compiled import lean_apart
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -100,10 +100,12 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
     check(columns, torque)
     p, reach = columns.shape[1], WIDER * start.reach
     open_rows, settled = np.empty(len(torque), np.int32), np.zeros(p + 1)
-    settle = _settle_two if p == 2 else _settle
-    count = settle(columns, torque, start.centre, start.backward, reach, open_rows, settled)
+    if p == 2:
+        count = settle_two(columns, torque, start.centre, start.backward, reach, open_rows, settled)
+    else:
+        count = settle_any(columns, torque, start.centre, start.backward, reach, open_rows, settled, np.zeros(p + 1))
     blocks = np.zeros((-(-count // LANES), p + 1, LANES))
-    _fill(columns, torque, start.centre, open_rows[:count], blocks)
+    fill(columns, torque, start.centre, open_rows[:count], blocks)
     return Samples(
         blocks=blocks,
         length=len(torque),
@@ -129,8 +131,8 @@ def resolution(torque: NDArray[np.float64]) -> float:
     return max(RESOLUTION * float(np.mean(np.abs(torque))), 1e-300)
 
 
-@compiled
-def _settle(  # noqa: PLR0917 - compiled functions take their parts by position
+@lean_apart
+def settle_any(  # noqa: PLR0917 - compiled functions take their parts by position
     columns: NDArray[np.float64],
     torque: NDArray[np.float64],
     origin: NDArray[np.float64],
@@ -138,10 +140,13 @@ def _settle(  # noqa: PLR0917 - compiled functions take their parts by position
     reach: float,
     open_rows: NDArray[np.int32],
     settled: NDArray[np.float64],
+    part: NDArray[np.float64],
 ) -> int:
-    """List the rows that may change sign in the cube and sum up the others; returns how many were listed."""
+    """List the rows that may change sign in the cube and sum up the others; returns how many were listed.
+
+    part: (p + 1,) of zeros, working space.
+    """
     n, p = columns.shape
-    part = np.zeros(p + 1)
     count = 0
     for i in range(n):
         residual, speed = torque[i], 0.0
@@ -166,8 +171,8 @@ def _settle(  # noqa: PLR0917 - compiled functions take their parts by position
     return count
 
 
-@compiled
-def _settle_two(  # noqa: PLR0917 - compiled functions take their parts by position
+@lean_apart
+def settle_two(  # noqa: PLR0917 - compiled functions take their parts by position
     columns: NDArray[np.float64],
     torque: NDArray[np.float64],
     origin: NDArray[np.float64],
@@ -197,14 +202,15 @@ def _settle_two(  # noqa: PLR0917 - compiled functions take their parts by posit
     return count
 
 
-@compiled
-def _fill(
+@lean_apart
+def fill(
     columns: NDArray[np.float64],
     torque: NDArray[np.float64],
     origin: NDArray[np.float64],
     rows: NDArray[np.int32],
     blocks: NDArray[np.float64],
 ) -> None:
+    """Put the rows side by side, in blocks, with their residuals at the origin."""
     for i in range(rows.size):
         residual = torque[rows[i]]
         for k in range(origin.size):

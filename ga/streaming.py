@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled
+from ga.compiled import lean_apart
 from ga.exact import Optimum, least_absolute_deviations
 from ga.start import Start
 
@@ -132,7 +132,7 @@ def _collapse(blocks: Blocks, genes: Vector, whitening: Matrix, radius: float) -
     for block in blocks():
         columns, torque = (np.require(array, np.float64, ["C", "W"]) for array in block)  # as is compiled for
         undecided, part = np.empty(len(torque), np.bool_), np.zeros(len(genes) + 1)
-        _settle(columns, torque, genes, whitening, radius, undecided, part)
+        settle(columns, torque, genes, whitening, radius, undecided, part)
         settled += part
         kept.append((columns[undecided], torque[undecided]))
     first = (settled[None, 1:], settled[:1])
@@ -140,8 +140,8 @@ def _collapse(blocks: Blocks, genes: Vector, whitening: Matrix, radius: float) -
     return columns, torque
 
 
-@compiled
-def _settle(  # noqa: PLR0917 - compiled functions take their parts by position
+@lean_apart
+def settle(  # noqa: PLR0917 - compiled functions take their parts by position
     columns: Matrix,
     torque: Vector,
     genes: Vector,

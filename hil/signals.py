@@ -90,7 +90,7 @@ class Signals:
 
     def thinned(self, every: int) -> Signals:
         """The same with every `every`-th sample only; what is counted stays counted."""
-        arrays = {name: getattr(self, name)[::every] for name in _ARRAYS}
+        arrays = {name: getattr(self, name)[::every].copy() for name in _ARRAYS}  # a view would hold all of it
         return replace(self, starts=tuple(-(-start // every) for start in self.starts), **arrays)
 
 

@@ -8,16 +8,16 @@ from typing import Any
 
 import can
 import pytest
-
-from drivers.can_bus import BusConfig, CanLink, frame, open_interface
 from drivers.odrive import OdriveServo
 from drivers.odrive_config import OdriveConfig
+from sim_backend.wire.odrive import serve
+
+from drivers.can_bus import BusConfig, CanLink, frame, open_interface
 from drivers.servo import BadReply, Command, DriverError, LinkLost, NoReply
 from sim_backend.servo import VirtualClock
 from sim_backend.wire.can_bus import Bus
 from sim_backend.wire.can_frames import CanFrame, duration
 from sim_backend.wire.can_loopback import Loopback
-from sim_backend.wire.odrive import serve
 
 
 class Scripted(can.BusABC):
