@@ -105,7 +105,7 @@ def grow(columns: Matrix, torque: Vector, bounds: Bounds) -> Tree:
     extent = 1.001 * float((np.abs(forward) @ half).max())
     centre = forward @ (bounds.low + half - origin)
     rows = np.empty((len(torque), columns.shape[1] + 2))
-    _fill(columns, torque, origin, backward, rows)
+    fill(columns, torque, origin, backward, rows)
     condition = float((np.abs(forward) @ np.abs(backward)).sum(axis=1).max())
     blur = 8.0 * float(np.finfo(np.float64).eps) * condition * (extent + float(np.abs(centre).max()))
     return _with_space(
@@ -206,7 +206,8 @@ def _orthogonal_coordinates(columns: Matrix, half: Vector) -> Matrix:
 
 
 @compiled
-def _fill(columns: Matrix, torque: Vector, origin: Vector, backward: Matrix, rows: Matrix) -> None:
+def fill(columns: Matrix, torque: Vector, origin: Vector, backward: Matrix, rows: Matrix) -> None:
+    """Fill in the rows of a tree."""
     n, p = columns.shape
     for i in range(n):
         residual, speed = torque[i], 0.0

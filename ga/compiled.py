@@ -17,13 +17,8 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_LEAN: Final[dict[str, Any]] = {
-    "cache": True,
-    "nogil": True,
-    "error_model": "numpy",
-    "_nrt": False,
-    "no_cfunc_wrapper": True,
-}
+_OPTIONS: Final[dict[str, Any]] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_LEAN: Final[dict[str, Any]] = {"_nrt": False}
 
 
 def forget_stale(package: Path) -> None:
@@ -46,7 +41,7 @@ forget_stale(Path(__file__).parent)
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """The same function as machine code, compiled at its first call (numba)."""
-    return cast("Callable[P, R]", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast("Callable[P, R]", numba.njit(**_options(function))(function))
 
 
 def lean(function: Callable[P, R]) -> Callable[P, R]:
@@ -54,14 +49,14 @@ def lean(function: Callable[P, R]) -> Callable[P, R]:
 
     The references of arrays are not counted: atomic counting costs ten times what such a function computes.
     """
-    return cast("Callable[P, R]", numba.njit(forceinline=True, **_lean(function))(function))
+    return cast("Callable[P, R]", numba.njit(**_options(function), **_LEAN, forceinline=True)(function))
 
 
 def lean_apart(function: Callable[P, R]) -> Callable[P, R]:
     """As `lean`, but called: for what is large, or seldom done."""
-    return cast("Callable[P, R]", numba.njit(**_lean(function))(function))
+    return cast("Callable[P, R]", numba.njit(**_options(function), **_LEAN)(function))
 
 
-def _lean(function: Callable[P, R]) -> dict[str, Any]:
+def _options(function: Callable[P, R]) -> dict[str, Any]:
     # what only compiled functions call needs no entry from Python, which is half of its compilation
-    return {**_LEAN, "no_cpython_wrapper": function.__name__.startswith("_")}
+    return {**_OPTIONS, "no_cpython_wrapper": function.__name__.startswith("_")}

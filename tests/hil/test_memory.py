@@ -6,6 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
+from hil.signals import Signals
+
 ROOT = Path(__file__).parent.parent.parent
 
 MEASURED = """
@@ -33,6 +37,15 @@ def gone_through(rows):
 before = gone_through(ROWS // 8)  # with all that is loaded and compiled
 print(gone_through(ROWS) - before, ROWS * 3 * 8)
 """
+
+
+def test_thinned_signals_hold_nothing_of_the_ones_they_were_taken_from() -> None:
+    many = np.arange(1000.0)
+    signals = Signals(many, many, many, many, 0, 0, 0, False, (0.1, 5.0), 0.0, "given")
+    few = signals.thinned(100)
+    assert few.time.tolist() == many[::100].tolist()
+    assert few.time.base is None
+    assert few.dtheta_dot.base is None
 
 
 def test_going_through_a_spool_holds_a_fraction_of_it(tmp_path: Path) -> None:
