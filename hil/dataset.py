@@ -114,9 +114,7 @@ def recording_findings(recording: Recording, signals: Signals) -> list[Finding]:
             Finding("not-a-number", f"{signals.not_numbers} of {len(recording)} rows hold a NaN and are left out")
         )
     if signals.near_gaps:
-        found.append(
-            Finding("near-gaps", f"{signals.near_gaps} rows lie beside a gap or an end, where no rate can be told")
-        )
+        found.append(Finding("near-gaps", f"{signals.near_gaps} rows lie beside a gap, where no rate can be told"))
     if signals.coarse_clock:
         found.append(
             Finding("coarse-clock", "several rows share a time stamp: they were spread evenly up to the next stamp")

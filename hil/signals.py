@@ -45,10 +45,10 @@ class Signals:
     dtheta_ddot rad/s^2, known N m, what of the torque is not the coupling's: the motor's own in equation (1).
 
     starts: where a stretch without a gap begins, of one recording. lost: replies that never came. not_numbers: rows
-    dropped for a NaN. near_gaps: rows dropped since their window spans a gap or an end. coarse_clock: whether repeated
-    stamps were spread. band: Hz, what moved. rate_window: s, the width of the local polynomial, 0 where the rate was
-    given; rate_noise: rad/s, what of the rate is noise, None where that is not known. torque_from: "joint", "motor" or
-    "given".
+    dropped for a NaN. near_gaps: rows dropped since their window spans a gap; those at the very ends, whose window
+    would too, are not counted. coarse_clock: whether repeated stamps were spread. band: Hz, what moved. rate_window:
+    s, the width of the local polynomial, 0 where the rate was given; rate_noise: rad/s, what of the rate is noise,
+    None where that is not known. torque_from: "joint", "motor" or "given".
     """
 
     time: Array
@@ -264,7 +264,7 @@ def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int,
         starts=_starts_within(starts, kept),
         lost=int(np.count_nonzero(_within(usable.lost, rows))),
         not_numbers=int(np.count_nonzero(_within(usable.not_numbers, rows))),
-        near_gaps=int(np.count_nonzero(inside & ~long_enough)),
+        near_gaps=int(np.count_nonzero((inside & ~long_enough)[window.slope : len(time) - window.slope])),
         coarse_clock=coarse,
         band=window.band,
         rate_window=0.0 if source.given_rate else (2 * window.slope + 1) * window.step,

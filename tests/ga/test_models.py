@@ -77,20 +77,35 @@ def test_the_smoothing_stays_above_the_noise_of_the_rate() -> None:
     assert quiet == pytest.approx(1e-3 * np.sqrt(np.mean(RATE**2)))
 
 
-@pytest.mark.parametrize(("term", "parameter"), [("backlash", "gap"), ("slack", "slack"), ("skew", "skew")])
-def test_a_term_that_shapes_the_columns_adds_none(term: str, parameter: str) -> None:
+@pytest.mark.parametrize(
+    ("term", "parameters"), [("backlash", ["gap", "centre"]), ("slack", ["slack"]), ("skew", ["skew"])]
+)
+def test_a_term_that_shapes_the_columns_adds_none(term: str, parameters: list[str]) -> None:
     model = parse(f"linear+offset+{term}")
     assert [p.name for p in model.linear] == ["Kc", "Bc", "tau0"]
-    assert [p.name for p in model.shape] == [parameter]
-    assert model.columns(MOTION, np.array([0.01])).shape == (401, 3)
+    assert [p.name for p in model.shape] == parameters
+    assert model.columns(MOTION, np.full(len(parameters), 0.01)).shape == (401, 3)
 
 
 def test_a_gap_lets_the_joint_move_without_torque() -> None:
-    columns = parse("linear+backlash").columns(MOTION, np.array([0.1]))
-    free = np.abs(DTHETA) <= 0.05
+    """A gap of 0.1 rad about 0.02 rad."""
+    columns = parse("linear+backlash").columns(MOTION, np.array([0.1, 0.02]))
+    beyond = DTHETA - 0.02
+    free = np.abs(beyond) <= 0.05
     assert not columns[free].any()
-    assert columns[~free, 0] == pytest.approx(DTHETA[~free] - 0.05 * np.sign(DTHETA[~free]))
+    assert columns[~free, 0] == pytest.approx(beyond[~free] - 0.05 * np.sign(beyond[~free]))
     assert np.array_equal(columns[~free, 1], RATE[~free])
+
+
+def test_flanks_that_damping_would_make_pull_let_go() -> None:
+    """With Bc/Kc = 0.1 s the torque on a flank is that of the spring and the damper, or none: never of other sign."""
+    columns = parse("linear+backlash").columns(MOTION, np.array([0.1, 0.0]), lag=0.1)
+    torque = columns @ np.array([1.0, 0.1])
+    outside = np.sign(DTHETA) * np.maximum(np.abs(DTHETA) - 0.05, 0.0)
+    expected = outside + 0.1 * RATE
+    expected[(outside == 0.0) | (np.sign(expected) != np.sign(outside))] = 0.0
+    assert torque == pytest.approx(expected)
+    assert np.count_nonzero((outside != 0.0) & (torque == 0.0)) > 10
 
 
 def test_a_slack_tendon_pulls_one_way_only() -> None:
@@ -134,8 +149,9 @@ def test_the_slopes_are_the_derivative_of_the_torque(name: str) -> None:
 
 
 def test_the_slope_of_a_gap_is_half_the_stiffness_on_either_flank() -> None:
-    slopes = parse("linear+backlash").slopes(MOTION, np.array([0.1]), np.array([2.0, 0.1]))
-    assert set(np.unique(slopes)) == {-1.0, 0.0, 1.0}
+    slopes = parse("linear+backlash").slopes(MOTION, np.array([0.1, 0.0]), np.array([2.0, 0.1]))
+    assert set(np.unique(slopes[:, 0])) == {-1.0, 0.0, 1.0}
+    assert np.array_equal(slopes[:, 1], np.where(np.abs(DTHETA) > 0.05, -2.0, 0.0))
     assert np.array_equal(slopes[:, 0], np.where(np.abs(DTHETA) > 0.05, -np.sign(DTHETA), 0.0))
 
 

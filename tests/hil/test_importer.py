@@ -143,7 +143,7 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
         signals = prepare(recording, parse(recording.stand_toml).stand)
     assert signals.torque_from == "motor"
     columns_of = np.column_stack([signals.dtheta, signals.dtheta_dot])
-    found = np.linalg.lstsq(columns_of, signals.torque, rcond=None)[0]
+    found = np.linalg.lstsq(columns_of, signals.coupling_torque, rcond=None)[0]
     np.testing.assert_allclose(found, [kc, bc], rtol=0.01)
 
 

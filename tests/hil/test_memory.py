@@ -41,7 +41,7 @@ print(gone_through(ROWS) - before, ROWS * 3 * 8)
 
 def test_thinned_signals_hold_nothing_of_the_ones_they_were_taken_from() -> None:
     many = np.arange(1000.0)
-    signals = Signals(many, many, many, many, 0, 0, 0, False, (0.1, 5.0), 0.0, "given")
+    signals = Signals(many, many, many, many, many, many, (0,), 0, 0, 0, False, (0.1, 5.0), 0.0, None, "given")
     few = signals.thinned(100)
     assert few.time.tolist() == many[::100].tolist()
     assert few.time.base is None

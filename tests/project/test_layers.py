@@ -16,7 +16,6 @@ ALLOWED = {
     | {"scipy", "pyarrow"},
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},
-    "drivers": {"drivers", "annotated_types", "can", "dynamixel_sdk", "serial"},
     "sim_backend": {"sim_backend", "drivers.servo", "numpy", "numba", "annotated_types", "can"},
 }
 
