@@ -54,7 +54,7 @@ def estimate(path: Path, model: str) -> dict[str, Any]:
     heard, said = io.StringIO(), io.StringIO()
     began = time.perf_counter()
     with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(said):
-        status = cli.run(["identify", str(path), "--json", "--workers", "1", "--model", model])
+        status = cli.run(["identify", str(path), "--json", "--workers", "1", "--trials", "1", "--model", model])
     seconds = time.perf_counter() - began
     if not heard.getvalue():
         return {"status": status, "model": "", "codes": [], "seconds": seconds, "said": said.getvalue().strip()[-200:]}
