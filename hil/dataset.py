@@ -20,6 +20,8 @@ from hil.store import Recording
 Array = NDArray[np.float64]
 Keep = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 Choose = Callable[[Signals, bool], Choice]
+Table = Callable[[Keep | None], Iterable[tuple[Array, Array]]]
+"""Columns (m, p) and torque (m,) N m of all rows in order, of those whose numbers `Keep` says are kept."""
 
 IN_MEMORY = 4_000_000
 """Rows, of all recordings together, up to which they are held in memory."""
@@ -31,7 +33,7 @@ class Dataset:
 
     choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones. samples: of all.
     whole: whether the signals are all of them. uncertainty: of the torque's scale, relative, one standard deviation.
-    findings: what is to be said of them.
+    edges: where each recording ends, in samples. findings: what is to be said of them.
     """
 
     choice: Choice
@@ -39,8 +41,9 @@ class Dataset:
     samples: int
     whole: bool
     uncertainty: float
+    edges: tuple[int, ...]
     findings: list[Finding]
-    _table: Callable[[Keep | None], Iterable[tuple[Array, Array]]]
+    _table: Table
 
     def blocks(self, keep: Keep | None = None) -> Iterable[tuple[Array, Array]]:
         """Columns and torque of all samples in order, of those whose numbers (m,) `keep` says are kept.
@@ -64,12 +67,12 @@ def open_dataset(paths: list[Path], choose: Choose, progress: Progress | None = 
     signals = _glimpsed(paths)
     choice = choose(signals, False)
     with Spool(paths[0], rows, len(choice.model.linear), progress) as spool:
-        findings = _spooled(paths, choice.model, spool, rows, progress)
+        edges, findings = _spooled(paths, choice.model, spool, rows, progress)
         uncertainty = max(_uncertainty(path) for path in paths)
-        yield Dataset(choice, signals, spool.rows, False, uncertainty, findings, spool.blocks)
+        yield Dataset(choice, signals, spool.rows, False, uncertainty, edges, findings, spool.blocks)
 
 
-def table(columns: Array, torque: Array) -> Callable[[Keep | None], Iterable[tuple[Array, Array]]]:
+def table(columns: Array, torque: Array) -> Table:
     """Columns (n, p) and torque (n,) as `Dataset.blocks` gives them."""
 
     def blocks(keep: Keep | None) -> Iterable[tuple[Array, Array]]:
@@ -133,7 +136,8 @@ def _in_memory(paths: list[Path], choose: Choose) -> Dataset:
     motion = signals.motion
     columns, torque = choice.model.columns(motion), choice.model.target(motion, signals.torque)
     uncertainty = max(_uncertainty(path) for path in paths)
-    return Dataset(choice, signals, len(signals), True, uncertainty, findings, table(columns, torque))
+    edges = tuple(np.cumsum([len(part) for part in parts]).tolist())
+    return Dataset(choice, signals, len(signals), True, uncertainty, edges, findings, table(columns, torque))
 
 
 def _glimpsed(paths: list[Path]) -> Signals:
@@ -144,9 +148,11 @@ def _glimpsed(paths: list[Path]) -> Signals:
     return joined(parts)
 
 
-def _spooled(paths: list[Path], model: Coupling, spool: Spool, rows: int, progress: Progress | None) -> list[Finding]:
-    """Write all columns and torque to the spool; what is to be said of the recordings."""
-    findings = []
+def _spooled(
+    paths: list[Path], model: Coupling, spool: Spool, rows: int, progress: Progress | None
+) -> tuple[tuple[int, ...], list[Finding]]:
+    """Write all columns and torque to the spool; where each recording ends in it, and what is to be said of them."""
+    edges, findings = [], []
     for path in paths:
         with Recording(path) as recording:
             counts = []
@@ -155,5 +161,6 @@ def _spooled(paths: list[Path], model: Coupling, spool: Spool, rows: int, progre
                 counts.append(part.thinned(len(part)))
                 if progress is not None:
                     progress("reading", min(1.0, spool.rows / rows))
+            edges.append(spool.rows)
             findings += recording_findings(recording, joined(counts))
-    return findings
+    return tuple(edges), findings

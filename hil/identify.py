@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,11 +20,13 @@ from ga.shape_search import search_shapes
 from ga.space import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.streaming import Blocks, Reduced, reduce
 from ga.trials import Trials, run_trials
-from hil.dataset import Dataset, Keep, open_dataset, table
+from hil.dataset import Dataset, Table, open_dataset, table
 from hil.errors import Untrustworthy, WrongUse
 from hil.intervals import spread
 from hil.judgement import Evidence, estimates, judge
 from hil.model_choice import Choice, Coupling, choose
+from hil.pooling import scatter
+from hil.provenance import check_together
 from hil.result import Holdout, Identification
 from hil.signals import Signals
 from hil.spool import Progress
@@ -67,7 +69,7 @@ class _Found:
     trials: Trials
     seconds: float
     columns: Array
-    blocks: Callable[[Keep | None], Iterable[tuple[Array, Array]]]
+    blocks: Table
 
 
 def identify(
@@ -80,6 +82,7 @@ def identify(
     the findings.
     """
     began = time.perf_counter()
+    together = check_together(paths)
 
     def chosen(signals: Signals, whole: bool) -> Choice:
         if progress is not None and model is None:
@@ -90,7 +93,9 @@ def identify(
         found = (_curved if data.choice.model.shape else _straight)(data, search, progress)
         parameters = (*data.choice.model.linear, *data.choice.model.shape)
         scales = np.array([parameter.scales for parameter in parameters])
-        errors = spread(lambda: found.blocks(None), found.values).carrying(data.uncertainty, found.values, scales)
+        within = spread(lambda: found.blocks(None), found.values)
+        apart, scattered = scatter(found.blocks, data.edges, within)
+        errors = apart.carrying(data.uncertainty, found.values, scales)
         fitness = float(found.trials.fitness.min())
         holdout = _hold_out(data, found)
         evidence = Evidence(
@@ -100,6 +105,7 @@ def identify(
             values=found.values,
             unique=found.optimum.unique,
             errors=errors,
+            scattered=scattered,
             trials=found.trials,
             low=found.low,
             high=found.high,
@@ -121,7 +127,7 @@ def identify(
             seconds=time.perf_counter() - began,
             search_seconds=found.seconds,
             holdout=holdout,
-            findings=tuple(data.findings + judge(evidence)),
+            findings=tuple(together + data.findings + judge(evidence)),
             signals=data.signals,
         )
 

@@ -11,6 +11,7 @@ from ga.trials import Trials
 from hil.findings import Finding
 from hil.intervals import Spread
 from hil.model_choice import Coupling
+from hil.pooling import Scatter
 from hil.result import Estimate, Holdout
 from hil.signals import Signals
 
@@ -28,7 +29,7 @@ _COUPLING = ("Kc", "Bc")
 class Evidence:
     """What there is to judge. columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters.
 
-    unique: whether the exact optimum is the only one. gap: of the search, relative.
+    scattered: of pooled recordings, what lies within and between them. unique: whether the exact optimum is the only one. gap: of the search, relative.
     """
 
     model: Coupling
@@ -37,6 +38,7 @@ class Evidence:
     values: Array
     unique: bool
     errors: Spread
+    scattered: tuple[Scatter | None, ...]
     trials: Trials
     low: Array
     high: Array
@@ -81,6 +83,7 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
                 identifiable=evidence.told(at),
                 at_bound=evidence.at_bound(at),
                 bounds=(float(evidence.low[at]), float(evidence.high[at])),
+                scatter=evidence.scattered[at],
             )
         )
     return tuple(found)

@@ -28,7 +28,7 @@ def local_polynomial(time: Array, values: Array, half: int) -> tuple[Array, Arra
     or last 2*half+1 samples, evaluated off its centre, where the noise is many times larger.
     """
     found = np.empty((3, len(time)))
-    _fit_all(np.ascontiguousarray(time), np.ascontiguousarray(values), half, found)
+    fit_all(np.ascontiguousarray(time), np.ascontiguousarray(values), half, found)
     return found[0], found[1], found[2]
 
 
@@ -60,7 +60,8 @@ def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
 
 
 @compiled
-def _fit_all(time: Array, values: Array, half: int, found: Array) -> None:
+def fit_all(time: Array, values: Array, half: int, found: Array) -> None:
+    """`local_polynomial` in machine code, the results written to `found` (3, n)."""
     count, width, p = len(time), 2 * half + 1, DEGREE + 1
     basis, normal, right = np.empty((width, p)), np.empty((p, p)), np.empty(p)
     at = np.empty((3, p))

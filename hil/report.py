@@ -76,6 +76,8 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
         "identifiable": estimate.identifiable,
         "at_bound": estimate.at_bound,
         "bounds": [_number(end) for end in estimate.bounds],
+        "within_std": None if estimate.scatter is None else estimate.scatter.within,
+        "between_std": None if estimate.scatter is None else estimate.scatter.between,
     }
 
 
@@ -170,8 +172,20 @@ def identification_lines(found: Identification) -> list[str]:
         f"mean |torque error| {found.fitness * factor:.5g} {unit}; exact minimum {found.optimum * factor:.5g} {unit}; "
         f"the search's own error is {found.relative_gap:.1e} of it",
         f"held-out fifth: {found.holdout.fitness * factor:.3g} {unit}; RMS {found.holdout.nrmse:.2%} of the torque's",
+        *_scatter_lines(found),
         f"moved {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s",
+    ]
+
+
+def _scatter_lines(found: Identification) -> list[str]:
+    """What pooled recordings say of Kc and Bc: how far one is from another, beside its own error."""
+    told = [(estimate, estimate.scatter) for estimate in found.estimates[:2] if estimate.scatter is not None]
+    return [
+        f"{estimate.name} between the {len(found.recordings)} recordings: standard deviation {scatter.between * factor:.2g}"
+        f" {unit}; within one: {scatter.within * factor:.2g} {unit}"
+        for estimate, scatter in told
+        for factor, unit in [people_unit(estimate.unit, milli=_milli(found))]
     ]
 
 

@@ -9,6 +9,7 @@ from ga.trials import Trials
 from hil.findings import Finding
 from hil.ladder import Rung
 from hil.model_choice import Coupling
+from hil.pooling import Scatter
 from hil.signals import Signals
 
 
@@ -17,6 +18,7 @@ class Estimate:
     """One parameter in SI. value: of the best trial. exact: of the exact optimum. ci95: around the exact optimum.
 
     trials_std: NaN for a single trial. bounds: NaN where the parameter was solved for and not searched.
+    scatter: within and between pooled recordings, None for one, or where fewer than two tell it.
     """
 
     name: str
@@ -29,6 +31,7 @@ class Estimate:
     identifiable: bool
     at_bound: str | None
     bounds: tuple[float, float]
+    scatter: Scatter | None = None
 
 
 @dataclass(frozen=True, slots=True)
