@@ -43,7 +43,8 @@ _ANYWHERE: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 """The same for a shape parameter of a user's own model."""
 
 _KINKED: Final = ("gap", "centre", "slack")
-"""Where these end the torque jumps: the bottom of the valley is too rough to be found by its slope."""
+"""Where these end the torque jumps: the bottom of the valley is too rough to be found by its slope. So it is for a
+skew where friction turns with the motion."""
 
 _AGREEMENTS: Final = 8
 _AGREED: Final = 1e-3
@@ -198,7 +199,8 @@ def _shortened(problem: Problem, best: Fit, step: Array) -> Fit | None:
 def by_compass(problem: Problem, best: Fit) -> Fit:
     """The bottom nearby, where gap or slack make it rough: both ways along each, with ever smaller steps."""
     width = problem.high - problem.low
-    rough = [k for k, parameter in enumerate(problem.model.shape) if parameter.name in _KINKED]
+    jumps = {parameter.name for parameter in (*problem.model.linear, *problem.model.shape)} & {"Fc", *_KINKED}
+    rough = [k for k, parameter in enumerate(problem.model.shape) if parameter.name in {*_KINKED, "skew"} and jumps]
     length = _FIRST
     while rough and length > _LAST:
         shapes = [best.shape + sign * length * width * (np.arange(len(width)) == k) for k in rough for sign in (1, -1)]

@@ -60,7 +60,7 @@ def spread(blocks: Blocks, genes: Array) -> Spread:
     kernel, scores = _second_pass(blocks, genes, sums)
     units = np.outer(scale[told], scale[told])
     bread = np.linalg.inv(kernel[np.ix_(told, told)] / units)
-    covariance = bread @ (scores.T @ scores)[np.ix_(told, told)] / units @ bread
+    covariance = bread @ ((scores.T @ scores)[np.ix_(told, told)] / units) @ bread
     quantile = float(stdtrit(max(1, len(scores) - int(told.sum())), 0.975))
     variance = np.diag(covariance)  # negative by rounding: the columns tell nothing
     half[told] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.inf)) / scale[told]

@@ -29,7 +29,8 @@ _COUPLING = ("Kc", "Bc")
 class Evidence:
     """What there is to judge. columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters.
 
-    scattered: of pooled recordings, what lies within and between them. unique: whether the exact optimum is the only one. gap: of the search, relative.
+    scattered: of pooled recordings, what lies within and between. unique: whether the exact optimum is the only one.
+    gap: of the search, relative.
     """
 
     model: Coupling

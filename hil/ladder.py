@@ -4,8 +4,9 @@ Each step up takes the term that tells held-out blocks best, of those that pay; 
 go. What a term gains is held against what one of no meaning would: the likelihood ratio of a median regression (Koenker
 and Machado 1999, 4 f(0) times the fall of the sum of absolute residuals), divided by how much more the residuals' own
 correlation makes its parameters vary (blocks in time), less log n for each (Schwarz 1978). Held-out blocks must not be
-told clearly worse; and clearly better by a term with a break, whose likelihood ratio has no known law. What the density
-f(0) and the correlation are is read from the richest model, lest what a term leaves out is taken for noise.
+told clearly worse. A term with a break, whose likelihood ratio has no known law, must tell them better and gain much.
+What the density f(0) and the correlation are is read from the richest model, lest what a term leaves out is taken for
+noise.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ _RIVAL = 1.1  # a term that makes the fitness worse than by this factor is none
 _BROKEN = frozenset({"backlash", "slack"})
 """Terms with a break."""
 
-_BETTER = 2.0  # standard errors over the blocks
+_WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, and better
+_STRONG = 10.0  # gain of a term with a break, whose chance is not known to be that of others
 _CONFUSED = 1000.0  # variance inflation from which a term's parameter is another's as much as its own
 _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
 _MARGIN = 1e-4  # of a range, within which a value is at its end
@@ -96,7 +98,7 @@ def climb(motion: Motion, torque: Array, highest: float, terms: tuple[str, ...] 
             break  # the new term took the place of one that it needs: round and round
         chosen = larger
     chosen = climber.pruned(chosen)
-    return Ladder(chosen.model, climber.rungs(chosen))
+    return Ladder(chosen.model.anchored(motion), climber.rungs(chosen))
 
 
 class _Climber:
@@ -188,10 +190,10 @@ class _Climber:
         if self._ends(larger, term) or not self._is_told(larger, term):
             return False
         better = smaller.held_out - larger.held_out
-        least = _BETTER if term in _BROKEN else -_BETTER
+        least, gain = (_BETTER, _STRONG) if term in _BROKEN else (-_WORSE, 0.0)
         if better.mean() < least * better.std(ddof=1) / np.sqrt(_FOLDS):
             return False
-        return self.gain(smaller, larger, term) > 0.0
+        return self.gain(smaller, larger, term) > gain
 
     def _own_columns(self, step: _Step, term: str) -> Iterator[tuple[Array, Array]]:
         """For each parameter of the term: its column (n,), and what of that no other parameter's column can make."""

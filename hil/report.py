@@ -173,6 +173,11 @@ def identification_lines(found: Identification) -> list[str]:
         f"the search's own error is {found.relative_gap:.1e} of it",
         f"held-out fifth: {found.holdout.fitness * factor:.3g} {unit}; RMS {found.holdout.nrmse:.2%} of the torque's",
         *_scatter_lines(found),
+        *(
+            []
+            if found.rungs
+            else ["the intervals are those of this model: --model auto asks what else the stand shows"]
+        ),
         f"moved {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s",
     ]
@@ -182,8 +187,8 @@ def _scatter_lines(found: Identification) -> list[str]:
     """What pooled recordings say of Kc and Bc: how far one is from another, beside its own error."""
     told = [(estimate, estimate.scatter) for estimate in found.estimates[:2] if estimate.scatter is not None]
     return [
-        f"{estimate.name} between the {len(found.recordings)} recordings: standard deviation {scatter.between * factor:.2g}"
-        f" {unit}; within one: {scatter.within * factor:.2g} {unit}"
+        f"{estimate.name}, standard deviation between the {len(found.recordings)} recordings: "
+        f"{scatter.between * factor:.2g} {unit}; within one: {scatter.within * factor:.2g} {unit}"
         for estimate, scatter in told
         for factor, unit in [people_unit(estimate.unit, milli=_milli(found))]
     ]

@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 def identify(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings, pooled.")],
     model: Annotated[
-        str | None,
+        str,
         typer.Option(
             help="auto, or terms: linear[+offset][+drift][+coulomb][+cubic][+inertia][+backlash][+slack][+skew]."
         ),
-    ] = None,
+    ] = "linear",
     preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",
     trials: Annotated[int, typer.Option(min=1, help="Independent searches.")] = 30,
     generations: Annotated[int | None, typer.Option(min=1, help="Of each trial; the preset's own otherwise.")] = None,
@@ -64,7 +64,7 @@ def identify(
     if report is not None:
         for path in page_files(report):
             check_target(path, force=force, inputs=recordings)
-    chosen = chosen_model(model or ("linear" if preset == "paper" else "auto"))
+    chosen = chosen_model(model)
     readings = {"selection": selection, "weights": weights, "replacement": replacement}
     sizes = {"generations": generations, "population": population, "mutation": mutation}
     given = {name: value for name, value in (readings | sizes).items() if value is not None}

@@ -71,9 +71,9 @@ def test_an_unknown_term_is_answered_with_the_known_ones_and_the_nearest() -> No
         parse("linear+coulom")
 
 
-def test_the_smoothing_stays_above_the_noise_of_the_rate() -> None:
+def test_the_smoothing_follows_the_noise_of_the_rate() -> None:
     noisy, quiet = (parse("linear+coulomb").anchored(moving(rate_noise=noise)).smoothing for noise in (0.004, 1e-9))
-    assert noisy == pytest.approx(0.012)
+    assert noisy == pytest.approx(0.002)
     assert quiet == pytest.approx(1e-3 * np.sqrt(np.mean(RATE**2)))
 
 
@@ -130,7 +130,7 @@ def test_what_is_known_of_the_torque_is_as_old_as_the_rest_of_it() -> None:
     assert left[10:-10] == pytest.approx(2.4 * np.sin(2.0 * (TIME - TIME[0] - 0.03))[10:-10], abs=1e-6)
 
 
-@pytest.mark.parametrize("name", ["linear+skew", "linear+offset+coulomb+cubic+inertia+skew", "linear+slack+skew"])
+@pytest.mark.parametrize("name", ["linear+skew", "linear+offset+cubic+inertia+skew", "linear+slack+skew"])
 def test_the_slopes_are_the_derivative_of_the_torque(name: str) -> None:
     """Against finite differences, away from where a gap ends or the motion turns."""
     motion = Motion(TIME - TIME[0], DTHETA, RATE, ACCELERATION, np.zeros(401), rate_noise=0.02)
