@@ -16,16 +16,23 @@ import serial
 from drivers.dynamixel import DynamixelServo
 from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_port import POLL, SerialPort
+from drivers.odrive import OdriveServo
+from drivers.odrive_config import OdriveConfig
 from drivers.servo import Limits, Servo
 from hil.stand import load, open_servo
 from hil.stopping import answered
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo, VirtualClock
+from sim_backend.wire.can_bus import Bus as CanBus
+from sim_backend.wire.can_bus import Node
+from sim_backend.wire.can_bus import Timing as CanTiming
+from sim_backend.wire.can_loopback import Loopback as CanLoopback
 from sim_backend.wire.dynamixel import serve
 from sim_backend.wire.dynamixel_bus import Bus, Timing
 from sim_backend.wire.dynamixel_device import Device
 from sim_backend.wire.dynamixel_mx_device import MxDevice
 from sim_backend.wire.dynamixel_mx_tables import MX_MODELS
+from sim_backend.wire.odrive_device import Device as OdriveDevice
 
 
 @pytest.fixture(autouse=True)
@@ -130,6 +137,45 @@ def new_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: A
     return Rig(bus, clock, Loopback(bus, clock, baudrate), config)
 
 
+@dataclass
+class CanRig:
+    """A CAN bus of emulated drives in virtual time, and what is needed to open one of them."""
+
+    bus: CanBus
+    clock: VirtualClock
+    adapter: Callable[..., Servo]
+    config: Any
+    wire: CanLoopback
+
+    def open(self, **changes: Any) -> Any:
+        self.wire = CanLoopback(self.bus, self.clock)
+        return self.adapter(replace(self.config, **changes), clock=self.clock, bus=self.wire)
+
+    @property
+    def device(self) -> Any:
+        return self.bus.nodes[0]
+
+    def wait(self, seconds: float) -> None:
+        self.clock.sleep_until(self.clock.now() + seconds)
+        self.wire.advance()
+
+
+def can_rig(adapter: Callable[..., Servo], config: Any, nodes: list[Node], bitrate: float = 1e6) -> CanRig:
+    clock = VirtualClock()
+    bus = CanBus(nodes, timing=CanTiming(bitrate=bitrate))
+    return CanRig(bus, clock, adapter, config, CanLoopback(bus, clock))
+
+
+def odrive_rig(firmware: str = "0.6.10", **device: Any) -> CanRig:
+    config = OdriveConfig(interface="loopback", channel="", torque_constant=0.04, bitrate=1_000_000)
+    return can_rig(OdriveServo, config, [OdriveDevice(firmware=firmware, **device)])
+
+
+@pytest.fixture
+def make_odrive() -> Callable[..., CanRig]:
+    return odrive_rig
+
+
 @pytest.fixture
 def make_rig() -> Callable[..., Rig]:
     return new_rig
@@ -147,6 +193,7 @@ def limits() -> Limits:
 
 SERVO_LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
 MX_LIMITS = Limits(torque=0.06, velocity=40.0, temperature=65.0, position=(-8.0, 8.0))
+ODRIVE_LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
 SIM_LIMITS = Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0))
 
 
@@ -180,7 +227,7 @@ def on_a_stand(path: Path) -> Iterator[tuple[Servo, Limits]]:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "bench" in metafunc.fixturenames:
         path = metafunc.config.getoption("--stand")
-        known = ["sim", "dynamixel", "dynamixel on a pty", "dynamixel mx"]
+        known = ["sim", "dynamixel", "dynamixel on a pty", "dynamixel mx", "odrive 0.5.6", "odrive 0.6.10"]
         metafunc.parametrize("bench", known if path is None else [Path(path)], indirect=True, ids=str)
 
 
@@ -195,5 +242,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Serv
         yield from closed_after(new_rig().open(), SERVO_LIMITS)
     elif request.param == "dynamixel mx":
         yield from closed_after(new_rig("mx-64").open(), MX_LIMITS)
+    elif request.param.startswith("odrive"):
+        yield from closed_after(odrive_rig(request.param.split()[1]).open(), ODRIVE_LIMITS)
     else:
         yield from on_a_pty(tmp_path)

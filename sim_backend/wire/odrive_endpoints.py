@@ -1,0 +1,93 @@
+"""The parameters that an emulated ODrive with firmware 0.6 has, and the file that tells clients their numbers.
+
+The vendor publishes a flat_endpoints.json with each firmware; names are the vendor's, numbers are this emulator's own,
+and a client that takes them from anywhere else than the file is wrong on a real drive too.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+_PARAMETERS: tuple[tuple[str, str, float, bool], ...] = (
+    ("vbus_voltage", "float", 24.0, False),
+    ("serial_number", "uint32", 0x3A5B12, False),
+    ("axis0.active_errors", "uint32", 0, False),
+    ("axis0.disarm_reason", "uint32", 0, False),
+    ("axis0.current_state", "uint8", 1, False),
+    ("axis0.config.enable_watchdog", "bool", 0, True),
+    ("axis0.config.watchdog_timeout", "float", 0.0, True),
+    ("axis0.config.torque_soft_min", "float", -math.inf, True),
+    ("axis0.config.torque_soft_max", "float", math.inf, True),
+    ("axis0.config.motor.torque_constant", "float", 0.04, True),
+    ("axis0.config.motor.current_soft_max", "float", 50.0, True),
+    ("axis0.config.motor.current_hard_max", "float", 70.0, True),
+    ("axis0.config.can.node_id", "uint32", 0, True),
+    ("axis0.config.can.heartbeat_msg_rate_ms", "uint32", 100, True),
+    ("axis0.config.can.encoder_msg_rate_ms", "uint32", 10, True),
+    ("axis0.controller.config.control_mode", "uint8", 3, True),
+    ("axis0.controller.config.input_mode", "uint8", 1, True),
+    ("axis0.controller.config.vel_limit", "float", 10.0, True),
+    ("axis0.controller.config.vel_limit_tolerance", "float", 1.2, True),
+    ("axis0.controller.config.vel_gain", "float", 0.1667, True),
+    ("axis0.controller.config.vel_integrator_gain", "float", 0.333, True),
+    ("axis0.controller.config.pos_gain", "float", 20.0, True),
+    ("axis0.controller.config.enable_torque_mode_vel_limit", "bool", 1, True),
+    ("axis0.motor.motor_thermistor.config.temp_limit_upper", "float", 120.0, True),
+    ("axis0.motor.fet_thermistor.config.temp_limit_upper", "float", 120.0, True),
+)
+"""Name, type, value as delivered, whether it can be written."""
+_LAYOUTS = {"float": "<f", "bool": "<?", "uint8": "<B", "uint32": "<I"}
+_FIRST = 100
+
+
+class Endpoints:
+    """The parameters of one drive."""
+
+    def __init__(self, ident: int) -> None:
+        self._values = {name: value for name, _, value, _ in _PARAMETERS}
+        self._values["axis0.config.can.node_id"] = ident
+        self.refused: set[str] = set()
+        """Names whose writes are taken and not done."""
+
+    def get(self, name: str) -> float:
+        """A value."""
+        return self._values[name]
+
+    def put(self, name: str, value: float) -> None:
+        """Set a value from inside."""
+        self._values[name] = value
+
+    def read(self, number: int) -> bytes | None:
+        """The four bytes of an answer to a read; None where there is no such endpoint."""
+        row = self._row(number)
+        if row is None:
+            return None
+        name, kind, _, _ = row
+        value = self._values[name]
+        raw = struct.pack(_LAYOUTS[kind], value if kind == "float" else int(value))
+        return raw.ljust(4, b"\0")
+
+    def write(self, number: int, raw: bytes) -> bool:
+        """Take a write; whether there is such an endpoint."""
+        row = self._row(number)
+        if row is None:
+            return False
+        name, kind, _, writable = row
+        if writable and name not in self.refused:
+            self._values[name] = float(struct.unpack_from(_LAYOUTS[kind], raw)[0])
+        return True
+
+    @staticmethod
+    def _row(number: int) -> tuple[str, str, float, bool] | None:
+        place = number - _FIRST
+        return _PARAMETERS[place] if 0 <= place < len(_PARAMETERS) else None
+
+
+def flat_endpoints(firmware: str) -> dict[str, object]:
+    """What the vendor's flat_endpoints.json holds for this firmware."""
+    endpoints = {
+        name: {"id": _FIRST + place, "type": kind, "access": "rw" if writable else "r"}
+        for place, (name, kind, _, writable) in enumerate(_PARAMETERS)
+    }
+    return {"fw_version": firmware, "hw_version": "5.2.0", "endpoints": endpoints}
