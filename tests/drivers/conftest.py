@@ -16,6 +16,8 @@ import serial
 from drivers.dynamixel import DynamixelServo
 from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_port import POLL, SerialPort
+from drivers.mit import MitServo
+from drivers.mit_config import MitConfig
 from drivers.odrive import OdriveServo
 from drivers.odrive_config import OdriveConfig
 from drivers.servo import Limits, Servo
@@ -32,6 +34,7 @@ from sim_backend.wire.dynamixel_bus import Bus, Timing
 from sim_backend.wire.dynamixel_device import Device
 from sim_backend.wire.dynamixel_mx_device import MxDevice
 from sim_backend.wire.dynamixel_mx_tables import MX_MODELS
+from sim_backend.wire.mit_device import Device as MitDevice
 from sim_backend.wire.odrive_device import Device as OdriveDevice
 
 
@@ -171,6 +174,16 @@ def odrive_rig(firmware: str = "0.6.10", **device: Any) -> CanRig:
     return can_rig(OdriveServo, config, [OdriveDevice(firmware=firmware, **device)])
 
 
+def mit_rig(model: str = "dm-j4310", **device: Any) -> CanRig:
+    config = MitConfig(interface="loopback", channel="", model=model)
+    return can_rig(MitServo, config, [MitDevice(model, **device)])
+
+
+@pytest.fixture
+def make_mit() -> Callable[..., CanRig]:
+    return mit_rig
+
+
 @pytest.fixture
 def make_odrive() -> Callable[..., CanRig]:
     return odrive_rig
@@ -194,6 +207,7 @@ def limits() -> Limits:
 SERVO_LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
 MX_LIMITS = Limits(torque=0.06, velocity=40.0, temperature=65.0, position=(-8.0, 8.0))
 ODRIVE_LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
+MIT_LIMITS = Limits(torque=2.0, velocity=30.0, temperature=85.0, position=(-3.0, 3.0))
 SIM_LIMITS = Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0))
 
 
@@ -227,7 +241,16 @@ def on_a_stand(path: Path) -> Iterator[tuple[Servo, Limits]]:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "bench" in metafunc.fixturenames:
         path = metafunc.config.getoption("--stand")
-        known = ["sim", "dynamixel", "dynamixel on a pty", "dynamixel mx", "odrive 0.5.6", "odrive 0.6.10"]
+        known = [
+            "sim",
+            "dynamixel",
+            "dynamixel on a pty",
+            "dynamixel mx",
+            "odrive 0.5.6",
+            "odrive 0.6.10",
+            "mit ak80-9",
+            "mit dm-j4310",
+        ]
         metafunc.parametrize("bench", known if path is None else [Path(path)], indirect=True, ids=str)
 
 
@@ -244,5 +267,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Serv
         yield from closed_after(new_rig("mx-64").open(), MX_LIMITS)
     elif request.param.startswith("odrive"):
         yield from closed_after(odrive_rig(request.param.split()[1]).open(), ODRIVE_LIMITS)
+    elif request.param.startswith("mit"):
+        yield from closed_after(mit_rig(request.param.split()[1]).open(), MIT_LIMITS)
     else:
         yield from on_a_pty(tmp_path)

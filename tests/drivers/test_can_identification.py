@@ -21,6 +21,7 @@ from hil.store import Recording
 from sim_backend.parameters import FixtureParameters
 from sim_backend.wire import odrive_device
 from sim_backend.wire.can_motor import behind
+from sim_backend.wire.mit_tables import MODELS
 
 STAND = """
 [stand]
@@ -96,3 +97,15 @@ def test_a_chirp_through_an_odrive_gives_stiffness_and_damping_back(
     signals = recorded(rig, tmp_path / "run.h5", scale)
     lsb = odrive_device.CURRENT_LSB * odrive_device.TORQUE_CONSTANT
     check(signals, scale, lsb, 2.0 * math.pi / odrive_device.COUNTS)
+
+
+@pytest.mark.parametrize("model", ["ak80-9", "dm-j4310"])
+def test_a_chirp_through_mit_frames_gives_stiffness_and_damping_back(
+    make_mit: Callable[..., Any], tmp_path: Path, model: str
+) -> None:
+    spec = MODELS[model]
+    rig = make_mit(model, parameters=behind(spec.scale, spec.torque_constant, spec.resistance, friction=False))
+    signals = recorded(rig, tmp_path / "run.h5", spec.scale)
+    position, _, torque = spec.span
+    # cut off, not rounded: a whole count of torque; of the angle half, since its zero is taken off
+    check(signals, spec.scale, 4.0 * torque / 4095, 2.0 * position / 65535)
