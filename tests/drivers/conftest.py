@@ -18,6 +18,8 @@ from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_port import POLL, SerialPort
 from drivers.mit import MitServo
 from drivers.mit_config import MitConfig
+from drivers.moteus import MoteusServo
+from drivers.moteus_config import MoteusConfig
 from drivers.odrive import OdriveServo
 from drivers.odrive_config import OdriveConfig
 from drivers.servo import Limits, Servo
@@ -35,6 +37,7 @@ from sim_backend.wire.dynamixel_device import Device
 from sim_backend.wire.dynamixel_mx_device import MxDevice
 from sim_backend.wire.dynamixel_mx_tables import MX_MODELS
 from sim_backend.wire.mit_device import Device as MitDevice
+from sim_backend.wire.moteus_device import Device as MoteusDevice
 from sim_backend.wire.odrive_device import Device as OdriveDevice
 
 
@@ -184,6 +187,15 @@ def make_mit() -> Callable[..., CanRig]:
     return mit_rig
 
 
+def moteus_rig(**device: Any) -> CanRig:
+    return can_rig(MoteusServo, MoteusConfig(interface="loopback", channel=""), [MoteusDevice(**device)])
+
+
+@pytest.fixture
+def make_moteus() -> Callable[..., CanRig]:
+    return moteus_rig
+
+
 @pytest.fixture
 def make_odrive() -> Callable[..., CanRig]:
     return odrive_rig
@@ -250,6 +262,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
             "odrive 0.6.10",
             "mit ak80-9",
             "mit dm-j4310",
+            "moteus",
         ]
         metafunc.parametrize("bench", known if path is None else [Path(path)], indirect=True, ids=str)
 
@@ -267,6 +280,8 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Serv
         yield from closed_after(new_rig("mx-64").open(), MX_LIMITS)
     elif request.param.startswith("odrive"):
         yield from closed_after(odrive_rig(request.param.split()[1]).open(), ODRIVE_LIMITS)
+    elif request.param == "moteus":
+        yield from closed_after(moteus_rig().open(), ODRIVE_LIMITS)
     elif request.param.startswith("mit"):
         yield from closed_after(mit_rig(request.param.split()[1]).open(), MIT_LIMITS)
     else:

@@ -19,7 +19,7 @@ from hil.stand import parse
 from hil.stop import StopRequest
 from hil.store import Recording
 from sim_backend.parameters import FixtureParameters
-from sim_backend.wire import odrive_device
+from sim_backend.wire import moteus_device, odrive_device
 from sim_backend.wire.can_motor import behind
 from sim_backend.wire.mit_tables import MODELS
 
@@ -109,3 +109,12 @@ def test_a_chirp_through_mit_frames_gives_stiffness_and_damping_back(
     position, _, torque = spec.span
     # cut off, not rounded: a whole count of torque; of the angle half, since its zero is taken off
     check(signals, spec.scale, 4.0 * torque / 4095, 2.0 * position / 65535)
+
+
+def test_a_chirp_through_a_moteus_gives_stiffness_and_damping_back(
+    make_moteus: Callable[..., Any], tmp_path: Path
+) -> None:
+    scale = moteus_device.SCALE
+    rig = make_moteus(parameters=behind(scale, moteus_device.TORQUE_CONSTANT, 0.1, friction=False))
+    signals = recorded(rig, tmp_path / "run.h5", scale)
+    check(signals, scale, moteus_device.TORQUE_LSB, 2.0 * math.pi / moteus_device.COUNTS)
