@@ -20,8 +20,8 @@ from drivers.servo import BadReply, DriverError, LinkLost, NoReply
 if TYPE_CHECKING:
     from drivers.servo import Clock
 
-WRITE_TIMEOUT = 0.02
-"""s that the interface may take to accept a frame."""
+WRITE_TIMEOUT = 0.1
+"""s that the interface may take to accept a frame; without one, a stuck adapter would hold us for ever."""
 BUDGET = 2048
 """Frames looked at before a bus counts as one that never falls silent."""
 _BUS_OFF = 0x040  # class of error frame, include/uapi/linux/can/error.h
@@ -38,8 +38,12 @@ _REMEDIES = {
     errno.EWOULDBLOCK: "another program has it open: close that first",
     errno.EAFNOSUPPORT: "this system has no SocketCAN: use interface = 'slcan' or the adapter's own",
 }
-_GONE = (can.CanError, OSError, serial.SerialException)
-_GARBLED = (ValueError, IndexError, TypeError, KeyError)
+_GONE: tuple[type[Exception], ...] = (can.CanError, OSError, serial.SerialException)
+with contextlib.suppress(ImportError):  # POSIX only; pyserial lets it through
+    import termios
+
+    _GONE += (termios.error,)
+_GARBLED: tuple[type[Exception], ...] = (ValueError, IndexError, TypeError, KeyError)
 """What slcan raises on bytes that are no frame, or wraps; UnicodeDecodeError is a ValueError."""
 
 
@@ -108,7 +112,7 @@ def open_interface(config: BusConfig) -> can.BusABC:
             f"CAN interface {config.interface!r} cannot be used here: install what it needs, or correct its name "
             f"({error})"
         ) from None
-    except (*_GONE, ValueError, TypeError) as error:
+    except (*_GONE, *_GARBLED) as error:
         raise DriverError(f"{config.name}: {_remedy(error)} ({error})") from None
     port = getattr(bus, "serialPortOrig", None)
     if port is not None:
@@ -150,6 +154,8 @@ class CanLink:
         self.error_frames = 0
         self._clock = clock
         self._bus = bus or open_interface(config)
+        self._port = getattr(self._bus, "serialPortOrig", None)
+        """The serial port of slcan, None for every other interface."""
         self._closed = False
 
     def send(self, message: can.Message) -> None:
@@ -159,8 +165,7 @@ class CanLink:
         try:
             self._bus.send(message, timeout=WRITE_TIMEOUT)
         except _GONE as error:
-            number = getattr(error, "error_code", None) or getattr(error, "errno", None)
-            if number == errno.ENOBUFS:
+            if _is_full(error):
                 raise NoReply(
                     f"{self.name} has no room for another frame: nobody on the bus acknowledges; check the drive's "
                     "power, the wiring and its termination, and the bit rate"
@@ -208,12 +213,13 @@ class CanLink:
         self._closed = True
         with contextlib.suppress(*_GONE, *_GARBLED):
             self._bus.shutdown()
-        port = getattr(self._bus, "serialPortOrig", None)
-        if port is not None:  # slcan keeps its port open where the goodbye could not be written
+        if self._port is not None:  # slcan keeps its port open where the goodbye could not be written
             with contextlib.suppress(*_GONE):
-                port.close()
+                self._port.close()
 
     def _next(self, timeout: float) -> can.Message | None:
+        if timeout <= 0.0 and self._port is not None and not self._unread():
+            return None  # python-can would wait for a byte, 1 ms long
         try:
             # the interface's own wait: `recv` around it goes by the wall clock
             message, _ = self._bus._recv_internal(timeout)
@@ -229,11 +235,10 @@ class CanLink:
 
     def _unread(self) -> bool:
         """Whether a serial adapter holds more; it also sends lines that are no frames."""
-        port = getattr(self._bus, "serialPortOrig", None)
-        if port is None:
+        if self._port is None:
             return False
         try:
-            return bool(port.in_waiting)
+            return bool(self._port.in_waiting)
         except _GONE as error:
             raise self._lost(error) from None
 
@@ -250,6 +255,13 @@ class CanLink:
             f"{self.name} is gone ({error}): {_after(error)}whether the motor is live is not known; "
             "cut the power before touching it"
         )
+
+
+def _is_full(error: Exception) -> bool:
+    """Whether a frame was not taken for want of room, by SocketCAN's queue or by a serial adapter."""
+    if getattr(error, "error_code", None) == errno.ENOBUFS or getattr(error, "errno", None) == errno.ENOBUFS:
+        return True
+    return "buffer full" in str(error) or isinstance(error.__cause__, serial.SerialTimeoutException)
 
 
 def _after(error: BaseException) -> str:

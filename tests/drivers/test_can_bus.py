@@ -8,16 +8,17 @@ from typing import Any
 
 import can
 import pytest
-from drivers.odrive import OdriveServo
-from drivers.odrive_config import OdriveConfig
-from sim_backend.wire.odrive import serve
+import serial
 
 from drivers.can_bus import BusConfig, CanLink, frame, open_interface
+from drivers.odrive import OdriveServo
+from drivers.odrive_config import OdriveConfig
 from drivers.servo import BadReply, Command, DriverError, LinkLost, NoReply
 from sim_backend.servo import VirtualClock
 from sim_backend.wire.can_bus import Bus
 from sim_backend.wire.can_frames import CanFrame, duration
 from sim_backend.wire.can_loopback import Loopback
+from sim_backend.wire.odrive import serve
 
 
 class Scripted(can.BusABC):
@@ -120,9 +121,12 @@ def test_a_bus_that_never_falls_silent_does_not_hold_us() -> None:
 
 
 def test_a_bus_that_takes_no_frame_is_no_reply_and_one_that_is_gone_is_a_lost_link() -> None:
-    link, _ = scripted(can.CanOperationError("full", errno.ENOBUFS))
-    with pytest.raises(NoReply, match="nobody on the bus acknowledges"):
-        link.send(frame(1))
+    late = can.CanOperationError("Could not write to serial device")
+    late.__cause__ = serial.SerialTimeoutException("Write timeout")
+    for error in (can.CanOperationError("no", errno.ENOBUFS), can.CanOperationError("Transmit buffer full"), late):
+        link, _ = scripted(error)
+        with pytest.raises(NoReply, match="nobody on the bus acknowledges"):
+            link.send(frame(1))
     link, _ = scripted(can.CanOperationError("down", errno.ENETDOWN))
     with pytest.raises(LinkLost, match="ip link"):
         link.send(frame(1))

@@ -1,0 +1,49 @@
+"""A program that dies in the middle, on a serial CAN adapter: what the drive does when nobody is left to tell it."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sim_backend.wire import mit_device, moteus_device
+from sim_backend.wire.can_bus import Bus
+from sim_backend.wire.slcan import SlcanLine
+
+CRASHES = """
+import os, signal, sys
+from drivers.servo import Command, Limits, Quantity
+if sys.argv[1] == "moteus":
+    from drivers.moteus import MoteusServo as Servo
+    from drivers.moteus_config import MoteusConfig
+    config = MoteusConfig("slcan", sys.argv[2], reply_timeout=0.3, watchdog=1.0)
+else:
+    from drivers.mit import MitServo as Servo
+    from drivers.mit_config import MitConfig
+    config = MitConfig("slcan", sys.argv[2], "dm-j4310", reply_timeout=0.3, watchdog=1.0)
+servo = Servo(config)
+servo.arm(Limits(torque=0.4, velocity=60.0, temperature=75.0, position=(-3.0, 3.0)))
+servo.exchange(Command(Quantity.TORQUE, 0.2))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("kind", ["moteus", "mit"])
+def test_a_killed_program_leaves_no_torque_once_the_watchdog_has_run_out(tmp_path: Path, kind: str) -> None:
+    bus = Bus([])
+    with SlcanLine(tmp_path / "ttyCAN", bus) as line:
+        now = line.now()
+        device: moteus_device.Device | mit_device.Device
+        device = moteus_device.Device(now=now) if kind == "moteus" else mit_device.Device("dm-j4310", now=now)
+        bus.nodes.append(device)
+        root = Path(__file__).parents[2]
+        command = [sys.executable, "-c", CRASHES, kind, str(line.link)]
+        done = subprocess.run(command, cwd=root, check=False, timeout=60)
+        assert done.returncode == -signal.SIGKILL
+        with line.lock:
+            bus.advance(line.now() + 1.05)
+            assert device.motor.torque == 0.0
+            assert device.motor.demand == 0.0
