@@ -6,7 +6,7 @@ from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
 from drivers.can_bus import frame
-from drivers.can_requests import Requests
+from drivers.can_requests import LATE, Requests
 from drivers.mit_frames import (
     CLEAR,
     ENTER,
@@ -51,7 +51,7 @@ class MitMotor:
         )
         self._register: int | None = None
         self._found: dict[str, float] = {}
-        self._second_answers = 0
+        self._unasked = 0
 
     @property
     def damiao(self) -> bool:
@@ -98,7 +98,7 @@ class MitMotor:
             except (NoReply, BadReply) as error:
                 if attempt == _TRIES - 1:
                     raise self._nobody(error) from None
-        if self._requests.await_change(_SECOND_ANSWER, lambda: self._second_answers > 0):
+        if self._requests.await_change(_SECOND_ANSWER, lambda: self._unasked > 0):
             raise BadReply(self._garbled("it answers twice"))
         if not self.damiao:
             return ""
@@ -175,6 +175,14 @@ class MitMotor:
         raise BadReply(f"register {number}: the reply is cut short")
 
     def _state(self, message: can.Message) -> State:
+        self._requests.listen()
+        if self._unasked:
+            self._requests.await_change(LATE, lambda: False)
+            self._unasked = 0
+            raise BadReply(
+                f"motor {self._config.id} answered what nobody asked: an old answer, so that samples before may be old "
+                "too, or a second motor with the same id; the sample is dropped"
+            )
         return self.codec.state(self._requests.ask([message], ["state"])["state"])
 
     def _kind(self, message: can.Message) -> Hashable | None:
@@ -197,7 +205,7 @@ class MitMotor:
 
     def _overhear(self, kind: Hashable, _data: bytes) -> None:
         if kind == "state":
-            self._second_answers += 1
+            self._unasked += 1
 
     def _nobody(self, error: DriverError) -> DriverError:
         if isinstance(error, BadReply) or self._link.error_frames:

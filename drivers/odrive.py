@@ -240,6 +240,7 @@ class OdriveServo:
         parameters = self._parameters
         if parameters is None:
             return
+        self._check_clipping(parameters, limits.torque, velocity)
         for name, value in (
             ("velocity_limit", velocity),
             ("current_limit", current),
@@ -251,6 +252,15 @@ class OdriveServo:
         if self._config.watchdog:
             parameters.require("watchdog_timeout", self._config.watchdog)
             parameters.require("enable_watchdog", 1.0)
+
+    def _check_clipping(self, parameters: Parameters, torque: float, velocity: float) -> None:
+        """Raise DriverError where the axis would clip the torque by its speed limit though it stands still."""
+        allowed = parameters.get("velocity_gain") * velocity
+        if parameters.get("torque_mode_velocity_limit") and torque > allowed:
+            raise DriverError(
+                f"the axis limits torque to vel_gain times vel_limit, {allowed:.3g} N m, where {torque:.3g} N m are "
+                "wanted: raise limits.velocity, or set enable_torque_mode_vel_limit to False with odrivetool"
+            )
 
     def _enable(self) -> None:
         self._live = True

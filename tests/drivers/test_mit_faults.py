@@ -204,6 +204,36 @@ def test_a_late_reply_is_never_taken_for_the_next_answer(make_mit: Make, model: 
         servo.close()
 
 
+@pytest.mark.parametrize("late", [0.03, 0.045, 0.06])
+def test_replies_later_than_anyone_waits_for_are_noticed_after_few_samples(make_mit: Make, late: float) -> None:
+    rig = make_mit()
+    servo = armed(rig, watchdog=1.0)
+    made = numbered(rig)
+    rig.bus.inject(DelayReplies(seconds=late, count=5))
+    old, said = 0, ""
+    for _ in range(40):
+        rig.wait(2e-3)
+        try:
+            sample = servo.exchange(PUSH)
+            old += when_made(made, servo, sample.motor_position) < sample.t
+        except (NoReply, BadReply) as error:
+            said += str(error)
+    assert old <= 3
+    assert "an old answer" in said
+    servo.exchange(PUSH)
+
+
+def test_a_second_motor_that_comes_onto_the_bus_in_the_run_is_noticed(make_mit: Make) -> None:
+    rig = make_mit()
+    servo = armed(rig)
+    rig.bus.inject(DuplicateReplies(count=50))
+    rig.wait(2e-3)
+    servo.exchange(PUSH)
+    rig.wait(2e-3)
+    with pytest.raises(BadReply, match="a second motor with the same id"):
+        servo.exchange(PUSH)
+
+
 def test_whatever_happens_to_the_replies_no_sample_is_old_and_torque_off_works(make_mit: Make) -> None:
     rng = np.random.default_rng(3)
     kinds = (DelayReplies, DropReplies, TruncateReplies, DropRequests)

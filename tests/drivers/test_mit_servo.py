@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -221,3 +222,12 @@ def test_serving_names_what_is_not_known() -> None:
     with pytest.raises(KeyError):
         serve("nowhere", "ak1", interface="virtual")
     assert Bus([Device("ak80-9")]).due() == math.inf
+
+
+def test_the_page_on_it_shows_the_counts_that_are_used() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "can.md").read_text(encoding="utf-8")
+    for name, model in models().items():
+        codec = Codec(model.family, model.position, model.velocity, model.torque)
+        row = f"| {name} | {model.velocity:g} | {model.torque:g} | {codec.position_lsb * 1e3:.2f} mrad "
+        row += f"| {codec.velocity_lsb * 1e3:.3g} mrad/s | {codec.torque_lsb * 1e3:.3g} mN m "
+        assert row + f"| {model.torque_uncertainty:.0%} |" in page

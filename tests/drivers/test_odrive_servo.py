@@ -144,6 +144,17 @@ def test_an_endpoint_file_that_does_not_fit_is_refused(
         make_odrive().open(endpoints=str(path))
 
 
+def test_a_speed_limit_that_would_clip_the_torque_is_refused(make_odrive: Make, endpoints: str) -> None:
+    rig = make_odrive()
+    servo = rig.open(endpoints=endpoints)
+    slow = Limits(torque=0.4, velocity=10.0, temperature=80.0, position=(-3.0, 3.0))
+    with pytest.raises(DriverError, match="enable_torque_mode_vel_limit"):
+        servo.arm(slow)
+    assert rig.device.state == IDLE
+    rig.device.endpoints.put("axis0.controller.config.enable_torque_mode_vel_limit", 0.0)
+    servo.arm(slow)
+
+
 def test_a_torque_constant_that_is_not_the_drives_is_refused(make_odrive: Make, endpoints: str) -> None:
     with pytest.raises(DriverError, match=r"0\.05 N m/A in the stand file and 0\.04 in the drive"):
         make_odrive().open(endpoints=endpoints, torque_constant=0.05)
