@@ -81,6 +81,14 @@ class Requests:
                 self._overhear(kind, bytes(reply.data))
         return got
 
+    def fire(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> None:
+        """Send `frames` at once, whatever is still owed, and leave the answers for later: what stops a drive must not
+        wait. Raises NoReply where the bus takes no frame, LinkLost.
+        """
+        self._owed.update(wanted)
+        for message in frames:
+            self._link.send(message)
+
     def tell(self, frames: Iterable[can.Message]) -> None:
         """Send what has no answer. Raises NoReply where the bus takes no frame, LinkLost."""
         for message in frames:

@@ -139,13 +139,12 @@ class MitServo:
         trouble: DriverError = DriverError("it is still enabled")
         for _ in range(_TRIES):
             try:
+                self._motor.send_leave()  # first of all: a question would wait for what is still owed
                 if self._motor.leave().status != ENABLED or not self._motor.damiao:
                     self._live = False
                     return
             except DriverError as error:
                 trouble = error
-                with contextlib.suppress(DriverError):  # it may hear, though nobody can hear it
-                    self._motor.send_leave()
         kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
         raise kind(f"torque-off is not confirmed ({trouble}): cut the motor's power")
 

@@ -76,6 +76,7 @@ class MitMotor:
 
     def leave(self) -> State:
         """Torque off."""
+        self._unasked = 0
         return self._state(frame(self._config.id, LEAVE))
 
     def clear(self) -> None:
@@ -83,8 +84,8 @@ class MitMotor:
         self._state(frame(self._config.id, CLEAR))
 
     def send_leave(self) -> None:
-        """Torque off, without waiting for an answer."""
-        self._requests.tell([frame(self._config.id, LEAVE)])
+        """Torque off at once, without waiting for an answer."""
+        self._requests.fire([frame(self._config.id, LEAVE)], ["state"])
 
     def identify(self) -> str:
         """Switch it off, make sure that it is alone and what the stand file says; the firmware, where it says so.

@@ -160,13 +160,12 @@ class MoteusServo:
         trouble: DriverError = DriverError("it goes on")
         for _ in range(_TRIES):
             try:
+                self._controller.send(_STOP)  # first of all: a question would wait for what is still owed
                 self._stop()
                 self._live = False
                 return
             except DriverError as error:
                 trouble = error
-                with contextlib.suppress(DriverError):  # it may hear, though nobody can hear it
-                    self._controller.send(_STOP)
         kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
         raise kind(f"torque-off is not confirmed ({trouble}): cut the controller's power")
 

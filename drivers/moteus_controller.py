@@ -49,8 +49,8 @@ class Controller:
         return answers(self._requests.ask([self._frame(*subframes)], ["registers"])["registers"])
 
     def send(self, *subframes: bytes) -> None:
-        """Send subframes, whether or not they can be answered."""
-        self._requests.tell([self._frame(*subframes)])
+        """Send subframes at once, without an answer."""
+        self._requests.tell([self._frame(*subframes, asking=False)])
 
     def identify(self) -> dict[str, float]:
         """Model, firmware, register map and serial number.

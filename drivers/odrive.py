@@ -160,11 +160,11 @@ class OdriveServo:
         trouble: DriverError = DriverError("no heartbeat says so")
         for _ in range(_TRIES):
             try:
-                self._axis.requests.listen()
-                beats = self._axis.beats
                 self._axis.requests.tell(
                     [self._axis.codec.put("set_torque", 0.0), self._axis.codec.put("set_state", IDLE)]
                 )
+                self._axis.requests.listen()
+                beats = self._axis.beats
                 if self._axis.requests.await_change(_STATE_CHANGE, partial(self._idle_since, beats)):
                     self._live = False
                     return
