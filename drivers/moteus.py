@@ -92,6 +92,8 @@ class MoteusServo:
             self.disarm()
         except BaseException:
             self._closed = True
+            with contextlib.suppress(DriverError):  # whatever it is, it must not go on for another program
+                self._controller.send(_STOP)
             self._link.close()
             raise
         firmware = int(found["firmware"])

@@ -75,6 +75,8 @@ class OdriveServo:
             self.disarm()
         except BaseException:
             self._closed = True
+            with contextlib.suppress(DriverError):  # whatever it is, it must not go on for another program
+                self._axis.requests.tell([self._axis.codec.put("set_state", IDLE)])
             self._link.close()
             raise
         self._info = ServoInfo(

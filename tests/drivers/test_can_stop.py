@@ -10,7 +10,7 @@ import can
 import pytest
 
 from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity
-from sim_backend.wire.can_faults import DropReplies
+from sim_backend.wire.can_faults import DropReplies, DuplicateReplies
 
 LIMITS = Limits(torque=0.4, velocity=60.0, temperature=85.0, position=(-3.0, 3.0))
 PUSH = Command(Quantity.TORQUE, 0.2)
@@ -58,4 +58,20 @@ def test_torque_off_goes_out_though_the_bus_never_falls_silent(pushing: tuple[An
     rig.wire._recv_internal = lambda _: (stranger, False)
     with pytest.raises(DriverError, match="cut the"):
         servo.disarm()
+    assert not rig.device.motor.enabled
+
+
+@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus"])
+def test_a_drive_that_is_refused_when_it_is_opened_is_left_without_torque(
+    request: pytest.FixtureRequest, kind: str
+) -> None:
+    make: Callable[..., Any] = request.getfixturevalue(f"make_{kind}")
+    rig = make()
+    before = rig.open()
+    before.arm(LIMITS)
+    before.exchange(PUSH)
+    assert rig.device.motor.enabled
+    rig.bus.inject(DuplicateReplies())
+    with pytest.raises(BadReply, match="answers twice"):
+        rig.open()
     assert not rig.device.motor.enabled
