@@ -32,7 +32,8 @@ Classify = Callable[["can.Message"], Hashable | None]
 class Requests:
     """The conversation with one drive called `name`. timeout: s that a reply may take.
 
-    overhear: given every frame of the drive's that nobody waits for: heartbeats and the like.
+    overhear: given every frame of the drive's that nobody waits for: heartbeats and the like. only_asked: the kinds
+    that it sends only when asked; unasked: how many of each came all the same, old answers or a second drive's.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class Requests:
         timeout: float,
         classify: Classify,
         overhear: Callable[[Hashable, bytes], None],
+        only_asked: frozenset[Hashable],
     ) -> None:
         self._link = link
         self._clock = clock
@@ -52,6 +54,8 @@ class Requests:
         self._classify = classify
         self._overhear = overhear
         self._owed: Counter[Hashable] = Counter()
+        self.only_asked = only_asked
+        self.unasked: Counter[Hashable] = Counter()
 
     def ask(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> dict[Hashable, bytes]:
         """Send `frames` and return the data of one reply of each wanted kind.
@@ -78,8 +82,19 @@ class Requests:
             elif kind in got:
                 got[kind] = bytes(reply.data)
             elif kind is not None:
-                self._overhear(kind, bytes(reply.data))
+                self._hear(kind, bytes(reply.data))
         return got
+
+    def refuse_unasked(self) -> None:
+        """Raise BadReply where an answer came that nobody asked for, once no more has come for `LATE`."""
+        self.listen()
+        if self.unasked:
+            self.await_change(LATE, lambda: False)
+            self.unasked.clear()
+            raise BadReply(
+                f"{self._name} answered what nobody asked: an old answer, so that samples before may be old too, or a "
+                "second drive with the same id; the sample is dropped"
+            )
 
     def fire(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> None:
         """Send `frames` at once, whatever is still owed, and leave the answers for later: what stops a drive must not
@@ -123,7 +138,13 @@ class Requests:
         if kind in self._owed:
             self._credit(kind)
         elif kind is not None:
-            self._overhear(kind, bytes(message.data))
+            self._hear(kind, bytes(message.data))
+
+    def _hear(self, kind: Hashable, data: bytes) -> None:
+        if kind in self.only_asked:
+            self.unasked[kind] += 1
+        else:
+            self._overhear(kind, data)
 
     def _credit(self, kind: Hashable) -> None:
         self._owed[kind] -= 1

@@ -6,7 +6,7 @@ from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
 from drivers.can_bus import frame
-from drivers.can_requests import LATE, Requests
+from drivers.can_requests import Requests
 from drivers.mit_frames import (
     CLEAR,
     ENTER,
@@ -47,11 +47,11 @@ class MitMotor:
             name=f"motor {config.id}",
             timeout=config.reply_timeout,
             classify=self._kind,
-            overhear=self._overhear,
+            overhear=lambda _kind, _data: None,
+            only_asked=frozenset({"state"}),
         )
         self._register: int | None = None
         self._found: dict[str, float] = {}
-        self._unasked = 0
 
     @property
     def damiao(self) -> bool:
@@ -76,7 +76,7 @@ class MitMotor:
 
     def leave(self) -> State:
         """Torque off."""
-        self._unasked = 0
+        self._requests.unasked.clear()
         return self._state(frame(self._config.id, LEAVE))
 
     def clear(self) -> None:
@@ -99,7 +99,7 @@ class MitMotor:
             except (NoReply, BadReply) as error:
                 if attempt == _TRIES - 1:
                     raise self._nobody(error) from None
-        if self._requests.await_change(_SECOND_ANSWER, lambda: self._unasked > 0):
+        if self._requests.await_change(_SECOND_ANSWER, lambda: bool(self._requests.unasked)):
             raise BadReply(self._garbled("it answers twice"))
         if not self.damiao:
             return ""
@@ -176,14 +176,7 @@ class MitMotor:
         raise BadReply(f"register {number}: the reply is cut short")
 
     def _state(self, message: can.Message) -> State:
-        self._requests.listen()
-        if self._unasked:
-            self._requests.await_change(LATE, lambda: False)
-            self._unasked = 0
-            raise BadReply(
-                f"motor {self._config.id} answered what nobody asked: an old answer, so that samples before may be old "
-                "too, or a second motor with the same id; the sample is dropped"
-            )
+        self._requests.refuse_unasked()
         return self.codec.state(self._requests.ask([message], ["state"])["state"])
 
     def _kind(self, message: can.Message) -> Hashable | None:
@@ -203,10 +196,6 @@ class MitMotor:
         ):
             return "register"
         return "state" if data[0] & 0xF == ident & 0xF else None
-
-    def _overhear(self, kind: Hashable, _data: bytes) -> None:
-        if kind == "state":
-            self._unasked += 1
 
     def _nobody(self, error: DriverError) -> DriverError:
         if isinstance(error, BadReply) or self._link.error_frames:

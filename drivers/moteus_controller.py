@@ -39,10 +39,10 @@ class Controller:
             name=f"moteus {config.id}",
             timeout=config.reply_timeout,
             classify=self._kind,
-            overhear=self._overhear,
+            overhear=lambda _kind, _data: None,
+            only_asked=frozenset({"registers"}),
         )
         self._found: dict[str, float] = {}
-        self._second_answers = 0
 
     def exchange(self, *subframes: bytes) -> dict[str, float]:
         """Send subframes and return the registers in the answer. Raises DriverError for one that is refused."""
@@ -65,7 +65,7 @@ class Controller:
             except (NoReply, BadReply) as error:
                 if attempt == _TRIES - 1:
                     raise self._nobody(error) from None
-        if self._requests.await_change(_SECOND_ANSWER, lambda: self._second_answers > 0):
+        if self._requests.await_change(_SECOND_ANSWER, lambda: bool(self._requests.unasked)):
             raise BadReply(self._garbled("it answers twice"))
         return found
 
@@ -152,10 +152,6 @@ class Controller:
         if message.is_remote_frame or message.arbitration_id & 0xFFFF != expected:
             return None
         return "console" if is_console(bytes(message.data)) else "registers"
-
-    def _overhear(self, kind: Hashable, _data: bytes) -> None:
-        if kind == "registers":
-            self._second_answers += 1
 
     def _nobody(self, error: DriverError) -> DriverError:
         if isinstance(error, BadReply) or self._link.error_frames:

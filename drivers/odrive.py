@@ -128,6 +128,7 @@ class OdriveServo:
         torque = "torques" if self._axis.codec.knows("torques") else "iq"
         frames = [] if value is None else [self._axis.codec.put("set_torque", value)]
         frames += [self._axis.codec.request("encoder"), self._axis.codec.request(torque), *self._slow_request()]
+        self._axis.requests.refuse_unasked()
         sent = self._clock.now()
         try:
             replies = self._axis.requests.ask(frames, ["encoder", torque])

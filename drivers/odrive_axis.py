@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 HEARTBEAT = 0.6
 """s without a heartbeat after which there is none; the drive's default period is 0.1 s."""
 _TRIES = 3
+_CYCLE = 0.12
+"""s in which a cyclic message of torque or current would have come."""
 _SECOND_ANSWER = 0.004
 """s in which a second drive with the same id would have answered."""
 
@@ -42,10 +44,10 @@ class Axis:
             timeout=config.reply_timeout,
             classify=self._kind,
             overhear=self._overhear,
+            only_asked=frozenset({"version", "torques", "iq"}),
         )
         self.state = self.errors = self.beats = 0
         self.temperature = self.voltage = math.nan
-        self._second_answers = 0
 
     def identify(self) -> str:
         """Its firmware, whose layout is spoken from then on.
@@ -68,6 +70,11 @@ class Axis:
                     raise NoReply(self._nobody()) from None
         if self._link.error_frames:
             raise BadReply(self._garbled(f"{self._link.error_frames} error frames on the bus"))
+        if self.requests.await_change(_CYCLE, lambda: bool(self.requests.unasked)):
+            if version is None:
+                raise BadReply(self._garbled("it answers twice"))
+            self.requests.only_asked = frozenset()  # cyclic messages of torque or current are switched on
+            self.requests.unasked.clear()
         return "0.5" if version is None else _dotted(version)
 
     def hear_a_beat(self) -> None:
@@ -85,7 +92,7 @@ class Axis:
             except NoReply:
                 continue
             version: tuple[int, ...] = self.codec.decoded("version", data)[4:7]
-            if self.requests.await_change(_SECOND_ANSWER, lambda: self._second_answers > 0):
+            if self.requests.await_change(_SECOND_ANSWER, lambda: "version" in self.requests.unasked):
                 raise BadReply(self._garbled("it answers twice"))
             return version
         return None
@@ -108,8 +115,6 @@ class Axis:
                 self.voltage, _ = self.codec.decoded("bus", data)
             elif kind == "error":
                 self.errors, _ = self.codec.decoded("error", data)
-            elif kind == "version":
-                self._second_answers += 1
 
     def _nobody(self) -> str:
         if self._link.error_frames:

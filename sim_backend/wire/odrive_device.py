@@ -73,6 +73,7 @@ class Device:
         self._fed = now
         self._heartbeat = now + 0.01 * (1 + self.ident % 7)
         self._estimates = now + 0.013
+        self._torques = now + 0.017
         self._torque = self._velocity = 0.0
         self._position = self._offset = 0.0
         self._result = 0
@@ -81,21 +82,27 @@ class Device:
 
     def due(self) -> float:
         """When the next cyclic message goes out."""
-        return min(self._heartbeat, self._estimates)
+        return min(self._heartbeat, self._estimates, self._torques)
 
     def speak(self, now: float) -> list[CanFrame]:
         """The cyclic messages that are due."""
         self.advance(now)
         out = []
         if self._heartbeat <= now:
-            period = self.endpoints.get("axis0.config.can.heartbeat_msg_rate_ms") * 1e-3
-            self._heartbeat = self._heartbeat + period if period else math.inf
+            self._heartbeat += self._period("heartbeat")
             out.append(self._frame(0x01, self._heartbeat_data()))
         if self._estimates <= now:
-            period = self.endpoints.get("axis0.config.can.encoder_msg_rate_ms") * 1e-3
-            self._estimates = self._estimates + period if period else math.inf
+            self._estimates += self._period("encoder")
             out.append(self._frame(0x09, self._encoder_data()))
+        if self._torques <= now:
+            self._torques += self._period("torques")
+            out += [self._frame(0x1C, self._torques_data())] if math.isfinite(self._torques) else []
         return out if now >= self._ready else []
+
+    def _period(self, kind: str) -> float:
+        """s between two cyclic messages of a kind; infinite where they are switched off."""
+        milliseconds = self.endpoints.get(f"axis0.config.can.{kind}_msg_rate_ms")
+        return milliseconds * 1e-3 if milliseconds else math.inf
 
     def advance(self, now: float) -> None:
         """Carry the motor to `now` and look for faults."""
@@ -123,7 +130,7 @@ class Device:
         self._start(now)
         self._offset = self.motor.position
         self._ready = now + BOOT
-        self._heartbeat = self._estimates = self._ready
+        self._heartbeat = self._estimates = self._torques = self._ready
 
     def fail(self, bits: int) -> None:
         """Latch errors; the axis disarms."""

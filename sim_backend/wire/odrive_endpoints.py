@@ -25,6 +25,7 @@ _PARAMETERS: tuple[tuple[str, str, float, bool], ...] = (
     ("axis0.config.can.node_id", "uint32", 0, True),
     ("axis0.config.can.heartbeat_msg_rate_ms", "uint32", 100, True),
     ("axis0.config.can.encoder_msg_rate_ms", "uint32", 10, True),
+    ("axis0.config.can.torques_msg_rate_ms", "uint32", 0, True),
     ("axis0.controller.config.control_mode", "uint8", 3, True),
     ("axis0.controller.config.input_mode", "uint8", 1, True),
     ("axis0.controller.config.vel_limit", "float", 10.0, True),

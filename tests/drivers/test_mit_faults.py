@@ -230,7 +230,7 @@ def test_a_second_motor_that_comes_onto_the_bus_in_the_run_is_noticed(make_mit: 
     rig.wait(2e-3)
     servo.exchange(PUSH)
     rig.wait(2e-3)
-    with pytest.raises(BadReply, match="a second motor with the same id"):
+    with pytest.raises(BadReply, match="a second drive with the same id"):
         servo.exchange(PUSH)
 
 

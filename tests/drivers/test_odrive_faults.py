@@ -196,6 +196,45 @@ def test_a_late_reply_is_never_taken_for_the_next_answer(make_odrive: Make) -> N
         servo.close()
 
 
+@pytest.mark.parametrize("late", [0.03, 0.045, 0.06])
+def test_replies_later_than_anyone_waits_for_are_noticed_after_few_samples(make_odrive: Make, late: float) -> None:
+    rig = make_odrive()
+    servo = armed(rig)
+    made = numbered(rig.device, rig)
+    rig.bus.inject(DelayReplies(seconds=late, count=10))
+    old, said = 0, ""
+    for _ in range(40):
+        rig.wait(2e-3)
+        try:
+            sample = servo.exchange(PUSH)
+            old += made[round(sample.motor_position / (2.0 * np.pi))] < sample.t - 1e-3
+        except (NoReply, BadReply) as error:
+            said += str(error)
+    assert old <= 3
+    assert "an old answer" in said
+    servo.disarm()
+
+
+def test_a_second_axis_that_comes_onto_the_bus_in_the_run_is_noticed(make_odrive: Make) -> None:
+    rig = make_odrive()
+    servo = armed(rig)
+    rig.bus.inject(DuplicateReplies(count=50))
+    rig.wait(2e-3)
+    servo.exchange(PUSH)
+    rig.wait(2e-3)
+    with pytest.raises(BadReply, match="a second drive with the same id"):
+        servo.exchange(PUSH)
+
+
+def test_cyclic_messages_of_torque_are_no_offence(make_odrive: Make) -> None:
+    rig = make_odrive()
+    rig.device.endpoints.put("axis0.config.can.torques_msg_rate_ms", 10.0)
+    servo = armed(rig)
+    for _ in range(50):
+        rig.wait(2e-3)
+        assert servo.exchange(PUSH).motor_torque > 0.0
+
+
 def test_whatever_happens_to_the_replies_no_sample_is_old_and_idle_works(make_odrive: Make) -> None:
     rng = np.random.default_rng(3)
     kinds = (DelayReplies, DropReplies, DuplicateReplies, TruncateReplies, DropRequests)
