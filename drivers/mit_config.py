@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le
 
 from drivers.can_bus import BusConfig
 from drivers.mit_frames import models
 
+if TYPE_CHECKING:
+    ModelName = str
+else:
+    ModelName = Literal[tuple(sorted(models()))]  # so that whoever checks the table can name them all
+
 
 @dataclass(frozen=True, slots=True)
 class MitConfig:
     """The [mit] table of stand.toml. Raises ValueError for a model that is not known, or where values do not fit.
 
-    interface, channel: the bus, as python-can names it. bitrate: bit/s. model: a name in tables/mit.toml. id: the
-    motor's. reply_id: the identifier of its replies (a Damiao's master id); None: 0 for a Damiao, its id or 0 for an
-    AK. position_range rad, velocity_range rad/s, torque_range N m: where the motor's own differ from the table.
-    torque_scale: true torque over reported torque. temperature_offset K: taken off an AK's reading. sign: 1 where the
+    interface: the bus, as python-can calls its kind. channel: the bus, as python-can names it. bitrate: bit/s. model: a
+    name in tables/mit.toml. id: the motor's. reply_id: the identifier of its replies (a Damiao's master id); None: 0
+    for a Damiao, its id or 0 for an AK. position_range: rad that fill the counts, where it is not the table's.
+    velocity_range: rad/s that fill the counts, likewise. torque_range: N m that fill the counts, likewise.
+    torque_scale: true torque over reported torque. temperature_offset: K taken off an AK's reading. sign: 1 where the
     motor's positive is the stand's, else -1. watchdog: s without a frame after which a Damiao stops by itself; 0:
     never; an AK's is set with the vendor's tool. reply_timeout: s that a reply may take.
     """
@@ -27,7 +33,7 @@ class MitConfig:
 
     interface: str
     channel: str
-    model: str
+    model: ModelName
     id: Annotated[int, Ge(1), Le(127)] = 1
     reply_id: Annotated[int, Ge(0), Le(0x7FE)] | None = None
     bitrate: Literal[125000, 250000, 500000, 1000000] = 1_000_000

@@ -102,7 +102,7 @@ class MoteusServo:
             model=f"moteus, model number {int(found['model'])}",
             serial="".join(f"{int(found[f'serial_{part}']) & 0xFFFFFFFF:08x}" for part in ("high", "middle", "low")),
             firmware=f"{firmware >> 16 & 0xFF}.{firmware >> 8 & 0xFF}.{firmware & 0xFF}",
-            quantities=frozenset({Quantity.TORQUE if config.mode == "torque" else Quantity.POSITION}),
+            quantities=frozenset({config.quantity}),
         )
 
     @property
@@ -210,7 +210,7 @@ class MoteusServo:
     def _start(self, limits: Limits) -> None:
         """Command no torque, or the position it has, until it runs."""
         self._live = True
-        torque = self._config.mode == "torque"
+        torque = self._config.quantity is Quantity.TORQUE
         command = self._torque(0.0, limits) if torque else self._position(self._held, limits)
         for _ in range(_PREPARATION):
             state = self._controller.exchange(*command, _STATE)
@@ -252,7 +252,7 @@ class MoteusServo:
             if at_rest:
                 return self._position(self._held, limits), False
             raise UnsafeCommand(
-                f"a {command.quantity} set-point in mode {self._config.mode!r}: set moteus.mode otherwise"
+                f"a {command.quantity} set-point in mode {self._config.quantity.value!r}: set moteus.mode otherwise"
             )
         bounded = limits.bound(command)
         value = self._config.sign * bounded.value

@@ -14,11 +14,11 @@ from drivers.can_bus import BusConfig
 class OdriveConfig:
     """The [odrive] table of stand.toml. Raises ValueError where watchdog and reply_timeout do not fit each other.
 
-    interface, channel: the bus, as python-can names it. bitrate: bit/s. id: the axis' node id. torque_constant: N m/A,
-    8.27 over the motor's KV (in rev/min/V). sign: 1 where the axis' positive is the stand's, else -1. endpoints: the
-    flat_endpoints.json of the firmware in the drive (0.6 only); with it watchdog and limits are written and read back.
-    watchdog: s without a set-point after which the axis stops by itself; needs `endpoints`; 0: as the drive has it.
-    reply_timeout: s that the replies of a tick may take.
+    interface: the bus, as python-can calls its kind. channel: the bus, as python-can names it. bitrate: bit/s. id: the
+    axis' node id. torque_constant: N m/A, 8.27 over the motor's KV (in rev/min/V). sign: 1 where the axis' positive is
+    the stand's, else -1. endpoints: the flat_endpoints.json of the firmware in the drive (0.6 only); with it watchdog
+    and limits are written and read back. watchdog: s without a set-point after which the axis stops by itself; needs
+    `endpoints`; 0: as the drive has it. reply_timeout: s that the replies of a tick may take.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}

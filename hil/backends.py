@@ -59,6 +59,9 @@ BACKENDS: Mapping[str, Device] = MappingProxyType(
             "drivers.dynamixel:DynamixelServo",
             "drivers.dynamixel_scan:search",
         ),
+        "odrive": Device("ODrive (CANSimple)", "drivers.odrive_config:OdriveConfig", "drivers.odrive:OdriveServo"),
+        "mit": Device("CubeMars AK, Damiao: MIT frames on CAN", "drivers.mit_config:MitConfig", "drivers.mit:MitServo"),
+        "moteus": Device("moteus on CAN FD", "drivers.moteus_config:MoteusConfig", "drivers.moteus:MoteusServo"),
         "replay": Device("a recording played back: nothing turns", "hil.replay:ReplayConfig", "hil.replay:ReplayServo"),
     }
 )

@@ -55,9 +55,14 @@ class Emulator:
         return made
 
 
+_CAN_TIMING = "sim_backend.wire.can_bus:Timing"
+
 EMULATORS: Mapping[str, Emulator] = MappingProxyType(
     {
         "dynamixel": Emulator("DYNAMIXEL servos on a pty: --link", "sim_backend.wire.dynamixel:emulate"),
+        "odrive": Emulator("ODrive axes on CAN: --link, or --bus", "sim_backend.wire.odrive:serve", _CAN_TIMING),
+        "mit": Emulator("CubeMars AK, Damiao on CAN: --link, or --bus", "sim_backend.wire.mit:serve", _CAN_TIMING),
+        "moteus": Emulator("moteus on CAN FD: --link, or --bus", "sim_backend.wire.moteus:serve", _CAN_TIMING),
     }
 )
 

@@ -34,9 +34,11 @@ def serve(
     interface: "slcan" makes `channel` a symlink to a pty that speaks slcan; any other is python-can's, with its
     channel. `with serve(...)` answers from a thread; `serve(...).serve()` from this one, until an exception or
     `stop()`. parameters: the plant; None: the paper's joint, scaled to the motor. timing: None answers at once.
-    Raises KeyError for a model that is not KNOWN, FileExistsError where `channel` is a file, can.CanError where the
+    Raises ValueError for a model that is not KNOWN, FileExistsError where `channel` is a file, can.CanError where the
     interface cannot be opened.
     """
+    if model not in KNOWN:
+        raise ValueError(f"no emulated motor is called {model!r}; there are {', '.join(KNOWN)}")
     now = time.monotonic()
     nodes = [Device(model, ident, parameters=parameters, now=now) for ident in idents]
     return served(Bus(nodes, timing=timing), interface, channel)

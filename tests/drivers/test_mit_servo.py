@@ -45,8 +45,10 @@ def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at
         with pytest.raises(ValidationError) as caught:
             table.validate_python(good | change)
         assert [error["loc"][0] for error in caught.value.errors()] == [key]
-    with pytest.raises(ValidationError, match=r"mit\.model 'ak1' is not known"):
+    with pytest.raises(ValidationError, match="Input should be 'ak10-9'"):
         table.validate_python(good | {"model": "ak1"})
+    with pytest.raises(ValueError, match=r"mit\.model 'ak1' is not known"):
+        MitConfig(interface="socketcan", channel="can0", model="ak1")
 
 
 def test_both_sides_know_the_same_motors() -> None:
@@ -219,7 +221,7 @@ def test_an_emulated_damiao_has_every_register_and_its_other_modes() -> None:
 
 
 def test_serving_names_what_is_not_known() -> None:
-    with pytest.raises(KeyError):
+    with pytest.raises(ValueError, match="there are ak10-9"):
         serve("nowhere", "ak1", interface="virtual")
     assert Bus([Device("ak80-9")]).due() == math.inf
 

@@ -79,6 +79,36 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
     assert kc == pytest.approx(17.75e-3, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("name", "scale", "table"),
+    [
+        ("odrive", 20.0, "torque_constant = 0.04\nbitrate = 1000000"),
+        ("mit", 100.0, 'model = "dm-j4310"'),
+        ("moteus", 20.0, ""),
+    ],
+)
+def test_a_drive_on_can_is_recorded_over_a_serial_adapter(tmp_path: Path, name: str, scale: float, table: str) -> None:
+    """The joint behind each is the paper's with every torque `scale` times as large."""
+    link, stand, recording = tmp_path / "ttyCAN", tmp_path / "stand.toml", tmp_path / "run.h5"
+    stand.write_text(
+        f'[stand]\nbackend = "{name}"\nmotor_inertia = {3.2e-6 * scale}\nmotor_damping = {1.6e-6 * scale}\n'
+        f"[limits]\ntorque = {0.03 * scale}\ndeflection = 1.5\nvelocity = 25.0\ntemperature = 75.0\n"
+        f'[{name}]\ninterface = "slcan"\nchannel = "{link}"\nreply_timeout = 0.3\nwatchdog = 1.0\n{table}\n'
+    )
+    words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--soft", "0.5", "--rate", "50"]
+    with emulated(name, "--link", str(link)) as process:
+        assert (
+            run(["record", "--stand", str(stand), *words, "--amplitude", f"{0.01 * scale}", "-o", str(recording)]) == 0
+        )
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20.0) == 0
+    with Recording(recording) as made:
+        signals = prepare(made, load(stand).stand)
+    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    kc = float(np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0][0])
+    assert kc == pytest.approx(17.75e-3 * scale, rel=0.1)
+
+
 def test_a_kill_ends_an_emulator_cleanly(tmp_path: Path) -> None:
     link = tmp_path / "ttyDXL"
     with emulated("dynamixel", "--link", str(link), "--model", "mx-64") as process:

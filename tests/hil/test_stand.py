@@ -11,6 +11,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from drivers.dynamixel_config import DynamixelConfig, Mode
+from drivers.moteus_config import MoteusConfig
 from drivers.servo import Quantity
 from hil.backends import BACKENDS, SENSORS, Device, check_backend
 from hil.errors import WrongUse
@@ -173,6 +174,16 @@ def test_the_quantity_chooses_the_mode_of_a_dynamixel(
     model: str, mode: Mode | None, quantity: Quantity, expected: str
 ) -> None:
     assert DynamixelConfig(port="p", model=model, mode=mode).for_quantity(quantity).mode == expected
+
+
+def test_the_quantity_chooses_the_mode_of_a_moteus_that_leaves_it_open() -> None:
+    table = MoteusConfig(interface="socketcan", channel="can0")
+    for quantity in Quantity:
+        chosen = table.for_quantity(quantity)
+        assert (chosen.mode, chosen.quantity) == (quantity.value, quantity)
+        assert chosen.for_quantity(quantity) == chosen
+    with pytest.raises(ValueError, match="takes no position"):
+        table.for_quantity(Quantity.TORQUE).for_quantity(Quantity.POSITION)
 
 
 @pytest.mark.parametrize(
