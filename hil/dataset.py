@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.errors import Untrustworthy
 from hil.findings import Finding
 from hil.model_choice import Choice, Coupling
+from hil.quality import assess
 from hil.signals import Signals, glimpse, joined, prepare, stream
 from hil.spool import Progress, Spool
 from hil.stand import StandTable, parse
@@ -129,8 +131,10 @@ def _in_memory(paths: list[Path], choose: Choose) -> Dataset:
     parts, findings = [], []
     for path in paths:
         with Recording(path) as recording:
+            if not recording.verify():
+                raise Untrustworthy(f"{path}: the samples are not the ones that were written (sha256 differs)")
             parts.append(prepare(recording, stand_of(recording)))
-            findings += recording_findings(recording, parts[-1])
+            findings += recording_findings(recording, parts[-1]) + assess(recording, parts[-1]).findings()
     signals = joined(parts)
     choice = choose(signals, True)
     motion = signals.motion
