@@ -63,24 +63,25 @@ def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
 def fit_all(time: Array, values: Array, half: int, found: Array) -> None:
     """`local_polynomial` in machine code, the results written to `found` (3, n)."""
     count, width, p = len(time), 2 * half + 1, DEGREE + 1
-    basis, normal, right = np.empty((width, p)), np.empty((p, p)), np.empty(p)
+    row, sums, normal, right = np.empty(2 * p - 1), np.empty(2 * p - 1), np.empty((p, p)), np.empty(p)
     at = np.empty((3, p))
     for i in range(count):
         start = min(max(i - half, 0), count - width)
         middle = 0.5 * (time[start] + time[start + width - 1])
         scale = 0.5 * (time[start + width - 1] - time[start])
         base = values[i]
+        sums[:] = 0.0
+        right[:] = 0.0
         for j in range(width):
-            _chebyshev((time[start + j] - middle) / scale, basis[j])
+            _chebyshev((time[start + j] - middle) / scale, row)
+            left = values[start + j] - base
+            for k in range(row.size):
+                sums[k] += row[k]
+            for k in range(p):
+                right[k] += row[k] * left
         for k in range(p):
-            right[k] = 0.0
-            for j in range(width):
-                right[k] += basis[j, k] * (values[start + j] - base)
             for m in range(k + 1):
-                total = 0.0
-                for j in range(width):
-                    total += basis[j, k] * basis[j, m]
-                normal[k, m] = total
+                normal[k, m] = 0.5 * (sums[k + m] + sums[k - m])  # what two of them make together: T_k T_m
         _solve(normal, right)
         _derivatives((time[i] - middle) / scale, at)
         for order in range(3):
