@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS
 
-from drivers.dynamixel_port import GONE
 from drivers.dynamixel_wire import BROADCAST, PING, READ, SYNC_WRITE, WRITE
+from drivers.serial_port import GONE
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply
 
 if TYPE_CHECKING:

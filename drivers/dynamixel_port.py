@@ -8,43 +8,21 @@ how long a write may hang.
 from __future__ import annotations
 
 import contextlib
-import errno
 from typing import TYPE_CHECKING
 
-import serial
 from dynamixel_sdk import PortHandler
 
-from drivers.servo import DriverError
+from drivers.serial_port import GONE, POLL, open_port
 
 if TYPE_CHECKING:
     from drivers.servo import Clock
 
-GONE: tuple[type[Exception], ...] = (serial.SerialException, OSError)
-"""What a port raises once its device is gone; pyserial lets an error of termios through, which is no OSError."""
-with contextlib.suppress(ImportError):  # POSIX only
-    import termios
-
-    GONE += (termios.error,)
-_NOT_OPENED: tuple[type[Exception], ...] = (*GONE, ValueError)
-
-POLL = 2e-3
-"""s that one read waits for bytes: how far past a deadline a wait can run."""
-WRITE_TIMEOUT = 0.05
-"""s; without one, a write into a stuck port hangs for ever."""
 BUDGET = 4096
 """Bytes looked at for one reply; a line that never falls silent must not hold us."""
 SILENT_FOR = 2e-3
 """s without a byte after which the line counts as silent."""
 PATIENCE = 0.1
 """s that the line may take to fall silent."""
-
-_REMEDIES = {
-    errno.ENOENT: "there is no such port: check the cable, and the name with `hil doctor`",
-    errno.EACCES: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
-    errno.EPERM: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
-    errno.EBUSY: "another program has it open: close that first",
-    errno.EWOULDBLOCK: "another program has it open: close that first",
-}
 
 
 class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
@@ -61,19 +39,8 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
 
     def openPort(self) -> bool:  # noqa: N802 - the SDK's name
         """Open it for us alone. Raises DriverError with the remedy."""
-        try:
-            self.ser = serial.Serial(
-                self.port_name, self.baudrate, timeout=POLL, write_timeout=WRITE_TIMEOUT, exclusive=True
-            )
-        except _NOT_OPENED as error:
-            number = getattr(error, "errno", None)
-            if number is None and "lock" in str(error):
-                number = errno.EWOULDBLOCK
-            remedy = _REMEDIES.get(number or 0, "it cannot be opened")
-            raise DriverError(f"{self.port_name}: {remedy} ({error})") from None
+        self.ser = open_port(self.port_name, self.baudrate)
         self.is_open = True
-        with contextlib.suppress(ValueError, OSError, NotImplementedError, AttributeError):
-            self.ser.set_low_latency_mode(True)  # a USB adapter may hold bytes back for 16 ms; a pty has no such mode
         return True
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name

@@ -15,13 +15,14 @@ import serial
 
 from drivers.dynamixel import DynamixelServo
 from drivers.dynamixel_config import DynamixelConfig
-from drivers.dynamixel_port import POLL, SerialPort
+from drivers.dynamixel_port import SerialPort
 from drivers.mit import MitServo
 from drivers.mit_config import MitConfig
 from drivers.moteus import MoteusServo
 from drivers.moteus_config import MoteusConfig
 from drivers.odrive import OdriveServo
 from drivers.odrive_config import OdriveConfig
+from drivers.serial_port import POLL
 from drivers.servo import Limits, Servo
 from hil.stand import load, open_servo
 from hil.stopping import answered

@@ -17,7 +17,7 @@ from drivers.dynamixel import DynamixelServo
 from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_faults import RESTARTED, WATCHDOG
 from drivers.dynamixel_models import POSITION_LSB
-from drivers.dynamixel_port import POLL
+from drivers.serial_port import POLL
 from drivers.servo import (
     BadReply,
     Command,
