@@ -67,7 +67,15 @@ BACKENDS: Mapping[str, Device] = MappingProxyType(
 )
 """The servos, by the name that `stand.backend` and their table have."""
 
-SENSORS: Mapping[str, Device] = MappingProxyType({})
+SENSORS: Mapping[str, Device] = MappingProxyType(
+    {
+        "loadcell": Device(
+            "a torque cell on a board that prints what it reads on a serial port",
+            "drivers.loadcell_config:LoadCellConfig",
+            "drivers.loadcell:LoadCell",
+        ),
+    }
+)
 """The joint sensors, by the name that `joint_sensor.kind` has."""
 
 

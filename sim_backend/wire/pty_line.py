@@ -44,15 +44,17 @@ class Peer(Protocol):
 class PtyLine:
     """Serves `peer` at `link`, a symlink to the pty, in a thread, as long as the `with` lasts.
 
-    any_baudrate: the peer understands whatever speed the client set. lock: held while the peer is at work; whoever
-    looks at the peer takes it. Raises FileExistsError where `link` is something other than a symlink.
+    any_baudrate: the peer understands whatever speed the client set. beat: s between two looks at the peer while nobody
+    speaks; one that talks unasked is given no bytes then. lock: held while the peer is at work; whoever looks at the
+    peer takes it. Raises FileExistsError where `link` is something other than a symlink.
     """
 
-    def __init__(self, link: Path, peer: Peer, *, any_baudrate: bool = False) -> None:
+    def __init__(self, link: Path, peer: Peer, *, any_baudrate: bool = False, beat: float = _IDLE) -> None:
         self.link = link
         self.lock = threading.Lock()
         self._peer = peer
         self._any_baudrate = any_baudrate
+        self._beat = beat
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -83,7 +85,7 @@ class PtyLine:
     def run(self) -> None:
         """Serve until `stop` is called or the peer is unplugged."""
         while not self._peer.unplugged:
-            wait = _IDLE if not self._due else max(0.0, min(_IDLE, self._due[0][0] - self.now() - _SPIN))
+            wait = self._beat if not self._due else max(0.0, min(self._beat, self._due[0][0] - self.now() - _SPIN))
             ready, _, _ = select.select([self._master, self._wake], [], [], wait)
             if self._wake in ready:
                 return
@@ -92,6 +94,7 @@ class PtyLine:
             elif not self._due:
                 with self.lock:
                     self._peer.advance(self.now())
+                self._take(b"")
             self._send()
         self._drop()
 

@@ -45,7 +45,7 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "stand.toml"
-    typed = ["dynamixel", "my finger", "-3", "2", "", "", "elbow", "motor", "/dev/ttyUSB1", "xl1", "xl330-m288", "0.05"]
+    typed = "dynamixel||my finger|-3|2|||elbow|motor|/dev/ttyUSB1|xl1|xl330-m288|0.05".split("|")
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join([*typed, "", "", ""]) + "\n"))
     assert run(["stand", "new", "-o", str(path)]) == 0
     told = capfd.readouterr()

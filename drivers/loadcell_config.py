@@ -1,0 +1,33 @@
+"""The [joint_sensor] table of stand.toml for a torque cell on a serial port."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from annotated_types import Ge, Gt, Le
+
+LineFormat = Literal["micros,raw", "value"]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadCellConfig:
+    """[joint_sensor] with kind = "loadcell".
+
+    port: the serial port. scale: N m for one count (format "micros,raw") or for a value of 1 (format "value").
+    baudrate: bit/s. format: what a line holds; "micros,raw": the board's microseconds and the counts of a 24 bit
+    converter, "value": one number. sign: 1 where the cell's positive is the joint's, else -1. tare: what the cell
+    shows without torque, in counts or values; None: its median while it is opened. drift: N m that the zero may be away
+    from `tare`, or wander while it is opened. delay: s that a reading is older than the moment its line begins.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    port: str
+    scale: Annotated[float, Gt(0)]
+    baudrate: Annotated[int, Ge(1200), Le(4_000_000)] = 115200
+    format: LineFormat = "micros,raw"
+    sign: Literal[1, -1] = 1
+    tare: float | None = None
+    drift: Annotated[float, Gt(0)] = 1e-3
+    delay: Annotated[float, Ge(0), Le(0.2)] = 0.0
