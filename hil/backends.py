@@ -62,6 +62,11 @@ BACKENDS: Mapping[str, Device] = MappingProxyType(
         "odrive": Device("ODrive (CANSimple)", "drivers.odrive_config:OdriveConfig", "drivers.odrive:OdriveServo"),
         "mit": Device("CubeMars AK, Damiao: MIT frames on CAN", "drivers.mit_config:MitConfig", "drivers.mit:MitServo"),
         "moteus": Device("moteus on CAN FD", "drivers.moteus_config:MoteusConfig", "drivers.moteus:MoteusServo"),
+        "commander": Device(
+            "a SimpleFOC board that speaks Commander on a serial port",
+            "drivers.commander_config:CommanderConfig",
+            "drivers.commander:CommanderServo",
+        ),
         "replay": Device("a recording played back: nothing turns", "hil.replay:ReplayConfig", "hil.replay:ReplayServo"),
     }
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import multiprocessing
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,8 @@ from typing import Any
 import pytest
 import serial
 
+from drivers.commander import CommanderServo
+from drivers.commander_config import CommanderConfig
 from drivers.dynamixel import DynamixelServo
 from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_port import SerialPort
@@ -32,11 +35,15 @@ from sim_backend.wire.can_bus import Bus as CanBus
 from sim_backend.wire.can_bus import Node
 from sim_backend.wire.can_bus import Timing as CanTiming
 from sim_backend.wire.can_loopback import Loopback as CanLoopback
+from sim_backend.wire.commander import Board, new_board
+from sim_backend.wire.commander import Timing as FocTiming
+from sim_backend.wire.commander import serve as serve_foc
 from sim_backend.wire.dynamixel import serve
 from sim_backend.wire.dynamixel_bus import Bus, Timing
 from sim_backend.wire.dynamixel_device import Device
 from sim_backend.wire.dynamixel_mx_device import MxDevice
 from sim_backend.wire.dynamixel_mx_tables import MX_MODELS
+from sim_backend.wire.loopback import Loopback as SerialLoopback
 from sim_backend.wire.mit_device import Device as MitDevice
 from sim_backend.wire.moteus_device import Device as MoteusDevice
 from sim_backend.wire.odrive_device import Device as OdriveDevice
@@ -217,6 +224,35 @@ def limits() -> Limits:
     return SERVO_LIMITS
 
 
+@dataclass
+class FocRig:
+    """An emulated SimpleFOC board and what is needed to open its motor, in virtual time."""
+
+    board: Board
+    clock: VirtualClock
+    port: SerialLoopback
+    config: CommanderConfig
+
+    def open(self, **changes: Any) -> CommanderServo:
+        return CommanderServo(replace(self.config, **changes), clock=self.clock, port=self.port)
+
+    def wait(self, seconds: float) -> None:
+        self.clock.sleep_until(self.clock.now() + seconds)
+        self.board.advance(self.clock.now())
+
+
+def new_foc(baudrate: int = 1_000_000, **board: Any) -> FocRig:
+    clock = VirtualClock()
+    made = new_board(baudrate=baudrate, timing=FocTiming(), **board)
+    config = CommanderConfig("loopback", torque_constant=0.0145, watchdog=0.0, baudrate=baudrate)
+    return FocRig(made, clock, SerialLoopback(made, clock, baudrate), config)
+
+
+@pytest.fixture
+def make_foc() -> Callable[..., FocRig]:
+    return new_foc
+
+
 SERVO_LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
 MX_LIMITS = Limits(torque=0.06, velocity=40.0, temperature=65.0, position=(-8.0, 8.0))
 ODRIVE_LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
@@ -264,6 +300,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
             "mit ak80-9",
             "mit dm-j4310",
             "moteus",
+            "commander",
+            "commander on a pty",
         ]
         metafunc.parametrize("bench", known if path is None else [Path(path)], indirect=True, ids=str)
 
@@ -285,5 +323,11 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Serv
         yield from closed_after(moteus_rig().open(), ODRIVE_LIMITS)
     elif request.param.startswith("mit"):
         yield from closed_after(mit_rig(request.param.split()[1]).open(), MIT_LIMITS)
+    elif request.param == "commander":
+        yield from closed_after(new_foc().open(), SIM_LIMITS)
+    elif request.param == "commander on a pty":
+        with serve_foc(tmp_path / "ttyFOC", new_board(timing=FocTiming(), now=time.monotonic())) as line:
+            config = CommanderConfig(str(line.link), torque_constant=0.0145, watchdog=0.0, reply_timeout=0.3)
+            yield from closed_after(CommanderServo(config), SIM_LIMITS)
     else:
         yield from on_a_pty(tmp_path)

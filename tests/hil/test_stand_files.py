@@ -45,7 +45,8 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "stand.toml"
-    typed = "dynamixel||my finger|-3|2|||elbow|motor|/dev/ttyUSB1|xl1|xl330-m288|0.05".split("|")
+    drive = ["dynamixel", ""]  # and no sensor at the joint
+    typed = [*drive, "my finger", "-3", "2", "", "", "elbow", "motor", "/dev/ttyUSB1", "xl1", "xl330-m288", "0.05"]
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join([*typed, "", "", ""]) + "\n"))
     assert run(["stand", "new", "-o", str(path)]) == 0
     told = capfd.readouterr()

@@ -1,0 +1,40 @@
+"""The [commander] table of stand.toml: a SimpleFOC board that speaks Commander."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from annotated_types import Ge, Gt, Le
+
+
+@dataclass(frozen=True, slots=True)
+class CommanderConfig:
+    """The [commander] table of stand.toml. Raises ValueError where watchdog and reply_timeout do not fit each other.
+
+    port: the serial port. torque_constant: N m/A at the motor shaft. watchdog: s of silence after which the board's
+    program disables the motor; 0: it has no such rule, as the library's examples, and the motor stays live when this
+    computer dies. motor: the letter under which the program added the motor. baudrate: bit/s; a board with a USB
+    socket of its own takes any. torque_mode: how it regulates the current. sign: 1 where the board's positive is the
+    stand's, else -1. reply_timeout: s that a reply may take beyond its time on the wire. start: s that the board may
+    take to boot and align the motor, since opening the port restarts many.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    port: str
+    torque_constant: Annotated[float, Gt(0)]
+    watchdog: Annotated[float, Ge(0), Le(10)]
+    motor: Literal["M", "A", "B", "C", "D", "X", "Y", "Z"] = "M"
+    baudrate: Annotated[int, Ge(9600), Le(12_000_000)] = 1_000_000
+    torque_mode: Literal["foc_current", "dc_current"] = "foc_current"
+    sign: Literal[1, -1] = 1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+    start: Annotated[float, Gt(0), Le(60)] = 8.0
+
+    def __post_init__(self) -> None:
+        if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
+            raise ValueError(
+                f"commander.watchdog {self.watchdog} s is not above twice commander.reply_timeout "
+                f"{self.reply_timeout} s: one lost reply would stop the motor"
+            )
