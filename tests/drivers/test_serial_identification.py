@@ -42,7 +42,7 @@ temperature = 80.0
 """
 KC, BC = 17.75e-3, 0.19e-3
 SHARE = FixtureParameters().stiffness / (FixtureParameters().stiffness + KC)  # of a deflection that the cable takes
-ETA, RATE, DURATION = 4.0, 250.0, 10.0
+ETA, RATE, DURATION = 4.0, 250.0, 6.0
 PLANT = SimParameters(coupling=CouplingParameters(stiffness=KC, damping=BC, coulomb_friction=0.0))
 COUNT = 2.0 * math.pi / PLANT.sensors.motor_counts / ETA  # rad at the joint
 CURRENT = PLANT.sensors.current_lsb * PLANT.motor.torque_constant * ETA  # N m at the joint
@@ -67,7 +67,7 @@ def chirped(servo: Servo, source: str, band: tuple[float, float], path: Path) ->
     part.finish(outcome.end_reason)
     part.close()
     assert (outcome.end_reason, outcome.lost, outcome.late) == ("done", 0, 0)
-    search = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
+    search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
     return identify([path], model("linear+offset+skew"), search)
 
 
