@@ -40,9 +40,14 @@ class Board:
     """
 
     def __init__(
-        self, device: Device, *, baudrate: int = 1_000_000, timing: Timing | None = None, watchdog: float = 0.0,
+        self,
+        device: Device,
+        *,
+        baudrate: int = 1_000_000,
+        timing: Timing | None = None,
+        watchdog: float = 0.0,
         now: float = 0.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.device = device
         self.unplugged = False
         self.watchdog = watchdog
@@ -175,9 +180,13 @@ class _Locked:
 
 
 def new_board(
-    parameters: SimParameters | None = None, *, firmware: str = "2.4", baudrate: int = 1_000_000,
-    timing: Timing | None = None, now: float = 0.0,
-) -> Board:  # fmt: skip
+    parameters: SimParameters | None = None,
+    *,
+    firmware: str = "2.4",
+    baudrate: int = 1_000_000,
+    timing: Timing | None = None,
+    now: float = 0.0,
+) -> Board:
     """A board with the plant of `parameters` (None: the paper's joint behind its gear). firmware: see FIRMWARES."""
     version = (2, 3) if firmware == "2.3" else (2, 4)
     watchdog = WATCHDOG if firmware.endswith("watchdog") else 0.0

@@ -19,6 +19,8 @@ from drivers.commander_config import CommanderConfig
 from drivers.dynamixel import DynamixelServo
 from drivers.dynamixel_config import DynamixelConfig
 from drivers.dynamixel_port import SerialPort
+from drivers.loadcell import LoadCell
+from drivers.loadcell_config import LoadCellConfig
 from drivers.mit import MitServo
 from drivers.mit_config import MitConfig
 from drivers.moteus import MoteusServo
@@ -27,6 +29,7 @@ from drivers.odrive import OdriveServo
 from drivers.odrive_config import OdriveConfig
 from drivers.serial_port import POLL
 from drivers.servo import Limits, Servo
+from hil.joint import StandServo
 from hil.stand import load, open_servo
 from hil.stopping import answered
 from sim_backend.parameters import SimParameters
@@ -43,6 +46,9 @@ from sim_backend.wire.dynamixel_bus import Bus, Timing
 from sim_backend.wire.dynamixel_device import Device
 from sim_backend.wire.dynamixel_mx_device import MxDevice
 from sim_backend.wire.dynamixel_mx_tables import MX_MODELS
+from sim_backend.wire.loadcell import SCALE
+from sim_backend.wire.loadcell import Board as CellBoard
+from sim_backend.wire.loadcell import LoadCell as Cell
 from sim_backend.wire.loopback import Loopback as SerialLoopback
 from sim_backend.wire.mit_device import Device as MitDevice
 from sim_backend.wire.moteus_device import Device as MoteusDevice
@@ -248,6 +254,11 @@ def new_foc(baudrate: int = 1_000_000, **board: Any) -> FocRig:
     return FocRig(made, clock, SerialLoopback(made, clock, baudrate), config)
 
 
+def with_loadcell(rig: FocRig) -> Servo:
+    port = SerialLoopback(Cell(CellBoard(), rig.board), rig.clock, 115200)
+    return StandServo(rig.open(), 0.1, LoadCell(LoadCellConfig("loopback", SCALE), clock=rig.clock, port=port))
+
+
 @pytest.fixture
 def make_foc() -> Callable[..., FocRig]:
     return new_foc
@@ -302,6 +313,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
             "moteus",
             "commander",
             "commander on a pty",
+            "commander with a loadcell",
         ]
         metafunc.parametrize("bench", known if path is None else [Path(path)], indirect=True, ids=str)
 
@@ -325,6 +337,8 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Serv
         yield from closed_after(mit_rig(request.param.split()[1]).open(), MIT_LIMITS)
     elif request.param == "commander":
         yield from closed_after(new_foc().open(), SIM_LIMITS)
+    elif request.param == "commander with a loadcell":
+        yield from closed_after(with_loadcell(new_foc()), SIM_LIMITS)
     elif request.param == "commander on a pty":
         with serve_foc(tmp_path / "ttyFOC", new_board(timing=FocTiming(), now=time.monotonic())) as line:
             config = CommanderConfig(str(line.link), torque_constant=0.0145, watchdog=0.0, reply_timeout=0.3)
