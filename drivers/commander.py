@@ -157,7 +157,7 @@ class CommanderServo:
         trouble: DriverError = DriverError("it is still on")
         for _ in range(_TRIES):
             try:
-                self._link.send(f"{self._m}E0", f"{self._m}0", f"{self._m}E0", _MACHINE)
+                self._link.send(f"{self._m}E0", f"{self._m}0", f"{self._m}E0", f"{self._m}MC", _MACHINE)
                 if self._link.ask(f"{self._m}E", f"{self._m}E") == "0":
                     self._live = False
                     return
@@ -199,7 +199,7 @@ class CommanderServo:
         while _AWAKE not in heard:
             if self._clock.now() >= deadline:
                 self._say_who(heard)
-            self._link.send(f"{m}E0", f"{m}0", _MACHINE)
+            self._link.send(f"{m}E0", f"{m}0", f"{m}MC", _MACHINE)  # MC: what streams would never let us be heard
             heard = [*heard[-20:], *self._link.listen(_WAKE, _AWAKE)]
             calls += 1
         if calls > 1:

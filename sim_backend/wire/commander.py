@@ -60,6 +60,9 @@ class Board:
         self._replies = 0
         self._faults: list[tuple[int, Fault]] = []
         self._misheard: list[tuple[str, str]] = []
+        self.streams = 0.0
+        """s between two lines of `motor.monitor()` in the program's loop; 0: it is not there."""
+        self._streamed = now
 
     @property
     def motor(self) -> Motor:
@@ -103,6 +106,7 @@ class Board:
         self.advance(now)
         if baudrate not in {None, self._baudrate}:
             return [(now, bytes(0x80 | byte for byte in data))] if data else []
+        out += self._monitored(now)
         text = data.decode("latin-1")
         for said, heard in list(self._misheard):
             if said in text:
@@ -117,6 +121,16 @@ class Board:
             printed = self.device.type(character) if character not in "\n\r" else self._obey(character, at)
             for line in printed.splitlines(keepends=True):
                 out += self._reply(line.encode("latin-1"), at)
+        return out
+
+    def _monitored(self, now: float) -> list[tuple[float, bytes]]:
+        """The lines that the program printed by itself since it was last looked at."""
+        out: list[tuple[float, bytes]] = []
+        while self.streams and self._streamed + self.streams <= now:
+            self._streamed += self.streams
+            line = self.device.monitored()
+            if line and self._awake <= self._made:
+                out += self._reply(line.encode(), self._streamed)
         return out
 
     def _obey(self, end: str, at: float) -> str:

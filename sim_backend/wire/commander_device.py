@@ -64,6 +64,14 @@ class Device:
         """What it prints while it starts."""
         return "".join(f"MOT: {line}\r\n" for line in _BOOT)
 
+    def monitored(self) -> str:
+        """A line of `motor.monitor()`: the variables that are watched, four digits, currents in mA with two."""
+        m = self.motor
+        shown = (m.target, m.voltage, 0.0, m.current * 1e3, 0.0, m.velocity, m.angle)
+        digits = (4, 4, 4, 2, 2, 4, 4)
+        words = [f"{v:.{d}f}" for v, d, on in zip(shown, digits, self.watched, strict=True) if on == "1"]
+        return "\t".join(words) + "\r\n" if words else ""
+
     def type(self, character: str) -> str:
         """What one character makes it print."""
         self._typed += character

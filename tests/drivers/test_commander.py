@@ -318,9 +318,15 @@ def test_a_motor_under_another_letter_is_told_with_those_there_are(foc: Rig) -> 
         foc.open(motor="A")
 
 
-def test_a_board_that_streams_is_made_to_stop(foc: Rig) -> None:
-    foc.open()
+def test_a_board_that_streams_is_made_to_stop_even_after_a_restart(foc: Rig) -> None:
+    foc.board.streams = 1e-3
+    servo = armed(foc)
+    drive_on(foc, servo, 3)
     assert foc.board.device.watched == "0000000"
+    foc.board.reboot(foc.clock.now())
+    foc.wait(4.0)
+    servo.disarm()
+    assert off(foc)
 
 
 def test_a_limit_that_the_board_does_not_take_is_refused_with_the_motor_off(foc: Rig) -> None:
@@ -379,7 +385,7 @@ def test_the_torque_is_off_after_close_and_after_an_exception_whatever_the_line_
 
 def test_a_torque_off_that_is_not_confirmed_is_said_and_may_be_asked_again(foc: Rig) -> None:
     servo = armed(foc)
-    foc.board.inject(DropReplies(count=15))
+    foc.board.inject(DropReplies(count=18))
     with pytest.raises(DriverError, match="not confirmed"):
         servo.disarm()
     servo.disarm()
