@@ -8,12 +8,16 @@ import threading
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.commander_config import CommanderConfig
 from drivers.loadcell_config import LoadCellConfig
 from hil.cli import run
 from hil.emulators import make
+from hil.signals import prepare
+from hil.stand import parse
+from hil.store import Recording
 from sim_backend.wire import commander
 
 PAGE = (Path(__file__).parents[2] / "docs/serial.md").read_text(encoding="utf-8")
@@ -40,12 +44,19 @@ def test_the_commands_of_the_page_run_on_its_stand_file(tmp_path: Path, monkeypa
     thread.start()
     try:
         for command in commands:
-            # both ends share this process and its machine with the other tests
-            assert run(shlex.split(command.replace("--rate 100", "--rate 60"))[1:]) == 0, command
+            # both ends share this process, and its machine with other tests: that ticks are late may be found (1)
+            code = run(shlex.split(command.replace("--rate 100", "--rate 60"))[1:])
+            assert code in ({0} if " doctor " in command else {0, 1}), command
     finally:
         served.stop()
         thread.join()
     assert not (tmp_path / "ttyFOC.cell").is_symlink()
+    with Recording(tmp_path / "run.h5") as recording:
+        signals = prepare(recording, parse(stand).stand)
+        joint = recording.channel("joint_torque")
+    assert np.isfinite(joint).mean() > 0.9
+    kc = float(np.linalg.lstsq(np.column_stack([signals.dtheta, signals.dtheta_dot]), signals.torque, rcond=None)[0][0])
+    assert kc == pytest.approx(17.75e-3, rel=0.1)
 
 
 def test_the_page_names_every_key_of_both_tables() -> None:
