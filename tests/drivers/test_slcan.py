@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 from drivers.odrive import OdriveServo
 from drivers.odrive_config import OdriveConfig
-from sim_backend.wire.odrive import serve
-from sim_backend.wire.odrive_device import IDLE, Device
-
 from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity
 from sim_backend.wire.can_bus import Bus
 from sim_backend.wire.can_faults import Unplug
+from sim_backend.wire.odrive import serve
+from sim_backend.wire.odrive_device import IDLE, Device
 from sim_backend.wire.slcan import Adapter, SlcanLine
 
 LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
