@@ -298,24 +298,32 @@ def on_a_stand(path: Path) -> Iterator[tuple[Servo, Limits]]:
     yield from closed_after(servo, stand.motor_limits(zero))
 
 
+def foc_on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
+    with serve_foc(path / "ttyFOC", new_board(timing=FocTiming(), now=time.monotonic())) as line:
+        config = CommanderConfig(str(line.link), torque_constant=0.0145, watchdog=0.0, reply_timeout=0.3)
+        yield from closed_after(CommanderServo(config), SIM_LIMITS)
+
+
+IN_VIRTUAL_TIME: dict[str, tuple[Callable[[], Servo], Limits]] = {
+    "sim": (lambda: SimServo(SimParameters(), seed=1, clock=VirtualClock()), SIM_LIMITS),
+    "dynamixel": (lambda: new_rig().open(), SERVO_LIMITS),
+    "dynamixel mx": (lambda: new_rig("mx-64").open(), MX_LIMITS),
+    "odrive 0.5.6": (lambda: odrive_rig("0.5.6").open(), ODRIVE_LIMITS),
+    "odrive 0.6.10": (lambda: odrive_rig("0.6.10").open(), ODRIVE_LIMITS),
+    "mit ak80-9": (lambda: mit_rig("ak80-9").open(), MIT_LIMITS),
+    "mit dm-j4310": (lambda: mit_rig("dm-j4310").open(), MIT_LIMITS),
+    "moteus": (lambda: moteus_rig().open(), ODRIVE_LIMITS),
+    "commander": (lambda: new_foc().open(), SIM_LIMITS),
+    "commander with a loadcell": (lambda: with_loadcell(new_foc()), SIM_LIMITS),
+}
+ON_A_PTY = {"dynamixel on a pty": on_a_pty, "commander on a pty": foc_on_a_pty}
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "bench" in metafunc.fixturenames:
         path = metafunc.config.getoption("--stand")
-        known = [
-            "sim",
-            "dynamixel",
-            "dynamixel on a pty",
-            "dynamixel mx",
-            "odrive 0.5.6",
-            "odrive 0.6.10",
-            "mit ak80-9",
-            "mit dm-j4310",
-            "moteus",
-            "commander",
-            "commander on a pty",
-            "commander with a loadcell",
-        ]
-        metafunc.parametrize("bench", known if path is None else [Path(path)], indirect=True, ids=str)
+        known = [*IN_VIRTUAL_TIME, *ON_A_PTY] if path is None else [Path(path)]
+        metafunc.parametrize("bench", known, indirect=True, ids=str)
 
 
 @pytest.fixture
@@ -323,25 +331,8 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Serv
     """Every servo the contract is held against, each with limits that suit it; with --stand that stand alone."""
     if isinstance(request.param, Path):
         yield from on_a_stand(request.param)
-    elif request.param == "sim":
-        yield from closed_after(SimServo(SimParameters(), seed=1, clock=VirtualClock()), SIM_LIMITS)
-    elif request.param == "dynamixel":
-        yield from closed_after(new_rig().open(), SERVO_LIMITS)
-    elif request.param == "dynamixel mx":
-        yield from closed_after(new_rig("mx-64").open(), MX_LIMITS)
-    elif request.param.startswith("odrive"):
-        yield from closed_after(odrive_rig(request.param.split()[1]).open(), ODRIVE_LIMITS)
-    elif request.param == "moteus":
-        yield from closed_after(moteus_rig().open(), ODRIVE_LIMITS)
-    elif request.param.startswith("mit"):
-        yield from closed_after(mit_rig(request.param.split()[1]).open(), MIT_LIMITS)
-    elif request.param == "commander":
-        yield from closed_after(new_foc().open(), SIM_LIMITS)
-    elif request.param == "commander with a loadcell":
-        yield from closed_after(with_loadcell(new_foc()), SIM_LIMITS)
-    elif request.param == "commander on a pty":
-        with serve_foc(tmp_path / "ttyFOC", new_board(timing=FocTiming(), now=time.monotonic())) as line:
-            config = CommanderConfig(str(line.link), torque_constant=0.0145, watchdog=0.0, reply_timeout=0.3)
-            yield from closed_after(CommanderServo(config), SIM_LIMITS)
+    elif request.param in ON_A_PTY:
+        yield from ON_A_PTY[request.param](tmp_path)
     else:
-        yield from on_a_pty(tmp_path)
+        make, limits = IN_VIRTUAL_TIME[request.param]
+        yield from closed_after(make(), limits)
