@@ -63,6 +63,7 @@ EMULATORS: Mapping[str, Emulator] = MappingProxyType(
         "odrive": Emulator("ODrive axes on CAN: --link, or --bus", "sim_backend.wire.odrive:serve", _CAN_TIMING),
         "mit": Emulator("CubeMars AK, Damiao on CAN: --link, or --bus", "sim_backend.wire.mit:serve", _CAN_TIMING),
         "moteus": Emulator("moteus on CAN FD: --link, or --bus", "sim_backend.wire.moteus:serve", _CAN_TIMING),
+        "cia402": Emulator("CiA 402 drives on CAN: --link, or --bus", "sim_backend.wire.cia402:serve", _CAN_TIMING),
         "commander": Emulator("a SimpleFOC board on a pty: --link", "sim_backend.wire.commander:emulate"),
         "loadcell": Emulator(
             "a torque cell that prints its readings on a pty: --link", "sim_backend.wire.loadcell:emulate"

@@ -1,0 +1,170 @@
+"""The object dictionary of an emulated CANopen device: what it holds, what it refuses, and its electronic data sheet.
+
+Source: CiA 301 (data types, access, abort codes) and CiA 306 (the EDS file).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import groupby
+
+BOOL, I8, I16, I32, U8, U16, U32, STRING = 0x1, 0x2, 0x3, 0x4, 0x5, 0x6, 0x7, 0x9
+SIZES: Mapping[int, int] = {BOOL: 1, I8: 1, I16: 2, I32: 4, U8: 1, U16: 2, U32: 4}
+_SIGNED = {I8, I16, I32}
+
+TOGGLE = 0x05030000
+COMMAND = 0x05040001
+WRITE_ONLY, READ_ONLY, NOT_NOW = 0x06010001, 0x06010002, 0x06010000
+NO_OBJECT, NO_SUBINDEX = 0x06020000, 0x06090011
+NOT_MAPPABLE, PDO_TOO_LONG = 0x06040041, 0x06040042
+LENGTH, RANGE = 0x06070010, 0x06090030
+BAD_SIGNATURE, WRONG_STATE = 0x08000020, 0x08000022
+"""Abort codes of SDO transfers."""
+
+Value = int | str
+
+
+class Abort(Exception):
+    """A transfer that the device refuses."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"0x{code:08X}")
+        self.code = code
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One sub-index. access: ro, rw, wo or const. mappable: into a PDO."""
+
+    index: int
+    sub: int
+    name: str
+    kind: int
+    access: str = "rw"
+    default: Value = 0
+    mappable: bool = False
+    low: int | None = None
+    high: int | None = None
+
+
+class Dictionary:
+    """The objects of one device.
+
+    read_hooks: what makes a value when it is read. write_hooks: called after a value was written, and may refuse it.
+    """
+
+    def __init__(self, entries: Iterable[Entry], groups: Mapping[int, str]) -> None:
+        self.entries = {(entry.index, entry.sub): entry for entry in entries}
+        self.groups = dict(groups)
+        self.values: dict[tuple[int, int], Value] = {key: entry.default for key, entry in self.entries.items()}
+        self.read_hooks: dict[tuple[int, int], Callable[[], int]] = {}
+        self.write_hooks: dict[int, Callable[[int, int, int], None]] = {}
+        self._indices = {index for index, _ in self.entries}
+
+    def entry(self, index: int, sub: int) -> Entry:
+        """The entry. Raises Abort."""
+        if (index, sub) not in self.entries:
+            raise Abort(NO_SUBINDEX if index in self._indices else NO_OBJECT)
+        return self.entries[index, sub]
+
+    def get(self, index: int, sub: int = 0) -> int:
+        """A number as it is now."""
+        hook = self.read_hooks.get((index, sub))
+        value = hook() if hook is not None else self.values[index, sub]
+        assert isinstance(value, int)  # noqa: S101 - strings are read through `encoded`
+        return value
+
+    def put(self, index: int, sub: int, value: Value) -> None:
+        """Set a value as the device itself does."""
+        self.values[index, sub] = value
+
+    def encoded(self, index: int, sub: int) -> bytes:
+        """A value as it goes over the wire. Raises Abort."""
+        entry = self.entry(index, sub)
+        if entry.access == "wo":
+            raise Abort(WRITE_ONLY)
+        if entry.kind == STRING:
+            return str(self.values[index, sub]).encode("ascii")
+        size = SIZES[entry.kind]
+        return (self.get(index, sub) & ((1 << 8 * size) - 1)).to_bytes(size, "little")
+
+    def write(self, index: int, sub: int, data: bytes) -> None:
+        """Take a value from the wire. Raises Abort."""
+        entry = self.entry(index, sub)
+        if entry.access in {"ro", "const"}:
+            raise Abort(READ_ONLY)
+        if len(data) != SIZES[entry.kind]:
+            raise Abort(LENGTH)
+        value = int.from_bytes(data, "little", signed=entry.kind in _SIGNED)
+        if (entry.low is not None and value < entry.low) or (entry.high is not None and value > entry.high):
+            raise Abort(RANGE)
+        hook = self.write_hooks.get(index)
+        if hook is not None:
+            hook(index, sub, value)
+        self.values[index, sub] = value
+
+
+def eds(dictionary: Dictionary, *, vendor: int, product: int, revision: int, name: str) -> str:
+    """The device's electronic data sheet, the text of an .eds file."""
+    lines = [
+        "[FileInfo]",
+        "FileName=emulated.eds",
+        "FileVersion=1",
+        "FileRevision=0",
+        "EDSVersion=4.0",
+        f"Description=Emulated {name}",
+        "",
+        "[DeviceInfo]",
+        "VendorName=maxon motor ag",
+        f"VendorNumber=0x{vendor:08X}",
+        f"ProductName={name}",
+        f"ProductNumber=0x{product:08X}",
+        f"RevisionNumber=0x{revision:08X}",
+        *(f"BaudRate_{rate}={int(rate != 10)}" for rate in (10, 20, 50, 125, 250, 500, 800, 1000)),
+        "SimpleBootUpMaster=0",
+        "SimpleBootUpSlave=1",
+        "Granularity=8",
+        "DynamicChannelsSupported=0",
+        "GroupMessaging=0",
+        "NrOfRXPDO=4",
+        "NrOfTXPDO=4",
+        "LSS_Supported=0",
+        "",
+    ]
+    indices = sorted({index for index, _ in dictionary.entries})
+    mandatory = [index for index in indices if index in {0x1000, 0x1001, 0x1018}]
+    manufacturer = [index for index in indices if 0x2000 <= index < 0x6000]
+    optional = [index for index in indices if index not in mandatory and index not in manufacturer]
+    for title, part in (
+        ("MandatoryObjects", mandatory),
+        ("OptionalObjects", optional),
+        ("ManufacturerObjects", manufacturer),
+    ):
+        lines += [f"[{title}]", f"SupportedObjects={len(part)}"]
+        lines += [f"{place}=0x{index:04X}" for place, index in enumerate(part, 1)] + [""]
+    for index, grouped in groupby(sorted(dictionary.entries), key=lambda key: key[0]):
+        entries = [dictionary.entries[key] for key in grouped]
+        if index in dictionary.groups:
+            lines += [f"[{index:04X}]", f"ParameterName={dictionary.groups[index]}", "ObjectType=0x9"]
+            lines += [f"SubNumber={len(entries)}", ""]
+        for entry in entries:
+            heading = f"{index:04X}sub{entry.sub:X}" if index in dictionary.groups else f"{index:04X}"
+            lines += _section(heading, entry)
+    return "\n".join(lines) + "\n"
+
+
+def _section(heading: str, entry: Entry) -> list[str]:
+    access = "rww" if entry.access == "rw" and entry.mappable else entry.access
+    lines = [
+        f"[{heading}]",
+        f"ParameterName={entry.name}",
+        "ObjectType=0x7",
+        f"DataType=0x{entry.kind:04X}",
+        f"AccessType={access}",
+        f"DefaultValue={entry.default}",
+        f"PDOMapping={int(entry.mappable)}",
+    ]
+    lines += [f"LowLimit={entry.low}"] if entry.low is not None else []
+    lines += [f"HighLimit={entry.high}"] if entry.high is not None else []
+    return [*lines, ""]
