@@ -62,6 +62,11 @@ BACKENDS: Mapping[str, Device] = MappingProxyType(
         "odrive": Device("ODrive (CANSimple)", "drivers.odrive_config:OdriveConfig", "drivers.odrive:OdriveServo"),
         "mit": Device("CubeMars AK, Damiao: MIT frames on CAN", "drivers.mit_config:MitConfig", "drivers.mit:MitServo"),
         "moteus": Device("moteus on CAN FD", "drivers.moteus_config:MoteusConfig", "drivers.moteus:MoteusServo"),
+        "cia402": Device(
+            "CiA 402 drives on CANopen: EPOS4, EPOS2, others",
+            "drivers.cia402_config:Cia402Config",
+            "drivers.cia402:Cia402Servo",
+        ),
         "commander": Device(
             "a SimpleFOC board that speaks Commander on a serial port",
             "drivers.commander_config:CommanderConfig",

@@ -14,6 +14,8 @@ from typing import Any
 import pytest
 import serial
 
+from drivers.cia402 import Cia402Servo
+from drivers.cia402_config import Cia402Config
 from drivers.commander import CommanderServo
 from drivers.commander_config import CommanderConfig
 from drivers.dynamixel import DynamixelServo
@@ -38,6 +40,7 @@ from sim_backend.wire.can_bus import Bus as CanBus
 from sim_backend.wire.can_bus import Node
 from sim_backend.wire.can_bus import Timing as CanTiming
 from sim_backend.wire.can_loopback import Loopback as CanLoopback
+from sim_backend.wire.cia402_device import Device as Cia402Device
 from sim_backend.wire.commander import Board, new_board
 from sim_backend.wire.commander import Timing as FocTiming
 from sim_backend.wire.commander import serve as serve_foc
@@ -205,6 +208,17 @@ def moteus_rig(**device: Any) -> CanRig:
     return can_rig(MoteusServo, MoteusConfig(interface="loopback", channel=""), [MoteusDevice(**device)])
 
 
+def cia402_rig(model: str = "epos4", **device: Any) -> CanRig:
+    constant = 0.02 if model == "epos2" else None
+    config = Cia402Config(interface="loopback", channel="", profile=model, torque_constant=constant)  # type: ignore[arg-type]  # a Literal
+    return can_rig(Cia402Servo, config, [Cia402Device(model, **device)])
+
+
+@pytest.fixture
+def make_cia402() -> Callable[..., CanRig]:
+    return cia402_rig
+
+
 @pytest.fixture
 def make_moteus() -> Callable[..., CanRig]:
     return moteus_rig
@@ -267,6 +281,7 @@ def make_foc() -> Callable[..., FocRig]:
 SERVO_LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
 MX_LIMITS = Limits(torque=0.06, velocity=40.0, temperature=65.0, position=(-8.0, 8.0))
 ODRIVE_LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
+CIA402_LIMITS = Limits(torque=0.04, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
 MIT_LIMITS = Limits(torque=2.0, velocity=30.0, temperature=85.0, position=(-3.0, 3.0))
 SIM_LIMITS = Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0))
 
@@ -313,6 +328,9 @@ IN_VIRTUAL_TIME: dict[str, tuple[Callable[[], Servo], Limits]] = {
     "mit ak80-9": (lambda: mit_rig("ak80-9").open(), MIT_LIMITS),
     "mit dm-j4310": (lambda: mit_rig("dm-j4310").open(), MIT_LIMITS),
     "moteus": (lambda: moteus_rig().open(), ODRIVE_LIMITS),
+    "cia402 epos4": (lambda: cia402_rig("epos4").open(), CIA402_LIMITS),
+    "cia402 epos2": (lambda: cia402_rig("epos2").open(), CIA402_LIMITS),
+    "cia402 generic": (lambda: cia402_rig("generic").open(), CIA402_LIMITS),
     "commander": (lambda: new_foc().open(), SIM_LIMITS),
     "commander with a loadcell": (lambda: with_loadcell(new_foc()), SIM_LIMITS),
 }
