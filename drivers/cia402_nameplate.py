@@ -61,17 +61,11 @@ class Nameplate:
         """Who it is. Raises NoReply, BadReply where several answer, DriverError for another kind."""
         try:
             kind = self._objects.get(_DEVICE_TYPE) & 0xFFFF
+            self._check_alone()
+            vendor, product, revision, serial = (self._identity(place) for place in _IDENTITY)
+            self._check_alone()
         except NoReply:
             raise NoReply(self._nobody()) from None
-        vendor, product, revision, serial = (self._identity(place) for place in _IDENTITY)
-        if (
-            self._network.requests.await_change(_SECOND_ANSWER, lambda: not self._network.node.sdo.responses.empty())
-            or self._link.error_frames
-        ):
-            raise BadReply(
-                f"node {self._config.id} on {self._link.name} answers twice, or garbled: two drives with that node id, "
-                "or a bad cable; connect one alone"
-            )
         if kind != 402:
             raise DriverError(f"node {self._config.id} is no drive: its device profile is {kind}, not CiA 402")
         if self._profile.vendor is not None and vendor != self._profile.vendor:
@@ -88,6 +82,15 @@ class Nameplate:
         constant = self._torque_constant()
         torque = 1e-3 * (self._rated_torque() if self._profile.per_mille else constant)
         return Scale(_TURN / counts, self._velocity_unit(), torque, constant)
+
+    def _check_alone(self) -> None:
+        """Raise BadReply where a second drive answers what was asked last."""
+        answers = self._network.node.sdo.responses
+        if self._network.requests.await_change(_SECOND_ANSWER, lambda: not answers.empty()) or self._link.error_frames:
+            raise BadReply(
+                f"node {self._config.id} on {self._link.name} answers twice, or garbled: two drives with that node id, "
+                "or a bad cable; connect one alone"
+            )
 
     def _check_kind(self) -> None:
         """Raise DriverError where the drive has not the objects of its profile."""

@@ -17,7 +17,7 @@ from drivers.cia402_network import SYNC, LinkedNetwork, Refused
 from drivers.cia402_objects import Objects
 from drivers.cia402_profiles import HEARTBEAT_LOST, NOT_ENABLED, RESTARTED, Place, fault, profile
 from drivers.cia402_states import DISABLE_VOLTAGE, FAULT_RESET, NEXT, QUICK_STOP, State, state_of
-from drivers.servo import DeviceFault, DriverError
+from drivers.servo import DeviceFault, DriverError, NoReply
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,6 +37,7 @@ START, PRE_OPERATIONAL, RESET_COMMUNICATION = 0x01, 0x80, 0x82
 _OFF = 1 << 31
 _ASYNCHRONOUS, _EVERY_SYNC = 255, 1
 _DISABLE_VOLTAGE_OPTION = 2
+_TRIES = 3
 _SWITCHING = 0.5
 """s that a drive may take from state to state: a power stage measures its offsets first."""
 
@@ -78,8 +79,20 @@ class Node:
             with contextlib.suppress(Refused):  # a drive with fewer PDOs
                 place = Place(index, 1)
                 self.objects.put(place, self.objects.get(place) | _OFF, 4)
-        nmt.send_command(START)
         self._prepared = True
+        self._start()
+
+    def _start(self) -> None:
+        """Let the PDOs flow, and see that they do: NMT commands are not answered. Raises NoReply."""
+        for attempt in range(_TRIES):
+            self.network.node.nmt.send_command(START)
+            try:
+                self.network.requests.ask([self.sync()], ["tpdo1", "tpdo2"])
+            except NoReply:
+                if attempt == _TRIES - 1:
+                    raise NoReply(f"CANopen node {self._config.id} sends no PDO on a SYNC") from None
+            else:
+                return
 
     def _map(self, index: int, cob: int, objects: list[Place], sizes: list[int], kind: int) -> None:
         """Let a PDO carry `objects`."""

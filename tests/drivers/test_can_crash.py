@@ -6,10 +6,11 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from sim_backend.wire import mit_device, moteus_device
+from sim_backend.wire import cia402_device, mit_device, moteus_device
 from sim_backend.wire.can_bus import Bus
 from sim_backend.wire.slcan import SlcanLine
 
@@ -20,6 +21,10 @@ if sys.argv[1] == "moteus":
     from drivers.moteus import MoteusServo as Servo
     from drivers.moteus_config import MoteusConfig
     config = MoteusConfig("slcan", sys.argv[2], reply_timeout=0.3, watchdog=1.0)
+elif sys.argv[1] == "cia402":
+    from drivers.cia402 import Cia402Servo as Servo
+    from drivers.cia402_config import Cia402Config
+    config = Cia402Config("slcan", sys.argv[2], "epos4", reply_timeout=0.3, watchdog=1.0)
 else:
     from drivers.mit import MitServo as Servo
     from drivers.mit_config import MitConfig
@@ -31,13 +36,16 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-@pytest.mark.parametrize("kind", ["moteus", "mit"])
+@pytest.mark.parametrize("kind", ["moteus", "mit", "cia402"])
 def test_a_killed_program_leaves_no_torque_once_the_watchdog_has_run_out(tmp_path: Path, kind: str) -> None:
     bus = Bus([])
     with SlcanLine(tmp_path / "ttyCAN", bus) as line:
         now = line.now()
-        device: moteus_device.Device | mit_device.Device
-        device = moteus_device.Device(now=now) if kind == "moteus" else mit_device.Device("dm-j4310", now=now)
+        device: Any
+        if kind == "moteus":
+            device = moteus_device.Device(now=now)
+        else:
+            device = cia402_device.Device(now=now) if kind == "cia402" else mit_device.Device("dm-j4310", now=now)
         bus.nodes.append(device)
         root = Path(__file__).parents[2]
         command = [sys.executable, "-c", CRASHES, kind, str(line.link)]

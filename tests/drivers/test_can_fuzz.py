@@ -28,7 +28,7 @@ def mangled(frame: CanFrame, rng: np.random.Generator) -> CanFrame:
     return replace(frame, ident=ident, data=bytes(data), remote=bool(rng.random() < 0.05))
 
 
-@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus"])
+@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus", "cia402"])
 def test_whatever_arrives_only_named_errors_come_out_and_the_torque_goes_off(
     request: pytest.FixtureRequest, kind: str
 ) -> None:

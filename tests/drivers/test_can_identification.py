@@ -19,7 +19,7 @@ from hil.stand import parse
 from hil.stop import StopRequest
 from hil.store import Recording
 from sim_backend.parameters import FixtureParameters
-from sim_backend.wire import moteus_device, odrive_device
+from sim_backend.wire import cia402_tables, moteus_device, odrive_device
 from sim_backend.wire.can_motor import behind
 from sim_backend.wire.mit_tables import MODELS
 
@@ -109,6 +109,18 @@ def test_a_chirp_through_mit_frames_gives_stiffness_and_damping_back(
     position, _, torque = spec.span
     # cut off, not rounded: a whole count of torque; of the angle half, since its zero is taken off
     check(signals, spec.scale, 4.0 * torque / 4095, 2.0 * position / 65535)
+
+
+@pytest.mark.parametrize("model", ["epos4", "epos2", "generic"])
+def test_a_chirp_through_a_cia_402_drive_gives_stiffness_and_damping_back(
+    make_cia402: Callable[..., Any], tmp_path: Path, model: str
+) -> None:
+    scale, constant = cia402_tables.SCALE, cia402_tables.TORQUE_CONSTANT
+    rig = make_cia402(model, parameters=behind(scale, constant, 0.6, friction=False))
+    signals = recorded(rig, tmp_path / "run.h5", scale)
+    # thousandths of the rated torque, for an EPOS2 milliamperes
+    lsb = 1e-3 * constant * (1.0 if model == "epos2" else 1e-3 * cia402_tables.NOMINAL_CURRENT)
+    check(signals, scale, lsb, 2.0 * math.pi / (4 * cia402_tables.PULSES))
 
 
 def test_a_chirp_through_a_moteus_gives_stiffness_and_damping_back(
