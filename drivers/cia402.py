@@ -101,10 +101,10 @@ class Cia402Servo:
         """
         self._open()
         try:
-            if self._node.restarted:
+            self._node.stop()
+            if self._node.away:
                 self._node.prepare()
             self._node.clear_faults()
-            self._node.stop()
             self._node.limit(limits, self._scale)
             self._live = True
             self._node.enable()
@@ -123,7 +123,7 @@ class Cia402Servo:
         """
         target, saturated = self._set_point(command)
         self._open()
-        if self._limits is None and self._node.restarted:
+        if self._limits is None and self._node.away:
             self._node.prepare()
         frames = [] if target is None else [self._node.set_point(ENABLE, target)]
         frames += [
@@ -135,7 +135,7 @@ class Cia402Servo:
         try:
             replies = self._node.network.requests.ask(frames, ["tpdo1", "tpdo2"])
         except NoReply:
-            if self._limits is not None and self._node.restarted:
+            if self._limits is not None and self._node.away:
                 raise self._node.trouble(State.UNKNOWN) from None
             raise
         received = self._clock.now()
@@ -150,13 +150,11 @@ class Cia402Servo:
         if not self._live or self._closed:
             return
         trouble: DriverError = DriverError("no reply says so")
-        for _ in range(_TRIES):
+        for attempt in range(_TRIES):
             try:
-                self._node.stop()
+                self._node.stop(wake=attempt > 0)
                 self._live = False
-                with contextlib.suppress(
-                    DriverError
-                ):  # if it still watches us, it will latch a fault that arming clears
+                with contextlib.suppress(DriverError):  # one that still watches us latches what arming clears
                     self._node.release()
                 return
             except DriverError as error:
@@ -219,7 +217,7 @@ class Cia402Servo:
         statusword, position, torque = TPDO1.unpack(first)
         (velocity,) = TPDO2.unpack(second)
         state = state_of(statusword)
-        if self._limits is not None and (state is not State.ENABLED or self._node.restarted):
+        if self._limits is not None and (state is not State.ENABLED or self._node.away):
             raise self._node.trouble(state)
         sign, scale = self._config.sign, self._scale
         limiting = saturated or bool(self._limits is not None and statusword & LIMITING)

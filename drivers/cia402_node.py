@@ -32,7 +32,10 @@ if TYPE_CHECKING:
 CONTROLWORD, STATUSWORD = Place(0x6040, 0), Place(0x6041, 0)
 _MODE, _MODE_DISPLAY = Place(0x6060, 0), Place(0x6061, 0)
 _POSITION, _VELOCITY = Place(0x6064, 0), Place(0x606C, 0)
-_CONSUMER = Place(0x1016, 1)
+_CONSUMER, _PRODUCER = Place(0x1016, 1), Place(0x1017, 0)
+_HEARTBEAT = 100
+"""ms between two heartbeats of the drive."""
+_OPERATIONAL = 5
 START, PRE_OPERATIONAL, RESET_COMMUNICATION = 0x01, 0x80, 0x82
 _OFF = 1 << 31
 _ASYNCHRONOUS, _EVERY_SYNC = 255, 1
@@ -59,7 +62,7 @@ class Node:
         self.network = LinkedNetwork(link, clock, config.id, config.reply_timeout)
         self.objects = Objects(self.network)
         self.nameplate = Nameplate(config, self.profile, self.objects, self.network, link)
-        self._restarted = False
+        self._restarted = self._stopped = False
         self._prepared = False
         self._beaten = -math.inf
         self.network.node.nmt.add_heartbeat_callback(self._heard_state)
@@ -79,8 +82,10 @@ class Node:
             with contextlib.suppress(Refused):  # a drive with fewer PDOs
                 place = Place(index, 1)
                 self.objects.put(place, self.objects.get(place) | _OFF, 4)
+        self.objects.put(_PRODUCER, _HEARTBEAT, 2)
         self._prepared = True
         self._start()
+        self._stopped = False
 
     def _start(self) -> None:
         """Let the PDOs flow, and see that they do: NMT commands are not answered. Raises NoReply."""
@@ -187,9 +192,10 @@ class Node:
                 raise fault(self.error_code())
             if self._clock.now() >= end:
                 return False
+            if drive:
+                self.beat()
             if drive and state in NEXT:
                 self.objects.put(CONTROLWORD, NEXT[state], 2)
-                self.beat()
             elif drive and state is State.QUICK_STOP:
                 self.objects.put(CONTROLWORD, DISABLE_VOLTAGE, 2)
 
@@ -197,8 +203,7 @@ class Node:
 
     def beat(self, *, force: bool = False) -> None:
         """Send our heartbeat where it is due."""
-        for message in self.due_beat(force=force):
-            self.network.requests.tell([message])
+        self.network.requests.tell(self.due_beat(force=force))
 
     def due_beat(self, *, force: bool = False) -> list[can.Message]:
         """Our heartbeat where a quarter of the watchdog's time has gone by, else nothing."""
@@ -217,9 +222,9 @@ class Node:
         return frame(SYNC)
 
     @property
-    def restarted(self) -> bool:
-        """Whether it has said since `prepare` that it was restarted."""
-        return self._restarted
+    def away(self) -> bool:
+        """Whether it has said in a heartbeat since `prepare` that it was restarted, or is not operational any more."""
+        return self._restarted or self._stopped
 
     def error_code(self) -> int:
         """The code of the fault that is latched: of its newest EMCY, else of its objects. Raises NoReply, LinkLost."""
@@ -244,9 +249,15 @@ class Node:
 
     # -- stopping ---------------------------------------------------------------------------------------------------
 
-    def stop(self) -> None:
-        """Torque off: sent at once by PDO and again by SDO, then read back. Raises DriverError where it is not so."""
+    def stop(self, *, wake: bool = False) -> None:
+        """Torque off: sent at once by PDO and again by SDO, then read back. Raises DriverError where it is not so.
+
+        wake: make the node pre-operational in between, since a stopped one takes neither; its PDOs are off then.
+        """
         self.network.requests.fire([self.set_point(DISABLE_VOLTAGE, 0)], [])
+        if wake or self._stopped:
+            self.network.node.nmt.send_command(PRE_OPERATIONAL)
+            self._stopped = True
         try:
             self.objects.put(CONTROLWORD, DISABLE_VOLTAGE, 2)
             state = state_of(self.objects.get(STATUSWORD))
@@ -262,5 +273,7 @@ class Node:
             self.objects.put(_CONSUMER, 0, 4)
 
     def _heard_state(self, state: int) -> None:
-        if state == 0 and self._prepared:
-            self._restarted = True
+        if state == 0:
+            self.network.node.emcy.reset()  # type: ignore[no-untyped-call]  # canopen is typed in parts
+            self._restarted = self._restarted or self._prepared
+        self._stopped = self._prepared and state != _OPERATIONAL

@@ -66,6 +66,7 @@ BACKENDS: Mapping[str, Device] = MappingProxyType(
             "CiA 402 drives on CANopen: EPOS4, EPOS2, others",
             "drivers.cia402_config:Cia402Config",
             "drivers.cia402:Cia402Servo",
+            "drivers.cia402_scan:search",
         ),
         "commander": Device(
             "a SimpleFOC board that speaks Commander on a serial port",

@@ -6,10 +6,12 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
+import can
 import numpy as np
 import pytest
 
 from drivers.cia402_profiles import NOT_ENABLED, RESTARTED
+from drivers.cia402_scan import search
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity
 from sim_backend.wire.can_faults import (
     BusOff,
@@ -125,6 +127,18 @@ def test_a_drive_that_is_refused_when_it_is_opened_is_left_without_torque(make_c
     with pytest.raises(DriverError, match="resolution"):
         rig.open(resolution=500)
     assert not rig.device.motor.enabled
+
+
+def test_a_search_names_every_node_and_touches_nothing(make_cia402: Make) -> None:
+    rig = make_cia402()
+    rig.bus.nodes.append(Device("epos2", 9))
+    before = [dict(node.objects.values) for node in rig.bus.nodes]
+    assert search(rig.config, rig.clock, rig.wire) == [
+        "EPOS4 Module 24/1.5 (profile CiA 402) answers with node id 1",
+        "EPOS2 (profile CiA 402) answers with node id 9",
+    ]
+    assert [node.objects.values for node in rig.bus.nodes] == before
+    assert {message.data[0] for message in rig.wire.sent} <= {0x40, 0x60, 0x70}
 
 
 # -- arming ---------------------------------------------------------------------------------------------------------
@@ -293,6 +307,19 @@ def test_a_drive_that_somebody_else_switches_off_is_a_fault(make_cia402: Make) -
     with pytest.raises(DeviceFault, match="somebody else on the bus") as caught:
         ask_through_gaps(rig, servo)
     assert caught.value.code == NOT_ENABLED
+
+
+def test_a_node_that_somebody_else_stops_is_a_fault_and_is_started_again(make_cia402: Make) -> None:
+    rig = make_cia402()
+    servo = armed(rig)
+    rig.wire.send(can.Message(arbitration_id=0, data=[2, 1], is_extended_id=False))
+    with pytest.raises(DeviceFault, match="somebody else on the bus") as caught:
+        ask_through_gaps(rig, servo)
+    assert caught.value.code == NOT_ENABLED
+    assert not rig.device.motor.enabled
+    servo.disarm()
+    servo.arm(LIMITS)
+    servo.exchange(PUSH)
 
 
 @pytest.mark.parametrize("model", MODELS)
