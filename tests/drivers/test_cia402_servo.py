@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,11 +15,32 @@ from drivers.cia402_config import Cia402Config
 from drivers.cia402_profiles import profile_names
 from drivers.cia402_states import State, state_of
 from drivers.servo import Command, DriverError, Limits, Quantity, Status, UnsafeCommand
+from hil.emulators import make
+from hil.stand import load, open_servo
 from sim_backend.wire.cia402_machine import State as DeviceState
 
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.04, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
 MODELS = ["epos4", "epos2", "generic"]
+
+
+STAND = """
+[stand]
+backend = "cia402"
+[limits]
+torque = 0.04
+deflection = 1.5
+velocity = 60.0
+temperature = 80.0
+[cia402]
+interface = "slcan"
+channel = "{channel}"
+profile = "epos2"
+id = 4
+torque_constant = 0.02
+reply_timeout = 0.3
+watchdog = 1.0
+"""
 
 
 def torque(value: float) -> Command:
@@ -285,6 +307,19 @@ def test_a_position_set_point_is_refused(make_cia402: Make) -> None:
     servo.arm(LIMITS)
     with pytest.raises(UnsafeCommand, match="by torque only"):
         servo.exchange(Command(Quantity.POSITION, 0.1))
+
+
+def test_a_stand_file_and_the_emulate_command_are_all_it_takes(tmp_path: Path) -> None:
+    stand = tmp_path / "stand.toml"
+    stand.write_text(STAND.format(channel=tmp_path / "ttyCAN"))
+    options = {"bus": "slcan", "link": tmp_path / "ttyCAN", "model": "epos2", "idents": [3, 4], "instant": True}
+    served: Any = make("cia402", options)
+    with served:
+        servo, _ = open_servo(load(stand))
+        servo.arm(LIMITS)
+        assert servo.exchange(torque(0.01)).motor_position == 0.0
+        assert servo.info.model == "EPOS2"
+        servo.close()
 
 
 def test_a_second_drive_on_the_bus_is_left_alone(make_cia402: Make) -> None:
