@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from sim_backend.wire.can_frames import CanFrame
 from sim_backend.wire.canopen_dictionary import (
+    NO_OBJECT,
     NOT_MAPPABLE,
     NOT_NOW,
     PDO_TOO_LONG,
@@ -247,8 +248,10 @@ class CanopenNode:
         if not self.objects.get(parameter, 1) & _OFF and self.state == OPERATIONAL:
             raise Abort(WRONG_STATE)
         if sub == 0:
-            size = sum(self.objects.get(index, place) & 0xFF for place in range(1, value + 1))
-            if size > 64:
+            mapped = [self.objects.get(index, place) for place in range(1, value + 1)]
+            if 0 in mapped:
+                raise Abort(NO_OBJECT)
+            if sum(entry & 0xFF for entry in mapped) > 64:
                 raise Abort(PDO_TOO_LONG)
             return
         if self.objects.get(index, 0):

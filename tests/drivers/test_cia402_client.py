@@ -97,6 +97,7 @@ def test_every_object_is_read_and_says_what_it_is(network: Any, bus: Any) -> Non
         (0x6071, 0, b"\0\0\0\0", 0x06070010),
         (0x1A00, 1, struct.pack("<I", 0x60410010), 0x06010000),  # while the mapping counts
         (0x1010, 1, struct.pack("<I", 1), 0x08000020),
+        (0x1A00, 0, b"\x08", 0x06020000),  # seven of them are empty
     ],
 )
 def test_what_it_refuses_is_refused_with_the_code_of_the_standard(
