@@ -71,9 +71,8 @@ class Node:
 
     def prepare(self) -> None:
         """Map the PDOs and let them flow; the drive must be without torque. Raises DriverError."""
-        self._restarted = False
-        nmt = self.network.node.nmt
-        nmt.send_command(PRE_OPERATIONAL)
+        self._restarted, self._stopped = False, True  # until it is done
+        self.network.node.nmt.send_command(PRE_OPERATIONAL)
         ident = self._config.id
         self._map(0x1400, 0x200 + ident, [CONTROLWORD, self.profile.target], [2, 2], _ASYNCHRONOUS)
         self._map(0x1800, 0x180 + ident, [STATUSWORD, _POSITION, self.profile.torque], [2, 4, 2], _EVERY_SYNC)

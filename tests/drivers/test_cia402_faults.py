@@ -338,6 +338,21 @@ def test_a_drive_that_reboots_in_the_run_is_a_fault_and_can_be_armed_again(make_
     servo.close()
 
 
+def test_a_drive_that_reboots_while_it_is_disarmed_is_read_again_though_the_first_tries_fail(make_cia402: Make) -> None:
+    rig = make_cia402()
+    servo = rig.open()
+    rig.device.reboot(rig.clock.now())
+    rig.wait(0.6)
+    rig.bus.inject(DropReplies(after=6, count=4))
+    samples = 0
+    for _ in range(20):
+        rig.wait(2e-3)
+        with contextlib.suppress(NoReply):
+            servo.exchange(Command.rest())
+            samples += 1
+    assert samples > 10
+
+
 @pytest.mark.parametrize("fault", [BusOff(), Unplug()])
 def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_cia402: Make, fault: Fault) -> None:
     rig = make_cia402()
