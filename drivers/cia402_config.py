@@ -16,8 +16,8 @@ class Cia402Config:
 
     interface, channel: the bus, as python-can names it. bitrate: bit/s. profile: the kind of drive. id: its node id.
     own_id: the node id under which we send our heartbeat. torque_constant: N m/A; the epos2 needs it, the epos4 knows
-    it. rated_torque: N m; None: what the drive says. rated_torque_unit: N m of one count of what it says (0x6076),
-    where that is not the profile's. resolution: counts a turn; None: what the drive says. sign: 1 where the drive's
+    it. rated_torque: N m; left out: what the drive says. rated_torque_unit: N m of one count of what it says (0x6076),
+    where that is not the profile's. resolution: counts a turn; left out: what the drive says. sign: 1 where the drive's
     positive is the stand's, else -1. watchdog: s without our heartbeat after which the drive stops by itself; 0: never.
     reply_timeout: s that a reply may take. reset_faults: clear whatever fault is latched when arming.
     """

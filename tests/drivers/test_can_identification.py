@@ -111,7 +111,7 @@ def test_a_chirp_through_mit_frames_gives_stiffness_and_damping_back(
     check(signals, spec.scale, 4.0 * torque / 4095, 2.0 * position / 65535)
 
 
-@pytest.mark.parametrize("model", ["epos4", "epos2", "generic"])
+@pytest.mark.parametrize("model", ["epos4", "epos2"])
 def test_a_chirp_through_a_cia_402_drive_gives_stiffness_and_damping_back(
     make_cia402: Callable[..., Any], tmp_path: Path, model: str
 ) -> None:
