@@ -23,7 +23,8 @@ def block(mark: str, language: str) -> str:
 
 
 def plain(text: str) -> list[str]:
-    """Lines without what belongs to the machine and the moment: times, and the search's last digits."""
+    """Lines without what belongs to the machine and the moment: times, progress, and the search's last digits."""
+    text = re.sub(r"^searching: .* left\n", "", text, flags=re.MULTILINE)  # said of what takes longer than 10 s
     for changing in (r"± \S+", r"error is \S+", r"\d+ evaluations in \S+ s"):
         text = re.sub(changing, "...", text)
     return [re.sub(r"\s+", " ", line).strip() for line in text.splitlines() if line.strip()]
