@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from ga.dense import resolution
 from ga.exact import Optimum, least_absolute_deviations
 
 if TYPE_CHECKING:
@@ -110,6 +111,8 @@ class Problem:
         When flanks let go depends on Bc/Kc, which the minimum gives: both are repeated until they agree.
         """
         target, lag = self.model.target(self.motion, self.torque, shape), 0.0
+        if not self.model.linear:
+            return Fit(shape, Optimum(np.empty(0), float(np.mean(np.abs(target))), 0.0, True, resolution(self.torque)))
         best = Fit(shape, least_absolute_deviations(self.model.columns(self.motion, shape), target))
         for _ in range(_AGREEMENTS if self.model.lets_go else 0):
             kc, bc = best.optimum.genes[:2]

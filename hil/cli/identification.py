@@ -27,8 +27,8 @@ from hil.errors import WrongUse
 
 if TYPE_CHECKING:
     from ga.evolution import Settings
-    from ga.models import Model
     from hil.identify import Search
+    from hil.model_choice import Coupling
     from hil.result import Identification
 
 
@@ -52,6 +52,9 @@ def identify(
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the search.")] = 0,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; all cores otherwise.")] = None,
     checkpoint: Checkpoint = None,
+    fixture: Annotated[
+        Path | None, typer.Option(help="A recording of the empty rig, whose compliance is taken off Kc and Bc.")
+    ] = None,
     report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture.")] = None,
     force: Force = False,
     as_json: Json = False,
@@ -77,22 +80,33 @@ def identify(
         bounds=dict(_bounds(text) for text in bounds or ()),
         checkpoint=checkpoint,
     )
-    identify_and_show(recordings, chosen, search, report, as_json=as_json)
+    identify_and_show(recordings, chosen, search, report, fixture=fixture, as_json=as_json)
 
 
 def identify_and_show(
-    recordings: list[Path], model: Model | None, search: Search, report: Path | None, *, as_json: bool
+    recordings: list[Path],
+    model: Coupling | None,
+    search: Search,
+    report: Path | None,
+    *,
+    fixture: Path | None = None,
+    as_json: bool,
 ) -> None:
     """Search with a progress bar, print the result, write the page where one is asked for.
 
     Raises typer.Exit where the search was interrupted or the result must not be trusted.
     """
+    from dataclasses import replace
+
     from hil import identify as engine
     from hil.report import as_json as to_json
     from hil.report import write_page
+    from hil.rig import without_fixture
 
     with progress() as done:
         found = engine.identify(recordings, model, search, done)
+        if fixture is not None:
+            found = without_fixture(found, engine.identify([fixture], model, replace(search, checkpoint=None), done))
     if as_json:
         print_json(to_json(found))
     else:
@@ -118,12 +132,16 @@ def _show(found: Identification) -> None:
         out(line)
 
 
-def chosen_model(name: str) -> Model | None:
+def chosen_model(name: str) -> Coupling | None:
     """The model of that name, None for the one that the ladder chooses. Raises WrongUse."""
     from ga.models import parse
 
     if name == "auto":
         return None
+    if ".py:" in name:
+        from hil.own_model import load
+
+        return load(name)
     try:
         return parse(name)
     except ValueError as error:
