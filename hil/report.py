@@ -210,7 +210,7 @@ def inspection_table(seen: Inspection) -> Table:
         "deflection": f"{seen.deflection:.4g} rad peak to peak, smallest step {seen.deflection_lsb:.2g} rad",
         "torque": f"{seen.torque * factor:.4g} {unit} peak to peak, from {seen.torque_from}",
         "torque noise": f"{seen.torque_noise * factor:.3g} {unit}; signal to noise {seen.snr:.0f} dB",
-        "moved": f"{seen.band[0]:.3g} to {seen.band[1]:.3g} Hz (95 % of the rate's power)",
+        "moved": f"{seen.band[0]:.3g} to {seen.band[1]:.3g} Hz (99 % of the rate's power)",
         "rate from": f"a local polynomial over {seen.rate_window * 1e3:.3g} ms" if seen.rate_window else "the file",
     }
     for name, text in rows.items():
