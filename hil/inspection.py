@@ -25,7 +25,7 @@ class Inspection:
 
     rate Hz (median), jitter s (99 % of the intervals are within it of the median), longest_gap s, deflection rad and
     torque N m (peak to peak), deflection_lsb rad (smallest step seen), torque_noise N m (standard deviation of what is
-    left of the torque after a local cubic), snr dB (torque's variance over that noise's), band Hz, rate_window s.
+    left of the torque after a local polynomial), snr dB (torque's variance over that noise's), band Hz, rate_window s.
     """
 
     path: Path
