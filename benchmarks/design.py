@@ -49,7 +49,7 @@ MOTOR_SIDE = SIMULATED.replace('"joint"', '"motor"')
 
 CASES = (
     Case("the usual one", "chirp", (0.1, 15.0), 0.006, 4.0),
-    Case("the best found", "multisine", (4.21, 18.2), 0.0108, 4.0),
+    Case("around the resonance", "multisine", (4.21, 18.2), 0.0108, 4.0),
     Case("with its nuisances", "prbs", (0.25, 30.0), 0.005, 4.0, "linear+offset+coulomb"),
     Case("coarse counts: 1 mN m, 1024 a turn", "multisine", (1.0, 10.0), 0.006, 4.0, stand=COARSE),
     Case("deflection prescribed", "chirp", (0.1, 15.0), 0.35, 4.0, quantity=Quantity.POSITION),

@@ -24,14 +24,16 @@ _KINDS = ("chirp", "multisine", "prbs")
 _OCTAVES = 2.0  # the narrowest band searched: one speed tells no friction from damping
 _PERIODS = 2.0  # of the lowest frequency in the run, at least
 _TICKS = 10.0  # a period of the highest frequency, for which the narrowest window's rate is within 0.5 %
-_LONGEST = 8.0  # s on which the search is done; all errors go with the root of the duration
+_SOFT, _SOFTEST = 1.0, 0.1  # s of soft start and stop, as in `hil record`, and the least there is
+_LONGEST = 5.0  # s on which the search is done; all errors go with the root of the duration
 
 
 def best(task: Task, duration: float) -> Assessment:
     """The profile of `duration` s with the least relative error of Kc and Bc within the limits, judged.
 
     A grid over kind and band, an octave apart; then, for each kind, steps of the best band's two ends, made shorter
-    until they matter no more. Raises WrongUse where no band fits the rate and the duration.
+    until they matter no more; then the best of each kind at the whole duration. Raises WrongUse where no band fits the
+    rate and the duration, or where no motion tells the terms apart.
     """
     span = min(duration, _LONGEST)
     lowest, highest = rounded(_PERIODS / span), rounded(task.rate / _TICKS, down=True)
@@ -40,7 +42,7 @@ def best(task: Task, duration: float) -> Assessment:
             f"{duration:g} s at {task.rate:g} Hz leave no band of {_OCTAVES:g} octaves to choose from: "
             "give a longer --duration or a higher --rate"
         )
-    search = _Search(task, span, (lowest, highest))
+    search = _Search(task, (span, max(_SOFT * span / duration, _SOFTEST)), (lowest, highest))
     ends = _octaves(lowest, highest)
     for kind, low, high in itertools.product(_KINDS, ends, ends):
         search.judge(kind, low, high)
@@ -51,17 +53,21 @@ def best(task: Task, duration: float) -> Assessment:
         )
     for kind in _KINDS:
         search.refine(kind)
-    kind, band = min(search.errors, key=search.errors.__getitem__)
-    return assess(task, _largest(task, _made(task, kind, band, duration)))
+    chosen = [min((key for key in search.errors if key[0] == kind), key=search.errors.__getitem__) for kind in _KINDS]
+    whole = [assess(task, _largest(task, _made(task, kind, band, duration, _SOFT))) for kind, band in chosen]
+    return min(whole, key=lambda one: one.relative)
 
 
 class _Search:
-    """The relative error of every kind and band that was tried, up to a factor common to all."""
+    """The relative error of every kind and band that was tried, up to a factor common to all.
 
-    def __init__(self, task: Task, duration: float, reach: tuple[float, float]) -> None:
+    times: s, the duration and the soft start, which is as large a part of it as it will be.
+    """
+
+    def __init__(self, task: Task, times: tuple[float, float], reach: tuple[float, float]) -> None:
         self.errors: dict[tuple[str, tuple[float, float]], float] = {}
         self._task = task
-        self._duration = duration
+        self._times = times
         self._reach = reach
 
     def judge(self, kind: str, low: float, high: float) -> None:
@@ -70,7 +76,7 @@ class _Search:
         if kind == "prbs":  # which begins at zero whatever its band
             low = self._reach[0]
         if high >= low * 2.0**_OCTAVES and (kind, (low, high)) not in self.errors:
-            self.errors[kind, (low, high)] = _error(self._task, kind, (low, high), self._duration)
+            self.errors[kind, (low, high)] = _error(self._task, kind, (low, high), *self._times)
 
     def refine(self, kind: str) -> None:
         """Walk from the best band of the kind to the best within steps of five percent."""
@@ -90,9 +96,9 @@ def _octaves(lowest: float, highest: float) -> list[float]:
     return [lowest * (highest / lowest) ** (index / count) for index in range(count + 1)]
 
 
-def _error(task: Task, kind: str, band: tuple[float, float], duration: float) -> float:
+def _error(task: Task, kind: str, band: tuple[float, float], duration: float, soft: float) -> float:
     """The larger relative error of Kc and Bc, up to a common factor, at the largest amplitude."""
-    motion, _ = respond(task.joint, _largest(task, _made(task, kind, band, duration)), task.rate)
+    motion, _ = respond(task.joint, _largest(task, _made(task, kind, band, duration, soft)), task.rate)
     variance = covariance(sensitivities(task.terms, task.joint, motion)).diagonal()[:2]
     rough = (task.joint.stiffness, task.joint.damping)
     return max(math.sqrt(value) / size for value, size in zip(variance, rough, strict=True))
@@ -104,7 +110,7 @@ def _largest(task: Task, profile: Profile) -> Profile:
     return replace(profile, amplitude=rounded(amplitude, down=True))
 
 
-def _made(task: Task, kind: str, band: tuple[float, float], duration: float) -> Profile:
+def _made(task: Task, kind: str, band: tuple[float, float], duration: float, soft: float) -> Profile:
     return profiles.make(
         kind,
         task.quantity,
@@ -113,5 +119,6 @@ def _made(task: Task, kind: str, band: tuple[float, float], duration: float) -> 
         duration=duration,
         band=band,
         rate=task.rate,
+        soft=soft,
         seed=SEED,
     )

@@ -58,11 +58,11 @@ def signals_of(path: Path) -> Signals:
 
 
 def test_the_predicted_errors_are_those_of_recordings_on_the_simulated_stand(tmp_path: Path) -> None:
-    """Thirty of 1.5 s; their spread is uncertain by 13 %. docs/design.md has 200 of each of six profiles."""
+    """Two dozen of 1.5 s; their spread is uncertain by 15 %. docs/design.md has 200 of each of six profiles."""
     stand = parse(SIMULATED)
     made = judged(task(), "multisine", (2.0, 15.0), 0.008, 1.5)
     genes = []
-    for seed in range(30):
+    for seed in range(24):
         path, outcome = run(stand, made.profile, rate=250.0, seed=seed, output=tmp_path / "a.h5", force=True)
         assert outcome.error is None
         seen = signals_of(path)
