@@ -58,7 +58,7 @@ def signals_of(path: Path) -> Signals:
 
 
 def test_the_predicted_errors_are_those_of_recordings_on_the_simulated_stand(tmp_path: Path) -> None:
-    """Two dozen of 1.5 s; their spread is uncertain by 15 %. docs/design.md has 200 of each of six profiles."""
+    """Two dozen of 1.5 s; their spread is uncertain by 15 %. docs/design.md has 200 of each of six cases."""
     stand = parse(SIMULATED)
     made = judged(task(), "multisine", (2.0, 15.0), 0.008, 1.5)
     genes = []
