@@ -39,6 +39,24 @@ def task_findings(task: Task, *, noise_stated: bool) -> list[Finding]:
                 "many times what is predicted; add it to [stand]",
             )
         )
+    if task.readings.motor_side and task.quantity is Quantity.POSITION:
+        found.append(
+            Finding(
+                "motor-side",
+                "between ticks the motor's torque follows the drive's own position loop, which is not predicted: Bc "
+                "can be far from what is said here; use a torque cell, or --quantity torque",
+                "Bc",
+            )
+        )
+    elif task.readings.motor_side:
+        found.append(
+            Finding(
+                "motor-side",
+                "the motor's torque is held from tick to tick and read before it changes, which is half a tick "
+                f"({500.0 / task.rate:.2g} ms) of skew: the bias of Bc is rough and it scatters more than is said here",
+                "Bc",
+            )
+        )
     return found
 
 

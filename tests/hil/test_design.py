@@ -15,7 +15,7 @@ import pytest
 from drivers.servo import Quantity
 from ga.exact import least_absolute_deviations
 from hil import profiles
-from hil.advice import findings
+from hil.advice import findings, task_findings
 from hil.cli import run as hil
 from hil.dataset import stand_of
 from hil.design import Assessment, Task, assess, rounded, task_of
@@ -200,6 +200,14 @@ def test_a_stand_that_is_not_simulated_needs_rough_values_and_says_what_it_assum
     assert f"--stand '{path}'" in out
     assert hil([*words, "--kc", "0.02", "--bc", "2e-4", "--torque-noise", "1e-4"]) == 0
     assert "[noise-assumed]" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("quantity", "words"), [("torque", "half a tick (2 ms)"), ("position", "--quantity torque")])
+def test_torque_from_the_motors_side_is_said_to_be_predicted_less_well(quantity: str, words: str) -> None:
+    asked = task(text=SIMULATED.replace('"joint"', '"motor"'), quantity=quantity)
+    (found,) = task_findings(asked, noise_stated=True)
+    assert found.code == "motor-side"
+    assert words in found.message
 
 
 def test_a_stand_without_limits_is_not_designed_for() -> None:
