@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.recording import _band, _limit_of, _quantity, _stand_of, checked_rate
-from hil.cli.terminal import Json, print_json, tell
+from hil.cli.terminal import Json, out, out_table, print_json, tell
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -75,19 +75,16 @@ def design(
 
 
 def _show(task: Task, judged: dict[str, Assessment], stand: str) -> None:
-    from rich.console import Console
-
     from hil.advice import command
 
-    console = Console()
-    console.print(_errors(task, judged))
-    console.print(_limits(task, judged))
-    print(
+    out_table(_errors(task, judged))
+    out_table(_limits(task, judged))
+    out(
         "Standard errors are those of the least absolute deviations of hil identify; least squares would reach the\n"
         "Cramer-Rao bound, 1.25 times less in white noise. Four times the duration halves them; heating is not judged."
     )
     for name, one in judged.items():
-        print(f"{name}, limited by {one.limited_by}:\n  {command(one, stand, task.rate)}")
+        out(f"{name}, limited by {one.limited_by}:\n  {command(one, stand, task.rate)}")
 
 
 def _errors(task: Task, judged: dict[str, Assessment]) -> Table:
