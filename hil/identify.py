@@ -23,7 +23,7 @@ from ga.trials import Trials, run_trials
 from hil.dataset import Dataset, Table, open_dataset, table
 from hil.errors import Untrustworthy, WrongUse
 from hil.intervals import spread
-from hil.judgement import Evidence, estimates, judge
+from hil.judgement import Evidence, estimates, judge, rivals
 from hil.model_choice import Choice, Coupling, choose
 from hil.pooling import scatter
 from hil.provenance import check_together
@@ -112,13 +112,14 @@ def identify(
             gap=found.optimum.relative_gap(fitness),
             holdout=holdout,
         )
+        judged = estimates(evidence)
         return Identification(
             recordings=tuple(paths),
             model=data.choice.model,
             rungs=data.choice.rungs,
             preset=search.preset,
             seed=search.seed,
-            estimates=estimates(evidence),
+            estimates=judged,
             fitness=fitness,
             optimum=found.optimum.fitness,
             relative_gap=evidence.gap,
@@ -127,7 +128,7 @@ def identify(
             seconds=time.perf_counter() - began,
             search_seconds=found.seconds,
             holdout=holdout,
-            findings=tuple(together + data.findings + judge(evidence)),
+            findings=tuple(together + data.findings + judge(evidence) + rivals(data.choice.rungs, judged)),
             signals=data.signals,
         )
 

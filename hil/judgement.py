@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ga.trials import Trials
 from hil.findings import Finding
 from hil.intervals import Spread
+from hil.ladder import Rung
 from hil.model_choice import Coupling
 from hil.pooling import Scatter
 from hil.result import Estimate, Holdout
@@ -21,6 +22,7 @@ _CONFUSED = 300.0  # variance inflation from which a parameter is another's as m
 _TOLD = 0.5  # half the width of its interval, as a part of its value, up to which Kc or Bc is told
 _OPTIMISER_GAP = 1e-3  # relative gap from which the search is said not to have arrived
 _MARGIN = 1e-4  # part of a range within which a value is at its end
+_BARELY = 1.001  # of the least fitness, to which a model with one more term is as good
 _UNEXPLAINED = 0.9  # of the torque's spread, left in held-out blocks, from which a model explains nothing
 _COUPLING = ("Kc", "Bc")
 
@@ -116,6 +118,26 @@ def judge(evidence: Evidence) -> list[Finding]:
             )
         )
     return found
+
+
+def rivals(rungs: tuple[Rung, ...], found: tuple[Estimate, ...]) -> list[Finding]:
+    """The terms that were not taken, yet would move Kc or Bc out of its interval: they are not ruled out."""
+    told = []
+    for rung in rungs:
+        for estimate in () if rung.taken else found[:2]:
+            value = {"Kc": rung.Kc, "Bc": rung.Bc}[estimate.name]
+            outside = not estimate.ci95[0] <= value <= estimate.ci95[1]
+            if outside and rung.fitness < _BARELY * min(one.fitness for one in rungs if one.taken):
+                told.append(
+                    Finding(
+                        "model-dependent",
+                        f"with {rung.term}, which this recording neither asks for nor rules out, {estimate.name} would "
+                        f"be {value / estimate.exact - 1.0:+.2%} from here, outside its interval: a wider band or a "
+                        "larger amplitude would tell",
+                        estimate.name,
+                    )
+                )
+    return told
 
 
 def _interruption(trials: Trials) -> list[Finding]:
