@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled
+from ga.compiled import lean, lean_apart
 
 Array = NDArray[np.float64]
 
@@ -27,8 +27,9 @@ def local_polynomial(time: Array, values: Array, half: int) -> tuple[Array, Arra
     time (n,) s, rising; values (n,). A window is the sample and `half` neighbours a side; at the ends it is the first
     or last 2*half+1 samples, evaluated off its centre, where the noise is many times larger.
     """
-    found = np.empty((3, len(time)))
-    fit_all(np.ascontiguousarray(time), np.ascontiguousarray(values), half, found)
+    found, p = np.empty((3, len(time))), DEGREE + 1
+    room = (np.empty(2 * p - 1), np.empty(2 * p - 1), np.empty((p, p)), np.empty(p), np.empty((3, p)))
+    fit_all(np.ascontiguousarray(time), np.ascontiguousarray(values), half, found, room)
     return found[0], found[1], found[2]
 
 
@@ -59,19 +60,20 @@ def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
     return half
 
 
-@compiled
-def fit_all(time: Array, values: Array, half: int, found: Array) -> None:
-    """`local_polynomial` in machine code, the results written to `found` (3, n)."""
-    count, width, p = len(time), 2 * half + 1, DEGREE + 1
-    row, sums, normal, right = np.empty(2 * p - 1), np.empty(2 * p - 1), np.empty((p, p)), np.empty(p)
-    at = np.empty((3, p))
+@lean_apart
+def fit_all(
+    time: Array, values: Array, half: int, found: Array, room: tuple[Array, Array, Array, Array, Array]
+) -> None:
+    """`local_polynomial` in machine code, the results written to `found` (3, n). room: working space."""
+    row, sums, normal, right, at = room
+    count, width, p = time.size, 2 * half + 1, right.size
     for i in range(count):
         start = min(max(i - half, 0), count - width)
         middle = 0.5 * (time[start] + time[start + width - 1])
         scale = 0.5 * (time[start + width - 1] - time[start])
         base = values[i]
-        sums[:] = 0.0
-        right[:] = 0.0
+        _clear(sums)
+        _clear(right)
         for j in range(width):
             _chebyshev((time[start + j] - middle) / scale, row)
             left = values[start + j] - base
@@ -92,14 +94,20 @@ def fit_all(time: Array, values: Array, half: int, found: Array) -> None:
         found[0, i] += base
 
 
-@compiled
+@lean
+def _clear(values: Array) -> None:
+    for k in range(values.size):
+        values[k] = 0.0
+
+
+@lean
 def _chebyshev(x: float, row: Array) -> None:
     row[0], row[1] = 1.0, x
     for k in range(2, row.size):
         row[k] = 2.0 * x * row[k - 1] - row[k - 2]
 
 
-@compiled
+@lean
 def _derivatives(x: float, at: Array) -> None:
     """The basis at x, its slope and its curvature (3, p)."""
     at[0, 0], at[0, 1], at[1, 0], at[1, 1], at[2, 0], at[2, 1] = 1.0, x, 0.0, 1.0, 0.0, 0.0
@@ -109,7 +117,7 @@ def _derivatives(x: float, at: Array) -> None:
         at[2, k] = 4.0 * at[1, k - 1] + 2.0 * x * at[2, k - 1] - at[2, k - 2]
 
 
-@compiled
+@lean
 def _solve(normal: Array, right: Array) -> None:
     """Solve in place by Cholesky; the basis is so nearly orthogonal that no pivot is needed."""
     p = right.size
