@@ -2,25 +2,26 @@
 
 For residuals e and columns X the estimate is asymptotically normal with covariance A^-1 B A^-1 (Koenker, Quantile
 Regression, 2005, section 4.3), where A is twice the sum of x x' weighted with the residuals' density at zero (Powell's
-kernel estimate) and B the covariance of the sum of x sign(e). B is taken over blocks in time, so that residuals that
-follow each other, as they do on any real stand, widen the interval instead of being counted as news.
+kernel estimate) and B the covariance of the sum of x sign(e), from the spectrum of the signs: residuals that follow
+each other, as they do on any real stand, widen the interval instead of being counted as news.
 
 This is the error of the data, given the model. What the model leaves out of the stand is not in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.residual_spectrum import ResidualSpectrum, measure
+
 Array = NDArray[np.float64]
 Blocks = Callable[[], Iterable[tuple[Array, Array]]]
 """The data as often as it is asked for, in order: columns (m, p) and torque (m,) N m of any number of rows."""
 
-_BLOCKS = 40  # enough of them to estimate a covariance, long enough to hold the correlation
 _QUANTILES = 1 << 16  # residuals from which the spread of all is read
 
 
@@ -57,13 +58,13 @@ def spread(blocks: Blocks, genes: Array) -> Spread:
     gram = sums.gram[np.ix_(told, told)] / np.outer(scale[told], scale[told]) / sums.count
     if not told.any() or np.linalg.cond(gram) > 1e12:
         return Spread(half, inflation)
-    kernel, scores = _second_pass(blocks, genes, sums)
+    kernel, spectrum = _second_pass(blocks, genes, sums)
     units = np.outer(scale[told], scale[told])
-    bread = np.linalg.inv(kernel[np.ix_(told, told)] / units)
-    covariance = bread @ ((scores.T @ scores)[np.ix_(told, told)] / units) @ bread
-    quantile = float(stdtrit(max(1, len(scores) - int(told.sum())), 0.975))
-    variance = np.diag(covariance)  # negative by rounding: the columns tell nothing
-    half[told] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.inf)) / scale[told]
+    bread = np.zeros_like(kernel)
+    bread[np.ix_(told, told)] = np.linalg.inv(kernel[np.ix_(told, told)] / units) / units
+    variance = np.diag(bread @ spectrum.covariance @ bread)[told]  # negative by rounding: the columns tell nothing
+    quantile = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[told]), 0.975)
+    half[told] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.inf))
     inflation[told] = np.diag(np.linalg.inv(gram))
     return Spread(half, inflation)
 
@@ -94,34 +95,31 @@ def _first_pass(blocks: Blocks, genes: Array) -> _Sums:
     return _Sums(count, gram, np.concatenate(kept), rounding)
 
 
-def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, Array]:
-    """Powell's estimate of twice the sum of f(0) x x' (p, p), and the sums of x sign(e) over blocks in time (b, p)."""
-    width = _kernel_width(sums)
-    parts = min(_BLOCKS, sums.count // 2)
-    kernel, scores, start = np.zeros_like(sums.gram), np.zeros((parts, len(genes))), 0
-    for columns, torque in blocks():
-        residuals = torque - columns @ genes
-        inside = columns[np.abs(residuals) <= width]
-        kernel += inside.T @ inside / width
-        part = np.arange(start, start + len(torque)) * parts // sums.count
-        edges = np.flatnonzero(np.diff(part, prepend=-1))
-        signs = np.where(
-            np.abs(residuals) > sums.rounding, np.sign(residuals), 0.0
-        )  # the optimum passes through p rows
-        scores[part[edges]] += np.add.reduceat(columns * signs[:, None], edges, axis=0)
-        start += len(torque)
-    return kernel, scores
+def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, ResidualSpectrum]:
+    """Powell's estimate of twice the sum of f(0) x x' (p, p), and how the signs of the residuals follow each other."""
+    width, kernel = _kernel_width(sums), np.zeros_like(sums.gram)
+
+    def signed() -> Iterator[tuple[Array, Array]]:
+        for columns, torque in blocks():
+            residuals = torque - columns @ genes
+            inside = columns[np.abs(residuals) <= width]
+            kernel[:] += inside.T @ inside / width
+            # the optimum passes through p rows
+            yield columns, np.where(np.abs(residuals) > sums.rounding, np.sign(residuals), 0.0)
+
+    return kernel, measure(signed())
 
 
 def _kernel_width(sums: _Sums) -> float:
-    """The residuals that count as near zero, N m: the bandwidth of Hall and Sheather (1988) for the median.
+    """The residuals that count as near zero, N m: the bandwidth of Bofinger (1975) for the median.
 
-    In quantiles it is n^(-1/3) z^(2/3) (1.5 phi(0)^2)^(1/3); never so narrow that fewer than a hundred rows remain.
+    In quantiles it is n^(-1/5) (4.5 phi(0)^4)^(1/5), the least mean square error of the density, which parameters that
+    few rows tell need; never so narrow that fewer than a hundred rows remain.
     """
     from scipy.special import ndtri
 
     residuals, count = sums.residuals, sums.count
     sigma = min(float(np.std(residuals)), float(np.subtract(*np.quantile(residuals, [0.75, 0.25]))) / 1.349)
-    share = count ** (-1 / 3) * 1.959964 ** (2 / 3) * (1.5 / (2.0 * np.pi)) ** (1 / 3)
+    share = count ** (-1 / 5) * (4.5 / (2.0 * np.pi) ** 2) ** (1 / 5)
     fewest = float(np.quantile(np.abs(residuals), min(1.0, 100.0 / count)))
     return max(sigma * float(ndtri(0.5 + min(share, 0.45))), fewest, sums.rounding)
