@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+FEW: Final = 600
 ENOUGH: Final = 2500
-"""Rows on which a valley is told from another; the bottom is then found on all of them."""
+"""Rows on which a valley is told from another, and those on which its bottom is looked for before all are taken."""
 
 _GRID: Final[Mapping[str, tuple[float, ...]]] = MappingProxyType(
     {
@@ -53,10 +54,13 @@ _AGREED: Final = 1e-3
 
 _STEPS: Final = 20
 _HALVINGS: Final = 4
-_CONVERGED: Final = 1e-9
-_FIRST: Final = 4e-3
-_LAST: Final = 1e-6
-"""The steps of a compass, from and to, as parts of the bounds' width."""
+_CONVERGED: Final = 1e-7
+"""Part of the fitness that a step gains, and of the bounds' width that it is long, at which a descent has arrived."""
+
+_FIRST: Final = 8e-3
+_FINE: Final = 1e-3
+_LAST: Final = 1e-5
+"""The steps of a compass, from and to, as parts of the bounds' width; from the middle one on they shrink faster."""
 
 
 class Curved(Protocol):
@@ -105,22 +109,25 @@ class Problem:
     low: Array
     high: Array
 
-    def solve(self, shape: Array) -> Fit:
+    def solve(self, shape: Array, near: Fit | None = None, agreements: int = _AGREEMENTS) -> Fit:
         """The exact minimum for one shape (q,). Raises RuntimeError where no optimum can be proven.
 
-        When flanks let go depends on Bc/Kc, which the minimum gives: both are repeated until they agree.
+        near: the fit of a shape close by, to begin with. When flanks let go depends on Bc/Kc, which the minimum gives:
+        both are repeated until they agree, `agreements` times at most.
         """
-        target, lag = self.model.target(self.motion, self.torque, shape), 0.0
+        target, lag = self.model.target(self.motion, self.torque, shape), near.lag if near else 0.0
         if not self.model.linear:
             return Fit(shape, Optimum(np.empty(0), float(np.mean(np.abs(target))), 0.0, True, resolution(self.torque)))
-        best = Fit(shape, least_absolute_deviations(self.model.columns(self.motion, shape), target))
-        for _ in range(_AGREEMENTS if self.model.lets_go else 0):
-            kc, bc = best.optimum.genes[:2]
-            next_lag = max(0.0, bc / kc) if kc > 0.0 else 0.0
+        genes = near.optimum.genes if near else None
+        best = Fit(shape, least_absolute_deviations(self.model.columns(self.motion, shape, lag), target, genes), lag)
+        for _ in range(agreements if self.model.lets_go else 0):
+            genes = best.optimum.genes
+            next_lag = max(0.0, genes[1] / genes[0]) if genes[0] > 0.0 else 0.0
             if abs(next_lag - lag) <= _AGREED * lag:
                 break
             lag = next_lag
-            best = Fit(shape, least_absolute_deviations(self.model.columns(self.motion, shape, lag), target), lag)
+            columns = self.model.columns(self.motion, shape, lag)
+            best = Fit(shape, least_absolute_deviations(columns, target, genes), lag)
         return best
 
     def of(self, rows: NDArray[np.bool_] | slice) -> Problem:
@@ -164,8 +171,25 @@ def valley(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -
     for name, low, high in zip(names, problem.low, problem.high, strict=True):
         parts = np.array(_GRID.get(name, _ANYWHERE))
         tried.append(np.array([near[name]]) if name in near else low + (high - low) * parts)
-    best = min((problem.solve(np.array(shape)) for shape in product(*tried)), key=lambda found: found.fitness)
+    thin, best = problem.thinned(FEW), None
+    for parts in product(*tried):
+        found = attempted(thin, np.array(parts), best)
+        if found is not None and (best is None or found.fitness < best.fitness):
+            best = found
+    if best is None:
+        raise RuntimeError("for no shape were the columns different enough")
     return descend(problem, best.shape)
+
+
+def attempted(problem: Problem, shape: Array, near: Fit | None) -> Fit | None:
+    """The minimum for one shape (q,), as good as telling a valley takes; None where the columns are too much alike.
+
+    Flanks let go as `near` says, where it is given.
+    """
+    try:
+        return problem.solve(shape, near, agreements=0 if near else _AGREEMENTS)
+    except RuntimeError:
+        return None
 
 
 def descend(problem: Problem, start: Array) -> Fit:
@@ -174,10 +198,11 @@ def descend(problem: Problem, start: Array) -> Fit:
     count = problem.low.size
     for _ in range(_STEPS if count else 0):
         try:
-            step = least_absolute_deviations(*problem.linearised(best)).genes[-count:] - best.shape
+            step = least_absolute_deviations(*problem.linearised(best), best.values).genes[-count:] - best.shape
         except RuntimeError:  # the shape does what the columns do already: no way down can be told
             break
-        better = _shortened(problem, best, step)
+        arrived = bool(np.all(np.abs(step) <= _CONVERGED * (problem.high - problem.low)))
+        better = None if arrived else _shortened(problem, best, step)
         if better is None:
             break
         gained = best.fitness - better.fitness
@@ -193,7 +218,7 @@ def _shortened(problem: Problem, best: Fit, step: Array) -> Fit | None:
         shape = np.clip(best.shape + step * 0.5**halving, problem.low, problem.high)
         if np.array_equal(shape, best.shape):
             return None
-        tried = problem.solve(shape)
+        tried = problem.solve(shape, best)
         if tried.fitness < best.fitness:
             return tried
     return None
@@ -201,16 +226,28 @@ def _shortened(problem: Problem, best: Fit, step: Array) -> Fit | None:
 
 def by_compass(problem: Problem, best: Fit) -> Fit:
     """The bottom nearby, where gap or slack make it rough: both ways along each, with ever smaller steps."""
-    width = problem.high - problem.low
-    jumps = {parameter.name for parameter in (*problem.model.linear, *problem.model.shape)} & {"Fc", *_KINKED}
-    rough = [k for k, parameter in enumerate(problem.model.shape) if parameter.name in {*_KINKED, "skew"} and jumps]
-    length = _FIRST
-    while rough and length > _LAST:
-        shapes = [best.shape + sign * length * width * (np.arange(len(width)) == k) for k in rough for sign in (1, -1)]
-        tried = [problem.solve(np.clip(shape, problem.low, problem.high)) for shape in shapes]
+    steps, length = _rough(problem), _FIRST
+    while len(steps) and length > _LAST:
+        shapes = [best.shape + sign * length * step for step in steps for sign in (1.0, -1.0)]
+        tried = [problem.solve(np.clip(shape, problem.low, problem.high), best) for shape in shapes]
         found = min(tried, key=lambda fit: fit.fitness)
         if found.fitness < best.fitness:
             best = found
         else:
-            length *= 0.25
+            length *= 0.5 if length > _FINE else 0.25
     return best
+
+
+def _rough(problem: Problem) -> Array:
+    """The directions (k, q) in which the fitness is rough, each as long as the bounds are wide.
+
+    Where a gap begins and where it ends are felt apart from each other: it is these that are moved.
+    """
+    names = [parameter.name for parameter in problem.model.shape]
+    if not {"Fc", *_KINKED} & {*names, *(parameter.name for parameter in problem.model.linear)}:
+        return np.empty((0, len(names)))
+    steps = {name: step for name, step in zip(names, np.diag(problem.high - problem.low), strict=True)}
+    if {"gap", "centre"} <= set(names):
+        half = 0.5 * steps["gap"][names.index("gap")] * (np.arange(len(names)) == names.index("centre"))
+        steps["gap"], steps["centre"] = steps["gap"] + half, steps["gap"] - half
+    return np.array([step for name, step in steps.items() if name in {*_KINKED, "skew"}]).reshape(-1, len(names))

@@ -51,32 +51,37 @@ class Optimum:
         return (fitness - self.fitness) / max(self.fitness, self.floor)
 
 
-def least_absolute_deviations(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> Optimum:
+def least_absolute_deviations(
+    columns: NDArray[np.float64], torque: NDArray[np.float64], near: NDArray[np.float64] | None = None
+) -> Optimum:
     """The chromosome of least mean absolute error for columns (n, p) and torque (n,), N m, unbounded.
 
     Any n, any p up to 8 or so; rows may be tied or repeated, columns zero or collinear, n less than p.
+    near: genes (p,) that are thought to be close to it, SI: the closer they are, the sooner it is found.
     Raises ValueError where the data are not finite, not of equal length or empty, RuntimeError where no certificate
     could be reached.
     """
     check(columns, torque)
-    scale = np.abs(columns).max(axis=0)
-    scale[scale == 0.0] = 1.0
+    sizes = np.abs(columns.T, order="C")
+    scale, extent = sizes.max(axis=1), sizes.sum(axis=1)
+    scale[scale == 0.0] = extent[extent == 0.0] = 1.0
     size = float(np.mean(np.abs(torque))) or 1.0
-    rows, kept = _whiten(columns / scale)
+    rows, kept = _whiten(columns, scale)
     if not kept.size:
         return Optimum(np.zeros(len(scale)), float(np.mean(np.abs(torque))), 0.0, False, resolution(torque))
     target = torque / size
-    shift = np.random.default_rng(0).uniform(-1.0, 1.0, len(torque))
+    start = target if near is None else _times(columns, near) / size
     best: Optimum | None = None
     for amount in _PERTURBATIONS:
-        moved = target + amount * shift
-        basis = _solve(rows, moved)
+        moved = target + amount * np.random.default_rng(0).uniform(-1.0, 1.0, len(torque)) if amount else target
+        basis = _solve(rows, moved, weighted_sum(rows, start) / len(rows), close=near is not None)
         if basis is None:
             continue
         # the perturbation ends here: the vertex is that of the data as they are
         genes = np.zeros(len(scale))
         genes[kept] = np.linalg.solve(columns[np.ix_(basis, kept)] / scale[kept], target[basis])
-        optimum = _certify(columns, torque, genes * size / scale, basis, _signs(rows, target, moved, basis))
+        signs = _signs(rows, target, moved, basis)
+        optimum = _certify(columns, torque, genes * size / scale, basis, signs, scale, extent)
         if best is None or optimum.certificate < best.certificate:
             best = optimum
         if best.certificate <= _PROVEN:
@@ -94,7 +99,7 @@ def _signs(
     point, extent = inverse @ torque[basis], np.abs(inverse) @ np.abs(torque[basis])
     residual = torque - _times(rows, point)
     # entries that cancel to zero have an error too: bounded by the rows' length, not by the entries
-    rounding = _ROUNDING * (np.abs(torque) + np.abs(rows).sum(axis=1) * float(extent.max()))
+    rounding = _ROUNDING * (np.abs(torque) + _times(np.abs(rows), np.ones(len(basis))) * float(extent.max()))
     tied = np.abs(residual) <= rounding
     signs = np.sign(residual)
     signs[tied] = np.sign(moved[tied] - _times(rows[tied], inverse @ moved[basis]))
@@ -108,15 +113,17 @@ def _certify(
     genes: NDArray[np.float64],
     basis: NDArray[np.int64],
     signs: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    extent: NDArray[np.float64],
 ) -> Optimum:
-    """The optimum with its proof, from the signs (n,) of the residuals outside the basis."""
+    """The optimum with its proof, from the signs (n,) of the residuals outside the basis.
+
+    scale and extent: the largest and the sum of each column's sizes (p,), 1 where it is all zero.
+    """
     residual = torque - _times(columns, genes)
-    scale = np.abs(columns).max(axis=0)
-    scale[scale == 0.0] = 1.0
     needed = -np.linalg.lstsq((columns[basis] / scale).T, weighted_sum(columns, signs) / scale, rcond=None)[0]
     signs[basis] = np.clip(needed, -1.0, 1.0)
-    extent = np.abs(columns).sum(axis=0)
-    violation = np.abs(weighted_sum(columns, signs)) / np.where(extent > 0.0, extent, 1.0)
+    violation = np.abs(weighted_sum(columns, signs)) / extent
     full = len(basis) == columns.shape[1]
     return Optimum(
         genes=genes,
@@ -127,13 +134,17 @@ def _certify(
     )
 
 
-def _whiten(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _whiten(
+    columns: NDArray[np.float64], scale: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Independent columns made orthogonal, each of length sqrt(n): rows (n, r), and which columns they span.
 
     Gram-Schmidt with column exchange, each column cleaned twice. The rank is revealed by what is left of a column.
+    scale: the largest size in each column (p,), which keeps squares in range.
     """
-    lengths = np.sqrt(np.einsum("nk,nk->k", columns, columns))
-    work = np.ascontiguousarray((columns / np.where(lengths > 0.0, lengths, 1.0)).T)
+    work = np.divide(columns.T, scale[:, None], order="C")
+    lengths = np.sqrt(np.einsum("kn,kn->k", work, work))
+    work /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     order = np.arange(len(work))
     rank = 0
     while rank < min(columns.shape):
@@ -141,31 +152,44 @@ def _whiten(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
         pivot = rank + int(np.argmax(left))
         if not np.sqrt(left.max()) > _RANK:
             break
-        work[[rank, pivot]], order[[rank, pivot]] = work[[pivot, rank]], order[[pivot, rank]]
+        if pivot != rank:
+            work[[rank, pivot]], order[[rank, pivot]] = work[[pivot, rank]], order[[pivot, rank]]
         for j in range(rank):
             work[rank] -= np.einsum("n,n", work[j], work[rank]) * work[j]
         work[rank] /= np.sqrt(np.einsum("n,n", work[rank], work[rank]))
         for j in range(rank + 1, len(work)):
             work[j] -= np.einsum("n,n", work[rank], work[j]) * work[rank]
         rank += 1
-    return np.ascontiguousarray(work[:rank].T) * np.sqrt(len(columns)), order[:rank]
+    return np.multiply(work[:rank].T, np.sqrt(len(columns)), order="C"), order[:rank]
 
 
-def _solve(rows: NDArray[np.float64], torque: NDArray[np.float64]) -> NDArray[np.int64] | None:
-    """The optimal basis of all rows (n, r); None where the descent stalls."""
+def _solve(
+    rows: NDArray[np.float64], torque: NDArray[np.float64], start: NDArray[np.float64], *, close: bool = False
+) -> NDArray[np.int64] | None:
+    """The optimal basis of all rows (n, r), looked for from the point start (r,); None where the descent stalls.
+
+    close: whether the optimum is thought to be as near to the start as it would be to that of other such rows.
+    """
     n, r = rows.shape
-    start = weighted_sum(rows, torque) / n
-    nothing = np.zeros(r)
+    if close and (found := _bracketed(rows, torque, start, n)) is not None:
+        return found
     if n <= _DIRECT:
-        return _descend(rows, torque, nothing, start)[1]
+        return _descend(rows, torque, np.zeros(r), start)[1]
     step = max(n // max(_DIRECT, n // 16), 2)
     count = n // step
     # one row at random out of every `step`: a fixed stride could beat with a periodic excitation
     sample = np.arange(count) * step + np.random.default_rng(1).integers(0, step, count)
-    basis = _solve(rows[sample], torque[sample])
+    basis = _solve(rows[sample], torque[sample], start)
     if basis is None:
         return None
-    centre = np.linalg.solve(rows[sample][basis], torque[sample][basis])
+    return _bracketed(rows, torque, np.linalg.solve(rows[sample][basis], torque[sample][basis]), count)
+
+
+def _bracketed(
+    rows: NDArray[np.float64], torque: NDArray[np.float64], centre: NDArray[np.float64], count: int
+) -> NDArray[np.int64] | None:
+    """The optimal basis, looked for around the centre (r,), which is as good as an estimate from `count` rows."""
+    r = len(centre)
     residual = torque - _times(rows, centre)
     reach = 4.0 * float(np.mean(np.abs(residual))) * np.sqrt(r / count)
     lengths = np.sqrt(_times(rows**2, np.ones(r)))
@@ -179,11 +203,16 @@ def _solve(rows: NDArray[np.float64], torque: NDArray[np.float64]) -> NDArray[np
             return None
         if found is not None:
             basis = open_rows[found]
-            if np.linalg.norm(np.linalg.solve(rows[basis], torque[basis]) - centre) <= reach:
+            if _is_vertex(rows[basis]) and np.linalg.norm(np.linalg.solve(rows[basis], torque[basis]) - centre) <= reach:
                 return basis
         if not settled.any():
             return None
         reach = 4.0 * max(reach, 1e-300)
+
+
+def _is_vertex(basis: NDArray[np.float64]) -> bool:
+    """Whether the rows (r, r) of a basis are independent: the few that a bracket leaves open need not be."""
+    return bool(np.linalg.cond(basis) < 1.0 / _RANK)
 
 
 def _times(rows: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,7 +1,8 @@
 """Many independent searches for the shape of a model, the linear parameters solved for exactly inside.
 
-Each runs the `default` scheme on some thousand rows, where a shape costs a millisecond, and ends with the descent to
-the bottom of its valley on all of them: trials that end in different valleys differ, others do not.
+Each runs the `default` scheme on some hundred rows, where a shape costs a fraction of a millisecond, until its
+population has gathered in one valley, and goes down that by descent, on more rows and then on all: trials that end in
+different valleys differ, others hardly. Where the valley's bottom is rough only the best trial looks for its lowest place.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.curved import Fit, Problem, by_compass, descend
+from ga.curved import FEW, Fit, Problem, attempted, by_compass, descend
 from ga.evolution import Settings
 from ga.search import Search
 from ga.space import Bounds
@@ -23,8 +24,8 @@ from ga.trials import History, Trials
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_TOLERANCE: Final = 1e-5
-"""Spread of the population's fitness at which a valley is told; its bottom is found by descent."""
+_TOLERANCE: Final = 1e-3
+"""Spread of the population's fitness at which it has gathered in one valley."""
 
 _POLL: Final = 0.1
 
@@ -53,7 +54,7 @@ def search_shapes(
     The result does not depend on `workers`. Ctrl-C ends the searches where they are: what is found so far is returned.
     Raises ValueError for settings that are not of the generational scheme.
     """
-    thin = problem.thinned()
+    thin = problem.thinned(FEW)
     bounds = Bounds(problem.low, problem.high)
     settings = replace(settings, tolerance=max(settings.tolerance or 0.0, _TOLERANCE))
     seeds = np.random.SeedSequence([seed, trials]).generate_state(trials, np.uint32)
@@ -67,7 +68,16 @@ def search_shapes(
             pass  # said by the trials that are not finished
         finally:
             cancelled.set()
-    return _outcome([trial for trial in running if trial.record], problem)
+    begun = [trial for trial in running if trial.record]
+    _polish([trial for trial in begun if trial.fit is not None], problem)
+    return _outcome(begun, problem)
+
+
+def _polish(finished: list[_Trial], problem: Problem) -> None:
+    """The lowest place of the best trial's valley."""
+    if finished:
+        best = min(finished, key=lambda trial: trial.fit.fitness if trial.fit else np.inf)
+        best.fit = best.fit and by_compass(problem, best.fit)
 
 
 def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None) -> None:
@@ -81,23 +91,19 @@ def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None
 
 
 def _run(trial: _Trial, problem: Problem, thin: Problem, cancelled: threading.Event) -> None:
-    search, began = trial.search, time.thread_time()
+    search, near, began = trial.search, None, time.thread_time()
     while not search.done:
         if cancelled.is_set():
             break
         shapes = search.ask()
-        search.tell(shapes, [_fitness(thin, shape) for shape in shapes])
+        fits = [attempted(thin, shape, near) for shape in shapes]
+        near = min((fit for fit in (*fits, near) if fit), key=lambda fit: fit.fitness, default=None)
+        search.tell(shapes, [fit.fitness if fit else np.inf for fit in fits])
         trial.record.append(search.best_fitness)
     if search.done:
-        trial.fit = by_compass(problem, descend(problem, search.best))
+        some = problem.thinned()
+        trial.fit = by_compass(problem, descend(problem, by_compass(some, descend(some, search.best)).shape))
     trial.seconds = time.thread_time() - began
-
-
-def _fitness(problem: Problem, shape: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-    try:
-        return problem.solve(shape).fitness
-    except RuntimeError:  # columns that are too much alike for this shape
-        return np.inf
 
 
 def _outcome(running: list[_Trial], problem: Problem) -> Trials:
