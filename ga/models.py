@@ -23,16 +23,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-SLOWEST: Final = 0.02
-"""Part of the samples whose rate may be too slow for the Coulomb term to be a sign, where its noise is not known."""
+STUCK: Final = 0.0075
+DOUBTFUL: Final = 2.0
+SLOWEST: Final = 0.05
+"""The rate below which friction may hold the joint, when its sign says nothing: a part of the r.m.s. rate, or so many
+standard deviations of the rate's noise, but no more than that part."""
 
-FINEST: Final = 0.001
-SMOOTHEST: Final = 0.05
-"""v_s of the Coulomb term, at least and at most, as a part of the r.m.s. rate."""
-
-NOISY: Final = 0.5
-"""v_s as a part of the standard deviation of the rate's noise: a sign that is wrong in noise costs less than one that
-is soft where the joint moves, which takes 1.3 % off Bc at three deviations."""
+SHARP: Final = 0.25
+"""v_s of the Coulomb term as a part of that rate: a sign where friction slides, for 1.3 % of softness takes as much off
+Bc."""
 
 LONGEST_SKEW: Final = 0.02
 """s between two readings of one tick, at most."""
@@ -60,14 +59,15 @@ class Model:
     """A sum of terms. name: canonical, such as "linear+offset+coulomb+skew".
 
     linear: the parameters (p,) of the columns, in their order. shape: those (q,) that shape the columns.
-    origin: s, where the drift begins; smoothing: v_s of the Coulomb term, rad/s. None: each call takes its own data's.
+    origin: s, where the drift begins; slowest: rad/s, below which friction may hold the joint. None: each call takes
+    its own data's.
     """
 
     name: str
     linear: tuple[Parameter, ...]
     shape: tuple[Parameter, ...] = ()
     origin: float | None = None
-    smoothing: float | None = None
+    slowest: float | None = None
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -80,11 +80,21 @@ class Model:
         return self.linear + self.shape
 
     def anchored(self, motion: Motion) -> Model:
-        """The same model with origin and smoothing of this motion, so that it is one model for every part of it.
+        """The same model with origin and slowest rate of this motion, so that it is one model for every part of it.
 
         Needed where a recording is taken block by block, or where one part is judged by a fit to another.
         """
-        return replace(self, origin=float(motion.time[0]) if len(motion) else 0.0, smoothing=_smoothing(motion))
+        return replace(self, origin=float(motion.time[0]) if len(motion) else 0.0, slowest=_slowest(motion))
+
+    def told(self, motion: Motion, skew: float = 0.0) -> NDArray[np.bool_]:
+        """The samples (n,) that the model says something about: with Coulomb friction not those it may hold the joint in.
+
+        There its torque is anything between -Fc and Fc. skew: s, how much older the torque reading is.
+        """
+        if "Fc" not in self:
+            return np.ones(len(motion), dtype=bool)
+        slowest = _slowest(motion) if self.slowest is None else self.slowest
+        return np.asarray(np.abs(motion.delayed(skew).dtheta_dot) >= slowest)
 
     @property
     def lets_go(self) -> bool:
@@ -96,7 +106,7 @@ class Model:
 
         lag: Bc/Kc, s, which says when flanks that can push only let go.
         """
-        model = self if self.smoothing is not None else self.anchored(motion)
+        model = self if self.slowest is not None else self.anchored(motion)
         return model._stacked(model._engaged(motion, shape, lag), changing=None)
 
     def target(self, motion: Motion, torque: Array, shape: Array | None = None) -> Array:
@@ -109,7 +119,7 @@ class Model:
         Where flanks meet the damping torque jumps, and where the joint turns its friction; what that adds at single
         samples is left out.
         """
-        model = self if self.smoothing is not None else self.anchored(motion)
+        model = self if self.slowest is not None else self.anchored(motion)
         engaged = model._engaged(motion, shape, lag)
         found = []
         for parameter in self.shape:
@@ -162,7 +172,7 @@ class Model:
         if self.lets_go:
             touching = (angle * (angle + lag * seen.dtheta_dot) > 0.0).astype(np.float64)
             angle = angle * touching
-        return _Engaged(motion.time - (self.origin or 0.0), seen, angle, touching, self.smoothing or 0.0)
+        return _Engaged(motion.time - (self.origin or 0.0), seen, angle, touching, SHARP * (self.slowest or 0.0))
 
     @property
     def _names(self) -> tuple[str, ...]:
@@ -224,18 +234,15 @@ def _refuse_unknown(term: str) -> None:
     raise UnknownTerm(f'no model term "{term}"; there are {", ".join(TERMS)}{hint}')
 
 
-def _smoothing(motion: Motion) -> float:
-    """v_s, rad/s: of the size of the rate's noise, so that the Coulomb term is a sign for nearly all samples.
+def _slowest(motion: Motion) -> float:
+    """The rate, rad/s, below which friction may hold the joint, or the rate's noise may turn its sign.
 
     It is taken from the data because rates differ by four decades between stands.
     """
     if not len(motion):
         return 0.0
-    speed = np.abs(motion.dtheta_dot)
-    usual = float(np.linalg.norm(speed) / np.sqrt(len(motion)))
-    if motion.rate_noise is not None:
-        return float(np.clip(NOISY * motion.rate_noise, FINEST * usual, SMOOTHEST * usual))
-    return float(np.clip(np.quantile(speed, SLOWEST), FINEST * usual, SMOOTHEST * usual))
+    usual = float(np.linalg.norm(motion.dtheta_dot) / np.sqrt(len(motion)))
+    return float(np.clip(DOUBTFUL * (motion.rate_noise or 0.0), STUCK * usual, SLOWEST * usual))
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,7 @@ from hil.spool import Progress
 Array = NDArray[np.float64]
 
 _FOLDS = 10  # blocks in time; every fifth is held out
+_TRIALS, _SHAPE_TRIALS = 30, 8  # the paper's; a search for a skew or gap takes half a second
 _COUNTED = 1 << 18  # samples looked at a time
 
 
@@ -41,12 +42,13 @@ _COUNTED = 1 << 18  # samples looked at a time
 class Search:
     """How to search. bounds: the parameters whose range was given, SI.
 
+    trials: independent searches; None: as many as the paper's 30 where that is a matter of milliseconds, else fewer.
     checkpoint: a file that keeps the state of the search, which goes on from it where it is there already.
     """
 
     preset: str
     settings: Settings
-    trials: int
+    trials: int | None
     seed: int
     workers: int
     bounds: Mapping[str, tuple[float, float]]
@@ -166,7 +168,7 @@ def _curved(data: Dataset, search: Search, progress: Progress | None) -> _Found:
     trials = search_shapes(
         problem,
         search.settings,
-        trials=search.trials,
+        trials=search.trials or _SHAPE_TRIALS,
         seed=search.seed,
         workers=search.workers,
         progress=None if progress is None else partial(progress, "searching"),
@@ -174,7 +176,9 @@ def _curved(data: Dataset, search: Search, progress: Progress | None) -> _Found:
     seconds = time.perf_counter() - began
     try:
         # a user's own model has no valleys that are known beforehand: where its best trial ended is its bottom
-        exact = fit(problem) if model.linear else descend(problem, trials.best)
+        exact = problem.solve(trials.best[p:]) if model.linear else descend(problem, trials.best)
+        if model.linear:
+            exact = min(exact, fit(problem), key=lambda found: found.fitness)
     except RuntimeError as error:
         raise Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model") from error
     columns, target = problem.linearised(exact)
@@ -210,7 +214,7 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
             torque,
             bounds,
             search.settings,
-            trials=search.trials,
+            trials=search.trials or _TRIALS,
             seed=search.seed,
             workers=search.workers,
             start=None if data.whole else reduced.start,

@@ -3,8 +3,8 @@
 Each step up takes the term that tells held-out blocks best, of those that pay; terms that do not pay any more are let
 go. What a term gains is held against what one of no meaning would: the likelihood ratio of a median regression (Koenker
 and Machado 1999, 4 f(0) times the fall of the sum of absolute residuals), divided by how much more the residuals' own
-correlation makes its parameters vary (blocks in time), less log n for each (Schwarz 1978). Held-out blocks must not be
-told clearly worse. A term with a break, whose likelihood ratio has no known law, must tell them better and gain much.
+correlation makes its parameters vary (`hil.residual_spectrum`), less log n for each (Schwarz 1978) and what it
+costs to choose from so many terms (Chen and Chen 2008). Held-out blocks must not be told clearly worse. A term with a break, whose likelihood ratio has no known law, must tell them better and gain much.
 What the density f(0) and the correlation are is read from the richest model, lest what a term leaves out is taken for
 noise.
 """
@@ -18,9 +18,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.curved import Fit, Problem, fit, valley
+from ga.curved import Fit, Problem, descend, fit, valley
 from ga.models import Model, parse
 from ga.motion import Motion
+from hil.residual_spectrum import measure
 
 Array = NDArray[np.float64]
 
@@ -31,7 +32,6 @@ SHAPING = frozenset({"backlash", "slack", "skew"})
 """Those of them that a model is not linear in."""
 
 _FOLDS = 10  # blocks in time, two of which at a time are held out
-_BLOCKS = 40  # blocks over which correlated residuals are counted
 _RIVAL = 1.1  # a term that makes the fitness worse than by this factor is none
 _BROKEN = frozenset({"backlash", "slack"})
 """Terms with a break."""
@@ -114,15 +114,28 @@ class _Climber:
 
     def listen(self) -> None:
         """Take what the richest model leaves of the torque for the noise: less would take missing terms for noise."""
-        terms = self.lowest
-        while beyond := self._beyond(terms):
-            terms = (*terms, min(beyond, key=lambda term: beyond[term].fitness))
-        top = self.step(terms)
-        residuals = top.problem.residuals(top.fit)
+        terms = self._richest()
+        problem, seen = self._problem(terms), self._glimpse(terms)
+        residuals = problem.residuals(descend(problem, seen.shape if seen else problem.low))
         self._signs = np.sign(residuals)
         near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
         inside = np.count_nonzero(np.abs(residuals) <= near)
         self._density = inside / (2.0 * near * len(residuals)) if near > 0.0 else np.inf
+
+    def _richest(self) -> tuple[str, ...]:
+        """All terms that lower the fitness one after the other, the better of two that exclude each other."""
+        found = {self.lowest}
+        for term in self._candidates:
+            for terms in tuple(found):
+                more = (*terms, term)
+                if _fits_in(term, terms) and self._fitness(more) < self._fitness(terms):
+                    found.add(more)
+                    found -= set() if term in _EXCLUDES else {terms}
+        return min(found, key=self._fitness)
+
+    def _fitness(self, terms: tuple[str, ...]) -> float:
+        seen = self._glimpse(terms)
+        return seen.fitness if seen else np.inf
 
     def _beyond(self, terms: tuple[str, ...]) -> dict[str, Fit]:
         """The terms that lower the fitness, as some of the samples show, and what is then seen of them."""
@@ -181,7 +194,8 @@ class _Climber:
         count = len(self._torque)
         ratio = 4.0 * self._density * count * (smaller.fit.fitness - larger.fit.fitness)
         alike = self._correlation(larger, term)
-        return float(ratio / alike - len(_own(term)) * np.log(max(count / alike, np.e)))
+        chosen_from = 2.0 * np.log(len(self._candidates))
+        return float(ratio / alike - len(_own(term)) * np.log(max(count / alike, np.e)) - chosen_from)
 
     def pays(self, smaller: _Step, larger: _Step, term: str) -> bool:
         """Whether the larger model is worth the term."""
@@ -208,10 +222,9 @@ class _Climber:
         """How many times more the term's parameters vary than if the residuals did not follow each other."""
         found = 1.0
         for _, alone in self._own_columns(step, term):
-            score = alone * self._signs
-            blocks = np.add.reduceat(score, np.arange(_BLOCKS) * len(score) // _BLOCKS)
-            power = float(score @ score)
-            found = max(found, float(blocks @ blocks) / power) if power > 0.0 else np.inf
+            power = float(alone @ alone)
+            spectrum = measure([(alone[:, None], self._signs)])
+            found = max(found, float(spectrum.covariance[0, 0]) / power) if power > 0.0 else np.inf
         return found
 
     def _is_told(self, step: _Step, term: str) -> bool:

@@ -28,6 +28,10 @@ Array = NDArray[np.float64]
 _FEWEST = 16  # samples, below which nothing is concluded
 _COARSE = 0.05  # share of repeated stamps from which a clock is called coarse
 _GAIN_ERROR = 3e-4  # of rate and acceleration, at the upper end of the band
+
+_NOISE = 0.01  # of the rate that moved: so much noise in it takes 0.01 % off Bc
+_FAST = 0.9  # quantile of the speed from which on a sample is a fast one
+_NARROWEST = 6  # samples on each side of a window
 _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
 _PARTS = 20  # windows side by side that a recording has room for, so that few rows lie near its ends
 _FADE = 0.02  # of a recording at each end
@@ -144,12 +148,17 @@ class _Usable:
 @dataclass(frozen=True, slots=True)
 class _Window:
     """The local polynomials for a recording: neighbours a side for the slope and for the curvature, the usual step
-    between two samples, s, and the band they serve, Hz."""
+    between two samples, s, the band they serve, Hz, and the slope's noise, rad/s."""
 
     slope: int
     curvature: int
     step: float
     band: tuple[float, float]
+    noise: float
+
+    @property
+    def widest(self) -> int:
+        return max(self.slope, self.curvature)
 
 
 def prepare(recording: Recording, stand: StandTable | None) -> Signals:
@@ -175,7 +184,7 @@ def stream(recording: Recording, stand: StandTable | None, block: int = 1 << 18)
     first = _usable(recording, source, 0, min(_PROBE, len(recording)))
     _refuse_hopeless(recording, first)
     window = _window_for(replace(first, time=spread_stamps(first.time)[0]))
-    margin = 2 * window.slope + _MARGIN  # some rows are lost
+    margin = 2 * window.widest + _MARGIN  # some rows are lost
     for start in range(0, len(recording), block):
         stop = min(start + block, len(recording))
         usable = _usable(recording, source, max(0, start - margin), min(stop + margin, len(recording)))
@@ -230,19 +239,36 @@ def _usable(recording: Recording, source: _Source, start: int, stop: int) -> _Us
 
 
 def _window_for(usable: _Usable) -> _Window:
-    time = usable.time
+    """The widest windows the band allows, the slope's made narrower while its noise still does not matter.
+
+    What a wide window smooths away, such as the kinks where friction holds the joint, is missing in Bc.
+    """
+    time, step = usable.time, float(np.median(np.diff(usable.time)))
     band = excited_band(time, usable.dtheta)
-    return _Window(*windows(time, band[1]), float(np.median(np.diff(time))), band)
+    slope, curvature = windows(time, band[1])
+    rate = local_polynomial(time, usable.dtheta, slope)[1]
+    left = np.abs(usable.dtheta - local_polynomial(time, usable.dtheta, _NARROWEST)[0])
+    left /= np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))
+    fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there stamps that are wrong make noise too
+    noise = [1.4826 * float(np.median(left[rows])) for rows in (slice(None), fast)]
+    allowed = [_NOISE * float(np.sqrt(np.mean(rate[rows] ** 2))) for rows in (slice(None), fast)]
+
+    def amplified(half: int) -> float:
+        return float(np.linalg.norm(kernel(half, 1))) / step
+
+    while slope > _NARROWEST and all(n * amplified(slope - 1) <= most for n, most in zip(noise, allowed, strict=True)):
+        slope -= 1
+    return _Window(slope, curvature, step, band, noise[0] * amplified(slope))
 
 
 def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int, int], *, coarse: bool) -> Signals:
     """The signals of the usable rows that lie within `rows` of the file; the others serve their windows only."""
     time, dtheta = usable.time, usable.dtheta
-    smooth, rate, acceleration = local_polynomial(time, dtheta, window.slope)
     if source.given_rate:
         rate = usable.reported_rate
-        acceleration = local_polynomial(time, rate, window.slope)[1]
-    elif window.curvature < window.slope:
+        acceleration = local_polynomial(time, rate, window.curvature)[1]
+    else:
+        rate = local_polynomial(time, dtheta, window.slope)[1]
         acceleration = local_polynomial(time, dtheta, window.curvature)[2]
     torque, known = _at_joint(usable.torque, rate, acceleration, source)
     inside = _within(usable.row, rows)
@@ -264,11 +290,11 @@ def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int,
         starts=_starts_within(starts, kept),
         lost=int(np.count_nonzero(_within(usable.lost, rows))),
         not_numbers=int(np.count_nonzero(_within(usable.not_numbers, rows))),
-        near_gaps=int(np.count_nonzero((inside & ~long_enough)[window.slope : len(time) - window.slope])),
+        near_gaps=int(np.count_nonzero((inside & ~long_enough)[window.widest : len(time) - window.widest])),
         coarse_clock=coarse,
         band=window.band,
         rate_window=0.0 if source.given_rate else (2 * window.slope + 1) * window.step,
-        rate_noise=None if source.given_rate else _rate_noise(usable.dtheta - smooth, window),
+        rate_noise=None if source.given_rate else window.noise,
         torque_from="motor" if source.motor_side else ("given" if source.stand is None else "joint"),
     )
 
@@ -283,7 +309,7 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
 
 def _is_sound(time: Array, window: _Window) -> NDArray[np.bool_]:
     """Whether (n,) the window of a sample is whole: centred on it, and without a gap in it."""
-    width, half = 2 * window.slope, window.slope
+    width, half = 2 * window.widest, window.widest
     sound = np.zeros(len(time), dtype=bool)
     sound[half : len(time) - half] = time[width:] - time[:-width] <= 1.5 * width * window.step
     return sound
@@ -304,13 +330,6 @@ def _starts_within(starts: NDArray[np.int64], kept: NDArray[np.bool_]) -> tuple[
     """The same starts, counted in the samples that are kept."""
     counted = np.unique(np.concatenate([[0], np.cumsum(kept)[starts] - kept[starts]]))
     return tuple(counted[counted < np.count_nonzero(kept)].tolist()) or (0,)
-
-
-def _rate_noise(left: Array, window: _Window) -> float:
-    """The standard deviation of the rate's noise, rad/s, from what the polynomial leaves of the deflection, rad."""
-    freedom = 1.0 - float(kernel(window.slope, 0)[window.slope])
-    noise = 1.4826 * float(np.median(np.abs(left))) / np.sqrt(max(freedom, 0.01))
-    return float(noise * np.linalg.norm(kernel(window.slope, 1)) / window.step)
 
 
 def _within(row: NDArray[np.int64], rows: tuple[int, int]) -> NDArray[np.bool_]:
