@@ -24,6 +24,9 @@ _OPTIMISER_GAP = 1e-3  # relative gap from which the search is said not to have 
 _MARGIN = 1e-4  # part of a range within which a value is at its end
 _BARELY = 1.001  # of the least fitness, to which a model with one more term is as good
 _UNEXPLAINED = 0.9  # of the torque's spread, left in held-out blocks, from which a model explains nothing
+_APART = 3.0  # times the recordings' own errors, from which what lies between them is what makes an interval wide
+_LIKE_FRICTION = 0.95  # square of the cosine between a rate and its sign, from which damping is friction as well
+_ONE_SPEED = 0.79  # the same, from which it may be: a triangle has 1, a sine 0.81, two sines less, a chirp 0.6
 _COUPLING = ("Kc", "Bc")
 
 
@@ -57,9 +60,23 @@ class Evidence:
         """Whether the recording can tell the parameter at that place."""
         half = float(self.errors.half_width[at])
         told = self.unique and np.isfinite(half) and self.errors.inflation[at] < _CONFUSED
+        if self.names[at] == "Bc":  # friction that the model leaves out would be in it, whatever the interval
+            told = told and self.friction_alike < _LIKE_FRICTION
         if self.names[at] in _COUPLING:  # a coupling is known once its value stands out from its interval
             told = told and half < _TOLD * abs(self.values[at])
         return bool(told)
+
+    @property
+    def friction_alike(self) -> float:
+        """How much of a damping dry friction would pass for, 0 to 1, where the model has no term for it.
+
+        The square of the cosine between the rate and its sign. 0 for a user's own model, which may have one by any
+        name.
+        """
+        power = float(np.mean(self.signals.dtheta_dot**2))
+        if "Fc" in self.names or not self.model.linear or power == 0.0:
+            return 0.0
+        return float(np.mean(np.abs(self.signals.dtheta_dot))) ** 2 / power
 
     def at_bound(self, at: int) -> str | None:
         """Which end of its bounds the exact optimum lies at or beyond, None for neither."""
@@ -176,9 +193,19 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Finding]:
                 fatal=True,
             )
         )
+    elif name == "Bc" and evidence.friction_alike > _ONE_SPEED:
+        found.append(
+            Finding(
+                "one-speed",
+                f"Bc would hold most of any dry friction, which the model has no term for and which looks like damping "
+                f"at one speed: {_SEVERAL_SPEEDS}, and try --model auto",
+                name,
+            )
+        )
     return found
 
 
+_SEVERAL_SPEEDS = "drive at several speeds (--profile chirp or multisine over two octaves)"
 _IMPLAUSIBLE = {
     "Kc": "a sign is wrong; check that a positive torque makes a positive deflection",
     "Bc": "the torque is read later or earlier than the angle, or friction is taken for it; try --model auto",
@@ -189,8 +216,10 @@ def _why_not(evidence: Evidence, at: int) -> str:
     name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
     if not columns[:, at].any():
         return f"{name} cannot be told: nothing in this recording excites it"
+    if name == "Bc" and evidence.friction_alike >= _LIKE_FRICTION:
+        return f"Bc cannot be told from dry friction: at the one speed driven they look alike; {_SEVERAL_SPEEDS}"
     if evidence.errors.inflation[at] < _CONFUSED and np.isfinite(evidence.errors.half_width[at]):
-        return f"{name} cannot be told: its 95 % interval is as wide as its value; {_remedy(evidence, name)}"
+        return _too_wide(evidence, at)
     norms = np.linalg.norm(columns, axis=0)
     alike = np.abs(columns.T @ columns[:, at]) / np.where(norms > 0.0, norms, 1.0) / norms[at]
     alike[at] = 0.0
@@ -201,15 +230,31 @@ def _why_not(evidence: Evidence, at: int) -> str:
     )
 
 
-def _remedy(evidence: Evidence, name: str) -> str:
-    """What would tell it: damping shows near and above the corner Kc/(2 pi Bc), stiffness in a large deflection."""
-    stiffness, high = evidence.values[0], evidence.signals.band[1]
-    if name == "Bc":
-        damping = evidence.values[1] + evidence.errors.half_width[1]
-        corner = stiffness / (2.0 * np.pi * damping) if damping > 0.0 and stiffness > 0.0 else np.inf
-        if high < corner:
-            return (
-                f"the joint moved at up to {high:.2g} Hz, and damping shows only towards {corner:.2g} Hz: "
-                "raise --band, or --amplitude"
-            )
-    return "excite it more (--band, --amplitude)"
+def _too_wide(evidence: Evidence, at: int) -> str:
+    """What makes the parameter's interval as wide as its value, and what would narrow it."""
+    name, scatter = evidence.names[at], evidence.scattered[at]
+    if scatter is not None and scatter.between > _APART * scatter.within:
+        return (
+            f"{name} cannot be told: the recordings differ by {scatter.between:.2g} (standard deviation) where their "
+            f"own errors are {scatter.within:.2g}; see which with hil compare, and pool only those of one joint in the "
+            "same units"
+        )
+    wide = "its 95 % interval is as wide as its value"
+    if name == "Bc" and "Fc" in evidence.names:
+        return f"Bc cannot be told from Coulomb friction (Fc): {wide}; {_corner(evidence)}{_SEVERAL_SPEEDS}"
+    corner = _corner(evidence) if name == "Bc" else ""
+    return f"{name} cannot be told: {wide}; {corner}excite it more (--band, --amplitude)"
+
+
+def _corner(evidence: Evidence) -> str:
+    """How fast damping shows: near and above the corner Kc/(2 pi Bc). Empty where the joint moved as fast."""
+    if "Kc" not in evidence.names:
+        return ""
+    kc, bc, high = evidence.names.index("Kc"), evidence.names.index("Bc"), evidence.signals.band[1]
+    stiffness, damping = evidence.values[kc], evidence.values[bc] + evidence.errors.half_width[bc]
+    if not (stiffness > 0.0 and damping > 0.0):
+        return ""
+    corner = stiffness / (2.0 * np.pi * damping)
+    if high >= corner:
+        return ""
+    return f"the joint moved at up to {high:.2g} Hz, and damping shows only towards {corner:.2g} Hz: "
