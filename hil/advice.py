@@ -192,7 +192,7 @@ def as_json(task: Task, judged: dict[str, Assessment], general: list[Finding], s
         "angle_lsb": task.readings.angle_lsb,
         "skew": task.readings.skew,
         "profiles": {name: _profile(task, one, stand) for name, one in judged.items()},
-        "warnings": [_warning(finding) for finding in general],
+        "warnings": [finding.as_json() for finding in general],
     }
 
 
@@ -213,7 +213,7 @@ def _profile(task: Task, judged: Assessment, stand: str) -> dict[str, Any]:
             for name, unit, peak, limit, share, worst in limits
         },
         "limited_by": judged.limited_by,
-        "warnings": [_warning(finding) for finding in findings(task, judged)],
+        "warnings": [finding.as_json() for finding in findings(task, judged)],
     }
 
 
@@ -227,10 +227,6 @@ def _parameter(parameter: Parameter) -> dict[str, Any]:
         "relative": _number(parameter.error / parameter.rough) if parameter.rough else None,
         "inflation": _number(parameter.inflation),
     }
-
-
-def _warning(finding: Finding) -> dict[str, Any]:
-    return {"code": finding.code, "parameter": finding.parameter, "message": finding.message}
 
 
 def _number(value: float) -> float | None:

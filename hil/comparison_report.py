@@ -24,10 +24,7 @@ def as_json(found: Comparison) -> dict[str, Any]:
         "recordings": [_recording(one) for one in found.recordings],
         "parameters": {one.name: _parameter(one) for one in found.parameters},
         "verdict": [one.verdict for one in found.parameters],
-        "warnings": [
-            {"code": finding.code, "parameter": finding.parameter, "message": finding.message}
-            for finding in found.findings
-        ],
+        "warnings": [finding.as_json() for finding in found.findings],
     }
 
 

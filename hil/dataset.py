@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy
-from hil.findings import Finding
+from hil.findings import Finding, driven_by_position
 from hil.model_choice import Choice, Coupling
 from hil.quality import assess
 from hil.signals import Signals, glimpse, joined, prepare, stream
@@ -124,6 +124,8 @@ def recording_findings(recording: Recording, signals: Signals) -> list[Finding]:
         found.append(
             Finding("coarse-clock", "several rows share a time stamp: they were spread evenly up to the next stamp")
         )
+    if signals.torque_from == "motor" and recording.profile.get("quantity") == "position":
+        found.append(driven_by_position(fatal=True))
     return found
 
 

@@ -14,6 +14,25 @@ class Finding:
     parameter: str | None = None
     fatal: bool = False
 
+    def as_json(self) -> dict[str, str | None]:
+        """What of it the JSON of every command shows."""
+        return {"code": self.code, "parameter": self.parameter, "message": self.message}
+
+
+def driven_by_position(*, fatal: bool) -> Finding:
+    """What is to be said of torque read from the motor's side while its drive held positions.
+
+    Bc of the simulated joint comes out near zero then. fatal: where a result is judged, and not a run to come.
+    """
+    return Finding(
+        "motor-side",
+        "the torque is the motor's and its drive held positions: between two ticks the drive's own loop moves the "
+        "torque, which the readings do not show, and Bc is not the joint's; record with --quantity torque, or with a "
+        "torque cell at the joint",
+        "Bc",
+        fatal=fatal,
+    )
+
 
 _MANY_LATE, _MOSTLY_LATE = 0.01, 0.1  # share of ticks that began more than half a period after their time
 

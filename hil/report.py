@@ -57,10 +57,7 @@ def as_json(found: Identification) -> dict[str, Any]:
         "evaluations": found.trials.evaluations,
         "seconds": found.seconds,
         "holdout": {"fitness": _number(found.holdout.fitness), "nrmse": _number(found.holdout.nrmse)},
-        "warnings": [
-            {"code": finding.code, "parameter": finding.parameter, "message": finding.message}
-            for finding in found.findings
-        ],
+        "warnings": [finding.as_json() for finding in found.findings],
         "ladder": [_rung(rung) for rung in found.rungs],
     }
 
@@ -227,7 +224,7 @@ def inspection_json(seen: Inspection) -> dict[str, Any]:
         "recording": str(seen.path),
         "usable": seen.usable,
         **plain,
-        "warnings": [{"code": finding.code, "message": finding.message} for finding in seen.findings],
+        "warnings": [finding.as_json() for finding in seen.findings],
     }
 
 

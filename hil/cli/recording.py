@@ -24,6 +24,7 @@ from hil.errors import WrongUse
 
 if TYPE_CHECKING:
     from drivers.servo import Quantity
+    from hil.findings import Finding
     from hil.profiles import Profile
     from hil.recorder import Outcome
     from hil.stand import Stand
@@ -56,6 +57,7 @@ def record(
     """Drive the motor against the locked joint and record torque, deflection and rate."""
     from hil import profiles
     from hil.backends import BACKENDS
+    from hil.findings import lateness
     from hil.run import run
     from hil.target import check_target
 
@@ -81,7 +83,8 @@ def record(
         setpoints=setpoints,
     )
     _check_amplitude(opened, made)
-    _say_if_slow(opened)
+    foreseen = _foreseen(opened, made)
+    tell(foreseen)
     if output is not None:
         check_target(output, force=force, inputs=[path for path in (stand, setpoints) if path is not None])
     path, outcome = run(
@@ -106,6 +109,7 @@ def record(
                 "late": outcome.late,
                 "saturated": outcome.saturated,
                 "end_reason": outcome.end_reason,
+                "warnings": [one.as_json() for one in (*foreseen, *lateness(outcome.late, outcome.samples))],
             }
         )
     else:
@@ -159,11 +163,19 @@ def _stand_of(backend: str | None, path: Path | None) -> Stand:
     return parse(SIMULATED)
 
 
-def _say_if_slow(stand: Stand) -> None:
-    """Say beforehand that a simulated stand will take its time: the steps of the integrator follow its fastest part."""
+def _foreseen(stand: Stand, profile: Profile) -> list[Finding]:
+    """What is to be said before anything moves.
+
+    A simulated stand takes its time where it has a fast part: the steps of the integrator follow that.
+    """
+    from drivers.servo import Quantity
+    from hil.findings import Finding, driven_by_position
+
+    found = []
+    if stand.stand.torque_source == "motor" and profile.quantity is Quantity.POSITION:
+        found.append(driven_by_position(fatal=False))
     if stand.stand.backend != "sim":
-        return
-    from hil.findings import Finding
+        return found
     from sim_backend.plant import constants, fastest_rate
 
     rate = fastest_rate(constants(stand.simulated()))
@@ -172,7 +184,8 @@ def _say_if_slow(stand: Stand) -> None:
             f"a part of the simulated stand moves at {rate / 6283.0:.0f} kHz, so that every simulated second takes "
             f"about {rate:.0e} steps: for less, lower fixture.stiffness or raise the inertias"
         )
-        tell([Finding("slow-simulation", said)])
+        found.append(Finding("slow-simulation", said))
+    return found
 
 
 def _quantity(name: str) -> Quantity:

@@ -185,6 +185,41 @@ def test_real_locked_outputs_are_imported_and_identified(
     assert "coarse-clock" in {warning["code"] for warning in found["warnings"]}
 
 
+MOTOR_SIDE = """\
+[stand]
+name = "no torque cell"
+backend = "sim"
+gear_ratio = 4.0
+motor_inertia = 2.0e-7
+motor_damping = 1.0e-7
+torque_source = "motor"
+[limits]
+torque = 0.03
+deflection = 1.0
+velocity = 100.0
+temperature = 80.0
+"""
+
+
+@pytest.mark.parametrize(("quantity", "amplitude", "warned"), [("torque", 0.006, False), ("position", 0.3, True)])
+def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
+    hil: Hil, tmp_path: Path, quantity: str, amplitude: float, *, warned: bool
+) -> None:
+    (tmp_path / "stand.toml").write_text(MOTOR_SIDE)
+    words = ("--quantity", quantity, "--amplitude", amplitude, "--duration", "4", "-o", "a.h5", "--json")
+    recorded = hil("record", "--stand", "stand.toml", *words)
+    assert recorded.status == 0
+    assert [warning["code"] for warning in recorded.json["warnings"]] == ["motor-side"] * warned
+    assert ("note [motor-side]" in recorded.err) == warned
+    found = hil("identify", "a.h5", "--trials", "2", "--json")
+    said = [warning for warning in found.json["warnings"] if warning["code"] == "motor-side"]
+    assert found.status == (1 if warned else 0)
+    assert [warning["parameter"] for warning in said] == ["Bc"] * warned
+    assert all("--quantity torque" in warning["message"] for warning in said)
+    off = found.json["parameters"]["Bc"]["value"] / 1.9e-4 - 1.0
+    assert (abs(off) > 0.5) == warned  # why it is said
+
+
 def test_a_report_is_a_page_and_its_picture(hil: Hil, make_recording: Maker, tmp_path: Path) -> None:
     ended = hil("identify", make_recording(noise=1e-4), "--report", "page.html")
     assert ended.status == 0
