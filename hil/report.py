@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
+from hil.findings import Finding
 from hil.target import replacing
 
 if TYPE_CHECKING:  # rich costs 50 ms, and what these modules import more
@@ -59,6 +60,23 @@ def as_json(found: Identification) -> dict[str, Any]:
         "holdout": {"fitness": _number(found.holdout.fitness), "nrmse": _number(found.holdout.nrmse)},
         "warnings": [finding.as_json() for finding in found.findings],
         "ladder": [_rung(rung) for rung in found.rungs],
+    }
+
+
+def unusable_json(recordings: Sequence[Path], model: str, preset: str, seed: int, reason: str) -> dict[str, Any]:
+    """The same object where nothing could be fitted: Kc and Bc are null and not identifiable, and `reason` says why."""
+    units = {"Kc": "N*m/rad", "Bc": "N*m*s/rad"}
+    return {
+        "schema": SCHEMA,
+        "recordings": [str(path) for path in recordings],
+        "model": model,
+        "preset": preset,
+        "seed": seed,
+        "parameters": {
+            name: {"value": None, "unit": unit, "ci95": [None, None], "identifiable": False}
+            for name, unit in units.items()
+        },
+        "warnings": [Finding("unusable", reason, name).as_json() for name in units],
     }
 
 

@@ -23,7 +23,7 @@ from hil.cli.terminal import (
     tell,
     tell_interrupted,
 )
-from hil.errors import WrongUse
+from hil.errors import Untrustworthy, WrongUse
 
 if TYPE_CHECKING:
     from ga.evolution import Settings
@@ -100,13 +100,20 @@ def identify_and_show(
 
     from hil import identify as engine
     from hil.report import as_json as to_json
-    from hil.report import write_page
+    from hil.report import unusable_json, write_page
     from hil.rig import without_fixture
 
-    with progress() as done:
-        found = engine.identify(recordings, model, search, done)
-        if fixture is not None:
-            found = without_fixture(found, engine.identify([fixture], model, replace(search, checkpoint=None), done))
+    try:
+        with progress() as done:
+            found = engine.identify(recordings, model, search, done)
+            if fixture is not None:
+                rig = engine.identify([fixture], model, replace(search, checkpoint=None), done)
+                found = without_fixture(found, rig)
+    except Untrustworthy as error:
+        if as_json:
+            name = "auto" if model is None else model.name
+            print_json(unusable_json(recordings, name, search.preset, search.seed, str(error)))
+        raise
     if as_json:
         print_json(to_json(found))
     else:

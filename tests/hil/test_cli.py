@@ -350,6 +350,23 @@ def test_a_constant_deflection_is_refused(hil: Hil, make_recording: Maker) -> No
         assert no_trace(ended)
 
 
+@pytest.mark.parametrize("words", [(), ("--model", "auto"), ("--preset", "paper")])
+def test_a_recording_of_nothing_is_told_in_the_json_too(
+    hil: Hil, make_recording: Maker, words: tuple[str, ...]
+) -> None:
+    path = make_recording(change=lambda channels: channels.update(dtheta=np.full(2000, 0.1)))
+    ended = hil("identify", path, *words, "--json")
+    assert ended.status == 1
+    assert ended.json["recordings"] == [str(path)]
+    assert [ended.json["parameters"][name]["value"] for name in ("Kc", "Bc")] == [None, None]
+    assert not any(parameter["identifiable"] for parameter in ended.json["parameters"].values())
+    assert [(warning["code"], warning["parameter"]) for warning in ended.json["warnings"]] == [
+        ("unusable", "Kc"),
+        ("unusable", "Bc"),
+    ]
+    assert all("raise --amplitude" in warning["message"] for warning in ended.json["warnings"])
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
