@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # rich costs 50 ms, and what these modules import more
 
     from hil.inspection import Inspection
     from hil.ladder import Rung
-    from hil.result import Estimate, Identification
+    from hil.result import Estimate, Fixture, Identification
 
 SCHEMA = "hil-identification/1"
 
@@ -60,6 +60,15 @@ def as_json(found: Identification) -> dict[str, Any]:
         "holdout": {"fitness": _number(found.holdout.fitness), "nrmse": _number(found.holdout.nrmse)},
         "warnings": [finding.as_json() for finding in found.findings],
         "ladder": [_rung(rung) for rung in found.rungs],
+        "fixture": None if found.fixture is None else _fixture(found.fixture),
+    }
+
+
+def _fixture(fixture: Fixture) -> dict[str, Any]:
+    return {
+        "recording": str(fixture.recording),
+        "model": fixture.model,
+        "parameters": {estimate.name: _parameter(estimate) for estimate in fixture.estimates},
     }
 
 
@@ -188,6 +197,7 @@ def identification_lines(found: Identification) -> list[str]:
         f"the search's own error is {found.relative_gap:.1e} of it",
         f"held-out fifth: {found.holdout.fitness * factor:.3g} {unit}; RMS {found.holdout.nrmse:.2%} of the torque's",
         *_scatter_lines(found),
+        *_fixture_lines(found),
         *(
             []
             if found.rungs
@@ -207,6 +217,18 @@ def _scatter_lines(found: Identification) -> list[str]:
         for estimate, scatter in told
         for factor, unit in [people_unit(estimate.unit, milli=_milli(found))]
     ]
+
+
+def _fixture_lines(found: Identification) -> list[str]:
+    """What was taken off Kc and Bc."""
+    if found.fixture is None:
+        return []
+    told = [
+        f"{estimate.name} {estimate.exact * factor:.4g} {unit}"
+        for estimate in found.fixture.estimates
+        for factor, unit in [people_unit(estimate.unit, milli=_milli(found))]
+    ]
+    return [f"without the fixture of {found.fixture.recording}, {' and '.join(told)}"]
 
 
 def inspection_table(seen: Inspection) -> Table:

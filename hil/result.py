@@ -46,11 +46,20 @@ class Holdout:
 
 
 @dataclass(frozen=True, slots=True)
+class Fixture:
+    """What held the joint, by a recording of the empty rig: its Kc and Bc, which are taken off those of the result."""
+
+    recording: Path
+    model: str
+    estimates: tuple[Estimate, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Identification:
     """What `hil identify` found. fitness and optimum: N m. relative_gap: the search's own error, as a ratio.
 
     rungs: the ladder that the model was chosen from, none where it was named. seconds: all of it; search_seconds: the
-    trials alone.
+    trials alone. fixture: whose compliance was taken off, None where it counts as rigid.
     """
 
     recordings: tuple[Path, ...]
@@ -69,6 +78,7 @@ class Identification:
     holdout: Holdout
     findings: tuple[Finding, ...]
     signals: Signals
+    fixture: Fixture | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         return next(estimate for estimate in self.estimates if estimate.name == name)

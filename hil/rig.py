@@ -3,19 +3,41 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from hil.errors import WrongUse
+from hil.findings import Finding
 from hil.fixture import Element, Excitation, corrected
-from hil.result import Estimate, Identification
+from hil.model_choice import Coupling
+from hil.provenance import check_together
+from hil.result import Estimate, Fixture, Identification
 
 _NORMAL = 1.96
+_TOLD = 0.5  # half the width of an interval, as a part of the value, up to which Kc or Bc is told: as in a judgement
+_CORRECTED = ("Kc", "Bc")
+
+
+def check_rig(recordings: list[Path], rig: Path, model: Coupling | None) -> list[Finding]:
+    """What is to be said of an empty-rig recording beside those of the joint.
+
+    Raises WrongUse where it is of another stand or one of them, and for a model without Kc and Bc.
+    """
+    names = _CORRECTED if model is None else [parameter.name for parameter in (*model.linear, *model.shape)]
+    if model is not None and not set(_CORRECTED) <= set(names):
+        raise WrongUse(
+            f"--fixture is taken off Kc and Bc, and model {model.name!r} has {', '.join(names)}: name them so in the "
+            "model, or leave the option out"
+        )
+    return check_together([recordings[0], rig])
 
 
 def without_fixture(found: Identification, fixture: Identification) -> Identification:
     """Kc and Bc of the joint alone, with the errors of both recordings in their intervals.
 
-    Raises Untrustworthy where the fixture is softer than the joint.
+    What there is to say of the fixture's recording is in the findings, and so is a parameter that cannot be told any
+    more. Raises Untrustworthy where the fixture is softer than the joint.
     """
     signals = found.signals
     one = len(found.recordings) == 1 and len(signals) == found.samples
@@ -26,7 +48,40 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
         _moved(estimate, *corrections[estimate.name]) if estimate.name in corrections else estimate
         for estimate in found.estimates
     )
-    return replace(found, estimates=estimates)
+    lost = [
+        _lost(after)
+        for before, after in zip(found.estimates, estimates, strict=True)
+        if before.identifiable and not after.identifiable
+    ]
+    return replace(
+        found,
+        estimates=estimates,
+        findings=(*found.findings, *_of_fixture(fixture), *lost),
+        fixture=Fixture(fixture.recordings[0], fixture.model.name, tuple(fixture[name] for name in _CORRECTED)),
+    )
+
+
+def _of_fixture(fixture: Identification) -> list[Finding]:
+    """What was found of the fixture; a damping of it that cannot be told is in the intervals and ends nothing."""
+    return [
+        Finding(
+            one.code,
+            f"{fixture.recordings[0]}, the fixture: {one.message}",
+            one.parameter,
+            fatal=one.fatal and (one.code, one.parameter) != ("not-identifiable", "Bc"),
+        )
+        for one in fixture.findings
+    ]
+
+
+def _lost(estimate: Estimate) -> Finding:
+    return Finding(
+        "not-identifiable",
+        f"{estimate.name} of the joint cannot be told from what the fixture gives: without it, the 95 % interval is as "
+        "wide as the value; stiffen the fixture, or record both for longer and over a wider band",
+        estimate.name,
+        fatal=True,
+    )
 
 
 def _element(found: Identification) -> Element:
@@ -46,5 +101,5 @@ def _moved(estimate: Estimate, exact: float, error: float) -> Estimate:
         exact=exact,
         ci95=(exact - half, exact + half),
         trials_mean=estimate.trials_mean + shift,
-        identifiable=estimate.identifiable and bool(np.isfinite(half)),
+        identifiable=estimate.identifiable and bool(half < _TOLD * exact),
     )

@@ -101,14 +101,16 @@ def identify_and_show(
     from hil import identify as engine
     from hil.report import as_json as to_json
     from hil.report import unusable_json, write_page
-    from hil.rig import without_fixture
+    from hil.rig import check_rig, without_fixture
+
+    beside = [] if fixture is None else check_rig(recordings, fixture, model)
 
     try:
         with progress() as done:
             found = engine.identify(recordings, model, search, done)
             if fixture is not None:
                 rig = engine.identify([fixture], model, replace(search, checkpoint=None), done)
-                found = without_fixture(found, rig)
+                found = without_fixture(replace(found, findings=(*found.findings, *beside)), rig)
     except Untrustworthy as error:
         if as_json:
             name = "auto" if model is None else model.name

@@ -84,7 +84,7 @@ def test_the_main_job_finds_the_stiffness_the_simulator_was_given(hil: Hil) -> N
 def test_the_json_of_identify_is_the_designs(hil: Hil, make_recording: Maker) -> None:
     found = hil("identify", make_recording(noise=1e-5), "--json").json
     keys = "schema recordings model preset seed parameters fitness samples trials evaluations seconds holdout warnings"
-    assert list(found) == [*keys.split(), "ladder"]
+    assert list(found) == [*keys.split(), "ladder", "fixture"]
     assert (found["schema"], found["model"], found["preset"]) == ("hil-identification/1", "linear", "default")
     kc = found["parameters"]["Kc"]
     assert {"value", "unit", "ci95", "trials_mean", "trials_std", "identifiable"} <= set(kc)

@@ -56,3 +56,70 @@ def test_a_fixture_softer_than_the_joint_is_refused(make_recording: Maker, capfd
     joint, rig = make_recording(noise=1e-5), make_recording("rig.h5", kc=0.01, noise=1e-5)
     assert run(["identify", str(joint), "--fixture", str(rig)]) == 1
     assert "softer than the joint" in capfd.readouterr().err
+
+
+def identified(capfd: pytest.CaptureFixture[str], joint: Path, rig: Path, *words: str) -> tuple[int, dict[str, Any]]:
+    status = run(["identify", str(joint), "--fixture", str(rig), "--trials", "2", "--json", *words])
+    found: dict[str, Any] = json.loads(capfd.readouterr().out)
+    return status, found
+
+
+def test_the_fixture_that_was_taken_off_is_named_with_what_it_gave(
+    make_recording: Maker, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    joint = in_series(tmp_path)
+    rig = make_recording("rig.h5", kc=FIXTURE[0], bc=FIXTURE[1], noise=1e-5)
+    status, found = identified(capfd, joint, rig)
+    assert (status, found["warnings"], found["fixture"]["recording"]) == (0, [], str(rig))
+    assert found["fixture"]["parameters"]["Kc"]["exact"] == pytest.approx(FIXTURE[0], rel=1e-3)
+    assert run(["identify", str(joint), "--trials", "2", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["fixture"] is None
+    assert run(["identify", str(joint), "--fixture", str(rig), "--trials", "2"]) == 0
+    assert f"without the fixture of {rig}, Kc 200 mN m/rad and Bc 1 mN m s/rad" in capfd.readouterr().out
+
+
+def test_a_recording_that_cannot_tell_the_fixture_cannot_correct_for_it(
+    make_recording: Maker, capfd: pytest.CaptureFixture[str]
+) -> None:
+    joint = make_recording(noise=1e-5)
+    rig = make_recording("rig.h5", kc=0.15, bc=1e-3, noise=0.5)  # nothing of it is seen but noise
+    status, found = identified(capfd, joint, rig)
+    assert status == 1
+    assert any("the fixture" in one["message"] and one["code"] == "poor-snr" for one in found["warnings"])
+
+
+def test_a_damping_lost_in_that_of_the_fixture_is_not_identifiable(
+    make_recording: Maker, capfd: pytest.CaptureFixture[str]
+) -> None:
+    joint, rig = make_recording(noise=2.5e-3), make_recording("rig.h5", kc=0.05, bc=2e-3, noise=1e-5)
+    status, found = identified(capfd, joint, rig)
+    assert status == 1
+    assert found["parameters"]["Kc"]["identifiable"]
+    assert not found["parameters"]["Bc"]["identifiable"]
+    (said,) = [one for one in found["warnings"] if one["code"] == "not-identifiable"]
+    assert said["parameter"] == "Bc"
+    assert "stiffen the fixture" in said["message"]
+
+
+def test_the_fixture_of_another_stand_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for name in ("joint", "rig"):
+        stand = f'[stand]\nname = "{name}"\n'
+        write(tmp_path / f"{name}.h5", Header(profile={}, stand_toml=stand), {"time": np.arange(4000) / 500.0})
+    joint, rig = tmp_path / "joint.h5", tmp_path / "rig.h5"
+    assert run(["identify", str(joint), "--fixture", str(rig)]) == 2
+    assert "take recordings of one stand" in capfd.readouterr().err
+    assert run(["identify", str(joint), "--fixture", str(joint)]) == 2
+    assert "the same run" in capfd.readouterr().err
+
+
+def test_a_model_without_the_couplings_parameters_is_refused(
+    make_recording: Maker, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "model.py"
+    model.write_text(
+        "from typing import Annotated\n"
+        "def bent(time, dtheta, dtheta_dot, *, k: Annotated[float, 'N*m/rad', 0.0, 1.0]):\n    return k * dtheta\n"
+    )
+    joint, rig = make_recording(noise=1e-5), make_recording("rig.h5", kc=0.2, noise=1e-5)
+    assert run(["identify", str(joint), "--fixture", str(rig), "--model", f"{model}:bent"]) == 2
+    assert "has k: name them so" in capfd.readouterr().err
