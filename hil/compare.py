@@ -84,10 +84,18 @@ def compare(
     """Identify `model` in each recording on its own, and tell what lies within them from what lies between.
 
     progress is called with the fraction that is done. Raises WrongUse for fewer than two recordings, for different
-    stands and for the same run twice. A recording that cannot be used is left out, and said to be.
+    stands, for the same run twice and for a model without Kc and Bc. A recording that cannot be used is left out, and
+    said to be.
     """
     if len(paths) < 2:
         raise WrongUse("a comparison needs at least two recordings")
+    if model is not None:
+        names = [parameter.name for parameter in (*model.linear, *model.shape)]
+        if not set(COMPARED) <= set(names):
+            raise WrongUse(
+                f"{' and '.join(COMPARED)} are compared, and model {model.name!r} has {', '.join(names)}: name them so "
+                "in the model"
+            )
     findings = check_together(paths)
     created, imported = zip(*(_origin(path) for path in paths), strict=True)
     if any(imported):

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,9 @@ from hil.errors import WrongUse
 
 Array = NDArray[np.float64]
 
+_TORQUE = re.compile(
+    r"[mu]?N[\s*.·]?m(?![a-z])"
+)  # what a unit begins with that is a torque, by itself or per something
 _STEP = 1e-6  # of the bounds' width, for the slopes
 
 
@@ -76,15 +80,26 @@ class OwnModel:
     def _torque(self, motion: Motion, values: Array) -> Array:
         given = dict(zip((parameter.name for parameter in self.shape), values.tolist(), strict=True))
         where = ", ".join(f"{name} = {value:g}" for name, value in given.items())
+        arrays = [_read_only(values) for values in (motion.time, motion.dtheta, motion.dtheta_dot)]
         try:
-            torque = np.asarray(self.function(motion.time, motion.dtheta, motion.dtheta_dot, **given), dtype=np.float64)
-        except Exception as error:
+            answer = np.asarray(self.function(*arrays, **given))
+        except (Exception, SystemExit) as error:
             raise WrongUse(f"--model {self.name}: it raised {type(error).__name__}: {error}; at {where}") from error
+        if answer.dtype.kind not in "fiu":
+            raise WrongUse(f"--model {self.name}: it gave {answer.dtype} and not real numbers; at {where}")
+        torque = answer.astype(np.float64)
         if torque.shape != motion.time.shape:
             raise WrongUse(f"--model {self.name}: it gave {torque.shape} for {motion.time.shape} samples; at {where}")
         if not np.isfinite(torque).all():
             raise WrongUse(f"--model {self.name}: it gave a torque that is not a number; at {where}")
         return torque
+
+
+def _read_only(values: Array) -> Array:
+    """The same: a function that writes into what it is given would change the recording for all that follows."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
 
 
 def load(name: str) -> OwnModel:
@@ -99,7 +114,7 @@ def load(name: str) -> OwnModel:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise WrongUse(f"--model {name}: {path} raised {type(error).__name__}: {error}") from error
     found = getattr(module, function, None)
     if not callable(found):
@@ -118,7 +133,7 @@ def _of(name: str, function: Callable[..., Any]) -> OwnModel:
     shape, bounds = [], []
     for keyword in keywords:
         unit, low, high = _annotation(name, keyword, hints.get(keyword))
-        shape.append(Parameter(keyword, unit, "of the user's model", scales=unit.startswith("N*m")))
+        shape.append(Parameter(keyword, unit, "of the user's model", scales=_TORQUE.match(unit) is not None))
         bounds.append((low, high))
     low, high = np.array(bounds).T
     return OwnModel(name, function, tuple(shape), low, high)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from ga.evolution import PRESETS
+from hil.compare import compare
 from hil.errors import WrongUse
 from hil.identify import Search, identify
 from hil.own_model import load
@@ -50,6 +51,15 @@ def test_it_comes_to_what_the_linear_model_comes_to(make_recording: Maker, tmp_p
         (("return Kc", "raise KeyError('x')\n    return Kc"), "raised KeyError"),
         (("return Kc * dtheta", "return np.nan * dtheta"), "not a number"),
         (("return Kc * dtheta + Bc * dtheta_dot", "return 1.0"), r"gave \(\) for"),
+        (("return Kc", "dtheta *= 2.0\n    return Kc"), "raised ValueError: .*read-only"),
+        (("return Kc", "raise SystemExit(0)\n    return Kc"), "raised SystemExit"),
+        (("return Kc * dtheta", "return 1j * dtheta"), "gave complex128 and not real numbers"),
+        (("return Kc * dtheta + Bc * dtheta_dot", "return None"), "gave object and not real numbers"),
+        (
+            ("return Kc", "if Kc < 0.04:\n        return np.nan * dtheta\n    return Kc"),
+            "not a number; at Kc = 0.0[0-3]",
+        ),
+        (("import numpy as np", "raise SystemExit(0)"), "raised SystemExit"),
         (("0.0, 0.1]", "0.1, 0.0]"), "low below high"),
         (("def joint", "def other"), "has no function joint"),
         (("import numpy as np", "import nothing_of_that_name"), "raised ModuleNotFoundError"),
@@ -66,3 +76,17 @@ def test_what_is_wrong_with_it_is_said_in_a_sentence(
 def test_a_file_that_is_not_there_is_said() -> None:
     with pytest.raises(WrongUse, match=r"there is no file nowhere\.py"):
         load("nowhere.py:joint")
+
+
+@pytest.mark.parametrize("unit", ["N*m/rad", "N m/rad", "Nm/rad", "mN*m/rad", "N*m"])
+def test_the_uncertainty_of_the_torque_is_carried_into_what_scales_with_it(tmp_path: Path, unit: str) -> None:
+    own = load(written(tmp_path, GOOD.replace('"N*m/rad"', f'"{unit}"').replace('"N*m*s/rad"', '"s"')))
+    assert [parameter.scales for parameter in own.shape] == [True, False]
+
+
+def test_a_model_without_kc_and_bc_is_identified_and_cannot_be_compared(make_recording: Maker, tmp_path: Path) -> None:
+    own = load(written(tmp_path, GOOD.replace("Kc", "k").replace("Bc", "b")))
+    paths = [make_recording(f"{seed}.h5", noise=1e-4, seed=seed) for seed in range(2)]
+    assert [estimate.name for estimate in identify(paths, own, SEARCH).estimates] == ["k", "b"]
+    with pytest.raises(WrongUse, match="has k, b: name them so"):
+        compare(paths, own, SEARCH)
