@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
+from hil.dataset import stand_of
 from hil.errors import Untrustworthy, WrongUse
 from hil.findings import Finding
 from hil.identify import Search, identify
@@ -25,6 +26,7 @@ COMPARED = ("Kc", "Bc")
 
 _NORMAL = 1.959964  # half a 95 % interval in standard errors
 _CHANCE = 0.05
+_CARRIED = 1.96  # by which an interval carries the torque's uncertainty (`Spread.carrying`)
 _ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
 _HOUR = 3600.0
 
@@ -34,7 +36,8 @@ class Measured:
     """What one recording tells. created: UTC, None where it is not known. hours: since the first of all.
 
     estimates: of COMPARED, by name; {} where the recording could not be used. told: the names of those that the
-    recording can tell. model: that was fitted.
+    recording can tell. model: that was fitted. uncertainty: of the torque's scale, relative, one standard deviation: it
+    is in the intervals of all recordings of a stand alike, and so in no difference between them.
     """
 
     path: Path
@@ -43,13 +46,15 @@ class Measured:
     model: str
     estimates: dict[str, Estimate]
     told: frozenset[str]
+    uncertainty: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Repeated:
     """One parameter over all recordings that tell it.
 
-    pooled: None with fewer than two recordings. drift: per hour, in the parameter's unit; None with fewer than three.
+    pooled: None with fewer than two recordings; the torque's uncertainty is in its error and interval, and not in what
+    lies within. drift: per hour, in the parameter's unit; None with fewer than three.
     repeats: whether nothing lies between the recordings that their own errors do not explain; None where it cannot be
     told. verdict: a sentence or two.
     """
@@ -107,7 +112,8 @@ def compare(
     for index, path in enumerate(paths):
         found = _identified(path, model, search, findings, _share(progress, index, len(paths)))
         hours = (created[index] - first).total_seconds() / _HOUR if created[index] and first else math.nan
-        measured.append(_measured(path, created[index], hours, model, found))
+        measured.append(replace(_measured(path, created[index], hours, model, found), uncertainty=_uncertainty(path)))
+    findings += _of_scale(measured)
     models = {one.model for one in measured if one.estimates}
     if len(models) > 1:
         said = ", ".join(sorted(models))
@@ -135,6 +141,25 @@ def _origin(path: Path) -> tuple[datetime | None, bool]:
         except ValueError:
             return None, False
         return (moment if moment.tzinfo else None), False
+
+
+def _uncertainty(path: Path) -> float:
+    with Recording(path) as recording:
+        stand = stand_of(recording)
+    return 0.0 if stand is None else stand.torque_uncertainty
+
+
+def _of_scale(measured: Sequence[Measured]) -> list[Finding]:
+    common = max(one.uncertainty for one in measured)
+    if not common:
+        return []
+    return [
+        Finding(
+            "scale-in-common",
+            f"the torque's scale is uncertain by {common:.2g} of itself, in all recordings alike: that is in the "
+            "intervals, and not in what lies within and between the recordings",
+        )
+    ]
 
 
 def _share(progress: Progress | None, index: int, count: int) -> Progress | None:
@@ -172,7 +197,7 @@ def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
     told = [one for one in measured if name in one.told]
     estimates = [one.estimates[name] for one in told]
     values = np.array([estimate.exact for estimate in estimates])
-    errors = np.array([standard_error(estimate) for estimate in estimates])
+    errors = np.array([standard_error(one.estimates[name], one.uncertainty) for one in told])
     paths = tuple(one.path for one in told)
     unit = next((one.estimates[name].unit for one in measured if name in one.estimates), "")
     if len(told) < 2:
@@ -182,12 +207,22 @@ def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
     hours = np.array([one.hours for one in told])
     slope = drift(hours, values, errors) if len(told) > 2 and np.isfinite(hours).all() and np.ptp(hours) > 0 else None
     repeats = pooled.p_alike >= _CHANCE and (slope is None or slope.p >= _CHANCE)
-    return Repeated(name, unit, paths, pooled, slope, repeats, _verdict(name, pooled, slope, len(told)))
+    verdict = _verdict(name, pooled, slope, len(told))
+    return Repeated(name, unit, paths, _carrying(pooled, max(one.uncertainty for one in told)), slope, repeats, verdict)
 
 
-def standard_error(estimate: Estimate) -> float:
-    """An estimate's standard error, in its unit, from its 95 % interval."""
+def _carrying(pooled: Pooled, uncertainty: float) -> Pooled:
+    """The same with the uncertainty of the torque's scale in its error and interval."""
+    scale = uncertainty * abs(pooled.value)
+    half = math.hypot(0.5 * (pooled.ci95[1] - pooled.ci95[0]), _CARRIED * scale)
+    error = math.hypot(pooled.standard_error, scale)
+    return replace(pooled, standard_error=error, ci95=(pooled.value - half, pooled.value + half))
+
+
+def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
+    """An estimate's own standard error, in its unit, from its 95 % interval without the torque's uncertainty."""
     half = 0.5 * (estimate.ci95[1] - estimate.ci95[0])
+    half = math.sqrt(max(half**2 - (_CARRIED * uncertainty * estimate.exact) ** 2, 0.0))
     return float(max(half / _NORMAL, _ROUNDING * abs(estimate.exact), math.ulp(0.0)))
 
 

@@ -183,6 +183,11 @@ def test_real_locked_outputs_are_imported_and_identified(
     assert low < found["parameters"]["Kc"]["value"] < high
     assert found["parameters"]["Fc"]["value"] > 0.0
     assert "coarse-clock" in {warning["code"] for warning in found["warnings"]}
+    assert not found["parameters"]["Bc"]["identifiable"]
+    assert any(
+        warning["parameter"] == "Bc" and "cannot be told from Coulomb friction" in warning["message"]
+        for warning in found["warnings"]
+    )
 
 
 MOTOR_SIDE = """\

@@ -40,9 +40,9 @@ def stamped(path: Path, hour: float = 0.0, stand: str = "", kind: str = "chirp")
     return path
 
 
-def compared(make: Maker, stiffness: list[float], noise: float = 1e-5) -> Comparison:
+def compared(make: Maker, stiffness: list[float], noise: float = 1e-5, stand: str = "") -> Comparison:
     paths = [
-        stamped(make(f"r{index}.h5", samples=600, kc=kc, noise=noise, seed=index), hour=float(index))
+        stamped(make(f"r{index}.h5", samples=600, kc=kc, noise=noise, seed=index), hour=float(index), stand=stand)
         for index, kc in enumerate(stiffness)
     ]
     return compare(paths, parse_model("linear"), SEARCH)
@@ -68,6 +68,24 @@ def test_a_scatter_between_recordings_is_found_in_its_size_and_said_in_words(mak
     assert "Kc does not repeat: it differs from recording to recording by 1.6 %" in kc.verdict
     assert "drifts" not in kc.verdict
     assert bc.repeats is True
+
+
+def test_an_uncertain_torque_hides_no_difference_and_is_in_the_pooled_interval(make_recording: Maker) -> None:
+    put_in = [0.02, 0.0203, 0.0196, 0.0205, 0.0198, 0.0201]
+    exact = compared(make_recording, put_in)
+    found = compared(make_recording, put_in, stand=STAND.replace("[limits]", "torque_uncertainty = 0.05\n[limits]"))
+    for before, after in zip(exact.parameters, found.parameters, strict=True):
+        assert before.pooled is not None
+        assert after.pooled is not None
+        assert after.pooled.value == pytest.approx(before.pooled.value)
+        assert after.pooled.between == pytest.approx(before.pooled.between, rel=1e-3, abs=1e-12)
+        assert after.pooled.within == pytest.approx(before.pooled.within, rel=1e-3)
+        assert after.repeats == before.repeats
+        low, high = before.pooled.ci95
+        half = math.hypot(0.5 * (high - low), 1.96 * 0.05 * before.pooled.value)
+        assert after.pooled.ci95 == pytest.approx((after.pooled.value - half, after.pooled.value + half), rel=1e-4)
+    assert "scale-in-common" in [finding.code for finding in found.findings]
+    assert "scale-in-common" not in [finding.code for finding in exact.findings]
 
 
 def test_a_drift_is_found_by_the_recordings_own_times(make_recording: Maker) -> None:
