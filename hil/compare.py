@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.dataset import stand_of
+from hil.dataset import torque_uncertainty
 from hil.errors import Untrustworthy, WrongUse
 from hil.findings import Finding
 from hil.identify import Search, identify
@@ -112,7 +112,9 @@ def compare(
     for index, path in enumerate(paths):
         found = _identified(path, model, search, findings, _share(progress, index, len(paths)))
         hours = (created[index] - first).total_seconds() / _HOUR if created[index] and first else math.nan
-        measured.append(replace(_measured(path, created[index], hours, model, found), uncertainty=_uncertainty(path)))
+        measured.append(
+            replace(_measured(path, created[index], hours, model, found), uncertainty=torque_uncertainty(path))
+        )
     findings += _of_scale(measured)
     models = {one.model for one in measured if one.estimates}
     if len(models) > 1:
@@ -141,12 +143,6 @@ def _origin(path: Path) -> tuple[datetime | None, bool]:
         except ValueError:
             return None, False
         return (moment if moment.tzinfo else None), False
-
-
-def _uncertainty(path: Path) -> float:
-    with Recording(path) as recording:
-        stand = stand_of(recording)
-    return 0.0 if stand is None else stand.torque_uncertainty
 
 
 def _of_scale(measured: Sequence[Measured]) -> list[Finding]:

@@ -70,7 +70,7 @@ def open_dataset(paths: list[Path], choose: Choose, progress: Progress | None = 
     choice = choose(signals, False)
     with Spool(paths[0], rows, len(choice.model.linear), progress) as spool:
         edges, findings = _spooled(paths, choice.model, spool, rows, progress)
-        uncertainty = max(_uncertainty(path) for path in paths)
+        uncertainty = max(torque_uncertainty(path) for path in paths)
         yield Dataset(choice, signals, spool.rows, False, uncertainty, edges, findings, spool.blocks)
 
 
@@ -98,7 +98,8 @@ def stand_of(recording: Recording) -> StandTable | None:
     return parse(text, f"{recording.path}: stand_toml").stand if text else None
 
 
-def _uncertainty(path: Path) -> float:
+def torque_uncertainty(path: Path) -> float:
+    """Of the torque's scale, relative, one standard deviation, as the stand of a recording says; 0 without one."""
     with Recording(path) as recording:
         stand = stand_of(recording)
     return 0.0 if stand is None else stand.torque_uncertainty
@@ -141,7 +142,7 @@ def _in_memory(paths: list[Path], choose: Choose) -> Dataset:
     choice = choose(signals, True)
     motion = signals.motion
     columns, torque = choice.model.columns(motion), choice.model.target(motion, signals.torque)
-    uncertainty = max(_uncertainty(path) for path in paths)
+    uncertainty = max(torque_uncertainty(path) for path in paths)
     edges = tuple(np.cumsum([len(part) for part in parts]).tolist())
     return Dataset(choice, signals, len(signals), True, uncertainty, edges, findings, table(columns, torque))
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+from hil.compare import standard_error
+from hil.dataset import torque_uncertainty
 from hil.errors import WrongUse
 from hil.findings import Finding
 from hil.fixture import Element, Excitation, corrected
@@ -42,10 +43,12 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
     signals = found.signals
     one = len(found.recordings) == 1 and len(signals) == found.samples
     moved = Excitation.of(signals.time, signals.dtheta) if one else Excitation.flat(signals.band)
-    alone = corrected(_element(found), _element(fixture), moved)
+    # the torque's scale is wrong by the same part in both, and so in what is left
+    common = max(torque_uncertainty(path) for path in found.recordings)
+    alone = corrected(_element(found, common), _element(fixture, common), moved)
     corrections = {"Kc": (alone.stiffness, alone.stiffness_error), "Bc": (alone.damping, alone.damping_error)}
     estimates = tuple(
-        _moved(estimate, *corrections[estimate.name]) if estimate.name in corrections else estimate
+        _moved(estimate, *corrections[estimate.name], common) if estimate.name in corrections else estimate
         for estimate in found.estimates
     )
     lost = [
@@ -84,17 +87,13 @@ def _lost(estimate: Estimate) -> Finding:
     )
 
 
-def _element(found: Identification) -> Element:
+def _element(found: Identification, common: float) -> Element:
     kc, bc = found["Kc"], found["Bc"]
-    return Element(kc.exact, bc.exact, _error(kc), _error(bc))
+    return Element(kc.exact, bc.exact, standard_error(kc, common), standard_error(bc, common))
 
 
-def _error(estimate: Estimate) -> float:
-    return 0.5 * (estimate.ci95[1] - estimate.ci95[0]) / _NORMAL
-
-
-def _moved(estimate: Estimate, exact: float, error: float) -> Estimate:
-    shift, half = exact - estimate.exact, _NORMAL * error if np.isfinite(error) else np.inf
+def _moved(estimate: Estimate, exact: float, error: float, common: float) -> Estimate:
+    shift, half = exact - estimate.exact, _NORMAL * math.hypot(error, common * exact)
     return replace(
         estimate,
         value=estimate.value + shift,

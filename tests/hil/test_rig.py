@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -99,6 +100,17 @@ def test_a_damping_lost_in_that_of_the_fixture_is_not_identifiable(
     (said,) = [one for one in found["warnings"] if one["code"] == "not-identifiable"]
     assert said["parameter"] == "Bc"
     assert "stiffen the fixture" in said["message"]
+
+
+def test_an_uncertain_torque_is_carried_in_once(make_recording: Maker, capfd: pytest.CaptureFixture[str]) -> None:
+    """Both recordings are wrong by the same part, and so is what is left: 2 % stays 2 %."""
+    joint, rig = make_recording(noise=1e-5), make_recording("rig.h5", kc=0.05, bc=2e-4, noise=1e-5)
+    for path in (joint, rig):
+        with h5py.File(path, "r+") as file:
+            file.attrs["stand_toml"] = "[stand]\ntorque_uncertainty = 0.02\n"
+    for parameter in identified(capfd, joint, rig)[1]["parameters"].values():
+        half = 0.5 * (parameter["ci95"][1] - parameter["ci95"][0])
+        assert half == pytest.approx(1.96 * 0.02 * parameter["exact"], rel=0.02)
 
 
 def test_the_fixture_of_another_stand_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
