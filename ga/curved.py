@@ -161,7 +161,12 @@ def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> F
     """
     if not problem.low.size:
         return problem.solve(problem.low)
-    return by_compass(problem, descend(problem, valley(problem.thinned(), near).shape))
+    return settled(problem, valley(problem.thinned(), near).shape)
+
+
+def settled(problem: Problem, start: Array) -> Fit:
+    """The bottom of the valley that the shape `start` (q,) lies in. Raises RuntimeError as `Problem.solve`."""
+    return by_compass(problem, descend(problem, start)) if start.size else problem.solve(start)
 
 
 def valley(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
@@ -172,8 +177,8 @@ def valley(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -
         parts = np.array(_GRID.get(name, _ANYWHERE))
         tried.append(np.array([near[name]]) if name in near else low + (high - low) * parts)
     thin, best = problem.thinned(FEW), None
-    for parts in product(*tried):
-        found = attempted(thin, np.array(parts), best)
+    for chosen in product(*tried):
+        found = attempted(thin, np.array(chosen), best)
         if found is not None and (best is None or found.fitness < best.fitness):
             best = found
     if best is None:
@@ -246,7 +251,7 @@ def _rough(problem: Problem) -> Array:
     names = [parameter.name for parameter in problem.model.shape]
     if not {"Fc", *_KINKED} & {*names, *(parameter.name for parameter in problem.model.linear)}:
         return np.empty((0, len(names)))
-    steps = {name: step for name, step in zip(names, np.diag(problem.high - problem.low), strict=True)}
+    steps = dict(zip(names, np.diag(problem.high - problem.low), strict=True))
     if {"gap", "centre"} <= set(names):
         half = 0.5 * steps["gap"][names.index("gap")] * (np.arange(len(names)) == names.index("centre"))
         steps["gap"], steps["centre"] = steps["gap"] + half, steps["gap"] - half

@@ -81,7 +81,7 @@ def least_absolute_deviations(
         genes = np.zeros(len(scale))
         genes[kept] = np.linalg.solve(columns[np.ix_(basis, kept)] / scale[kept], target[basis])
         signs = _signs(rows, target, moved, basis)
-        optimum = _certify(columns, torque, genes * size / scale, basis, signs, scale, extent)
+        optimum = _certify(columns, torque, genes * size / scale, basis, signs, scale=scale, extent=extent)
         if best is None or optimum.certificate < best.certificate:
             best = optimum
         if best.certificate <= _PROVEN:
@@ -113,6 +113,7 @@ def _certify(
     genes: NDArray[np.float64],
     basis: NDArray[np.int64],
     signs: NDArray[np.float64],
+    *,
     scale: NDArray[np.float64],
     extent: NDArray[np.float64],
 ) -> Optimum:
@@ -134,9 +135,7 @@ def _certify(
     )
 
 
-def _whiten(
-    columns: NDArray[np.float64], scale: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _whiten(columns: NDArray[np.float64], scale: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Independent columns made orthogonal, each of length sqrt(n): rows (n, r), and which columns they span.
 
     Gram-Schmidt with column exchange, each column cleaned twice. The rank is revealed by what is left of a column.
@@ -203,7 +202,10 @@ def _bracketed(
             return None
         if found is not None:
             basis = open_rows[found]
-            if _is_vertex(rows[basis]) and np.linalg.norm(np.linalg.solve(rows[basis], torque[basis]) - centre) <= reach:
+            if (
+                _is_vertex(rows[basis])
+                and np.linalg.norm(np.linalg.solve(rows[basis], torque[basis]) - centre) <= reach
+            ):
                 return basis
         if not settled.any():
             return None

@@ -23,15 +23,17 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-STUCK: Final = 0.0075
-DOUBTFUL: Final = 2.0
-SLOWEST: Final = 0.05
-"""The rate below which friction may hold the joint, when its sign says nothing: a part of the r.m.s. rate, or so many
-standard deviations of the rate's noise, but no more than that part."""
+STUCK: Final = 0.075
+"""Part of the samples, the slowest, in which friction may hold the joint and its sign says nothing."""
 
-SHARP: Final = 0.25
-"""v_s of the Coulomb term as a part of that rate: a sign where friction slides, for 1.3 % of softness takes as much off
-Bc."""
+BESIDE: Final = 0.25
+"""Part of the time between two samples by which the skew may be wrong when those are told."""
+
+NOISY: Final = 0.5
+FINEST: Final = 0.001
+SMOOTHEST: Final = 0.05
+"""v_s of the Coulomb term as a part of the rate's noise, at least and at most these parts of the r.m.s. rate: a sign
+where friction slides, for 1.3 % of softness takes as much off Bc."""
 
 LONGEST_SKEW: Final = 0.02
 """s between two readings of one tick, at most."""
@@ -59,8 +61,8 @@ class Model:
     """A sum of terms. name: canonical, such as "linear+offset+coulomb+skew".
 
     linear: the parameters (p,) of the columns, in their order. shape: those (q,) that shape the columns.
-    origin: s, where the drift begins; slowest: rad/s, below which friction may hold the joint. None: each call takes
-    its own data's.
+    origin: s, where the drift begins; slowest: rad/s, below which friction may hold the joint; smoothing: v_s of the
+    Coulomb term, rad/s. None: each call takes its own data's.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Model:
     shape: tuple[Parameter, ...] = ()
     origin: float | None = None
     slowest: float | None = None
+    smoothing: float | None = None
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -84,17 +87,23 @@ class Model:
 
         Needed where a recording is taken block by block, or where one part is judged by a fit to another.
         """
-        return replace(self, origin=float(motion.time[0]) if len(motion) else 0.0, slowest=_slowest(motion))
+        slowest = _slowest(motion)
+        origin = float(motion.time[0]) if len(motion) else 0.0
+        return replace(self, origin=origin, slowest=slowest, smoothing=_smoothing(motion))
 
     def told(self, motion: Motion, skew: float = 0.0) -> NDArray[np.bool_]:
-        """The samples (n,) that the model says something about: with Coulomb friction not those it may hold the joint in.
+        """The samples (n,) that the model says something about: with Coulomb friction not those it may hold a joint in.
 
-        There its torque is anything between -Fc and Fc. skew: s, how much older the torque reading is.
+        There its torque is anything between -Fc and Fc. skew: s, how much older the torque reading is; where the model
+        has one, samples next to a reversal are left out as well, whose sign would say what the skew is.
         """
         if "Fc" not in self:
             return np.ones(len(motion), dtype=bool)
         slowest = _slowest(motion) if self.slowest is None else self.slowest
-        return np.asarray(np.abs(motion.delayed(skew).dtheta_dot) >= slowest)
+        beside = BESIDE * float(np.median(np.diff(motion.time))) if "skew" in self and len(motion) > 1 else 0.0
+        rates = [motion.delayed(skew + shift).dtheta_dot for shift in (-beside, 0.0, beside)]
+        least, most = np.min(rates, axis=0), np.max(rates, axis=0)
+        return np.asarray((least >= slowest) | (most <= -slowest))
 
     @property
     def lets_go(self) -> bool:
@@ -106,7 +115,7 @@ class Model:
 
         lag: Bc/Kc, s, which says when flanks that can push only let go.
         """
-        model = self if self.slowest is not None else self.anchored(motion)
+        model = self if self.smoothing is not None else self.anchored(motion)
         return model._stacked(model._engaged(motion, shape, lag), changing=None)
 
     def target(self, motion: Motion, torque: Array, shape: Array | None = None) -> Array:
@@ -119,7 +128,7 @@ class Model:
         Where flanks meet the damping torque jumps, and where the joint turns its friction; what that adds at single
         samples is left out.
         """
-        model = self if self.slowest is not None else self.anchored(motion)
+        model = self if self.smoothing is not None else self.anchored(motion)
         engaged = model._engaged(motion, shape, lag)
         found = []
         for parameter in self.shape:
@@ -172,7 +181,7 @@ class Model:
         if self.lets_go:
             touching = (angle * (angle + lag * seen.dtheta_dot) > 0.0).astype(np.float64)
             angle = angle * touching
-        return _Engaged(motion.time - (self.origin or 0.0), seen, angle, touching, SHARP * (self.slowest or 0.0))
+        return _Engaged(motion.time - (self.origin or 0.0), seen, angle, touching, self.smoothing or 0.0)
 
     @property
     def _names(self) -> tuple[str, ...]:
@@ -235,14 +244,20 @@ def _refuse_unknown(term: str) -> None:
 
 
 def _slowest(motion: Motion) -> float:
-    """The rate, rad/s, below which friction may hold the joint, or the rate's noise may turn its sign.
+    """The rate, rad/s, below which friction may hold the joint; zero where the rate's noise hides which samples are.
 
     It is taken from the data because rates differ by four decades between stands.
     """
+    slowest = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)) if len(motion) else 0.0
+    return slowest if slowest > (motion.rate_noise or 0.0) else 0.0
+
+
+def _smoothing(motion: Motion) -> float:
+    """v_s, rad/s, of the Coulomb term."""
     if not len(motion):
         return 0.0
     usual = float(np.linalg.norm(motion.dtheta_dot) / np.sqrt(len(motion)))
-    return float(np.clip(DOUBTFUL * (motion.rate_noise or 0.0), STUCK * usual, SLOWEST * usual))
+    return float(np.clip(NOISY * (motion.rate_noise or 0.0), FINEST * usual, SMOOTHEST * usual))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 Each runs the `default` scheme on some hundred rows, where a shape costs a fraction of a millisecond, until its
 population has gathered in one valley, and goes down that by descent, on more rows and then on all: trials that end in
-different valleys differ, others hardly. Where the valley's bottom is rough only the best trial looks for its lowest place.
+different valleys differ, others hardly.
 """
 
 from __future__ import annotations

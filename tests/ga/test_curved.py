@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from ga.curved import Problem, descend, fit
+from ga.curved import Problem, descend, fit, settled
 from ga.evolution import PRESETS
 from ga.models import parse
 from ga.motion import Motion
@@ -156,3 +156,22 @@ def test_the_search_counts_its_work_and_tells_how_far_it_is() -> None:
     assert found.evaluations == found.made > 2 * 18
     assert told[-1] == 1.0
     assert np.all(np.diff(found.history.fitness, axis=1) <= 0.0)
+
+
+@pytest.mark.parametrize(("upper", "lower"), [(0.003, 0.0), (0.0, -0.003), (0.002, 0.003)])
+def test_each_flank_of_a_gap_is_found_though_the_other_one_is_right_already(upper: float, lower: float) -> None:
+    """A flank that is wrong alone moves gap and centre together: along either of them there is no way down."""
+    torque = with_play(0.04, 0.01)
+    model = parse("linear+offset+backlash")
+    problem = Problem(model, MOTION, torque, *model.bounds(MOTION, 12.0))
+    found = settled(problem, np.array([0.04 + upper - lower, 0.01 + 0.5 * (upper + lower)]))
+    gap, centre = found.shape
+    assert centre + 0.5 * gap == pytest.approx(0.03, abs=3e-4)
+    assert centre - 0.5 * gap == pytest.approx(-0.01, abs=3e-4)
+
+
+def test_a_shape_that_cannot_be_fitted_is_passed_over_in_the_search_for_a_valley() -> None:
+    """At rest every lag is like every other: one shape of the grid without a fit is not the end of the search."""
+    still = Motion(TIME, np.full(SAMPLES, 0.1), np.zeros(SAMPLES), np.zeros(SAMPLES), np.zeros(SAMPLES))
+    problem = Problem(parse("linear+slack"), still, noise(), np.array([0.05]), np.array([0.2]))
+    assert np.isfinite(fit(problem).fitness)

@@ -165,3 +165,15 @@ def test_the_lowest_point_of_a_ray_is_found_among_ties(rows: list[tuple[int, int
 
     lowest = min(height(t) for t in residual[crosses] / along[crosses])
     assert height(step) == pytest.approx(lowest, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["plain", "outliers", "counts", "repeated rows", "collinear", "a zero column"])
+@pytest.mark.parametrize("off", [0.0, 1e-4, 3.0])
+def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: float) -> None:
+    for seed in range(20):
+        columns, torque = recording(kind, 300, 4, np.random.default_rng(seed))
+        plain = least_absolute_deviations(columns, torque)
+        near = plain.genes * (1.0 + off) + off * (plain.genes == 0.0)
+        found = least_absolute_deviations(columns, torque, near)
+        assert found.certificate < 1e-9
+        assert found.fitness == pytest.approx(plain.fitness, rel=1e-12)

@@ -71,10 +71,36 @@ def test_an_unknown_term_is_answered_with_the_known_ones_and_the_nearest() -> No
         parse("linear+coulom")
 
 
-def test_the_smoothing_follows_the_noise_of_the_rate() -> None:
-    noisy, quiet = (parse("linear+coulomb").anchored(moving(rate_noise=noise)).smoothing for noise in (0.004, 1e-9))
-    assert noisy == pytest.approx(0.002)
-    assert quiet == pytest.approx(1e-3 * np.sqrt(np.mean(RATE**2)))
+def test_friction_says_nothing_of_the_slowest_samples_and_is_a_sign_of_the_others() -> None:
+    model = parse("linear+coulomb").anchored(MOTION)
+    told = model.told(MOTION)
+    assert np.mean(~told) == pytest.approx(0.075, abs=0.005)
+    assert np.abs(RATE[~told]).max() <= np.abs(RATE[told]).min()
+    assert np.all(np.abs(model.columns(MOTION)[told, 2]) > 0.999)
+    assert parse("linear+skew").anchored(MOTION).told(MOTION).all()
+
+
+def test_the_slowest_samples_are_those_of_when_the_torque_was_read() -> None:
+    model = parse("linear+coulomb+skew").anchored(MOTION)
+    told = model.told(MOTION, 0.03)
+    late = MOTION.delayed(0.03).dtheta_dot
+    assert np.all(np.abs(late[told]) >= model.slowest)
+    turned = np.abs(MOTION.delayed(0.0325).dtheta_dot) < model.slowest  # a quarter of the time between two samples
+    assert not told[turned].any()
+    assert not np.array_equal(told, model.told(MOTION))
+
+
+def test_where_noise_hides_which_samples_are_slow_none_is_left_out() -> None:
+    noise = 2.0 * float(np.quantile(np.abs(RATE), 0.075))
+    assert parse("linear+coulomb").anchored(moving(rate_noise=noise)).told(MOTION).all()
+
+
+@pytest.mark.parametrize(("noise", "smoothing"), [(0.01, 0.005), (1e-9, 1e-3), (1.0, 0.05)])
+def test_the_sign_of_friction_is_as_soft_as_the_noise_of_the_rate(noise: float, smoothing: float) -> None:
+    """At least a thousandth and at most a twentieth of the r.m.s. rate."""
+    usual = np.sqrt(np.mean(RATE**2))
+    model = parse("linear+coulomb").anchored(moving(rate_noise=noise))
+    assert model.smoothing == pytest.approx(smoothing if noise == 0.01 else smoothing * usual)
 
 
 @pytest.mark.parametrize(
