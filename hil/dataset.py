@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy
 from hil.findings import Finding, driven_by_position
-from hil.model_choice import Choice, Coupling
+from hil.model_choice import Choice
 from hil.quality import assess
 from hil.signals import Signals, glimpse, joined, prepare, stream
 from hil.spool import Progress, Spool
@@ -33,13 +33,15 @@ IN_MEMORY = 4_000_000
 class Dataset:
     """The recordings, pooled.
 
-    choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones. samples: of all.
-    whole: whether the signals are all of them. uncertainty: of the torque's scale, relative, one standard deviation.
-    edges: where each recording ends, in samples. findings: what is to be said of them.
+    choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones. told: which of the
+    signals the model says something about. samples: how many of all that are. whole: whether the signals are all.
+    uncertainty: of the torque's scale, relative, one standard deviation. edges: where each recording ends, in samples.
+    findings: what is to be said of them.
     """
 
     choice: Choice
     signals: Signals
+    told: NDArray[np.bool_]
     samples: int
     whole: bool
     uncertainty: float
@@ -69,9 +71,10 @@ def open_dataset(paths: list[Path], choose: Choose, progress: Progress | None = 
     signals = _glimpsed(paths)
     choice = choose(signals, False)
     with Spool(paths[0], rows, len(choice.model.linear), progress) as spool:
-        edges, findings = _spooled(paths, choice.model, spool, rows, progress)
+        edges, findings = _spooled(paths, choice, spool, rows, progress)
         uncertainty = max(torque_uncertainty(path) for path in paths)
-        yield Dataset(choice, signals, spool.rows, False, uncertainty, edges, findings, spool.blocks)
+        told = choice.told(signals.motion)
+        yield Dataset(choice, signals, told, spool.rows, False, uncertainty, edges, findings, spool.blocks)
 
 
 def table(columns: Array, torque: Array) -> Table:
@@ -140,11 +143,19 @@ def _in_memory(paths: list[Path], choose: Choose) -> Dataset:
             findings += recording_findings(recording, parts[-1]) + assess(recording, parts[-1]).findings()
     signals = joined(parts)
     choice = choose(signals, True)
-    motion = signals.motion
-    columns, torque = choice.model.columns(motion), choice.model.target(motion, signals.torque)
+    told, motion = choice.told(signals.motion), signals.motion
+    columns, torque = choice.model.columns(motion)[told], choice.model.target(motion, signals.torque)[told]
     uncertainty = max(torque_uncertainty(path) for path in paths)
-    edges = tuple(np.cumsum([len(part) for part in parts]).tolist())
-    return Dataset(choice, signals, len(signals), True, uncertainty, edges, findings, table(columns, torque))
+    edges = tuple(np.cumsum(told)[np.cumsum([len(part) for part in parts]) - 1].tolist())
+    findings += _slow(len(told) - len(torque), len(told))
+    return Dataset(choice, signals, told, len(torque), True, uncertainty, edges, findings, table(columns, torque))
+
+
+def _slow(left_out: int, samples: int) -> list[Finding]:
+    if not left_out:
+        return []
+    text = f"{left_out} of {samples} samples are so slow that friction may hold the joint: they are left out"
+    return [Finding("slow-samples", text)]
 
 
 def _glimpsed(paths: list[Path]) -> Signals:
@@ -156,18 +167,20 @@ def _glimpsed(paths: list[Path]) -> Signals:
 
 
 def _spooled(
-    paths: list[Path], model: Coupling, spool: Spool, rows: int, progress: Progress | None
+    paths: list[Path], choice: Choice, spool: Spool, rows: int, progress: Progress | None
 ) -> tuple[tuple[int, ...], list[Finding]]:
     """Write all columns and torque to the spool; where each recording ends in it, and what is to be said of them."""
-    edges, findings = [], []
+    edges, findings, read = [], [], 0
     for path in paths:
         with Recording(path) as recording:
             counts = []
             for part in stream(recording, stand_of(recording)):
-                spool.extend(model.columns(part.motion), model.target(part.motion, part.torque))
+                told, motion = choice.told(part.motion), part.motion
+                spool.extend(choice.model.columns(motion)[told], choice.model.target(motion, part.torque)[told])
                 counts.append(part.thinned(len(part)))
+                read += len(part)
                 if progress is not None:
-                    progress("reading", min(1.0, spool.rows / rows))
+                    progress("reading", min(1.0, read / rows))
             edges.append(spool.rows)
             findings += recording_findings(recording, joined(counts))
-    return tuple(edges), findings
+    return tuple(edges), findings + _slow(read - spool.rows, read)

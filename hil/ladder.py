@@ -3,10 +3,10 @@
 Each step up takes the term that tells held-out blocks best, of those that pay; terms that do not pay any more are let
 go. What a term gains is held against what one of no meaning would: the likelihood ratio of a median regression (Koenker
 and Machado 1999, 4 f(0) times the fall of the sum of absolute residuals), divided by how much more the residuals' own
-correlation makes its parameters vary (`hil.residual_spectrum`), less log n for each (Schwarz 1978) and what it
-costs to choose from so many terms (Chen and Chen 2008). Held-out blocks must not be told clearly worse. A term with a break, whose likelihood ratio has no known law, must tell them better and gain much.
-What the density f(0) and the correlation are is read from the richest model, lest what a term leaves out is taken for
-noise.
+correlation makes its parameters vary (`hil.residual_spectrum`), less log n for each (Schwarz 1978) and what it costs to
+choose from so many terms (Chen and Chen 2008). Held-out blocks must not be told clearly worse. A term with a break,
+whose likelihood ratio has no known law, must tell them better and gain much. What the density f(0) and the correlation
+are is read from the richest model, lest what a term leaves out is taken for noise.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.curved import Fit, Problem, descend, fit, valley
+from ga.curved import Curved, Fit, Problem, descend, fit, settled, valley
 from ga.models import Model, parse
 from ga.motion import Motion
 from hil.residual_spectrum import measure
@@ -66,10 +66,15 @@ class Rung:
 
 @dataclass(frozen=True, slots=True)
 class Ladder:
-    """model: the one chosen, anchored. rungs: up to it, then one for each term that was not taken, on top of it."""
+    """model: the one chosen, anchored. rungs: up to it, then one for each term that was not taken, on top of it.
+
+    residuals: (n,) N m, of its fit. skew: s, how much older the torque reading is, 0 where the model has no such term.
+    """
 
     model: Model
     rungs: tuple[Rung, ...]
+    residuals: Array
+    skew: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +102,7 @@ def climb(motion: Motion, torque: Array, highest: float, terms: tuple[str, ...] 
         if frozenset(larger.terms) in seen:
             break  # the new term took the place of one that it needs: round and round
         chosen = larger
-    chosen = climber.pruned(chosen)
-    return Ladder(chosen.model.anchored(motion), climber.rungs(chosen))
+    return climber.ladder(climber.pruned(chosen))
 
 
 class _Climber:
@@ -172,8 +176,9 @@ class _Climber:
     def step(self, terms: tuple[str, ...], beside: _Step | None = None) -> _Step:
         """The model of these terms, fitted to all samples; beside: a fit that its shape may be like."""
         if terms not in self._steps:
-            problem = self._problem(terms)
-            found = fit(problem, _shape(beside.model, beside.fit) if beside else {})
+            problem, seen = self._problem(terms), self._glimpses.get(terms)
+            near = _shape(beside.model, beside.fit) if beside else {}
+            found = fit(problem, near) if seen is None else settled(problem, seen.shape)
             self._steps[terms] = _Step(terms, _model(terms), problem, found, self._held_out(problem, found))
         return self._steps[terms]
 
@@ -194,7 +199,7 @@ class _Climber:
         count = len(self._torque)
         ratio = 4.0 * self._density * count * (smaller.fit.fitness - larger.fit.fitness)
         alike = self._correlation(larger, term)
-        chosen_from = 2.0 * np.log(len(self._candidates))
+        chosen_from = np.log(len(self._candidates))  # their gamma of 1/2
         return float(ratio / alike - len(_own(term)) * np.log(max(count / alike, np.e)) - chosen_from)
 
     def pays(self, smaller: _Step, larger: _Step, term: str) -> bool:
@@ -203,8 +208,13 @@ class _Climber:
             return False
         if self._ends(larger, term) or not self._is_told(larger, term):
             return False
+        if _stiffness(larger) <= 0.0 < _stiffness(smaller):  # no coupling pushes: the term stands in for it
+            return False
         better = smaller.held_out - larger.held_out
-        least, gain = (_BETTER, _STRONG) if term in _BROKEN else (-_WORSE, 0.0)
+        # a skew moves the breaks that friction makes at every reversal, and a spring that stiffens looks like a gap
+        beside = {"skew": {"coulomb"}, "cubic": _BROKEN}.get(term, set())
+        broken = term in _BROKEN or bool(beside & set(larger.terms))
+        least, gain = (_BETTER, _STRONG) if broken else (-_WORSE, 0.0)
         if better.mean() < least * better.std(ddof=1) / np.sqrt(_FOLDS):
             return False
         return self.gain(smaller, larger, term) > gain
@@ -248,7 +258,12 @@ class _Climber:
                     idle.append((self.gain(smaller, step, term), smaller))
         return self.pruned(min(idle, key=lambda pair: pair[0])[1]) if idle else step
 
-    def rungs(self, chosen: _Step) -> tuple[Rung, ...]:
+    def ladder(self, chosen: _Step) -> Ladder:
+        """What was chosen and why."""
+        model = chosen.model.anchored(self._motion)
+        return Ladder(model, self._rungs(chosen), chosen.problem.residuals(chosen.fit), skew_of(model, chosen.fit))
+
+    def _rungs(self, chosen: _Step) -> tuple[Rung, ...]:
         """Up to the chosen model a term at a time, then what each other term would do to it."""
         steps = [self.step(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
         found = [_rung(steps[0], float("nan"), taken=True)]
@@ -269,7 +284,12 @@ def _model(terms: tuple[str, ...]) -> Model:
     return parse("+".join(terms))
 
 
-def _shape(model: Model, fit: Fit) -> dict[str, float]:
+def skew_of(model: Curved, fit: Fit) -> float:
+    """The skew, s, that a fit found; 0 where the model has none."""
+    return _shape(model, fit).get("skew", 0.0)
+
+
+def _shape(model: Curved, fit: Fit) -> dict[str, float]:
     """What a fit found for the shape, by name."""
     return dict(zip((parameter.name for parameter in model.shape), fit.shape.tolist(), strict=True))
 
@@ -281,6 +301,10 @@ def _fits_in(term: str, terms: tuple[str, ...]) -> bool:
 def _own(term: str) -> tuple[str, ...]:
     """The names of a term's own parameters."""
     return tuple(p.name for p in _model(("linear", term)).parameters if p.name not in {"Kc", "Bc"})
+
+
+def _stiffness(step: _Step) -> float:
+    return float(step.fit.optimum.genes[0])
 
 
 def _rung(step: _Step, gain: float, *, taken: bool) -> Rung:

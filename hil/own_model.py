@@ -54,6 +54,10 @@ class OwnModel:
         self._torque(motion, 0.5 * (self.low + self.high))
         return self
 
+    def told(self, motion: Motion, _skew: float = 0.0) -> NDArray[np.bool_]:
+        """All samples (n,)."""
+        return np.ones(len(motion), dtype=bool)
+
     def bounds(self, _motion: Motion, _highest: float) -> tuple[Array, Array]:
         """Where each parameter can be: low (q,) and high (q,)."""
         return self.low, self.high

@@ -23,7 +23,7 @@ from hil.store import Array
 from .conftest import Maker
 
 
-def identified(paths: list[Path], model: str = "linear+offset+coulomb") -> Identification:
+def identified(paths: list[Path], model: str = "linear+offset+cubic") -> Identification:
     search = Search("default", PRESETS["default"], trials=3, seed=0, workers=1, bounds={})
     return identify(paths, parse_model(model), search)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ga.motion import Motion
 from hil import ladder
 from hil.ladder import Ladder, climb
+from hil.residual_spectrum import ResidualSpectrum
 
 Array = NDArray[np.float64]
 
@@ -96,10 +97,15 @@ def test_each_rung_says_what_its_term_gains_and_does_to_stiffness_and_damping() 
     assert all(rung.gain < 0.0 and not rung.taken for rung in others)
 
 
+def as_if_white(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
+    ((columns, _),) = blocks
+    return ResidualSpectrum(np.ones(1), np.ones(1), (columns.T @ columns)[None])
+
+
 def test_noise_that_follows_itself_is_less_often_taken_for_a_term_than_its_samples_would_have_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Counted a sample at a time, noise over a tenth of a second looks like news; counted in blocks, less so."""
+    """Counted a sample at a time, noise over a tenth of a second looks like news; by its spectrum, less so."""
     moved = chirp(TIME)
 
     def taken() -> int:
@@ -111,7 +117,7 @@ def test_noise_that_follows_itself_is_less_often_taken_for_a_term_than_its_sampl
         return count
 
     allowing = taken()
-    monkeypatch.setattr(ladder, "_BLOCKS", SAMPLES)
+    monkeypatch.setattr(ladder, "measure", as_if_white)
     assert allowing < taken()
 
 
