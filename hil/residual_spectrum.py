@@ -1,9 +1,9 @@
 """How residuals follow each other: the power of their signs in bands of frequency, and what it does to estimates.
 
-The sum of x sign(e) of a median regression has the covariance sum over s, t of x_s x_t' E[sign(e_s) sign(e_t)], which by
-Parseval's theorem is the columns' cross-spectrum weighted with the power spectrum of the signs (Hannan 1963 has it for
-least squares). The power is read off all residuals, wherever a column is large: blocks in time, the usual way, are too
-few where one column lives in a few of them, as a skew does in the fast end of a chirp.
+The sum of x sign(e) of a median regression has the covariance sum over s, t of x_s x_t' E[sign(e_s) sign(e_t)]. By
+Parseval's theorem that is the columns' cross-spectrum weighted with the power spectrum of the signs (Hannan 1963 has it
+for least squares). The power is read off all residuals, wherever a column is large: blocks in time, the usual way, are
+too few where one column lives in a few of them, as a skew does in the fast end of a chirp.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ _WIDENING = 0.25  # of a band's lower end, its width: the power of a drive's noi
 class ResidualSpectrum:
     """In bands of rising frequency (b,): lines, how many lie in each; power, the signs' mean square in each, 1 where
     they do not follow each other; crossed (b, p, p), the columns' products, which add up to columns^T columns.
+
+    A power below one is what the fit took out of the band with its own columns: it counts as one.
     """
 
     lines: Array
@@ -34,11 +36,15 @@ class ResidualSpectrum:
     @property
     def covariance(self) -> Array:
         """Of the sum of x sign(e), (p, p)."""
-        return np.asarray(np.einsum("b,bpq->pq", self.power, self.crossed))
+        return np.asarray(np.einsum("b,bpq->pq", self._counted, self.crossed))
+
+    @property
+    def _counted(self) -> Array:
+        return np.maximum(self.power, 1.0)
 
     def freedom(self, bread: Array) -> Array:
         """Degrees of freedom (p,) of the variances bread . covariance . bread (Satterthwaite 1946)."""
-        parts = np.einsum("b,kp,bpq,qk->kb", self.power, bread, self.crossed, bread)
+        parts = np.einsum("b,kp,bpq,qk->kb", self._counted, bread, self.crossed, bread)
         squares = (parts**2 / self.lines).sum(axis=1)
         return np.asarray(2.0 * parts.sum(axis=1) ** 2 / np.where(squares > 0.0, squares, np.inf))
 
