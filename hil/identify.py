@@ -22,6 +22,7 @@ from ga.streaming import Blocks, Reduced, reduce
 from ga.trials import Trials, run_trials
 from hil.dataset import Dataset, Table, open_dataset, table
 from hil.errors import Untrustworthy, WrongUse
+from hil.findings import Finding
 from hil.intervals import spread
 from hil.judgement import Evidence, estimates, judge, rivals
 from hil.model_choice import Choice, Coupling, choose
@@ -30,11 +31,13 @@ from hil.provenance import check_together
 from hil.result import Holdout, Identification
 from hil.signals import Signals
 from hil.spool import Progress
+from hil.steadiness import unsteady
 
 Array = NDArray[np.float64]
 
 _FOLDS = 10  # blocks in time; every fifth is held out
 _TRIALS, _SHAPE_TRIALS = 30, 8  # the paper's; a search for a skew or gap takes half a second
+_UNMOVED = ("few-counts", "poor-snr")  # what is said of a recording in which nothing moved, where it is fatal
 _COUNTED = 1 << 18  # samples looked at a time
 
 
@@ -105,7 +108,6 @@ def identify(
             signals=data.signals,
             columns=found.columns,
             values=found.values,
-            unique=found.optimum.unique,
             errors=errors,
             scattered=scattered,
             trials=found.trials,
@@ -113,6 +115,7 @@ def identify(
             high=found.high,
             gap=found.optimum.relative_gap(fitness),
             holdout=holdout,
+            unmoved=next((one.message for one in data.findings if one.fatal and one.code in _UNMOVED), ""),
         )
         judged = estimates(evidence)
         return Identification(
@@ -130,9 +133,23 @@ def identify(
             seconds=time.perf_counter() - began,
             search_seconds=found.seconds,
             holdout=holdout,
-            findings=tuple(together + data.findings + judge(evidence) + rivals(data.choice.rungs, judged)),
+            findings=tuple(
+                together
+                + data.findings
+                + _of_parts(data, found, parameters)
+                + judge(evidence)
+                + rivals(data.choice.rungs, judged)
+            ),
             signals=data.signals,
         )
+
+
+def _of_parts(data: Dataset, found: _Found, parameters: tuple[Parameter, ...]) -> list[Finding]:
+    """What parts of the recordings say against the whole; a recording that does not fit in memory is not gone through
+    once more for it.
+    """
+    names = _names(parameters)
+    return unsteady(found.blocks, data.edges, names.index("Kc")) if data.whole and "Kc" in names else []
 
 
 def _straight(data: Dataset, search: Search, progress: Progress | None) -> _Found:
@@ -150,7 +167,7 @@ def _straight(data: Dataset, search: Search, progress: Progress | None) -> _Foun
 
 def _glimpsed(data: Dataset) -> tuple[Array, Array]:
     model, motion = data.choice.model, data.signals.motion
-    return model.columns(motion), model.target(motion, data.signals.torque)
+    return model.columns(motion)[data.told], model.target(motion, data.signals.torque)[data.told]
 
 
 def _curved(data: Dataset, search: Search, progress: Progress | None) -> _Found:
@@ -163,7 +180,7 @@ def _curved(data: Dataset, search: Search, progress: Progress | None) -> _Found:
     low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
     low, high = _narrowed(low, high, search, _names((*model.linear, *model.shape)), model.name)
     _check_population(search, len(model.shape))
-    problem = Problem(model, motion, data.signals.torque, low[p:], high[p:])
+    problem = Problem(model, motion, data.signals.torque, low[p:], high[p:]).of(data.told)
     began = time.perf_counter()
     trials = search_shapes(
         problem,

@@ -19,30 +19,31 @@ from hil.signals import Signals
 Array = NDArray[np.float64]
 
 _CONFUSED = 300.0  # variance inflation from which a parameter is another's as much as its own
-_TOLD = 0.5  # half the width of its interval, as a part of its value, up to which Kc or Bc is told
+TOLD = 0.35  # half the width of its interval, as a part of its value, up to which Kc or Bc is told
 _OPTIMISER_GAP = 1e-3  # relative gap from which the search is said not to have arrived
 _MARGIN = 1e-4  # part of a range within which a value is at its end
-_BARELY = 1.001  # of the least fitness, to which a model with one more term is as good
+_STRONGLY_AGAINST = -6.0  # of a gain: evidence against a term that is strong (Kass and Raftery 1995)
 _UNEXPLAINED = 0.9  # of the torque's spread, left in held-out blocks, from which a model explains nothing
 _APART = 3.0  # times the recordings' own errors, from which what lies between them is what makes an interval wide
 _LIKE_FRICTION = 0.95  # square of the cosine between a rate and its sign, from which damping is friction as well
 _ONE_SPEED = 0.79  # the same, from which it may be: a triangle has 1, a sine 0.81, two sines less, a chirp 0.6
 _COUPLING = ("Kc", "Bc")
+_PRESENT = ("Fc", "K3", "J", "gap")
+"""What is there or not: told where its interval does not hold zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """What there is to judge. columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters.
 
-    scattered: of pooled recordings, what lies within and between. unique: whether the exact optimum is the only one.
-    gap: of the search, relative.
+    scattered: of pooled recordings, what lies within and between.
+    gap: of the search, relative. unmoved: what is said of a recording in which nothing moved, "" otherwise.
     """
 
     model: Coupling
     signals: Signals
     columns: Array
     values: Array
-    unique: bool
     errors: Spread
     scattered: tuple[Scatter | None, ...]
     trials: Trials
@@ -50,6 +51,7 @@ class Evidence:
     high: Array
     gap: float
     holdout: Holdout
+    unmoved: str = ""
 
     @property
     def names(self) -> list[str]:
@@ -59,11 +61,13 @@ class Evidence:
     def told(self, at: int) -> bool:
         """Whether the recording can tell the parameter at that place."""
         half = float(self.errors.half_width[at])
-        told = self.unique and np.isfinite(half) and self.errors.inflation[at] < _CONFUSED
+        told = np.isfinite(half) and self.errors.inflation[at] < _CONFUSED
         if self.names[at] == "Bc":  # friction that the model leaves out would be in it, whatever the interval
             told = told and self.friction_alike < _LIKE_FRICTION
         if self.names[at] in _COUPLING:  # a coupling is known once its value stands out from its interval
-            told = told and half < _TOLD * abs(self.values[at])
+            told = told and half < TOLD * abs(self.values[at]) and not self.unmoved
+        if self.names[at] in _PRESENT:
+            told = told and half < abs(self.values[at])
         return bool(told)
 
     @property
@@ -143,8 +147,7 @@ def rivals(rungs: tuple[Rung, ...], found: tuple[Estimate, ...]) -> list[Finding
     for rung in rungs:
         for estimate in () if rung.taken else found[:2]:
             value = {"Kc": rung.Kc, "Bc": rung.Bc}[estimate.name]
-            outside = not estimate.ci95[0] <= value <= estimate.ci95[1]
-            if outside and rung.fitness < _BARELY * min(one.fitness for one in rungs if one.taken):
+            if rung.gain > _STRONGLY_AGAINST and not estimate.ci95[0] <= value <= estimate.ci95[1]:
                 told.append(
                     Finding(
                         "model-dependent",
@@ -214,11 +217,15 @@ _IMPLAUSIBLE = {
 
 def _why_not(evidence: Evidence, at: int) -> str:
     name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
+    if name in _COUPLING and evidence.unmoved:
+        return f"{name} cannot be told: {evidence.unmoved}"
     if not columns[:, at].any():
         return f"{name} cannot be told: nothing in this recording excites it"
     if name == "Bc" and evidence.friction_alike >= _LIKE_FRICTION:
         return f"Bc cannot be told from dry friction: at the one speed driven they look alike; {_SEVERAL_SPEEDS}"
     if evidence.errors.inflation[at] < _CONFUSED and np.isfinite(evidence.errors.half_width[at]):
+        if name in _PRESENT:
+            return f"{name} cannot be told from zero: its 95 % interval holds it; leave its term out, or excite it more"
         return _too_wide(evidence, at)
     norms = np.linalg.norm(columns, axis=0)
     alike = np.abs(columns.T @ columns[:, at]) / np.where(norms > 0.0, norms, 1.0) / norms[at]

@@ -8,15 +8,15 @@ from pathlib import Path
 
 from hil.compare import standard_error
 from hil.dataset import torque_uncertainty
-from hil.errors import WrongUse
+from hil.errors import Untrustworthy, WrongUse
 from hil.findings import Finding
 from hil.fixture import Element, Excitation, corrected
+from hil.judgement import TOLD
 from hil.model_choice import Coupling
 from hil.provenance import check_together
 from hil.result import Estimate, Fixture, Identification
 
 _NORMAL = 1.96
-_TOLD = 0.5  # half the width of an interval, as a part of the value, up to which Kc or Bc is told: as in a judgement
 _CORRECTED = ("Kc", "Bc")
 
 
@@ -38,10 +38,13 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
     """Kc and Bc of the joint alone, with the errors of both recordings in their intervals.
 
     What there is to say of the fixture's recording is in the findings, and so is a parameter that cannot be told any
-    more. Raises Untrustworthy where the fixture is softer than the joint.
+    more. Raises Untrustworthy where the fixture is softer than the joint, or its own recording does not tell Kc.
     """
+    if not fixture["Kc"].identifiable:
+        why = next((one.message for one in fixture.findings if one.fatal), "it is not told from noise")
+        raise Untrustworthy(f"{fixture.recordings[0]} cannot tell the stiffness of the fixture: {why}")
     signals = found.signals
-    one = len(found.recordings) == 1 and len(signals) == found.samples
+    one = len(found.recordings) == 1 and len(signals) >= found.samples
     moved = Excitation.of(signals.time, signals.dtheta) if one else Excitation.flat(signals.band)
     # the torque's scale is wrong by the same part in both, and so in what is left
     common = max(torque_uncertainty(path) for path in found.recordings)
@@ -100,5 +103,5 @@ def _moved(estimate: Estimate, exact: float, error: float, common: float) -> Est
         exact=exact,
         ci95=(exact - half, exact + half),
         trials_mean=estimate.trials_mean + shift,
-        identifiable=estimate.identifiable and bool(half < _TOLD * exact),
+        identifiable=estimate.identifiable and bool(half < TOLD * exact),
     )

@@ -18,8 +18,8 @@ from .conftest import Maker
 SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
 
 
-def rung(term: str, bc: float, fitness: float = 1e-4, *, taken: bool = False) -> Rung:
-    return Rung(f"linear+{term}", term, fitness, fitness, -5.0, 0.02, bc, taken)
+def rung(term: str, bc: float, gain: float = -5.0, *, taken: bool = False) -> Rung:
+    return Rung(f"linear+{term}", term, 1e-4, 1e-4, gain, 0.02, bc, taken)
 
 
 def estimate(name: str, exact: float, half: float) -> Estimate:
@@ -37,8 +37,8 @@ def test_a_term_that_would_move_a_parameter_out_of_its_interval_is_named() -> No
     assert "+5.00%" in finding.message
 
 
-def test_a_term_that_moves_nothing_or_fits_worse_is_not() -> None:
-    assert not rivals((CHOSEN, rung("skew", 2.005e-4), rung("slack", 3e-4, fitness=1.1e-4)), FOUND)
+def test_a_term_that_moves_nothing_or_has_strong_evidence_against_it_is_not() -> None:
+    assert not rivals((CHOSEN, rung("skew", 2.005e-4), rung("slack", 3e-4, gain=-7.0)), FOUND)
 
 
 def sine(channels: dict[str, Array], frequency: float) -> None:
@@ -87,7 +87,7 @@ def test_several_speeds_have_nothing_said_of_them(make_recording: Maker) -> None
 
 
 def test_a_damping_that_friction_may_be_names_the_friction_and_the_corner(make_recording: Maker) -> None:
-    path = make_recording(samples=20000, change=lambda channels: sine(channels, 0.1))
+    path = make_recording(samples=20000, change=lambda channels: sine(channels, 0.05))
     (said,) = of_damping(identify([path], parse("linear+coulomb"), SEARCH))
     assert (said.code, said.fatal) == ("not-identifiable", True)
     assert "from Coulomb friction (Fc)" in said.message
@@ -110,3 +110,25 @@ def test_no_corner_is_named_where_there_is_none(make_recording: Maker) -> None:
     found = identify([make_recording(change=nothing)], parse("linear"), SEARCH)
     assert any(finding.code == "not-identifiable" for finding in of_damping(found))
     assert not any("inf" in finding.message for finding in found.findings)
+
+
+def test_a_unit_that_changes_in_the_middle_of_a_recording_is_found(make_recording: Maker) -> None:
+    def change(channels: dict[str, Array]) -> None:
+        channels["torque"][1000:] *= 1e3
+
+    found = identify([make_recording(noise=1e-5, change=change)], parse("linear"), SEARCH)
+    assert not found.trustworthy
+    (said,) = [finding for finding in found.findings if finding.code == "unsteady"]
+    assert said.parameter == "Kc"
+    assert "Kc is 0.02 N m/rad in one quarter of the recording and 20 in another" in said.message
+    steady = identify([make_recording("b.h5", noise=1e-4)], parse("linear"), SEARCH)
+    assert not [finding for finding in steady.findings if finding.code == "unsteady"]
+
+
+def test_friction_that_is_not_there_cannot_be_told_from_zero(make_recording: Maker) -> None:
+    found = identify([make_recording(noise=1e-4)], parse("linear+coulomb"), SEARCH)
+    assert not found["Fc"].identifiable
+    (said,) = [finding for finding in found.findings if finding.parameter == "Fc"]
+    assert (said.code, said.fatal) == ("not-identifiable", False)
+    assert "cannot be told from zero" in said.message
+    assert found["Kc"].identifiable
