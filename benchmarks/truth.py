@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from truth_cases import CASES, RATE, case_named
-from truth_page import write_page
+from truth_page import UNTOLD, write_page
 from truth_recordings import SOURCES
 
 from drivers.servo import Status
@@ -33,6 +33,7 @@ from hil.dataset import stand_of
 from hil.store import Recording
 
 ROOT = Path(__file__).parent.parent
+UNTOLD_PART = 5  # one seed in so many also makes the recordings that cannot tell the parameters
 TOLD_EVERY = 5.0  # s between two lines of progress
 
 
@@ -176,6 +177,7 @@ def main() -> None:
         for case in CASES
         for source in options.source or SOURCES
         if case.name in (options.case or [case.name])
+        and (case.bars != UNTOLD or seed * UNTOLD_PART < options.seeds)  # what no recording tells is soon seen
     ]
     jobs = missing(rows_of(results), wanted)
     print(f"{len(wanted)} recordings of {RATE:g} Hz, {len(wanted) - len(jobs)} done before; results in {results}")

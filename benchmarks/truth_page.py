@@ -48,7 +48,7 @@ class Figures:
 def figures(name: str, case: Case, rows: list[Row]) -> Figures:
     """The figures of parameter `name`, NaN where no row has a value."""
     true = TRUE[name]
-    found = [row[name] for row in rows if name in row]
+    found = [row[name] for row in rows if _has(row, name)]
     errors = _percent([one["value"] for one in found], true)
     plain = _percent([row["plain"][name] for row in rows], true)
     held = [one["ci95"] is not None and one["ci95"][0] <= true <= one["ci95"][1] for one in found]
@@ -64,6 +64,11 @@ def figures(name: str, case: Case, rows: list[Row]) -> Figures:
         plain_mean=float(np.mean(plain)) if len(plain) else math.nan,
         plain_worst=float(np.abs(plain).max()) if len(plain) else math.nan,
     )
+
+
+def _has(row: Row, name: str) -> bool:
+    """Whether the parameter has a value: nothing at all can be said of a recording where nothing moved."""
+    return row.get(name, {}).get("value") is not None
 
 
 def _percent(values: list[float], true: float) -> Array:
@@ -100,7 +105,7 @@ def misses(case: Case, name: str, found: Figures) -> list[str]:
 def told_line(case: Case, source: str, rows: list[Row]) -> str:
     """The line of a case whose recordings tell both parameters."""
     cells, missed = [f"| {case.name} | {source} | {len(rows)}"], []
-    if sum("Kc" in row for row in rows) < len(rows):
+    if sum(_has(row, "Kc") for row in rows) < len(rows):
         missed.append("not every recording gave a result")
     if any(row["status"] for row in rows):
         missed.append("exit not 0")
@@ -222,7 +227,9 @@ def draw(model: str, rows: list[Row]) -> None:
         for shift, source in zip((-0.17, 0.17), SOURCES, strict=True):
             colour = "tab:blue" if shift < 0.0 else "tab:orange"
             for place, case in enumerate(shown):
-                chosen = [row for row in rows if (row["case"], row["source"]) == (case.name, source) and name in row]
+                chosen = [
+                    row for row in rows if (row["case"], row["source"]) == (case.name, source) and _has(row, name)
+                ]
                 errors = _percent([row[name]["value"] for row in chosen], true)
                 if len(errors):
                     low, middle, high = np.quantile(errors, [0.05, 0.5, 0.95])
