@@ -35,11 +35,12 @@ if TYPE_CHECKING:
 def identify(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings, pooled.")],
     model: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="auto, or terms: linear[+offset][+drift][+coulomb][+cubic][+inertia][+backlash][+slack][+skew]."
+            help="auto, linear[+offset][+drift][+coulomb][+cubic][+inertia][+backlash][+slack][+skew] or FILE.py:NAME; "
+            "auto unless --preset paper, --bounds, --checkpoint or --fixture is given."
         ),
-    ] = "linear",
+    ] = None,
     preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",
     trials: Annotated[int | None, typer.Option(min=1, help="Independent searches; 30, or 8 for a shape.")] = None,
     generations: Annotated[int | None, typer.Option(min=1, help="Of each trial; the preset's own otherwise.")] = None,
@@ -67,7 +68,9 @@ def identify(
     if report is not None:
         for path in page_files(report):
             check_target(path, force=force, inputs=recordings)
-    chosen = chosen_model(model)
+    # a search that is directed is of one model, and a fixture is taken off apparent stiffness and damping
+    named = preset == "paper" or bool(bounds) or checkpoint is not None or fixture is not None
+    chosen = chosen_model(model or ("linear" if named else "auto"))
     readings = {"selection": selection, "weights": weights, "replacement": replacement}
     sizes = {"generations": generations, "population": population, "mutation": mutation}
     given = {name: value for name, value in (readings | sizes).items() if value is not None}

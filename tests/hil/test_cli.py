@@ -170,16 +170,19 @@ def test_identification_never_looks_at_the_truth(hil: Hil) -> None:
     assert before == after
 
 
+LOCKED = ("--time", "TIME", "--torque", "TORQUE", "--dtheta", "POSITION", "--dtheta-unit", "rev")
+
+
 @pytest.mark.parametrize(
     ("name", "low", "high"), [("base_onyx_runin1", 240.0, 300.0), ("split_onyx_12pre1", 190.0, 225.0)]
 )
 def test_real_locked_outputs_are_imported_and_identified(
     hil: Hil, locked_output: Path, name: str, low: float, high: float
 ) -> None:
-    columns = ("--time", "TIME", "--torque", "TORQUE", "--dtheta", "POSITION", "--dtheta-unit", "rev")
     source = locked_output / f"{name}.csv.gz"
-    assert hil("import", source, *columns, "--where", "test_nr==100", "-o", "a.h5").status == 0
-    found = hil("identify", "a.h5", "--model", "linear+offset+coulomb", "--json").json
+    assert hil("import", source, *LOCKED, "--where", "test_nr==100", "-o", "a.h5").status == 0
+    found = hil("identify", "a.h5", "--model", "auto", "--trials", "2", "--json").json
+    assert found["model"].startswith("linear+offset+coulomb")
     assert low < found["parameters"]["Kc"]["value"] < high
     assert found["parameters"]["Fc"]["value"] > 0.0
     assert "coarse-clock" in {warning["code"] for warning in found["warnings"]}
@@ -188,6 +191,18 @@ def test_real_locked_outputs_are_imported_and_identified(
         warning["parameter"] == "Bc" and "cannot be told from Coulomb friction" in warning["message"]
         for warning in found["warnings"]
     )
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_the_play_of_a_real_drive_is_seen_as_backlash(hil: Hil, locked_output: Path, number: int) -> None:
+    """Its encoder moves by 0.03 rad while hardly any torque is there (SOURCE.md)."""
+    source = locked_output / "base_onyx_runin1.csv.gz"
+    assert hil("import", source, *LOCKED, "--where", f"test_nr=={number}", "-o", "a.h5").status == 0
+    found = hil("identify", "a.h5", "--trials", "2", "--json").json
+    assert "backlash" in found["model"]
+    gap = found["parameters"]["gap"]
+    assert 0.02 < gap["value"] < 0.04
+    assert gap["identifiable"]
 
 
 MOTOR_SIDE = """\
