@@ -117,16 +117,25 @@ def recording_findings(recording: Recording, signals: Signals) -> list[Finding]:
             Finding("unfinished", f"{recording.path} is not a whole run ({why}): its {len(recording)} rows are used")
         )
     if signals.lost:
-        found.append(Finding("lost-samples", f"{signals.lost} of {len(recording)} replies were lost and are left out"))
+        lost = f"{signals.lost} of {len(recording)} replies were lost and are left out: hil doctor shows how often"
+        found.append(Finding("lost-samples", lost))
     if signals.not_numbers:
         found.append(
-            Finding("not-a-number", f"{signals.not_numbers} of {len(recording)} rows hold a NaN and are left out")
+            Finding(
+                "not-a-number",
+                f"{signals.not_numbers} of {len(recording)} rows hold a NaN and are left out: hil export shows which",
+            )
         )
     if signals.near_gaps:
-        found.append(Finding("near-gaps", f"{signals.near_gaps} rows lie beside a gap, where no rate can be told"))
+        gaps = f"{signals.near_gaps} rows lie beside a gap, where no rate can be told: record without a pause"
+        found.append(Finding("near-gaps", gaps))
     if signals.coarse_clock:
         found.append(
-            Finding("coarse-clock", "several rows share a time stamp: they were spread evenly up to the next stamp")
+            Finding(
+                "coarse-clock",
+                "several rows share a time stamp: they were spread evenly up to the next stamp; a finer clock tells Bc "
+                "better",
+            )
         )
     if signals.torque_from == "motor" and recording.profile.get("quantity") == "position":
         found.append(driven_by_position(fatal=True))
@@ -154,7 +163,7 @@ def _in_memory(paths: list[Path], choose: Choose) -> Dataset:
 def _slow(left_out: int, samples: int) -> list[Finding]:
     if not left_out:
         return []
-    text = f"{left_out} of {samples} samples are so slow that friction may hold the joint: they are left out"
+    text = f"{left_out} of {samples} samples, so slow that friction may hold the joint, are left out: drive faster"
     return [Finding("slow-samples", text)]
 
 
