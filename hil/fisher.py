@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hil.local_polynomial import kernel
 from hil.motion import Joint, Motion
-from hil.signals import excited_band, windows
+from hil.signals import excited_band, narrowed, windows
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
@@ -157,7 +157,9 @@ class _Window:
     def __init__(self, motion: Motion, angle_lsb: float) -> None:
         seen = np.round(motion.dtheta / angle_lsb) * angle_lsb
         self.step = float(motion.time[1] - motion.time[0])
-        self.halves = windows(motion.time, excited_band(motion.time, seen)[1])
+        slope, curvature = windows(motion.time, excited_band(motion.time, seen)[1])
+        noise = angle_lsb / math.sqrt(12.0)
+        self.halves = narrowed(slope, self.step, noise, motion.dtheta_dot), curvature
         # the answer at one sample to another's value: the slope's is odd, so the order matters
         self.slope, self.curvature = (
             kernel(half, order)[::-1] / self.step**order for order, half in zip((1, 2), self.halves, strict=True)

@@ -239,26 +239,34 @@ def _usable(recording: Recording, source: _Source, start: int, stop: int) -> _Us
 
 
 def _window_for(usable: _Usable) -> _Window:
-    """The widest windows the band allows, the slope's made narrower while its noise still does not matter.
-
-    What a wide window smooths away, such as the kinks where friction holds the joint, is missing in Bc.
-    """
+    """The widest windows the band allows, the slope's made narrower while its noise still does not matter."""
     time, step = usable.time, float(np.median(np.diff(usable.time)))
     band = excited_band(time, usable.dtheta)
     slope, curvature = windows(time, band[1])
     rate = local_polynomial(time, usable.dtheta, slope)[1]
     left = np.abs(usable.dtheta - local_polynomial(time, usable.dtheta, _NARROWEST)[0])
-    left /= np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))
+    left *= 1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))
     fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there stamps that are wrong make noise too
-    noise = [1.4826 * float(np.median(left[rows])) for rows in (slice(None), fast)]
-    allowed = [_NOISE * float(np.sqrt(np.mean(rate[rows] ** 2))) for rows in (slice(None), fast)]
+    noise, fastest = float(np.median(left)), float(np.median(left[fast]))
+    slope = max(narrowed(slope, step, noise, rate), narrowed(slope, step, fastest, rate[fast]))
+    return _Window(slope, curvature, step, band, noise * _amplified(slope, step))
 
-    def amplified(half: int) -> float:
-        return float(np.linalg.norm(kernel(half, 1))) / step
 
-    while slope > _NARROWEST and all(n * amplified(slope - 1) <= most for n, most in zip(noise, allowed, strict=True)):
+def narrowed(slope: int, step: float, noise: float, rate: Array) -> int:
+    """The narrowest window, neighbours a side, up to `slope` of them, in which the noise of the rate does not matter.
+
+    step: s between two samples; noise: rad, standard deviation of the deflection's; rate (n,) rad/s. What a wide window
+    smooths away, such as the kinks where friction holds the joint, is missing in Bc.
+    """
+    allowed = _NOISE * float(np.sqrt(np.mean(rate**2)))
+    while slope > _NARROWEST and noise * _amplified(slope - 1, step) <= allowed:
         slope -= 1
-    return _Window(slope, curvature, step, band, noise[0] * amplified(slope))
+    return slope
+
+
+def _amplified(half: int, step: float) -> float:
+    """The standard deviation of the slope, rad/s, for noise of 1 rad in the deflection."""
+    return float(np.linalg.norm(kernel(half, 1))) / step
 
 
 def _signals(usable: _Usable, source: _Source, window: _Window, rows: tuple[int, int], *, coarse: bool) -> Signals:
