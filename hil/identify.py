@@ -36,7 +36,7 @@ from hil.steadiness import unsteady
 Array = NDArray[np.float64]
 
 _FOLDS = 10  # blocks in time; every fifth is held out
-_TRIALS, _SHAPE_TRIALS = 30, 8  # the paper's; a search for a skew or gap takes half a second
+_TRIALS, _SHAPE_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
 _UNMOVED = ("few-counts", "poor-snr")  # what is said of a recording in which nothing moved, where it is fatal
 _COUNTED = 1 << 18  # samples looked at a time
 

@@ -42,7 +42,7 @@ def identify(
         ),
     ] = None,
     preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",
-    trials: Annotated[int | None, typer.Option(min=1, help="Independent searches; 30, or 8 for a shape.")] = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="Independent searches; 30, or 5 for a shape.")] = None,
     generations: Annotated[int | None, typer.Option(min=1, help="Of each trial; the preset's own otherwise.")] = None,
     population: Annotated[int | None, typer.Option(min=3, help="Chromosomes; the preset's own otherwise.")] = None,
     mutation: Annotated[float | None, typer.Option(min=0.0, max=1.0, help="Probability (0.1: Algorithm 1).")] = None,
