@@ -20,7 +20,6 @@ def demo(
     """Run the main job on the simulated servo: record a chirp, identify, write the report."""
     from drivers.servo import Quantity
     from ga.evolution import PRESETS
-    from ga.models import parse as parse_model
     from hil import profiles
     from hil.identify import Search
     from hil.report import page_files
@@ -48,9 +47,9 @@ def demo(
     )
     out(told(path, outcome))
     answer_for(outcome)
-    search = Search("default", PRESETS["default"], trials=30, seed=0, workers=os.cpu_count() or 1, bounds={})
+    search = Search("default", PRESETS["default"], trials=None, seed=0, workers=os.cpu_count() or 1, bounds={})
     out("Identifying ...")
-    identify_and_show([path], parse_model("linear"), search, path.with_suffix(".html"), as_json=False)
+    identify_and_show([path], None, search, path.with_suffix(".html"), as_json=False)
     out(f"The recording is {path}; look at it with: hil inspect {path}")
     out("Its true values are in its /truth group: Kc 17.75 mN m/rad, Bc 0.19 mN m s/rad.")
 
