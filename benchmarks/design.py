@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 from page import DOCS, machine
 
 from drivers.servo import Quantity
-from ga.exact import least_absolute_deviations
-from ga.models import parse as parse_model
-from hil import profiles
-from hil.advice import named
-from hil.dataset import open_dataset
-from hil.design import Assessment, assess, task_of
-from hil.profiles import Profile
-from hil.run import run
-from hil.stand import SIMULATED, Stand, parse
+from ga.lad.exact import least_absolute_deviations
+from ga.model.terms import parse as parse_model
+from hil.acquisition import excitation
+from hil.acquisition.excitation import Profile
+from hil.acquisition.run import run
+from hil.experiment_design.assessment import Assessment, assess, task_of
+from hil.experiment_design.diagnostics import named
+from hil.identification.dataset import open_dataset
+from hil.stand.file import SIMULATED, Stand, parse
 
 RATE = 500.0
 PAGE = DOCS / "design.md"
@@ -58,7 +58,7 @@ CASES = (
 
 
 def profile_of(case: Case) -> Profile:
-    return profiles.make(
+    return excitation.make(
         case.kind,
         case.quantity,
         amplitude=case.amplitude,

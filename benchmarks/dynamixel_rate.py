@@ -14,8 +14,8 @@ import time
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
-from drivers.dynamixel import DynamixelServo
-from drivers.dynamixel_config import DynamixelConfig
+from drivers.dynamixel.config import DynamixelConfig
+from drivers.dynamixel.servo import DynamixelServo
 from drivers.servo import BadReply, Command, Limits, NoReply, Quantity
 
 USB_LATENCY = 1e-3
@@ -26,9 +26,9 @@ REPEATS = 15
 
 
 def serve(link: str, baudrate: int, ready: Event, done: Event) -> None:
-    from sim_backend.wire.dynamixel_bus import Bus, Timing
-    from sim_backend.wire.dynamixel_device import Device
-    from sim_backend.wire.pty_line import PtyLine
+    from sim_backend.wire.dynamixel.bus import Bus, Timing
+    from sim_backend.wire.dynamixel.device import Device
+    from sim_backend.wire.uart.pty_line import PtyLine
 
     bus = Bus([], timing=Timing(usb_latency=USB_LATENCY))
     with PtyLine(Path(link), bus) as line:

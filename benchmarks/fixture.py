@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from page import write_section
 from scipy.integrate import solve_ivp
 
-from ga.exact import least_absolute_deviations
-from hil.fixture import Element, Excitation, corrected
+from ga.lad.exact import least_absolute_deviations
+from hil.uncertainty.series_compliance import Element, Excitation, corrected
 
 Array = NDArray[np.float64]
 JOINT = np.array([17.75e-3, 0.19e-3])

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from page import machine, write_section
 
-from hil.part import Header, PartFile, missing_row
-from hil.store import ROW
+from hil.recording.reader import ROW
+from hil.recording.writer import Header, PartFile, missing_row
 
 RATE, KC, BC = 500.0, 17.75e-3, 0.19e-3
 BLOCK = 1 << 18
@@ -51,7 +51,7 @@ def make(path: Path, samples: int) -> None:
 
 def identified(path: Path) -> tuple[dict[str, Any], float, float]:
     """What `hil identify --json` found in a process of its own, s it took, and GiB it held at the most."""
-    command = [sys.executable, "-c", "from hil.cli import main; main()", "identify", str(path), "--json"]
+    command = [sys.executable, "-c", "from hil.cli.app import main; main()", "identify", str(path), "--json"]
     began = time.perf_counter()
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

@@ -26,9 +26,9 @@ from pymoo.core.problem import Problem  # type: ignore[import-untyped]
 from pymoo.optimize import minimize  # type: ignore[import-untyped]
 from scipy.optimize import differential_evolution
 
+from ga.bounds import Bounds, bounds_from_data
 from ga.compiled import compiled
-from ga.exact import Optimum, least_absolute_deviations
-from ga.space import Bounds, bounds_from_data
+from ga.lad.exact import Optimum, least_absolute_deviations
 from ga.start import Start, start_of
 
 if TYPE_CHECKING:

@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.servo import Quantity
-from ga.evolution import PRESETS, Settings
-from ga.exact import least_absolute_deviations
-from ga.models import parse as parse_model
-from ga.space import PAPER_BOUNDS
-from ga.trials import run_trials
-from hil import profiles
-from hil.dataset import open_dataset
-from hil.run import run
-from hil.stand import SIMULATED, parse
+from ga.bounds import PAPER_BOUNDS
+from ga.evolution.evolution import PRESETS, Settings
+from ga.lad.exact import least_absolute_deviations
+from ga.model.terms import parse as parse_model
+from ga.trials.trials import run_trials
+from hil.acquisition import excitation
+from hil.acquisition.run import run
+from hil.identification.dataset import open_dataset
+from hil.stand.file import SIMULATED, parse
 
 Array = NDArray[np.float64]
 PAGE = Path(__file__).parent.parent / "docs" / "paper.md"
@@ -39,7 +39,7 @@ PAPER = "| **the paper** | | **17.52 ± 6.62** | **0.19 ± 0.075** | |"
 def recording(folder: Path, seed: int, *, sim: str = "", amplitude: float = 0.006, high: float = 15.0) -> Path:
     """2,500 samples (5 s) of the simulated stand with `sim` added to its stand file."""
     stand = parse(SIMULATED + sim)
-    profile = profiles.make(
+    profile = excitation.make(
         "chirp",
         Quantity.TORQUE,
         amplitude=amplitude,

@@ -29,8 +29,8 @@ import matplotlib as mpl
 import numpy as np
 from optimisers import PEERS, TARGETS, Data, Ended, Reached, Watched, recording
 
-from ga.evolution import PRESETS, Settings
-from ga.trials import Trials, run_trials
+from ga.evolution.evolution import PRESETS, Settings
+from ga.trials.trials import Trials, run_trials
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt  # after the backend is chosen: there may be no screen
@@ -266,8 +266,8 @@ PROSE = (
     "`python benchmarks/peers.py` writes this section. All search the same box (`bounds_from_data`) for the least mean",
     "absolute error of the same recording, the paper's joint under a chirp with 0.2 mN m of noise, in one process and",
     "one thread, in turn, seed by seed. Times are wall-clock, warm, from columns and torque as arrays to the first",
-    "chromosome whose error is within the target, relative to the exact optimum of `ga.exact`; in brackets the worst",
-    "seed. A run that was not there at the cap counts as never, in the median too. Evaluations are the median's.",
+    "chromosome whose error is within the target, relative to the exact optimum of `ga.lad.exact`; in brackets the",
+    "worst seed. A run that was not there at the cap counts as never, in the median too. Evaluations are the median's.",
     "",
     "Ours is the time of a whole call of `run_trials` with one trial, one worker and as many generations as its own",
     "history says it takes, up to 12 % too many. The others get a compiled fitness for a generation at a time, which",

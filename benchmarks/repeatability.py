@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from page import write_section
 from scipy.special import stdtrit
 
-from hil.repeatability import between
+from hil.uncertainty.random_effects import between
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from page import machine, write_section
 
-from ga.evolution import PRESETS
-from ga.exact import least_absolute_deviations
-from ga.space import PAPER_BOUNDS
-from ga.trials import run_trials
+from ga.bounds import PAPER_BOUNDS
+from ga.evolution.evolution import PRESETS
+from ga.lad.exact import least_absolute_deviations
+from ga.trials.trials import run_trials
 from hil.cli.progress import Lines
 
 PAPER = 200_000_000

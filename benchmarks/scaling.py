@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from page import DOCS, machine, write_section
 
-from ga.evolution import PRESETS, advance, begin
-from ga.exact import least_absolute_deviations
-from ga.fitness import evaluate, grow, pack
-from ga.space import bounds_from_data
+from ga.bounds import bounds_from_data
+from ga.evolution.evolution import PRESETS, advance, begin
+from ga.fitness.engine import evaluate, grow, pack
+from ga.lad.exact import least_absolute_deviations
 
 GROWING, TIMED = 1_000_000, 1_000_000
 ENOUGH = 420.0  # s after which nothing more is begun

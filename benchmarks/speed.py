@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 RUNS = 5
-HIL = [sys.executable, "-c", "from hil.cli import main; main()"]
+HIL = [sys.executable, "-c", "from hil.cli.app import main; main()"]
 
 
 def seconds(words: list[str], folder: Path, cache: Path, runs: int = RUNS) -> float:

@@ -28,9 +28,9 @@ from truth_page import UNTOLD, write_page
 from truth_recordings import SOURCES
 
 from drivers.servo import Status
-from hil import cli
-from hil.dataset import stand_of
-from hil.store import Recording
+from hil.cli import app as cli
+from hil.identification.dataset import stand_of
+from hil.recording.reader import Recording
 
 ROOT = Path(__file__).parent.parent
 UNTOLD_PART = 5  # one seed in so many also makes the recordings that cannot tell the parameters

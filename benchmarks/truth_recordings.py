@@ -25,11 +25,11 @@ from truth_cases import (
 )
 
 from drivers.servo import Clock, Command, Limits, Quantity, Sample, Servo, ServoInfo, Status
-from hil.part import Header, PartFile, write
-from hil.profiles import make
-from hil.recorder import Recorder, tick_count
-from hil.stand import open_servo, parse
-from hil.stop import StopRequest
+from hil.acquisition.excitation import make
+from hil.acquisition.interrupt import StopRequest
+from hil.acquisition.recorder import Recorder, tick_count
+from hil.recording.writer import Header, PartFile, write
+from hil.stand.file import open_servo, parse
 
 OUTLIER = 20e-3  # N m
 

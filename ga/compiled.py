@@ -27,8 +27,8 @@ def forget_stale(package: Path) -> None:
     numba renews the code of a function when its own file changes, not when a function of another file does that was
     compiled into it.
     """
-    newest = max(source.stat().st_mtime_ns for source in package.glob("*.py"))
-    for index in (package / "__pycache__").glob("*.nbi"):
+    newest = max(source.stat().st_mtime_ns for source in package.rglob("*.py"))
+    for index in package.rglob("__pycache__/*.nbi"):
         try:
             if index.stat().st_mtime_ns < newest:
                 index.unlink()

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import lean_apart
-from ga.dense import RESOLUTION
+from ga.fitness.dense import RESOLUTION
 
 if TYPE_CHECKING:
-    from ga.space import Bounds
+    from ga.bounds import Bounds
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

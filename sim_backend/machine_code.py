@@ -23,8 +23,8 @@ def _forget_stale() -> None:
     would live on in its old form.
     """
     package = Path(__file__).parent
-    newest = max(source.stat().st_mtime for source in package.glob("*.py"))
-    for index in (package / "__pycache__").glob("*.nbi"):
+    newest = max(source.stat().st_mtime for source in package.rglob("*.py"))
+    for index in package.rglob("__pycache__/*.nbi"):
         try:
             if index.stat().st_mtime < newest:
                 index.unlink()

@@ -11,15 +11,15 @@ from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, Output, command_line, o
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
-    from hil.importer import Column
+    from hil.exchange.importer import Column
 
 
 def inspect(
     recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")], as_json: Json = False
 ) -> None:
     """Say what a recording holds and whether it can be used."""
-    from hil.inspection import inspect as look
-    from hil.report import inspection_json, inspection_table
+    from hil.report.identification import inspection_json, inspection_table
+    from hil.signals.inspection import inspect as look
 
     seen = look(recording)
     if as_json:
@@ -53,10 +53,10 @@ def import_data(
     force: Force = False,
 ) -> None:
     """Bring a table into a recording: CSV, Parquet, MATLAB, or what hil export wrote."""
-    from hil.condition import Condition
-    from hil.importer import import_table
-    from hil.stand import load
-    from hil.target import check_part, check_target
+    from hil.exchange.importer import import_table
+    from hil.exchange.row_filter import Condition
+    from hil.recording.output import check_part, check_target
+    from hil.stand.file import load
 
     check_target(output, force=force, inputs=[source] if stand is None else [source, stand])
     check_part(output)
@@ -82,7 +82,7 @@ def import_data(
 
 def _columns(option: str, given: tuple[str | None, float], **names: str | None) -> dict[str, Column]:
     """The columns that were named, with the unit and scale of their option. Raises WrongUse where those have none."""
-    from hil.importer import Column
+    from hil.exchange.importer import Column
 
     found = {channel: Column(name, *given) for channel, name in names.items() if name is not None}
     if not found and given != (None, 1.0):
@@ -97,8 +97,8 @@ def export_data(
     force: Force = False,
 ) -> None:
     """Write every channel of a recording as a table, with the units in its headings."""
-    from hil.exporter import check_format, export
-    from hil.target import check_target
+    from hil.exchange.exporter import check_format, export
+    from hil.recording.output import check_target
 
     check_format(output)
     check_target(output, force=force, inputs=[recording])
@@ -111,8 +111,8 @@ def recover(
     force: Force = False,
 ) -> None:
     """Turn a left-over .part into a finished recording; the .part is not touched."""
-    from hil.part import finalise
-    from hil.target import check_target
+    from hil.recording.output import check_target
+    from hil.recording.writer import finalise
 
     if output is None and part.suffix != ".part":
         raise WrongUse(f"{part} does not end in .part: name the output with -o")

@@ -14,48 +14,48 @@ from typing import Any
 import pytest
 import serial
 
-from drivers.cia402 import Cia402Servo
-from drivers.cia402_config import Cia402Config
-from drivers.commander import CommanderServo
-from drivers.commander_config import CommanderConfig
-from drivers.dynamixel import DynamixelServo
-from drivers.dynamixel_config import DynamixelConfig
-from drivers.dynamixel_port import SerialPort
-from drivers.loadcell import LoadCell
-from drivers.loadcell_config import LoadCellConfig
-from drivers.mit import MitServo
-from drivers.mit_config import MitConfig
-from drivers.moteus import MoteusServo
-from drivers.moteus_config import MoteusConfig
-from drivers.odrive import OdriveServo
-from drivers.odrive_config import OdriveConfig
-from drivers.serial_port import POLL
+from drivers.cia402.config import Cia402Config
+from drivers.cia402.servo import Cia402Servo
+from drivers.commander.config import CommanderConfig
+from drivers.commander.servo import CommanderServo
+from drivers.dynamixel.config import DynamixelConfig
+from drivers.dynamixel.port import SerialPort
+from drivers.dynamixel.servo import DynamixelServo
+from drivers.loadcell.config import LoadCellConfig
+from drivers.loadcell.sensor import LoadCell
+from drivers.mit.config import MitConfig
+from drivers.mit.servo import MitServo
+from drivers.moteus.config import MoteusConfig
+from drivers.moteus.servo import MoteusServo
+from drivers.odrive.config import OdriveConfig
+from drivers.odrive.servo import OdriveServo
 from drivers.servo import Limits, Servo
-from hil.joint import StandServo
-from hil.stand import load, open_servo
-from hil.stopping import answered
+from drivers.uart.port import POLL
+from hil.doctor.stop_path import answered
+from hil.stand.file import load, open_servo
+from hil.stand.servo import StandServo
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo, VirtualClock
-from sim_backend.wire.can_bus import Bus as CanBus
-from sim_backend.wire.can_bus import Node
-from sim_backend.wire.can_bus import Timing as CanTiming
-from sim_backend.wire.can_loopback import Loopback as CanLoopback
-from sim_backend.wire.cia402_device import Device as Cia402Device
-from sim_backend.wire.commander import Board, new_board
-from sim_backend.wire.commander import Timing as FocTiming
-from sim_backend.wire.commander import serve as serve_foc
-from sim_backend.wire.dynamixel import serve
-from sim_backend.wire.dynamixel_bus import Bus, Timing
-from sim_backend.wire.dynamixel_device import Device
-from sim_backend.wire.dynamixel_mx_device import MxDevice
-from sim_backend.wire.dynamixel_mx_tables import MX_MODELS
-from sim_backend.wire.loadcell import SCALE
-from sim_backend.wire.loadcell import Board as CellBoard
-from sim_backend.wire.loadcell import LoadCell as Cell
-from sim_backend.wire.loopback import Loopback as SerialLoopback
-from sim_backend.wire.mit_device import Device as MitDevice
-from sim_backend.wire.moteus_device import Device as MoteusDevice
-from sim_backend.wire.odrive_device import Device as OdriveDevice
+from sim_backend.wire.canbus.bus import Bus as CanBus
+from sim_backend.wire.canbus.bus import Node
+from sim_backend.wire.canbus.bus import Timing as CanTiming
+from sim_backend.wire.canbus.loopback import Loopback as CanLoopback
+from sim_backend.wire.cia402.device import Device as Cia402Device
+from sim_backend.wire.commander.emulator import Board, new_board
+from sim_backend.wire.commander.emulator import Timing as FocTiming
+from sim_backend.wire.commander.emulator import serve as serve_foc
+from sim_backend.wire.dynamixel.bus import Bus, Timing
+from sim_backend.wire.dynamixel.device import Device
+from sim_backend.wire.dynamixel.emulator import serve
+from sim_backend.wire.dynamixel.mx_device import MxDevice
+from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
+from sim_backend.wire.loadcell.emulator import SCALE
+from sim_backend.wire.loadcell.emulator import Board as CellBoard
+from sim_backend.wire.loadcell.emulator import LoadCell as Cell
+from sim_backend.wire.mit.device import Device as MitDevice
+from sim_backend.wire.moteus.device import Device as MoteusDevice
+from sim_backend.wire.odrive.device import Device as OdriveDevice
+from sim_backend.wire.uart.loopback import Loopback as SerialLoopback
 
 
 @pytest.fixture(autouse=True)

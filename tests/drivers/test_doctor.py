@@ -12,22 +12,22 @@ from typing import Any
 
 import pytest
 
-import hil.doctor
-from drivers.dynamixel import DynamixelServo
-from drivers.dynamixel_config import DynamixelConfig
-from drivers.dynamixel_scan import search
+import hil.doctor.examine
+from drivers.dynamixel.config import DynamixelConfig
+from drivers.dynamixel.scan import search
+from drivers.dynamixel.servo import DynamixelServo
 from drivers.servo import Command, DriverError, Quantity, Sample, Servo
-from hil.cli import run
-from hil.doctor import examine
-from hil.examination import Examination
-from hil.stand import Stand, parse
+from hil.cli.app import run
+from hil.doctor.checks import Examination
+from hil.doctor.examine import examine
+from hil.stand.file import Stand, parse
 from sim_backend.parameters import CouplingParameters
-from sim_backend.wire.dynamixel import serve
-from sim_backend.wire.dynamixel_bus import Timing
-from sim_backend.wire.dynamixel_device import Device
-from sim_backend.wire.dynamixel_faults import DropReplies, Unplug
-from sim_backend.wire.dynamixel_motor import behind
-from sim_backend.wire.dynamixel_tables import MODELS
+from sim_backend.wire.dynamixel.bus import Timing
+from sim_backend.wire.dynamixel.device import Device
+from sim_backend.wire.dynamixel.emulator import serve
+from sim_backend.wire.dynamixel.faults import DropReplies, Unplug
+from sim_backend.wire.dynamixel.motor import behind
+from sim_backend.wire.dynamixel.tables import MODELS
 
 STAND = """
 [stand]
@@ -56,7 +56,7 @@ def examine_rig(monkeypatch: pytest.MonkeyPatch) -> Examine:
             table = replace(stand.devices["dynamixel"], port="loopback").for_quantity(quantity)
             return rig.open(mode=table.mode), {}
 
-        monkeypatch.setattr(hil.doctor, "open_servo", opened)
+        monkeypatch.setattr(hil.doctor.examine, "open_servo", opened)
         found = Examination()
         examine(found, stand_at("loop://"), quantity, **{"rate": 400.0, "move": True} | words)
         return found
@@ -208,7 +208,7 @@ def test_servos_are_found_at_other_baud_rates_and_ids(make_rig: Callable[..., An
 def test_the_command_says_where_the_servo_really_is(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.dynamixel_bus._ROLL_CALL", 0.1)
+    monkeypatch.setattr("drivers.dynamixel.bus._ROLL_CALL", 0.1)
     stand = tmp_path / "stand.toml"
     link = tmp_path / "ttyDXL"
     stand.write_text(STAND.format(port=link))

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from drivers import ports
-from hil.cli import run
+from hil.cli.app import run
 
 
 def usb_port(sys: Path, name: str, latency: int) -> None:

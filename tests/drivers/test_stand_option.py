@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from sim_backend.wire.dynamixel import serve
+from sim_backend.wire.dynamixel.emulator import serve
 
 PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
 CONTRACT = Path(__file__).parent / "test_servo_contract.py"

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from ga.dense import WIDER, collapse, dense_error, dense_tangent
-from ga.evolution import PRESETS, begin
-from ga.exact import least_absolute_deviations
-from ga.fitness import evaluate
-from ga.space import Bounds, bounds_from_data
+from ga.bounds import Bounds, bounds_from_data
+from ga.evolution.evolution import PRESETS, begin
+from ga.fitness.dense import WIDER, collapse, dense_error, dense_tangent
+from ga.fitness.engine import evaluate
+from ga.lad.exact import least_absolute_deviations
 from ga.start import Start, start_of
-from ga.trials import run_trials
+from ga.trials.trials import run_trials
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from drivers.servo import Command, Limits, NoReply, Quantity, Sample, ServoInfo, Status
-from hil.part import Header, write
-from hil.store import Array
+from hil.recording.reader import Array
+from hil.recording.writer import Header, write
 
 
 class StillClock:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.cli import run
-from hil.part import Header, write
-from hil.store import Recording
+from hil.cli.app import run
+from hil.recording.reader import Recording
+from hil.recording.writer import Header, write
 
 PAGE = (Path(__file__).parent.parent.parent / "docs" / "data.md").read_text(encoding="utf-8")
 

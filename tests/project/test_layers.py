@@ -73,7 +73,7 @@ def test_asking_for_help_loads_nothing_heavy() -> None:
     code = (
         "import sys\n"
         "sys.argv = ['hil', '--help']\n"
-        "from hil.cli import main\n"
+        "from hil.cli.app import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
         "heavy = {'numpy', 'h5py', 'numba', 'scipy', 'pydantic', 'matplotlib', 'can', 'serial', 'rich.console'}\n"

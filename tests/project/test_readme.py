@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.cli import run
-from hil.stand import parse
-from sim_backend.wire.dynamixel import emulate as served
+from hil.cli.app import run
+from hil.stand.file import parse
+from sim_backend.wire.dynamixel.emulator import emulate as served
 
 ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

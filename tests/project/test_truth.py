@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from hil.store import Recording
+from hil.recording.reader import Recording
 
 BENCHMARKS = Path(__file__).parent.parent.parent / "benchmarks"
 KC, BC, NOISE = 17.75e-3, 0.19e-3, 0.2e-3

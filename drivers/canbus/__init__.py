@@ -1,0 +1,1 @@
+"""A CAN bus that several drives share."""

@@ -1,0 +1,56 @@
+"""The [cia402] table of stand.toml."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from annotated_types import Ge, Gt, Le
+
+from drivers.canbus.link import BusConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Cia402Config:
+    """The [cia402] table of stand.toml. Raises ValueError where two keys do not fit each other.
+
+    interface, channel: the bus, as python-can names it. bitrate: bit/s. profile: the kind of drive. id: its node id.
+    own_id: the node id under which we send our heartbeat. torque_constant: N m/A; the epos2 needs it, the epos4 knows
+    it. rated_torque: N m; left out: what the drive says. rated_torque_unit: N m of one count of what it says (0x6076),
+    where that is not the profile's. resolution: counts a turn; left out: what the drive says. sign: 1 where the drive's
+    positive is the stand's, else -1. watchdog: s without our heartbeat after which the drive stops by itself; 0: never.
+    reply_timeout: s that a reply may take. reset_faults: clear whatever fault is latched when arming.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    interface: str
+    channel: str
+    profile: Literal["epos4", "epos2", "generic"]
+    id: Annotated[int, Ge(1), Le(127)] = 1
+    own_id: Annotated[int, Ge(1), Le(127)] = 127
+    bitrate: Literal[20000, 50000, 125000, 250000, 500000, 800000, 1000000] = 1_000_000
+    torque_constant: Annotated[float, Gt(0)] | None = None
+    rated_torque: Annotated[float, Gt(0)] | None = None
+    rated_torque_unit: Annotated[float, Gt(0)] | None = None
+    resolution: Annotated[int, Gt(0)] | None = None
+    sign: Literal[1, -1] = 1
+    watchdog: Annotated[float, Ge(0), Le(5)] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.01
+    reset_faults: bool = False
+
+    def __post_init__(self) -> None:
+        if self.watchdog and self.watchdog < 2.0 * self.reply_timeout:
+            raise ValueError(
+                f"cia402.watchdog {self.watchdog} s is not above twice cia402.reply_timeout {self.reply_timeout} s: "
+                "one lost reply would stop the drive"
+            )
+        if self.id == self.own_id:
+            raise ValueError(f"cia402.own_id {self.own_id} is the drive's own id: choose another")
+        if self.profile == "epos2" and self.torque_constant is None:
+            raise ValueError("cia402.torque_constant must be given for an epos2, which knows currents only (N m/A)")
+
+    @property
+    def bus(self) -> BusConfig:
+        """Where the bus is."""
+        return BusConfig(self.interface, self.channel, self.bitrate)

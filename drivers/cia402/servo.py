@@ -1,0 +1,233 @@
+"""CiA 402 drives on CANopen, behind `drivers.servo.Servo`: EPOS4, EPOS2, and others like them. See docs/cia402.md.
+
+A tick is a PDO with controlword and set-point, and a SYNC, on which the drive sends two PDOs: statusword, position and
+torque in one, velocity in the other, all of the moment of the SYNC. Our heartbeat goes along when it is due; every
+sixteenth tick asks for temperature or voltage, and takes the answer when it comes.
+
+Torque-off is `disable voltage`. A quick stop, with the usual option code, would brake and then hold the shaft.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from typing import TYPE_CHECKING
+
+from drivers.canbus.link import CanLink
+from drivers.cia402.config import Cia402Config
+from drivers.cia402.node import TPDO1, TPDO2, Node
+from drivers.cia402.states import DISABLE_VOLTAGE, ENABLE, LIMITING, State, state_of
+from drivers.servo import (
+    BadReply,
+    Clock,
+    Command,
+    DriverError,
+    Limits,
+    LinkLost,
+    MonotonicClock,
+    NoReply,
+    Quantity,
+    Sample,
+    ServoInfo,
+    Status,
+    UnsafeCommand,
+)
+
+if TYPE_CHECKING:
+    import can
+
+_TRIES = 3
+_EVERY = 16
+"""Ticks between two questions for what changes slowly."""
+_LARGEST = 32767
+
+
+class Cia402Servo:
+    """One drive, opened, identified, its PDOs mapped, and without torque.
+
+    clock and bus are those of the machine unless a test brings its own. Raises DriverError where the bus cannot be
+    opened or the drive is of another kind, NoReply where nobody answers, BadReply where several do.
+    """
+
+    def __init__(self, config: Cia402Config, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
+        self._config = config
+        self._clock = clock or MonotonicClock()
+        self._link = CanLink(config.bus, self._clock, bus)
+        self._node = Node(config, self._link, self._clock)
+        self._limits: Limits | None = None
+        self._live = True  # whoever drove it before may have left it enabled
+        self._closed = False
+        self._ticks = 0
+        self._temperature = self._voltage = math.nan
+        try:
+            identity = self._node.nameplate.identify()
+            self.disarm()
+            self._scale = self._node.nameplate.scale()
+            self._node.prepare()
+        except BaseException:
+            self._closed = True
+            with contextlib.suppress(DriverError):  # whatever it is, it must not go on for another program
+                self._node.network.requests.fire([self._node.set_point(DISABLE_VOLTAGE, 0)], [])
+                self._node.stop()
+            self._link.close()
+            raise
+        self._info = ServoInfo(
+            backend="cia402",
+            model=identity.model,
+            serial=identity.serial,
+            firmware=identity.firmware,
+            quantities=frozenset({Quantity.TORQUE}),
+            position_lsb=self._scale.position,
+            velocity_lsb=self._scale.velocity,
+            torque_lsb=self._scale.torque,
+        )
+
+    @property
+    def info(self) -> ServoInfo:
+        """What this servo is. How true its torque constant is it does not tell: NaN."""
+        return self._info
+
+    @property
+    def clock(self) -> Clock:
+        """The machine's monotonic time."""
+        return self._clock
+
+    def arm(self, limits: Limits) -> None:
+        """Write the limits into the drive and read them back, then enable it in its torque mode at zero torque.
+
+        From then on the drive watches our heartbeat. A fault that only says that it heard none is cleared. Raises
+        DeviceFault where another is latched, DriverError where a limit is refused or it is not enabled; it is without
+        torque then.
+        """
+        self._open()
+        try:
+            self._node.stop()
+            if self._node.away:
+                self._node.prepare()
+            self._node.clear_faults()
+            self._node.limit(limits, self._scale)
+            self._live = True
+            self._node.enable()
+        except BaseException:
+            with contextlib.suppress(DriverError):
+                self._live = True
+                self.disarm()
+            raise
+        self._limits = limits
+
+    def exchange(self, command: Command) -> Sample:
+        """Send the set-point and read position, velocity and torque in one round trip.
+
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the drive is in fault, was restarted,
+        or is not enabled any more.
+        """
+        target, saturated = self._set_point(command)
+        self._open()
+        if self._limits is None and self._node.away:
+            self._node.prepare()
+        frames = [] if target is None else [self._node.set_point(ENABLE, target)]
+        frames += [
+            self._node.sync(),
+            *(self._node.due_beat() if self._limits is not None else []),
+            *self._slow_request(),
+        ]
+        sent = self._clock.now()
+        try:
+            replies = self._node.network.requests.ask(frames, ["tpdo1", "tpdo2"])
+        except NoReply:
+            if self._limits is not None and self._node.away:
+                raise self._node.trouble(State.UNKNOWN) from None
+            raise
+        received = self._clock.now()
+        return self._sample(replies["tpdo1"], replies["tpdo2"], sent, received, saturated=saturated)
+
+    def disarm(self) -> None:
+        """Zero torque and disable voltage, sent up to three times until the drive says so. Harmless when already off.
+
+        Raises DriverError where the drive does not confirm it; then cut the power.
+        """
+        self._limits = None
+        if not self._live or self._closed:
+            return
+        trouble: DriverError = DriverError("no reply says so")
+        for attempt in range(_TRIES):
+            try:
+                self._node.stop(wake=attempt > 0)
+                self._live = False
+                with contextlib.suppress(DriverError):  # one that still watches us latches what arming clears
+                    self._node.release()
+                return
+            except DriverError as error:
+                trouble = error
+        kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
+        raise kind(f"torque-off is not confirmed ({trouble}): cut the drive's power")
+
+    def close(self) -> None:
+        """Torque off, the objects as they were found, then let go of the bus. Harmless when closed; never raises.
+
+        Whoever has to know that the torque is off calls `disarm` first.
+        """
+        if self._closed:
+            return
+        try:
+            with contextlib.suppress(DriverError):
+                self.disarm()
+            self._node.forget()
+        finally:
+            self._closed = True
+            self._link.close()
+
+    def _open(self) -> None:
+        if self._closed:
+            raise LinkLost(f"{self._link.name} is closed")
+
+    def _set_point(self, command: Command) -> tuple[int | None, bool]:
+        """What is sent, in counts, None where nothing is; and whether it was clipped."""
+        if not math.isfinite(command.value):
+            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
+        if self._limits is None:
+            if command != Command.rest():
+                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
+            return None, False
+        if command.quantity is not Quantity.TORQUE:
+            raise UnsafeCommand("a position set-point: this adapter drives by torque only")
+        bounded = self._limits.bound(command)
+        most = min(_LARGEST, math.floor(self._limits.torque / self._scale.torque * (1.0 + 1e-9)))
+        counts = round(self._config.sign * bounded.value / self._scale.torque)
+        return max(-most, min(most, counts)), bounded != command
+
+    def _slow_request(self) -> list[can.Message]:
+        """Take in what was answered of temperature and voltage, and ask for the next."""
+        kind = self._node.profile
+        for place, data in self._node.network.late_answers():
+            value = int.from_bytes(data, "little", signed=True)
+            if place == kind.temperature:
+                self._temperature = value * kind.temperature_unit
+            elif place == kind.voltage:
+                self._voltage = value * kind.voltage_unit
+        self._ticks += 1
+        places = [place for place in (kind.temperature, kind.voltage) if place is not None]
+        if self._ticks % _EVERY or not places:
+            return []
+        return [self._node.network.ask_for(places[self._ticks // _EVERY % len(places)])]
+
+    def _sample(self, first: bytes, second: bytes, sent: float, received: float, *, saturated: bool) -> Sample:
+        if len(first) != TPDO1.size or len(second) != TPDO2.size:
+            raise BadReply("a PDO has the wrong length: the sample is dropped")
+        statusword, position, torque = TPDO1.unpack(first)
+        (velocity,) = TPDO2.unpack(second)
+        state = state_of(statusword)
+        if self._limits is not None and (state is not State.ENABLED or self._node.away):
+            raise self._node.trouble(state)
+        sign, scale = self._config.sign, self._scale
+        limiting = saturated or bool(self._limits is not None and statusword & LIMITING)
+        return Sample(
+            t=sent,
+            t_read=0.5 * (sent + received),
+            motor_position=sign * position * scale.position,
+            motor_velocity=sign * velocity * scale.velocity,
+            motor_torque=sign * torque * scale.torque,
+            temperature=self._temperature,
+            voltage=self._voltage,
+            status=Status.SATURATED if limiting else Status(0),
+        )

@@ -1,0 +1,1 @@
+"""SimpleFOC boards over Commander."""

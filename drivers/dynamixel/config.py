@@ -1,0 +1,105 @@
+"""The [dynamixel] table of stand.toml."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
+
+from annotated_types import Ge, Gt, Le
+
+from drivers.dynamixel.models import Model, models
+from drivers.servo import Quantity
+
+if TYPE_CHECKING:
+    ModelName = str
+else:
+    ModelName = Literal[tuple(sorted(models()))]  # so that whoever checks the table can name them all
+
+Mode = Literal["current", "extended-position", "current-based-position"]
+Baudrate = Literal[9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000]
+"""bit/s that both the servos and dynamixel-sdk know; 4.5 Mbaud is not among the SDK's."""
+
+
+@dataclass(frozen=True, slots=True)
+class DynamixelConfig:
+    """The [dynamixel] table of stand.toml. Raises ValueError where model and mode do not fit each other.
+
+    port: the serial port. model: a name in tables/dynamixel.toml. mode: what is commanded; None: current where the
+    model measures it. torque_constant: N m/A at the horn; None: from the model's stall point, crude. sign: 1 where the
+    servo's positive is the stand's, else -1. return_delay: s from request to reply. watchdog: s without a request
+    after which the servo stops by itself, in steps of 20 ms; 0: never. reply_timeout: s that a reply may take beyond
+    its time on the wire.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    port: str
+    model: ModelName
+    id: Annotated[int, Ge(0), Le(252)] = 1
+    baudrate: Baudrate = 1_000_000
+    mode: Mode | None = None
+    torque_constant: Annotated[float, Gt(0)] | None = None
+    sign: Literal[1, -1] = 1
+    return_delay: Annotated[float, Ge(0), Le(508e-6)] = 0.0
+    watchdog: Annotated[float, Ge(0), Le(2.54)] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+
+    def __post_init__(self) -> None:
+        wrong = list(self._misfits())
+        if wrong:
+            raise ValueError("; ".join(wrong))
+
+    def _misfits(self) -> Iterator[str]:
+        if self.baudrate not in get_args(Baudrate):
+            yield f"dynamixel.baudrate {self.baudrate}: one of {', '.join(map(str, get_args(Baudrate)))}"
+        if self.model not in models():
+            yield f"dynamixel.model {self.model!r} is not known; there are {', '.join(sorted(models()))}"
+        else:
+            yield from self._misfits_of(models()[self.model])
+        if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
+            yield (
+                f"dynamixel.watchdog {self.watchdog} s is not above twice dynamixel.reply_timeout "
+                f"{self.reply_timeout} s: one lost reply would stop the servo"
+            )
+
+    def _misfits_of(self, model: Model) -> Iterator[str]:
+        if not model.current_lsb and self.effective_mode != "extended-position":
+            yield f"dynamixel.mode {self.mode!r}: the {model.name} has no current control"
+        if model.protocol == 2:
+            return
+        if self.mode == "current-based-position":
+            yield f"dynamixel.mode {self.mode!r}: the {model.name} has current and extended-position"
+        if self.baudrate in {2_000_000, 4_000_000}:
+            yield f"dynamixel.baudrate {self.baudrate}: the {model.name} has no code for it; take 1000000 or 3000000"
+        if self.watchdog:
+            yield (
+                f"dynamixel.watchdog {self.watchdog} s: the {model.name} has none: set it to 0 and know that the motor "
+                "stays live when this computer dies"
+            )
+
+    def for_quantity(self, quantity: Quantity) -> Self:
+        """The same servo in a mode that commands `quantity`; positions under the torque limit where it can.
+
+        Raises ValueError where the stated mode commands something else, or no mode of the model does.
+        """
+        current = bool(models()[self.model].current_lsb)
+        if self.mode is not None:
+            if (self.mode == "current") != (quantity is Quantity.TORQUE):
+                raise ValueError(
+                    f"dynamixel.mode = {self.mode!r} takes no {quantity}: leave it out, or ask for the other"
+                )
+            return self
+        if quantity is Quantity.TORQUE:
+            if not current:
+                raise ValueError(f"the {self.model} has no current control: use --quantity position")
+            return replace(self, mode="current")
+        held = current and models()[self.model].protocol == 2
+        return replace(self, mode="current-based-position" if held else "extended-position")
+
+    @property
+    def effective_mode(self) -> Mode:
+        """The mode, chosen by the model where it is left open."""
+        if self.mode is not None:
+            return self.mode
+        return "current" if models()[self.model].current_lsb else "extended-position"

@@ -1,0 +1,144 @@
+"""MX-64 and MX-106 on protocol 1.0.
+
+A tick reads 36 to 69: Present Position, Speed, Load, Voltage, Temperature, Realtime Tick and Current. There is no bus
+watchdog. Torque is commanded in torque control mode (70, 71), position in multi-turn mode. Source: e-manual,
+emanual.robotis.com/docs/en/dxl/mx/mx-64/ and .../mx-106/. What they leave open and is assumed here: a positive current
+and a positive Goal Torque both turn counter-clockwise, in which the position grows; and whether the position counts
+turns in torque control mode, so that turns are always counted here, which wants less than half a turn between two
+readings.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING
+
+from drivers.dynamixel.faults import reboot, shut_down
+from drivers.dynamixel.models import Model, Register, registers
+from drivers.dynamixel.series import State
+from drivers.dynamixel.wire import Wire, Wire1
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from drivers.dynamixel.bus import Bus
+    from drivers.dynamixel.config import DynamixelConfig
+    from drivers.dynamixel.control_table import ControlTable
+    from drivers.servo import Limits
+
+_FIELDS = struct.Struct("<hHHBBBBBBHH16xH")  # position, speed, load, V, degC, 44 to 47, punch, tick, current
+_TURN = 4096
+_MULTI_TURN = 4095  # in both angle limits
+_LONGEST_POSITION = 28672
+_NO_CURRENT = 2048
+_CLOCKWISE = 1024  # bit 10 of a speed or a torque
+_TICK_FIRMWARE = 40  # from which there is a Realtime Tick(50)
+
+
+class MxSeries:
+    """A servo of the MX series; see `drivers.dynamixel.series.Series`."""
+
+    eeprom_end = 24
+    block = (36, 34)
+    velocity_lsb = 0.114 * 2.0 * math.pi / 60.0
+
+    def __init__(self, model: Model, config: DynamixelConfig, torque_lsb: float) -> None:
+        self.wire: Wire = Wire1()
+        self.registers: Mapping[str, Register] = registers(1)
+        self._model = model
+        self._torque_mode = config.effective_mode == "current"
+        # the torque limit is in 1/1023 of what the supply allows, and the goal in current: whichever count is larger
+        strongest = max(torque for _, _, torque in model.stall)
+        self._limit_lsb = max(torque_lsb, strongest / model.current_max)
+        self._has_tick = False
+        self._raw: int | None = None
+        self._position = 0
+
+    def identity(self, bus: Bus) -> tuple[int, int]:
+        """Model number and firmware, from the control table: a ping does not tell."""
+        bus.ping(0)
+        data = bus.read(0, 3)
+        self._has_tick = data[2] >= _TICK_FIRMWARE
+        return int.from_bytes(data[:2], "little"), data[2]
+
+    def state(self, raw: bytes) -> State:
+        """See `Series`."""
+        position, speed, _, voltage, temperature, _, _, _, _, _, tick, current = _FIELDS.unpack(raw)
+        return State(
+            tick if self._has_tick else None,
+            self._unwrapped(position),
+            _signed(speed) * self.velocity_lsb,
+            (current - _NO_CURRENT) * self._model.current_lsb,
+            voltage * 0.1,
+            float(temperature),
+        )
+
+    def ceiling(self, torque: float) -> int:
+        """Counts of Torque Limit(34) and of Goal Torque(71)."""
+        return min(math.floor(torque / self._limit_lsb + 1e-9), self._model.current_max)
+
+    def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
+        """See `Series`."""
+        table.require("temperature_limit", min(math.floor(limits.temperature), self._model.temperature_max))
+        table.require("resolution_divider", 1)
+        if not self._torque_mode:
+            table.require("cw_angle_limit", _MULTI_TURN)
+            table.require("ccw_angle_limit", _MULTI_TURN)
+        table.require("goal_acceleration", 0)
+        velocity = math.floor(limits.velocity / self.velocity_lsb)
+        table.require("moving_speed", max(1, min(velocity, self._model.velocity_max)))
+        table.require("torque_limit", ceiling)
+
+    def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
+        """No torque, or the position it has."""
+        del ceiling
+        table.require("goal_torque", 0)
+        table.require("torque_control", int(self._torque_mode))
+        self.state(bus.read(*self.block))  # other angle limits may have changed whether it counts turns
+        if not self._torque_mode and self._raw is not None:
+            table.put("goal_position", self._raw)
+
+    def rest(self, table: ControlTable) -> None:
+        """No torque asked for, and back to the mode in which it starts."""
+        table.put("goal_torque", 0)
+        table.put("torque_control", 0)
+
+    def goal(self, counts: int, ceiling: int) -> tuple[int, bytes, int]:
+        """See `Series`."""
+        if self._torque_mode:
+            clipped = max(-ceiling, min(ceiling, counts))
+            register = self.registers["goal_torque"]
+            return register.address, register.encoded(abs(clipped) | (_CLOCKWISE if clipped < 0 else 0)), clipped
+        turns_off = self._position - (self._raw or 0)
+        clipped = max(turns_off - _LONGEST_POSITION, min(turns_off + _LONGEST_POSITION, counts))
+        register = self.registers["goal_position"]
+        return register.address, register.encoded(clipped - turns_off), clipped
+
+    def raise_latched(self, bus: Bus, table: ControlTable) -> None:
+        """From the error bits that every reply carries."""
+        del table
+        bus.ping(0)
+        if bus.alert:
+            raise shut_down(bus.alert)
+
+    def raise_stopped(self, bus: Bus, table: ControlTable) -> None:
+        """A shutdown takes Torque Limit(34) to zero; a restart the torque off."""
+        if table.get("torque_limit") == 0:
+            raise shut_down(bus.alert)
+        if table.get("torque_enable") == 0 or table.get("torque_control") != int(self._torque_mode):
+            raise reboot()
+
+    def _unwrapped(self, raw: int) -> int:
+        """The position over any number of turns, whether the servo counts them or not."""
+        if self._raw is None:
+            self._position = raw
+        else:
+            self._position += (raw - self._raw + _TURN // 2) % _TURN - _TURN // 2
+        self._raw = raw
+        return self._position
+
+
+def _signed(value: int) -> int:
+    """A number whose bit 10 says clockwise."""
+    return -(value & (_CLOCKWISE - 1)) if value & _CLOCKWISE else value & (_CLOCKWISE - 1)

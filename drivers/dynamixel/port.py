@@ -1,0 +1,91 @@
+"""A serial port for dynamixel-sdk that waits without spinning and never past its deadline.
+
+The SDK's own port reads without blocking, so that it spins a core; measures time with the wall clock, which steps;
+allows 34 ms at least for a reply; opens without a lock, so that two programs may drive one servo; and has no limit on
+how long a write may hang.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING
+
+from dynamixel_sdk import PortHandler
+
+from drivers.uart.port import GONE, POLL, open_port
+
+if TYPE_CHECKING:
+    from drivers.servo import Clock
+
+BUDGET = 4096
+"""Bytes looked at for one reply; a line that never falls silent must not hold us."""
+SILENT_FOR = 2e-3
+"""s without a byte after which the line counts as silent."""
+PATIENCE = 0.1
+"""s that the line may take to fall silent."""
+
+
+class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
+    """The port `name` at `baudrate` bit/s. Names in camel case are the SDK's."""
+
+    def __init__(self, name: str, baudrate: int, clock: Clock) -> None:
+        super().__init__(name)
+        self.baudrate = baudrate
+        self._clock = clock
+        self._deadline = 0.0
+        self._budget = 0
+        self._whole = 0
+        self._ahead = bytearray()
+
+    def openPort(self) -> bool:  # noqa: N802 - the SDK's name
+        """Open it for us alone. Raises DriverError with the remedy."""
+        self.ser = open_port(self.port_name, self.baudrate)
+        self.is_open = True
+        return True
+
+    def closePort(self) -> None:  # noqa: N802 - the SDK's name
+        """Let go of it. Harmless when closed, or when the device is gone."""
+        self.is_open = False
+        if self.ser is not None:
+            with contextlib.suppress(*GONE):
+                self.ser.close()
+
+    def expect(self, deadline: float, size: int) -> None:
+        """Begin to wait for a reply of `size` bytes, until `deadline` s on the clock."""
+        self._deadline = deadline
+        self._budget = BUDGET
+        self._whole = size
+        self._ahead.clear()
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
+        """Up to `length` bytes; waits for them no longer than `POLL` and the deadline allow.
+
+        The SDK asks for the head of a reply first. The first wait is for the whole of it: one wake-up instead of two.
+        """
+        if len(self._ahead) < length and self._budget > 0:
+            wanted = max(length, self._whole) - len(self._ahead)
+            self._whole = 0
+            if self._clock.now() >= self._deadline:
+                wanted = min(wanted, self.ser.in_waiting)
+            data: bytes = self.ser.read(wanted) if wanted > 0 else b""
+            self._budget -= len(data)
+            self._ahead += data
+        out = bytes(self._ahead[:length])
+        del self._ahead[:length]
+        return out
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802 - the SDK's name
+        """Whether the deadline has passed, or more has been read than any reply can be."""
+        return self._budget <= 0 or self._clock.now() >= self._deadline
+
+    def drain(self) -> bool:
+        """Throw away what arrives until the line is silent. False where it does not fall silent."""
+        end = self._clock.now() + PATIENCE
+        quiet_since = self._clock.now()
+        while self._clock.now() < end:
+            self.expect(self._clock.now() + POLL, 0)
+            if self.readPort(256):
+                quiet_since = self._clock.now()
+            elif self._clock.now() - quiet_since >= SILENT_FOR:
+                return True
+        return False

@@ -1,0 +1,280 @@
+"""DYNAMIXEL servos on a serial port, behind `drivers.servo.Servo`. Wiring and limits: docs/dynamixel.md.
+
+A tick is one round trip: a Sync Write of the set-point, which no servo answers, and behind it in the same piece a Read
+of one block with everything that is measured. What differs between the series is in `dynamixel_x` and `dynamixel_mx`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+
+from drivers.dynamixel.bus import Bus
+from drivers.dynamixel.config import DynamixelConfig
+from drivers.dynamixel.control_table import ControlTable
+from drivers.dynamixel.identity import RETURN_DELAY_LSB, identify
+from drivers.dynamixel.models import POSITION_LSB, Model, models
+from drivers.dynamixel.mx import MxSeries
+from drivers.dynamixel.port import SerialPort
+from drivers.dynamixel.series import Series
+from drivers.dynamixel.tick import Freshness, TickClock
+from drivers.dynamixel.x import XSeries
+from drivers.servo import (
+    BadReply,
+    Clock,
+    Command,
+    DriverError,
+    Limits,
+    LinkLost,
+    MonotonicClock,
+    Quantity,
+    Sample,
+    ServoInfo,
+    Status,
+    UnsafeCommand,
+)
+
+_LATE = 0.02  # s, before the watchdog would trip, from which a tick asks whether it has
+_TRIES = 3
+
+
+class DynamixelServo:
+    """One servo, opened, identified, with its torque off and its return delay as in a run.
+
+    clock and port are those of the machine unless a test brings its own. Raises DriverError where the port cannot be
+    opened or another model answers, NoReply where nobody does, BadReply where what answers cannot be understood.
+    """
+
+    def __init__(self, config: DynamixelConfig, *, clock: Clock | None = None, port: SerialPort | None = None) -> None:
+        self._config = config
+        self._model: Model = models()[config.model]
+        self._mode = config.effective_mode
+        self._constant = config.torque_constant or self._model.torque_constant
+        self._clock = clock or MonotonicClock()
+        self._port = port or SerialPort(config.port, config.baudrate, self._clock)
+        kind = XSeries if self._model.protocol == 2 else MxSeries
+        self._series: Series = kind(self._model, config, self._torque_lsb)
+        self._bus = Bus(self._port, config.id, self._clock, config.reply_timeout, self._series.wire)
+        self._table = ControlTable(self._bus, self._series.registers, self._series.eeprom_end)
+        self._tick = TickClock()
+        self._impossible = 0
+        self._limits: Limits | None = None
+        self._ceiling = 0
+        self._live = False
+        self._closed = False
+        self._heard = -math.inf
+        self._port.openPort()
+        try:
+            self._firmware = identify(self._bus, self._table, config, self._series)
+            self._live = True  # whoever drove it before may have left it on
+            self.disarm()
+            self._table.require("return_delay_time", round(config.return_delay / RETURN_DELAY_LSB))
+            self._bus.return_delay = config.return_delay
+        except BaseException:
+            self._closed = True
+            self._port.closePort()
+            raise
+        self._info = self._describe()
+
+    @property
+    def info(self) -> ServoInfo:
+        """What this servo is. torque_uncertainty is NaN where stand.toml gave the constant."""
+        return self._info
+
+    @property
+    def clock(self) -> Clock:
+        """The machine's monotonic time."""
+        return self._clock
+
+    @property
+    def device_time(self) -> float:
+        """s on the servo's own clock since its first sample, as of the last one; in steps of 1 ms."""
+        return self._tick.seconds
+
+    def arm(self, limits: Limits) -> None:
+        """Write mode, limits and watchdog into the servo, read them back, and let current flow: none, at first.
+
+        In the position modes the servo then holds where it is. Torque, temperature and velocity limits go into the
+        servo's registers for them, each no higher than the model's.
+        Raises DeviceFault where a fault is latched, DriverError where a register is refused; the torque is off then.
+        """
+        self._open()
+        ceiling = self._torque_counts(limits)
+        try:
+            self._series.raise_latched(self._bus, self._table)
+            self._table.require("torque_enable", 0)
+            self._series.prepare(self._table, limits, ceiling)
+            self._enable(ceiling)
+        except BaseException:
+            with contextlib.suppress(DriverError):
+                self._live = True
+                self.disarm()
+            raise
+        self._ceiling = ceiling
+        self._limits = limits
+
+    def exchange(self, command: Command) -> Sample:
+        """Send the set-point and read the state in one round trip.
+
+        `Command.rest()` in a position mode leaves the servo holding where it is. Raises UnsafeCommand, NoReply,
+        BadReply, LinkLost, and DeviceFault where the servo has latched a fault, restarted, or tripped its watchdog.
+        """
+        goal, saturated = self._goal(command)
+        self._open()
+        sent = self._clock.now()
+        if self._limits is not None and 0.0 < self._config.watchdog < sent - self._heard + _LATE:
+            self._look_for_faults()
+            sent = self._clock.now()
+        block = self._series.block
+        raw = self._bus.read(*block) if goal is None else self._bus.write_and_read(*goal, *block)
+        received = self._clock.now()
+        self._heard = sent
+        if self._bus.alert:
+            self._look_for_faults()
+        return self._sample(raw, sent, received, saturated=saturated)
+
+    def disarm(self) -> None:
+        """Torque off, written up to three times and read back. Harmless when already off.
+
+        Raises DriverError where the servo does not confirm it; then cut the power.
+        """
+        self._limits = None
+        if not self._live or self._closed:
+            return
+        trouble: DriverError = DriverError("it is still on")
+        for _ in range(_TRIES):
+            try:
+                self._table.put("torque_enable", 0)
+                if self._table.get("torque_enable") == 0:
+                    self._live = False
+                    break
+            except DriverError as error:
+                trouble = error
+                with contextlib.suppress(DriverError):  # nobody may be able to answer and yet hear
+                    self._bus.send(self._table.registers["torque_enable"].address, b"\0")
+        with contextlib.suppress(DriverError):
+            self._series.rest(self._table)
+        if self._live:
+            kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
+            raise kind(f"torque-off is not confirmed ({trouble}): cut the servo's power")
+
+    def close(self) -> None:
+        """Torque off, the EEPROM as it was found, then let go of the port. Harmless when closed; never raises.
+
+        Whoever has to know that the torque is off calls `disarm` first.
+        """
+        if self._closed:
+            return
+        try:
+            with contextlib.suppress(DriverError):
+                self.disarm()
+            with contextlib.suppress(DriverError):
+                self._table.restore()
+        finally:
+            self._closed = True
+            self._port.closePort()
+
+    def _open(self) -> None:
+        if self._closed:
+            raise LinkLost(f"{self._config.port} is closed")
+
+    def _describe(self) -> ServoInfo:
+        current = self._mode == "current"
+        stated = self._config.torque_constant is not None
+        return ServoInfo(
+            backend="dynamixel",
+            model=self._config.model,
+            serial=f"id {self._config.id}",
+            firmware=self._firmware,
+            quantities=frozenset({Quantity.TORQUE if current else Quantity.POSITION}),
+            position_lsb=POSITION_LSB,
+            velocity_lsb=self._series.velocity_lsb,
+            torque_lsb=self._torque_lsb if self._model.current_lsb else math.nan,
+            torque_uncertainty=math.nan if stated else self._model.torque_uncertainty,
+        )
+
+    @property
+    def _torque_lsb(self) -> float:
+        """N m a count of current."""
+        return self._model.current_lsb * self._constant
+
+    def _torque_counts(self, limits: Limits) -> int:
+        """The torque limit in counts of current. Raises DriverError where it is below one."""
+        if not self._model.current_lsb:
+            return 0
+        counts = self._series.ceiling(limits.torque)
+        if counts < 1:
+            raise DriverError(
+                f"torque limit {limits.torque:.3g} N m is below one count of the {self._model.name}, "
+                f"{self._torque_lsb:.3g} N m: raise it or take a smaller servo"
+            )
+        return counts
+
+    def _enable(self, ceiling: int) -> None:
+        """Torque on without a jerk: at no current, or at the position it has."""
+        self._live = True  # a goal may be enough for a servo to switch its torque on
+        self._series.enable(self._bus, self._table, ceiling)
+        self._table.put("torque_enable", 1)
+        if self._table.get("torque_enable") != 1:
+            self._look_for_faults()
+            raise DriverError("the servo does not let its torque be switched on: reboot it")
+        self._heard = self._clock.now()
+
+    def _goal(self, command: Command) -> tuple[tuple[int, bytes] | None, bool]:
+        """Where the set-point goes and as which bytes, None where nothing is written; and whether it was clipped."""
+        if not math.isfinite(command.value):
+            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
+        at_rest = command == Command.rest()
+        if self._limits is None:
+            if not at_rest:
+                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
+            return None, False
+        if command.quantity not in self._info.quantities:
+            if at_rest:
+                return None, False
+            raise UnsafeCommand(f"a {command.quantity} set-point in mode {self._mode!r}: set dynamixel.mode otherwise")
+        bounded = self._limits.bound(command)
+        wanted = bounded.value / (self._torque_lsb if command.quantity is Quantity.TORQUE else POSITION_LSB)
+        if not math.isfinite(wanted):
+            raise UnsafeCommand(f"set-point {command.value} cannot be encoded: nothing was sent")
+        counts = self._config.sign * round(wanted)
+        address, data, held = self._series.goal(counts, self._ceiling)
+        return (address, data), bounded != command or held != counts
+
+    def _sample(self, raw: bytes, sent: float, received: float, *, saturated: bool) -> Sample:
+        state = self._series.state(raw)
+        status = Status.SATURATED if saturated else Status(0)
+        if state.tick is not None:
+            freshness = self._tick.judge(state.tick, sent, received)
+            if freshness is Freshness.IMPOSSIBLE:
+                self._refuse_impossible()
+            if freshness is Freshness.STILL:
+                status |= Status.STALE
+        self._impossible = 0
+        sign = self._config.sign
+        return Sample(
+            t=sent,
+            t_read=0.5 * (sent + received),
+            motor_position=sign * state.position * POSITION_LSB,
+            motor_velocity=sign * state.velocity,
+            motor_torque=sign * state.current * self._constant,
+            temperature=state.temperature,
+            voltage=state.voltage,
+            status=status,
+        )
+
+    def _refuse_impossible(self) -> None:
+        """A tick that cannot be: a servo that restarted is a fault, anything else an old reply."""
+        self._impossible += 1
+        if self._impossible == _TRIES or self._limits is None:
+            self._tick.restart()
+        self._bus.quarantine()
+        if self._limits is not None:
+            self._look_for_faults()
+        raise BadReply("the reply is older than its request, or the servo was restarted: the sample is dropped")
+
+    def _look_for_faults(self) -> None:
+        """Raise DeviceFault where the servo is not doing any more what it was armed for."""
+        self._series.raise_latched(self._bus, self._table)
+        if self._limits is not None:
+            self._series.raise_stopped(self._bus, self._table)

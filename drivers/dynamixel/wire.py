@@ -1,0 +1,165 @@
+"""The two protocols of DYNAMIXEL as bytes: how a request is put together and what a reply says. No I/O of its own.
+
+Source: e-manual, emanual.robotis.com/docs/en/dxl/protocol1/ and .../protocol2/.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from dynamixel_sdk import Protocol1PacketHandler, Protocol2PacketHandler
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from drivers.dynamixel.port import SerialPort
+
+PING, READ, WRITE, STATUS, SYNC_WRITE = 0x01, 0x02, 0x03, 0x55, 0x83
+BROADCAST = 0xFE
+
+
+class Answer(NamedTuple):
+    """A sound status packet.
+
+    alert: the hardware errors it tells of, 0 for none. damaged: whether the request reached the servo damaged.
+    refused: why the servo did not do it, "" where it did.
+    """
+
+    ident: int
+    alert: int
+    damaged: bool
+    refused: str
+    data: bytes
+
+
+class Wire(Protocol):
+    """One of the protocols. status_size: bytes of a status packet without parameters."""
+
+    status_size: int
+
+    def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
+        """A request."""
+        ...
+
+    def place(self, *numbers: int) -> bytes:
+        """Addresses and lengths as the protocol writes them."""
+        ...
+
+    def receive(self, port: SerialPort) -> tuple[bytes, int]:
+        """What the SDK finds for a status packet on `port`, and its result. Raises IndexError for a mad length."""
+        ...
+
+    def opened(self, raw: bytes) -> Answer | None:
+        """What a packet of `receive` says; None where it is no status packet."""
+        ...
+
+    def pings(self, heard: bytes) -> Iterator[tuple[int, int]]:
+        """Id and model number (0 where the protocol does not tell) of each answer to a ping in a stretch of bytes."""
+        ...
+
+
+_REFUSALS_2 = {
+    1: "it could not do that",
+    2: "it does not know that instruction",
+    4: "the value is out of range, or a tripped bus watchdog keeps it from being set",
+    5: "the length does not fit the register",
+    6: "the value is beyond the limit set in the servo",
+    7: "there is no such register, or it cannot be written while the torque is on",
+}
+
+
+class Wire2:
+    """Protocol 2.0.
+
+    The SDK leaves a request with FF FF FD in it unstuffed and unstuffs some replies wrongly, so that stuffing is done
+    here both ways.
+    """
+
+    status_size = 11
+    _header = b"\xff\xff\xfd\x00"
+    _ping_answer = 14
+
+    def __init__(self) -> None:
+        self._packets = Protocol2PacketHandler()
+
+    def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
+        """A request."""
+        body = (bytes([instruction]) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+        frame = self._header + bytes([ident]) + (len(body) + 2).to_bytes(2, "little") + body
+        return frame + self._checksum(frame)
+
+    def place(self, *numbers: int) -> bytes:
+        """Two bytes each."""
+        return b"".join(number.to_bytes(2, "little") for number in numbers)
+
+    def receive(self, port: SerialPort) -> tuple[bytes, int]:
+        """See `Wire`."""
+        # `fast` keeps the SDK from unstuffing; nothing else differs but that the broadcast id may answer
+        raw, result = self._packets.rxPacket(port, True)
+        return bytes(raw), result
+
+    def opened(self, raw: bytes) -> Answer | None:
+        """See `Wire`. alert: the alert bit, 0x80."""
+        body = raw[7 : 5 + int.from_bytes(raw[5:7], "little")].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+        if body[:1] != bytes([STATUS]) or len(body) < 2:
+            return None
+        number = body[1] & 0x7F
+        refused = _REFUSALS_2.get(number, f"error {number}") if number not in {0, 3} else ""
+        return Answer(raw[4], body[1] & 0x80, number == 3, refused, body[2:])
+
+    def pings(self, heard: bytes) -> Iterator[tuple[int, int]]:
+        """See `Wire`."""
+        for part in heard.split(self._header)[1:]:
+            answer = self._header + part[: self._ping_answer - len(self._header)]
+            if len(answer) == self._ping_answer and answer[-2:] == self._checksum(answer[:-2]):
+                yield answer[4], int.from_bytes(answer[9:11], "little")
+
+    def _checksum(self, data: bytes) -> bytes:
+        checksum: int = self._packets.updateCRC(0, data, len(data))
+        return checksum.to_bytes(2, "little")
+
+
+_ALERTS_1 = 0x25  # voltage, heat, overload
+_DAMAGED_1 = 0x10
+_REFUSALS_1 = {
+    0x02: "the position is outside its angle limits",
+    0x08: "the value is out of range",
+    0x40: "it does not know that instruction",
+}
+
+
+class Wire1:
+    """Protocol 1.0. Every status packet carries the servo's hardware errors, and no packet says which it answers."""
+
+    status_size = 6
+
+    def __init__(self) -> None:
+        self._packets = Protocol1PacketHandler()
+
+    def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
+        """A request."""
+        body = bytes([ident, len(parameters) + 2, instruction]) + parameters
+        return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
+
+    def place(self, *numbers: int) -> bytes:
+        """One byte each."""
+        return bytes(numbers)
+
+    def receive(self, port: SerialPort) -> tuple[bytes, int]:
+        """See `Wire`."""
+        raw, result = self._packets.rxPacket(port)
+        return bytes(raw), result
+
+    def opened(self, raw: bytes) -> Answer | None:
+        """See `Wire`. alert: bit 0 voltage, 2 heat, 5 overload."""
+        if len(raw) < self.status_size or raw[3] != len(raw) - 4:
+            return None
+        bits = raw[4]
+        refused = "; ".join(text for bit, text in _REFUSALS_1.items() if bits & bit)
+        return Answer(raw[2], bits & _ALERTS_1, bool(bits & _DAMAGED_1), refused, raw[5:-1])
+
+    def pings(self, heard: bytes) -> Iterator[tuple[int, int]]:
+        """See `Wire`; the model number is not told."""
+        for part in heard.split(b"\xff\xff")[1:]:
+            if len(part) == 4 and part[1] == 2 and part[3] == ~sum(part[:3]) & 0xFF:
+                yield part[0], 0

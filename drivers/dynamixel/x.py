@@ -1,0 +1,123 @@
+"""The X series on protocol 2.0.
+
+A tick reads 120 to 146: Realtime Tick, Present Current, Velocity, Position, Input Voltage and Temperature, all of one
+moment. Source: e-manual, emanual.robotis.com/docs/en/dxl/x/xm430-w350/ (the other models' pages differ in numbers
+only, which stand in tables/dynamixel.toml).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING
+
+from drivers.dynamixel.faults import latched, reboot, watchdog
+from drivers.dynamixel.models import VELOCITY_LSB, Model, Register, registers
+from drivers.dynamixel.series import State
+from drivers.dynamixel.wire import Wire, Wire2
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from drivers.dynamixel.bus import Bus
+    from drivers.dynamixel.config import DynamixelConfig, Mode
+    from drivers.dynamixel.control_table import ControlTable
+    from drivers.servo import Limits
+
+_MODE_CODES: dict[Mode, int] = {"current": 0, "extended-position": 4, "current-based-position": 5}
+_FIELDS = struct.Struct(
+    "<HBBhhiiiiHB"
+)  # tick, moving, status, PWM, current, velocity, position, two trajectories, V, degC
+_WATCHDOG_LSB = 0.02
+_LONGEST_POSITION = 256 * 4096
+_TORQUE_ON_BY_GOAL = 0x08  # Drive Mode(10) bit 3
+
+
+class XSeries:
+    """A servo of the X series; see `drivers.dynamixel.series.Series`."""
+
+    eeprom_end = 64
+    block = (120, 27)
+    velocity_lsb = VELOCITY_LSB
+
+    def __init__(self, model: Model, config: DynamixelConfig, torque_lsb: float) -> None:
+        self.wire: Wire = Wire2()
+        self.registers: Mapping[str, Register] = registers(2)
+        self._model = model
+        self._config = config
+        self._mode = config.effective_mode
+        self._torque_lsb = torque_lsb
+
+    def identity(self, bus: Bus) -> tuple[int, int]:
+        """Model number and firmware, from a ping."""
+        data = bus.ping(3)
+        return int.from_bytes(data[:2], "little"), data[2]
+
+    def state(self, raw: bytes) -> State:
+        """See `Series`."""
+        tick, _, _, _, current, velocity, position, _, _, voltage, temperature = _FIELDS.unpack(raw)
+        amperes = current * self._model.current_lsb if self._model.current_lsb else math.nan
+        return State(tick, position, velocity * VELOCITY_LSB, amperes, voltage * 0.1, float(temperature))
+
+    def ceiling(self, torque: float) -> int:
+        """Counts of Current Limit(38)."""
+        if not self._model.current_lsb:
+            return 0
+        return min(math.floor(torque / self._torque_lsb + 1e-9), self._model.current_max)
+
+    def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
+        """See `Series`."""
+        model = self._model
+        table.put("bus_watchdog", 0)
+        table.require("operating_mode", _MODE_CODES[self._mode])
+        table.require("drive_mode", table.get("drive_mode") & ~_TORQUE_ON_BY_GOAL)
+        table.require("temperature_limit", min(math.floor(limits.temperature), model.temperature_max))
+        velocity = math.floor(limits.velocity / VELOCITY_LSB)
+        table.require("velocity_limit", max(1, min(velocity, model.velocity_max)))
+        if model.current_lsb:
+            table.require("current_limit", ceiling)
+
+    def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
+        """No current, or the position it has; then the watchdog."""
+        del bus
+        if self._mode == "current":
+            table.require("goal_current", 0)
+        else:
+            table.require("profile_velocity", 0)
+            table.require("profile_acceleration", 0)
+            if self._mode == "current-based-position":
+                table.require("goal_current", ceiling)
+            table.put("goal_position", table.get("present_position"))
+        table.require("goal_pwm", table.get("pwm_limit"))
+        if self._config.watchdog:
+            table.require("bus_watchdog", math.ceil(self._config.watchdog / _WATCHDOG_LSB - 1e-9))
+
+    def rest(self, table: ControlTable) -> None:
+        """Clear the watchdog, which may have tripped."""
+        table.put("bus_watchdog", 0)
+
+    def goal(self, counts: int, ceiling: int) -> tuple[int, bytes, int]:
+        """See `Series`."""
+        current = self._mode == "current"
+        most, register = (
+            (ceiling, self.registers["goal_current"])
+            if current
+            else (_LONGEST_POSITION, self.registers["goal_position"])
+        )
+        clipped = max(-most, min(most, counts))
+        return register.address, register.encoded(clipped), clipped
+
+    def raise_latched(self, bus: Bus, table: ControlTable) -> None:
+        """From Hardware Error Status(70)."""
+        del bus
+        bits = table.get("hardware_error_status")
+        if bits:
+            raise latched(bits)
+
+    def raise_stopped(self, bus: Bus, table: ControlTable) -> None:
+        """See `Series`."""
+        del bus
+        if self._config.watchdog and table.get("bus_watchdog") == -1:
+            raise watchdog(self._config.watchdog)
+        if table.get("torque_enable") == 0:
+            raise reboot()

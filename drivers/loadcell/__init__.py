@@ -1,0 +1,1 @@
+"""Torque cells that print their readings on a serial port."""

@@ -1,0 +1,59 @@
+"""What a line of a torque cell says. No I/O."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+from drivers.servo import BadReply
+
+if TYPE_CHECKING:
+    from drivers.loadcell.config import LineFormat
+
+FULL = 0x7FFFFF
+"""The largest count of a 24 bit converter; HX711: it stays at 7FFFFF or 800000 hex beyond its range."""
+
+_RAW = re.compile(r"(\d{1,10}),(-?\d{1,7})")
+_VALUE = re.compile(r"-?\d+(\.\d*)?([eE][-+]?\d+)?")
+_CHECKED = re.compile(r"(.*)\*([0-9A-Fa-f]{2})")
+
+
+class Reading(NamedTuple):
+    """micros: of the board's clock, None where it does not say. value: in counts, or whatever it prints."""
+
+    micros: int | None
+    value: float
+
+
+def parsed(line: str, form: LineFormat) -> Reading:
+    """The reading in a line, which may end in `*` and the exclusive or of its characters in two hexadecimal digits.
+
+    Raises BadReply where it holds none, where it was damaged, or where the converter is beyond its range.
+    """
+    text = line.strip(" \t")
+    checked = _CHECKED.fullmatch(text)
+    if checked:
+        text = checked[1]
+        if _parity(text) != int(checked[2], 16):
+            raise BadReply(f"the line {line!r} was damaged on the way: the reading is dropped")
+    if form == "value":
+        if not _VALUE.fullmatch(text) or not math.isfinite(float(text)):
+            raise BadReply(f"the line {line!r} is no number: the reading is dropped")
+        return Reading(None, float(text))
+    found = _RAW.fullmatch(text)
+    if not found:
+        raise BadReply(f"the line {line!r} is not `micros,raw`: the reading is dropped")
+    micros, raw = int(found[1]), int(found[2])
+    if micros >= 1 << 32:
+        raise BadReply(f"the line {line!r} holds more microseconds than a board counts: the reading is dropped")
+    if not -FULL <= raw < FULL:
+        raise BadReply(f"the converter is at the end of its range ({raw}): the cell is overloaded, or not connected")
+    return Reading(micros, float(raw))
+
+
+def _parity(text: str) -> int:
+    parity = 0
+    for character in text:
+        parity ^= ord(character) & 0xFF
+    return parity

@@ -1,0 +1,165 @@
+"""A torque cell at the joint, on a board that prints what it reads: a `drivers.servo.JointSensor`.
+
+Boards, lines and calibration: docs/serial.md. The cell is read without being asked: each look takes what has come, and
+the newest sound line counts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from statistics import median
+from typing import TYPE_CHECKING
+
+from drivers.loadcell.clock import BoardClock
+from drivers.loadcell.lines import Reading, parsed
+from drivers.servo import BadReply, DriverError, LinkLost, NoReply
+from drivers.uart.lines import TextLines
+from drivers.uart.port import GONE, Port, open_port
+
+if TYPE_CHECKING:
+    from drivers.loadcell.config import LoadCellConfig
+    from drivers.servo import Clock
+
+TARE_READINGS = 16
+"""Readings averaged for the zero while the cell is opened."""
+PATIENCE = 6.0
+"""s until they must have come: opening a port restarts many boards, which then boot and settle."""
+_AT_ONCE = 4096  # bytes
+_UNTIMED = 0.05  # s; without the board's clock a reading cannot be placed better than between two looks
+
+
+class LoadCell:
+    """An open cell, tared. The joint is to be without torque while it is opened: the drive's torque is off then.
+
+    Raises DriverError where the port cannot be opened or the zero has drifted, NoReply where nothing or too little
+    comes, BadReply where what comes is no torque cell's.
+    """
+
+    def __init__(self, config: LoadCellConfig, *, clock: Clock, port: Port | None = None) -> None:
+        self._config = config
+        self._clock = clock
+        self._lines = TextLines()
+        self._board = BoardClock()
+        self._looked = clock.now()
+        self._newest = (0.0, 0.0)
+        self._begun = False
+        self._closed = False
+        self._port: Port = port or open_port(config.port, config.baudrate)
+        try:
+            readings = self._at_rest()
+            self._tare = self._zero([value for _, value in readings])
+            self._keep(*readings[-1])
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def tare(self) -> float:
+        """What the cell shows without torque, in counts or values: the table's, or the median while it was opened."""
+        return self._tare
+
+    def read(self) -> tuple[float, float]:
+        """When the newest reading was taken, s, and the joint's torque, N m; the last one again where none has come.
+
+        Raises BadReply where all that has come is damaged, LinkLost.
+        """
+        readings, trouble = self._take()
+        if readings:
+            self._keep(*readings[-1])
+        elif trouble is not None:
+            raise trouble
+        return self._newest
+
+    def close(self) -> None:
+        """Let go of the port. Harmless when closed."""
+        self._closed = True
+        with contextlib.suppress(*GONE):
+            self._port.close()
+
+    def _keep(self, t: float, value: float) -> None:
+        self._newest = t, self._config.sign * self._config.scale * (value - self._tare)
+
+    def _take(self, least: int = 0) -> tuple[list[tuple[float, float]], BadReply | None]:
+        """What has come since the last look: times, s, and values, oldest first; and what was wrong last.
+
+        least: bytes that are waited for, no longer than the port does.
+        """
+        if self._closed:
+            raise LinkLost(f"{self._config.port} is closed")
+        try:
+            wanted = max(self._port.in_waiting, least)
+            data = self._port.read(min(wanted, _AT_ONCE)) if wanted else b""
+        except GONE as error:
+            raise LinkLost(f"the torque cell on {self._config.port} is gone ({error})") from None
+        now = self._clock.now()
+        lines = self._lines.feed(data)
+        if lines and not self._begun:
+            self._begun = True
+            lines = lines[1:]  # of which we may have missed the beginning
+        found: list[tuple[float, float]] = []
+        trouble: BadReply | None = None
+        for line in lines:
+            try:
+                found.append(self._placed(parsed(line, self._config.format), now, line, len(lines)))
+            except BadReply as error:
+                trouble = error
+        self._looked = now
+        if found and self._board.late(found[-1][0], now):
+            return [], BadReply("the board's clock is behind by half a second: it was restarted; a reading is dropped")
+        return found, trouble
+
+    def _placed(self, reading: Reading, now: float, line: str, count: int) -> tuple[float, float]:
+        """When it was taken, s, and its value; `count` lines were found at `now`. Raises BadReply after a restart."""
+        sending = 10.0 * (len(line) + 2) / self._config.baudrate
+        if reading.micros is None:
+            since = min(now - self._looked, _UNTIMED * count) / count
+            return now - 0.5 * since - sending - self._config.delay, reading.value
+        t = self._board.place(reading.micros, now)
+        if t is None:
+            raise BadReply("the board's clock has jumped: it was restarted; a reading is dropped")
+        return t - sending - self._config.delay, reading.value
+
+    def _zero(self, values: list[float]) -> float:
+        """The tare, from `values` at rest. Raises DriverError where it has drifted or will not stand still."""
+        config, middle = self._config, median(values)
+        half = len(values) // 2
+        wander = config.scale * (median(values[half:]) - median(values[:half]))
+        if abs(wander) > config.drift:
+            raise DriverError(
+                f"the torque cell on {config.port} will not stand still: its zero moved by {wander:.3g} N m while it "
+                "was tared; take every load off the joint, let the cell warm up, and raise joint_sensor.drift if that "
+                "is how it is"
+            )
+        if config.tare is None:
+            return middle
+        away = config.sign * config.scale * (middle - config.tare)
+        if abs(away) > config.drift:
+            raise DriverError(
+                f"the torque cell on {config.port} shows {away:.3g} N m while the motor is off, more than "
+                f"joint_sensor.drift = {config.drift:g}: take the load off the joint; where there is none, it has "
+                f"drifted: set joint_sensor.tare = {middle:.9g}"
+            )
+        return config.tare
+
+    def _at_rest(self) -> list[tuple[float, float]]:
+        """The readings that the tare is taken from: times, s, and values. Raises NoReply, BadReply."""
+        deadline = self._clock.now() + PATIENCE
+        values: list[tuple[float, float]] = []
+        trouble: BadReply | None = None
+        with contextlib.suppress(*GONE):
+            self._port.reset_input_buffer()  # what came before we looked is old
+        while len(values) < TARE_READINGS and self._clock.now() < deadline:
+            found, bad = self._take(least=1)
+            trouble = bad or trouble
+            values += found
+        if len(values) >= TARE_READINGS:
+            return values
+        if trouble is not None and not values:
+            raise BadReply(
+                f"what is on {self._config.port} does not print as a torque cell at {self._config.baudrate} baud with "
+                f"format {self._config.format!r} does ({trouble}): check joint_sensor.port, baudrate and format"
+            )
+        raise NoReply(
+            f"{len(values)} readings in {PATIENCE:g} s from the torque cell on {self._config.port}, where "
+            f"{TARE_READINGS} are needed: check its power, its plug, the baud rate, and that its program prints"
+        )

@@ -1,0 +1,1 @@
+"""CubeMars AK and Damiao motors: MIT frames on CAN."""

@@ -1,0 +1,78 @@
+"""The [mit] table of stand.toml."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from annotated_types import Ge, Gt, Le
+
+from drivers.canbus.link import BusConfig
+from drivers.mit.frames import models
+
+if TYPE_CHECKING:
+    ModelName = str
+else:
+    ModelName = Literal[tuple(sorted(models()))]  # so that whoever checks the table can name them all
+
+
+@dataclass(frozen=True, slots=True)
+class MitConfig:
+    """The [mit] table of stand.toml. Raises ValueError for a model that is not known, or where values do not fit.
+
+    interface: the bus, as python-can calls its kind. channel: the bus, as python-can names it. bitrate: bit/s. model: a
+    name in tables/mit.toml. id: the motor's. reply_id: the identifier of its replies (a Damiao's master id); None: 0
+    for a Damiao, its id or 0 for an AK. position_range: rad that fill the counts, where it is not the table's.
+    velocity_range: rad/s that fill the counts, likewise. torque_range: N m that fill the counts, likewise.
+    torque_scale: true torque over reported torque. temperature_offset: K taken off an AK's reading. sign: 1 where the
+    motor's positive is the stand's, else -1. watchdog: s without a frame after which a Damiao stops by itself; 0:
+    never; an AK's is set with the vendor's tool. reply_timeout: s that a reply may take.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    interface: str
+    channel: str
+    model: ModelName
+    id: Annotated[int, Ge(1), Le(127)] = 1
+    reply_id: Annotated[int, Ge(0), Le(0x7FE)] | None = None
+    bitrate: Literal[125000, 250000, 500000, 1000000] = 1_000_000
+    position_range: Annotated[float, Gt(0)] | None = None
+    velocity_range: Annotated[float, Gt(0)] | None = None
+    torque_range: Annotated[float, Gt(0)] | None = None
+    torque_scale: Annotated[float, Gt(0)] = 1.0
+    temperature_offset: Annotated[float, Ge(0), Le(60)] = 0.0
+    sign: Literal[1, -1] = 1
+    watchdog: Annotated[float, Ge(0), Le(5)] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+
+    def __post_init__(self) -> None:
+        if self.model not in models():
+            raise ValueError(f"mit.model {self.model!r} is not known; there are {', '.join(sorted(models()))}")
+        if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
+            raise ValueError(
+                f"mit.watchdog {self.watchdog} s is not above twice mit.reply_timeout {self.reply_timeout} s: one lost "
+                "reply would stop the motor"
+            )
+
+    @property
+    def bus(self) -> BusConfig:
+        """Where the bus is."""
+        return BusConfig(self.interface, self.channel, self.bitrate)
+
+    @property
+    def ranges(self) -> tuple[float, float, float]:
+        """Position rad, velocity rad/s and torque N m that fill the counts."""
+        model = models()[self.model]
+        return (
+            self.position_range or model.position,
+            self.velocity_range or model.velocity,
+            self.torque_range or model.torque,
+        )
+
+    @property
+    def reply_ids(self) -> frozenset[int]:
+        """The identifiers its replies may have."""
+        if self.reply_id is not None:
+            return frozenset({self.reply_id})
+        return frozenset({0}) if models()[self.model].family == "damiao" else frozenset({0, self.id})

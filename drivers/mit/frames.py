@@ -1,0 +1,132 @@
+"""The frames of the MIT mini-cheetah protocol and of Damiao's registers; motors and errors from `tables/mit.toml`.
+
+A command holds position (16 bits), velocity, kp, kd and torque (12 bits each), a reply the motor's id, position,
+velocity and torque; high bits first, each value mapped from its range onto all counts, so that zero lies between two.
+"""
+
+from __future__ import annotations
+
+import struct
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any, Literal
+
+from drivers.servo import BadReply, DeviceFault
+
+Family = Literal["cubemars", "damiao"]
+REGISTERS_ID = 0x7FF
+"""Where a Damiao listens for its registers."""
+READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
+ENTER, LEAVE, CLEAR = (bytes([0xFF] * 7 + [last]) for last in (0xFC, 0xFD, 0xFB))
+RESTARTED = 0x100
+"""Our code for a motor that does not do any more what it was armed for and says no error."""
+DISABLED, ENABLED = 0, 1
+LOST_COMMUNICATION = 13
+_TOP16, _TOP12 = 0xFFFF, 0xFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A motor; the fields are explained in its table."""
+
+    family: Family
+    position: float
+    velocity: float
+    torque: float
+    torque_uncertainty: float
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """A register of a Damiao: its number and the layout of its value."""
+
+    number: int
+    layout: struct.Struct
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A reply: rad, rad/s, N m, degC. status: a Damiao's state, an AK's error code; 0 where an AK's reply is short."""
+
+    position: float
+    velocity: float
+    torque: float
+    temperature: float
+    status: int
+
+
+@cache
+def _table() -> dict[str, Any]:
+    return tomllib.loads(files("drivers").joinpath("mit/table.toml").read_text(encoding="utf-8"))
+
+
+@cache
+def models() -> dict[str, Model]:
+    """The motors by name."""
+    return {name: Model(**row) for name, row in _table()["models"].items()}
+
+
+@cache
+def registers() -> dict[str, Register]:
+    """The registers of a Damiao by name."""
+    return {name: Register(number, struct.Struct(text)) for name, (number, text) in _table()["registers"].items()}
+
+
+def fault(family: Family, status: int) -> DeviceFault:
+    """The fault for an error code or status; RESTARTED for one that says none."""
+    words = _table()["errors"][family].get(str(status))
+    if status in {DISABLED, ENABLED} and words is None:
+        return DeviceFault(
+            RESTARTED, "the motor does not follow any more and says no error: it was restarted; check supply and plug"
+        )
+    return DeviceFault(status, f"the motor says error {status}: {words or 'not known here, see its manual'}")
+
+
+class Codec:
+    """Frames for one motor whose values span plus and minus `position` rad, `velocity` rad/s and `torque` N m."""
+
+    def __init__(self, family: Family, position: float, velocity: float, torque: float) -> None:
+        self.family = family
+        self._ranges = (position, velocity, torque)
+        self.torque_lsb = 2.0 * torque / _TOP12
+        self.position_lsb = 2.0 * position / _TOP16
+        self.velocity_lsb = 2.0 * velocity / _TOP12
+        self._rest = (round(0.5 * _TOP16), round(0.5 * _TOP12))
+
+    def torque_counts(self, torque: float) -> int:
+        """The counts nearest to `torque` N m that are no larger than the range allows."""
+        limit = self._ranges[2]
+        bounded = max(-limit, min(limit, torque))
+        return max(0, min(_TOP12, round((bounded + limit) / self.torque_lsb)))
+
+    def command(self, counts: int) -> bytes:
+        """A torque of `counts`, with neither spring nor damper."""
+        position, velocity = self._rest
+        word = position << 48 | velocity << 36 | counts
+        return word.to_bytes(8, "big")
+
+    def state(self, data: bytes) -> State:
+        """The values of a reply. Raises BadReply where it is too short, or the position has left its range."""
+        if len(data) < (8 if self.family == "damiao" else 6):
+            raise BadReply(f"a reply of {len(data)} bytes is too short: the sample is dropped")
+        position = data[1] << 8 | data[2]
+        velocity = data[3] << 4 | data[4] >> 4
+        torque = (data[4] & 0xF) << 8 | data[5]
+        if position in {0, _TOP16}:
+            raise BadReply(
+                "the position is at the end of its range: set the motor's zero near the middle of the travel"
+            )
+        most_position, most_velocity, most_torque = self._ranges
+        if self.family == "damiao":
+            status, temperature = data[0] >> 4, float(max(data[6], data[7]))
+        else:
+            status, temperature = (data[7], float(data[6])) if len(data) >= 8 else (0, float("nan"))
+        return State(
+            position=position * self.position_lsb - most_position,
+            velocity=velocity * self.velocity_lsb - most_velocity,
+            torque=torque * self.torque_lsb - most_torque,
+            temperature=temperature,
+            status=status,
+        )

@@ -1,0 +1,238 @@
+"""CubeMars AK and Damiao motors on MIT mini-cheetah frames, behind `drivers.servo.Servo`. Limits: docs/can.md.
+
+A tick is one frame each way: torque with neither spring nor damper out, position, velocity and torque back. A motor
+that is not armed is never sent a torque.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from typing import TYPE_CHECKING
+
+from drivers.canbus.link import CanLink
+from drivers.mit.config import MitConfig
+from drivers.mit.frames import DISABLED, ENABLED, LOST_COMMUNICATION, State, fault, models
+from drivers.mit.motor import MitMotor
+from drivers.servo import (
+    Clock,
+    Command,
+    DriverError,
+    Limits,
+    LinkLost,
+    MonotonicClock,
+    Quantity,
+    Sample,
+    ServoInfo,
+    Status,
+    UnsafeCommand,
+)
+
+if TYPE_CHECKING:
+    import can
+
+_TRIES = 3
+_TIMEOUT_LSB = 50e-6
+_COOLEST_LIMIT = 80.0
+"""degC: the lowest over-temperature limit that a Damiao takes."""
+_IGNORED = 10
+"""Ticks in a row that a motor may not do what it is told before it counts as restarted."""
+
+
+class MitServo:
+    """One motor, opened, identified, and with its torque off.
+
+    clock and bus are those of the machine unless a test brings its own. Raises DriverError where the bus cannot be
+    opened or another motor answers, NoReply where nobody does, BadReply where several do.
+    """
+
+    def __init__(self, config: MitConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
+        self._config = config
+        self._clock = clock or MonotonicClock()
+        self._link = CanLink(config.bus, self._clock, bus)
+        self._motor = MitMotor(config, self._link, self._clock)
+        self._limits: Limits | None = None
+        self._live = False
+        self._closed = False
+        self._ignored = 0
+        try:
+            firmware = self._motor.identify()
+        except BaseException:
+            self._closed = True
+            with contextlib.suppress(DriverError):
+                self._motor.send_leave()
+            self._link.close()
+            raise
+        self._info = self._describe(firmware)
+
+    @property
+    def info(self) -> ServoInfo:
+        """What this servo is. torque_uncertainty is NaN where stand.toml gave the scale."""
+        return self._info
+
+    @property
+    def clock(self) -> Clock:
+        """The machine's monotonic time."""
+        return self._clock
+
+    def arm(self, limits: Limits) -> None:
+        """Write a Damiao's limits and timeout and read them back, then enter motor mode at zero torque.
+
+        An AK has no limits that a frame can set. A Damiao that stopped because nobody spoke to it is cleared. Raises
+        DeviceFault where an error is latched, DriverError where a register is refused or the limit of torque is below
+        one count; the torque is off then.
+        """
+        self._open()
+        if limits.torque < self._info.torque_lsb:
+            raise DriverError(
+                f"torque limit {limits.torque:.3g} N m is below one count of the {self._config.model}, "
+                f"{self._info.torque_lsb:.3g} N m: raise it or take a smaller motor"
+            )
+        try:
+            self._live = True
+            self._check_error(self._motor.leave())
+            if self._motor.damiao:
+                self._prepare(limits)
+            self._enable()
+        except BaseException:
+            with contextlib.suppress(DriverError):
+                self._live = True
+                self.disarm()
+            raise
+        self._limits = limits
+        self._ignored = 0
+
+    def exchange(self, command: Command) -> Sample:
+        """Send the set-point and read the state in one round trip.
+
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the motor says an error, is not enabled
+        any more, or has not followed for ten ticks.
+        """
+        counts, saturated = self._set_point(command)
+        self._open()
+        sent = self._clock.now()
+        state = self._motor.look() if counts is None else self._motor.drive(counts)
+        received = self._clock.now()
+        self._check_error(state)
+        if counts is not None:
+            self._check_follows(counts, state)
+        sign = self._config.sign
+        return Sample(
+            t=sent,
+            t_read=0.5 * (sent + received),
+            motor_position=sign * state.position,
+            motor_velocity=sign * state.velocity,
+            motor_torque=sign * state.torque * self._config.torque_scale,
+            temperature=state.temperature - self._config.temperature_offset,
+            status=Status.SATURATED if saturated else Status(0),
+        )
+
+    def disarm(self) -> None:
+        """Leave motor mode, sent up to three times until a reply confirms it. Harmless when already off.
+
+        An AK's reply does not say whether it is enabled: its answer to the frame is what confirms it. Raises
+        DriverError where the motor does not confirm it; then cut the power.
+        """
+        self._limits = None
+        if not self._live or self._closed:
+            return
+        trouble: DriverError = DriverError("it is still enabled")
+        for _ in range(_TRIES):
+            try:
+                self._motor.send_leave()  # first of all: a question would wait for what is still owed
+                if self._motor.leave().status != ENABLED or not self._motor.damiao:
+                    self._live = False
+                    return
+            except DriverError as error:
+                trouble = error
+        kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
+        raise kind(f"torque-off is not confirmed ({trouble}): cut the motor's power")
+
+    def close(self) -> None:
+        """Torque off, the registers as they were found, then let go of the bus. Harmless when closed; never raises.
+
+        Whoever has to know that the torque is off calls `disarm` first.
+        """
+        if self._closed:
+            return
+        try:
+            with contextlib.suppress(DriverError):
+                self.disarm()
+            self._motor.restore()
+        finally:
+            self._closed = True
+            self._link.close()
+
+    def _open(self) -> None:
+        if self._closed:
+            raise LinkLost(f"{self._link.name} is closed")
+
+    def _describe(self, firmware: str) -> ServoInfo:
+        codec, model = self._motor.codec, models()[self._config.model]
+        return ServoInfo(
+            backend="mit",
+            model=self._config.model,
+            serial=f"id {self._config.id}",
+            firmware=firmware,
+            quantities=frozenset({Quantity.TORQUE}),
+            position_lsb=codec.position_lsb,
+            velocity_lsb=codec.velocity_lsb,
+            torque_lsb=codec.torque_lsb * self._config.torque_scale,
+            torque_uncertainty=model.torque_uncertainty if self._config.torque_scale == 1.0 else math.nan,
+        )
+
+    def _prepare(self, limits: Limits) -> None:
+        """What a Damiao takes of the limits; neither speed nor temperature is ever raised."""
+        motor = self._motor
+        motor.require("control_mode", 1)
+        motor.require("over_temperature", min(motor.get("over_temperature"), max(limits.temperature, _COOLEST_LIMIT)))
+        motor.require("max_speed", min(motor.get("max_speed"), limits.velocity))
+        motor.require("timeout", math.ceil(self._config.watchdog / _TIMEOUT_LSB - 1e-9))
+
+    def _enable(self) -> None:
+        zero = self._motor.codec.torque_counts(0.0)
+        self._check_error(self._motor.enter())
+        state = self._motor.drive(zero)
+        if self._motor.damiao and state.status != ENABLED:
+            raise DriverError("the motor does not let itself be enabled: switch it off and on")
+
+    def _set_point(self, command: Command) -> tuple[int | None, bool]:
+        """The counts of torque to send, None where nothing is driven; and whether the set-point was clipped."""
+        if not math.isfinite(command.value):
+            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
+        if self._limits is None:
+            if command != Command.rest():
+                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
+            return None, False
+        if command.quantity is not Quantity.TORQUE:
+            raise UnsafeCommand("a position set-point: this adapter drives by torque only")
+        bounded = self._limits.bound(command)
+        wanted = self._config.sign * bounded.value / self._config.torque_scale
+        most = self._config.ranges[2]
+        return self._motor.codec.torque_counts(wanted), bounded != command or abs(wanted) > most
+
+    def _check_error(self, state: State) -> None:
+        """Raise DeviceFault where the motor says an error.
+
+        A Damiao that stopped since nobody spoke to it is cleared where it is not armed.
+        """
+        status, family = state.status, self._motor.codec.family
+        armed = self._limits is not None
+        if family == "cubemars":
+            if status:
+                raise fault(family, status)
+        elif status == LOST_COMMUNICATION and not armed:
+            self._motor.clear()
+        elif status not in {DISABLED, ENABLED} or (armed and status == DISABLED):
+            raise fault(family, status)
+
+    def _check_follows(self, counts: int, state: State) -> None:
+        """Raise DeviceFault where the torque has been another than was asked for too long: an AK does not say that it
+        was restarted, it only stops to follow.
+        """
+        lsb = self._motor.codec.torque_lsb
+        asked = (counts - self._motor.codec.torque_counts(0.0)) * lsb
+        follows = abs(state.torque - asked) <= 0.5 * abs(asked) + 4.0 * lsb
+        self._ignored = 0 if follows else self._ignored + 1
+        if self._ignored >= _IGNORED:
+            raise fault(self._motor.codec.family, DISABLED)

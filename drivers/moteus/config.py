@@ -1,0 +1,60 @@
+"""The [moteus] table of stand.toml."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal, Self
+
+from annotated_types import Ge, Gt, Le
+
+from drivers.canbus.link import BusConfig
+from drivers.servo import Quantity
+
+
+@dataclass(frozen=True, slots=True)
+class MoteusConfig:
+    """The [moteus] table of stand.toml. Raises ValueError where watchdog and reply_timeout do not fit each other.
+
+    interface: the bus, as python-can calls its kind; it must carry CAN FD. channel: the bus, as python-can names it.
+    bitrate: bit/s of the identifiers. data_bitrate: bit/s of the data. id: the controller's. source: ours on the bus.
+    mode: what is commanded; None: what is asked for. sign: 1 where the controller's positive is the stand's, else -1.
+    watchdog: s without a command after which it stops by itself. reply_timeout: s that a reply may take.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    interface: str
+    channel: str
+    id: Annotated[int, Ge(1), Le(126)] = 1
+    source: Annotated[int, Ge(0), Le(126)] = 0
+    bitrate: Annotated[int, Gt(0)] = 1_000_000
+    data_bitrate: Annotated[int, Gt(0)] = 5_000_000
+    mode: Literal["torque", "position"] | None = None
+    sign: Literal[1, -1] = 1
+    watchdog: Annotated[float, Gt(0), Le(5)] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+
+    def __post_init__(self) -> None:
+        if self.watchdog < 2.0 * self.reply_timeout:
+            raise ValueError(
+                f"moteus.watchdog {self.watchdog} s is not above twice moteus.reply_timeout {self.reply_timeout} s: "
+                "one lost reply would stop the controller"
+            )
+        if self.id == self.source:
+            raise ValueError(f"moteus.source {self.source} is the controller's own id: choose another")
+
+    def for_quantity(self, quantity: Quantity) -> Self:
+        """The same controller commanded `quantity`. Raises ValueError where the stated mode commands the other."""
+        if self.mode not in {None, quantity.value}:
+            raise ValueError(f"moteus.mode = {self.mode!r} takes no {quantity}: leave it out, or ask for the other")
+        return replace(self, mode=quantity.value)
+
+    @property
+    def quantity(self) -> Quantity:
+        """What is commanded: torque where that is left open."""
+        return Quantity(self.mode or "torque")
+
+    @property
+    def bus(self) -> BusConfig:
+        """Where the bus is."""
+        return BusConfig(self.interface, self.channel, self.bitrate, self.data_bitrate)

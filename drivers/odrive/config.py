@@ -1,0 +1,46 @@
+"""The [odrive] table of stand.toml."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from annotated_types import Ge, Gt, Le
+
+from drivers.canbus.link import BusConfig
+
+
+@dataclass(frozen=True, slots=True)
+class OdriveConfig:
+    """The [odrive] table of stand.toml. Raises ValueError where watchdog and reply_timeout do not fit each other.
+
+    interface: the bus, as python-can calls its kind. channel: the bus, as python-can names it. bitrate: bit/s. id: the
+    axis' node id. torque_constant: N m/A, 8.27 over the motor's KV (in rev/min/V). sign: 1 where the axis' positive is
+    the stand's, else -1. endpoints: the flat_endpoints.json of the firmware in the drive (0.6 only); with it watchdog
+    and limits are written and read back. watchdog: s without a set-point after which the axis stops by itself; needs
+    `endpoints`; 0: as the drive has it. reply_timeout: s that the replies of a tick may take.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    interface: str
+    channel: str
+    torque_constant: Annotated[float, Gt(0)]
+    id: Annotated[int, Ge(0), Le(62)] = 0
+    bitrate: Literal[125000, 250000, 500000, 1000000] = 250_000
+    sign: Literal[1, -1] = 1
+    endpoints: str | None = None
+    watchdog: Annotated[float, Ge(0), Le(5)] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+
+    def __post_init__(self) -> None:
+        if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
+            raise ValueError(
+                f"odrive.watchdog {self.watchdog} s is not above twice odrive.reply_timeout "
+                f"{self.reply_timeout} s: one lost reply would stop the axis"
+            )
+
+    @property
+    def bus(self) -> BusConfig:
+        """Where the bus is."""
+        return BusConfig(self.interface, self.channel, self.bitrate)

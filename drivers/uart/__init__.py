@@ -1,0 +1,1 @@
+"""A serial port and lines of text on it."""

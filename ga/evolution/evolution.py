@@ -1,0 +1,193 @@
+"""One search: the paper's steady-state algorithm and the generational one of the `default` preset.
+
+Both advance a `Population` in place, any number of generations at a time, and end in the same bits however the
+generations are divided into calls: that is what lets a run be watched, interrupted and resumed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, Literal, get_args
+
+import numpy as np
+
+from ga.evolution.generational import family_of, generational
+from ga.evolution.generator import seeded
+from ga.evolution.population import Population, Record, Rules, populate, unrecorded
+from ga.evolution.steady_state import steady_state, tangents_of
+from ga.fitness.engine import Engine, columns_of, parts
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ga.bounds import Bounds
+    from ga.start import Start
+
+Scheme = Literal["steady-state", "generational"]
+Selection = Literal["minimise", "larger"]
+Weights = Literal["error", "inverse-error"]
+Replacement = Literal["worst", "worst-if-better", "oldest", "random"]
+Beginning = Literal["uniform", "informed"]
+
+_REPLACEMENTS: Final = get_args(Replacement)  # in the order of ga.evolution.population's numbers
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What a search does; each reading of the paper is one value (docs/paper.md says what each gives).
+
+    scheme: "steady-state", the paper's Algorithm 1, one child a generation; "generational", a family a generation:
+        p + 2 parents drawn without preference, 5 p children by ensemble crossover, the best p + 2 of the family live.
+    population: chromosomes; None: 10 + 8 p.
+    start: "uniform", the first population is drawn in the bounds; "informed", around the least-squares solution as far
+        as the optimum may be from it (ga.start), where the data tell that and it lies within the bounds.
+    mutation: probability that one gene of a child is redrawn.
+    generations: how many at most.
+    weights: the crossover weighs a parent by its "error", equation 6 as printed, or by "inverse-error".
+    tournament, selection, replacement: of the steady-state scheme only; how many compete, whether the "larger" error
+        wins or the smaller ("minimise"), and what the child replaces: the "worst" chromosome always or only
+        "worst-if-better", the "oldest", or a "random" one.
+    reach: of the generational scheme only; the spread of children over that of their parents.
+    tolerance: stop when the fitness of the population spreads over less than this part of the best; None: never.
+    Raises ValueError for a value out of range or a reading there is none of.
+    """
+
+    scheme: Scheme = "steady-state"
+    population: int | None = 10
+    start: Beginning = "uniform"
+    mutation: float = 0.6
+    generations: int = 200_000_000
+    weights: Weights = "error"
+    tournament: int = 3
+    selection: Selection = "minimise"
+    replacement: Replacement = "worst"
+    reach: float = 1.1
+    tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        for field, readings in _READINGS.items():
+            if getattr(self, field) not in readings:
+                raise ValueError(f'{field} "{getattr(self, field)}" is not one of {", ".join(readings)}')
+        if self.generations < 1:
+            raise ValueError(f"{self.generations} generations: give 1 or more")
+        if not 0.0 <= self.mutation <= 1.0:
+            raise ValueError(f"mutation {self.mutation:g} is not a probability: give 0 to 1")
+        if self.tournament < 1:
+            raise ValueError(f"tournament of {self.tournament}: give 1 or more")
+        if not 0.0 < self.reach < float("inf"):
+            raise ValueError(f"reach {self.reach:g} is not a positive number")
+        if self.tolerance is not None and not 0.0 <= self.tolerance < float("inf"):
+            raise ValueError(f"tolerance {self.tolerance:g}: give 0 or more")
+        if self.population is not None and self.population < 2:
+            raise ValueError(f"population of {self.population}: give 2 or more")
+
+    def population_for(self, p: int) -> int:
+        """The number of chromosomes for p genes.
+
+        Raises ValueError where it is smaller than a tournament or a family needs.
+        """
+        population = 10 + 8 * p if self.population is None else self.population
+        drawn = self.tournament if self.scheme == "steady-state" else p + 2
+        if population < drawn:
+            raise ValueError(f"population of {population}: {drawn} different chromosomes are drawn from it at a time")
+        return population
+
+
+_READINGS: Final[Mapping[str, tuple[str, ...]]] = {
+    "scheme": get_args(Scheme),
+    "selection": get_args(Selection),
+    "weights": get_args(Weights),
+    "replacement": _REPLACEMENTS,
+    "start": get_args(Beginning),
+}
+
+PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
+    {
+        "paper": Settings(),
+        "default": Settings(
+            scheme="generational",
+            population=None,
+            start="informed",
+            mutation=0.0,
+            generations=20_000,
+            weights="inverse-error",
+            tolerance=1e-8,
+        ),
+    }
+)
+
+
+def rules_of(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> Rules:
+    """Bounds and settings as the compiled loops read them. floor: N m, what fitnesses are compared relative to."""
+    rejects = settings.scheme == "generational" or settings.replacement == "worst-if-better"
+    if settings.replacement == "worst" and settings.selection == "minimise" and settings.tournament > 1:
+        rejects = rejects or settings.tolerance is None  # the stop rule asks how bad the worst is
+    return Rules(
+        bounds.low,
+        bounds.high,
+        settings.tournament,
+        settings.selection == "larger",
+        settings.weights == "inverse-error",
+        _REPLACEMENTS.index(settings.replacement),
+        float(settings.mutation),
+        float(settings.reach),
+        -1.0 if settings.tolerance is None else float(settings.tolerance),
+        floor,
+        reject and rejects,
+    )
+
+
+def unborn(p: int, settings: Settings, seed: int, trial: int) -> Population:
+    """Room for a population of p genes, with its generator. Raises ValueError where it would be too small."""
+    size = settings.population_for(p)
+    return Population(
+        genes=np.empty((size, p)),
+        fitness=np.empty(size),
+        order=np.arange(size),
+        generator=seeded(seed, trial),
+        best=np.full(p, np.nan),
+        best_fitness=np.array([np.inf]),
+        progress=np.zeros(3, np.int64),
+    )
+
+
+def begin(
+    engine: Engine, bounds: Bounds, settings: Settings, seed: int, trial: int, *, start: Start | None = None
+) -> Population:
+    """The first population, evaluated: uniform at random in the start's cube, or where there is none in the bounds.
+
+    Raises ValueError where the bounds are not of as many parameters as the engine has columns.
+    """
+    p = columns_of(engine)
+    if bounds.low.size != p:
+        raise ValueError(f"bounds of {bounds.low.size} parameters for {p} columns")
+    population = unborn(p, settings, seed, trial)
+    populate(*parts(engine), rules_of(bounds, settings, engine.floor, True), start, population)
+    return population
+
+
+def advance(
+    engine: Engine,
+    bounds: Bounds,
+    settings: Settings,
+    population: Population,
+    until: int,
+    *,
+    record: Record | None = None,
+    reject: bool = True,
+) -> None:
+    """Take the search to generation `until`, or to where its stop rule ends it, and keep the record on the way.
+
+    reject: whether children that are known to be hopeless go unevaluated; the population is the same to the last bit.
+    """
+    generations = until - population.generation
+    if generations <= 0 or population.stopped:
+        return
+    p, rules = bounds.low.size, rules_of(bounds, settings, engine.floor, reject)
+    samples, tree = parts(engine)
+    record = unrecorded() if record is None else record
+    if settings.scheme == "steady-state":
+        steady_state(samples, tree, rules, population, tangents_of(p), np.empty(p), record, generations)
+    else:
+        generational(samples, tree, rules, population, family_of(p), record, generations)

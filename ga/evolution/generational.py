@@ -1,0 +1,116 @@
+"""The generational scheme of the `default` preset: families one after another.
+
+A child worse than all parents does not live on, so how bad it is need not be known.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.compiled import lean_apart
+from ga.evolution.generator import load, store, uniform
+from ga.evolution.operators import (
+    REDRAWS,
+    Genes,
+    Order,
+    clamp,
+    copy,
+    ensemble_crossover,
+    is_inside,
+    mutate,
+    sample_distinct,
+    weighted_centre,
+)
+from ga.evolution.population import Population, Record, Rules, due_after, has_settled, recorded, remember
+from ga.fitness.engine import Samples, Tree, error_of
+
+
+class Family(NamedTuple):
+    """Working space of one search: the children and behind them the parents, (7 p + 2, p), and their errors, N m."""
+
+    genes: NDArray[np.float64]
+    errors: NDArray[np.float64]
+    centre: NDArray[np.float64]
+
+
+def family_of(p: int) -> Family:
+    """Room for p + 2 parents and 5 p children of p genes."""
+    return Family(np.empty((p + 2 + 5 * p, p)), np.empty(p + 2 + 5 * p), np.empty(p))
+
+
+@lean_apart
+def generational(  # noqa: PLR0917 - the compiled loops take their parts by position
+    samples: Samples | None,
+    tree: Tree | None,
+    rules: Rules,
+    population: Population,
+    family: Family,
+    record: Record,
+    generations: int,
+) -> None:
+    """Parents at random, children about their centre; the best of both live on, in the parents' places."""
+    due = due_after(record, population)
+    p = rules.low.size
+    parents, children = p + 2, 5 * p
+    genes, errors = family.genes, family.errors
+    for _ in range(generations):
+        draw_parents(population)
+        chosen = population.order[:parents]
+        breed(rules, population, chosen, family.centre, genes[:children])
+        limit = 0.0 if rules.rejects else np.inf
+        for i in range(parents):
+            copy(population.genes[chosen[i]], genes[children + i])
+            errors[children + i] = population.fitness[chosen[i]]
+            limit = max(limit, errors[children + i])
+        for i in range(children):
+            errors[i] = error_of(samples, tree, genes[i], limit)
+        survive(population, chosen, genes, errors)
+        population.progress[0] += 1
+        population.progress[1] += children
+        due = recorded(record, due, population)
+        if has_settled(rules, population):
+            population.progress[2] = 1
+            break
+
+
+@lean_apart
+def draw_parents(population: Population) -> None:
+    """Put p + 2 different chromosomes, each as likely as any, in front of the population's order."""
+    count = population.genes.shape[1] + 2
+    store(sample_distinct(population.order, count, load(population.generator)), population.generator)
+
+
+@lean_apart
+def breed(rules: Rules, population: Population, parents: Order, centre: Genes, children: NDArray[np.float64]) -> None:
+    """Fill children (count, p) by ensemble crossover and mutation, within the bounds. centre: (p,), overwritten."""
+    words = load(population.generator)
+    weighted_centre(population.genes, population.fitness, parents, rules.inverse, centre)
+    for i in range(len(children)):
+        child = children[i]
+        for _ in range(REDRAWS):
+            copy(centre, child)
+            words = ensemble_crossover(population.genes, parents, rules.reach, child, words)
+            if is_inside(child, rules.low, rules.high):
+                break
+        clamp(child, rules.low, rules.high)
+        chance, words = uniform(words)
+        if chance < rules.mutation:
+            _, words = mutate(child, rules.low, rules.high, words)
+    store(words, population.generator)
+
+
+@lean_apart
+def survive(population: Population, places: Order, genes: NDArray[np.float64], errors: NDArray[np.float64]) -> None:
+    """Put the best of the family into the parents' places, the best first; errors is used up."""
+    for i in range(places.size):
+        best = 0
+        for j in range(1, errors.size):
+            if errors[j] < errors[best]:
+                best = j
+        copy(genes[best], population.genes[places[i]])
+        population.fitness[places[i]] = errors[best]
+        remember(population, genes[best], errors[best])
+        errors[best] = np.inf

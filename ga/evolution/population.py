@@ -1,0 +1,172 @@
+"""What a search consists of: its population, and the rules it goes by, as the compiled loops read them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.compiled import lean, lean_apart
+from ga.evolution.generator import State, load, store, uniform
+from ga.evolution.operators import REDRAWS, Genes, Order, clamp, copy, is_inside
+from ga.fitness.engine import Samples, Tree, exact_error
+from ga.start import Start
+
+ALWAYS, IF_BETTER, OLDEST, RANDOM = range(4)
+"""What a child replaces: the worst, always or only if it is better; the oldest; any."""
+
+
+class Population(NamedTuple):
+    """All there is to a search under way; saved and restored, it goes on as if nothing had happened.
+
+    genes: (population, p). fitness: (population,), N m. order: (population,), see ga.evolution.operators.
+    generator: (4,). best: (p,), the best chromosome ever, and best_fitness: (1,), its fitness, N m.
+    progress: (3,), generations done, evaluations made, and 1 once the stop rule has ended the search.
+    """
+
+    genes: NDArray[np.float64]
+    fitness: NDArray[np.float64]
+    order: Order
+    generator: State
+    best: Genes
+    best_fitness: NDArray[np.float64]
+    progress: NDArray[np.int64]
+
+    def copied(self) -> Population:
+        """The same state in arrays of its own."""
+        return Population(*(part.copy() for part in self))  # type: ignore[arg-type]  # each as its field
+
+    @property
+    def generation(self) -> int:
+        """Generations done."""
+        return int(self.progress[0])
+
+    @property
+    def evaluations(self) -> int:
+        """Chromosomes evaluated, the initial population included."""
+        return int(self.progress[1])
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the stop rule has ended the search."""
+        return bool(self.progress[2])
+
+
+class Rules(NamedTuple):
+    """Bounds and settings as numbers.
+
+    rejects: whether a child that is known to be hopeless may go unevaluated. floor: N m, what relative comparisons of
+    fitness divide by at least. tolerance: -1 for none.
+    """
+
+    low: Genes
+    high: Genes
+    tournament: int
+    larger: bool
+    inverse: bool
+    replacement: int
+    mutation: float
+    reach: float
+    tolerance: float
+    floor: float
+    rejects: bool
+
+
+class Record(NamedTuple):
+    """The best fitness so far, fitness (m,), N m, of generations (m + 1,), which rise; the last is never reached.
+
+    What was not reached yet is NaN.
+    """
+
+    generation: NDArray[np.int64]
+    fitness: NDArray[np.float64]
+
+
+def unrecorded() -> Record:
+    """A record of no generation."""
+    return Record(np.full(1, -1), np.empty(0))
+
+
+@lean_apart
+def due_after(record: Record, population: Population) -> int:
+    """The first entry of the record that is of a generation yet to come."""
+    due = 0
+    while due < record.fitness.size and record.generation[due] <= population.progress[0]:
+        due += 1
+    return due
+
+
+@lean
+def recorded(record: Record, due: int, population: Population) -> int:
+    """Record the best fitness if this generation is due; the next entry that is."""
+    if population.progress[0] == record.generation[due]:
+        record.fitness[due] = population.best_fitness[0]
+        due += 1
+    return due
+
+
+@lean_apart
+def populate(
+    samples: Samples | None, tree: Tree | None, rules: Rules, start: Start | None, population: Population
+) -> None:
+    """Draw the first population, in the bounds or in the start's cube, and evaluate it."""
+    if start is None:
+        scatter(rules, population)
+    else:
+        scatter_around(rules, start, population)
+    for i in range(population.fitness.size):
+        population.fitness[i] = exact_error(samples, tree, population.genes[i])
+        remember(population, population.genes[i], population.fitness[i])
+    population.progress[1] = population.fitness.size
+
+
+@lean_apart
+def scatter(rules: Rules, population: Population) -> None:
+    """The paper, "Initial Population": every gene uniform at random in its bounds."""
+    words = load(population.generator)
+    for i in range(population.fitness.size):
+        for k in range(rules.low.size):
+            part, words = uniform(words)
+            population.genes[i, k] = rules.low[k] + (rules.high[k] - rules.low[k]) * part
+    store(words, population.generator)
+
+
+@lean_apart
+def scatter_around(rules: Rules, start: Start, population: Population) -> None:
+    """Draw every chromosome uniformly in the start's cube, and within the bounds."""
+    words = load(population.generator)
+    for i in range(population.fitness.size):
+        child = population.genes[i]
+        for _ in range(REDRAWS):
+            for k in range(child.size):
+                part, words = uniform(words)
+                child[k] = start.reach * (2.0 * part - 1.0)
+            for k in range(child.size):  # the matrix is triangular: what is overwritten is not needed again
+                along = 0.0
+                for j in range(k, child.size):
+                    along += start.backward[k, j] * child[j]
+                child[k] = start.centre[k] + along
+            if is_inside(child, rules.low, rules.high):
+                break
+        clamp(child, rules.low, rules.high)
+    store(words, population.generator)
+
+
+@lean
+def remember(population: Population, child: Genes, error: float) -> None:
+    """Keep the best chromosome ever: some readings of the paper let the population lose it."""
+    if error < population.best_fitness[0]:
+        population.best_fitness[0] = error
+        copy(child, population.best)
+
+
+@lean
+def has_settled(rules: Rules, population: Population) -> bool:
+    """Whether the fitness of the population spreads over no more than the tolerance."""
+    if rules.tolerance < 0.0:
+        return False
+    lowest, highest = np.inf, 0.0
+    for error in population.fitness:
+        lowest, highest = min(lowest, error), max(highest, error)
+    return bool(highest - lowest <= rules.tolerance * max(lowest, rules.floor))

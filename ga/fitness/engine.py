@@ -1,0 +1,119 @@
+"""The fitness of a chromosome, equations 3 to 5, behind one contract: the mean absolute error of the torque, N m.
+
+    fitness(genes) = 1/n * sum over i of |torque_i - columns_i . genes|
+
+Two engines give it. `ga.fitness.dense` looks at every sample and is ready at once; `ga.fitness.cell_tree` learns which
+residuals have which sign where, and then costs the same for a thousand samples and for ten million. They agree to
+rounding. The compiled loops take both, one of them None: what is not used is not compiled.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+import numpy as np
+
+from ga.compiled import lean, lean_apart
+from ga.fitness.cell_tree import Tree, another, grow, tree_error, tree_tangent
+from ga.fitness.dense import Samples, check, collapse, dense_error, dense_tangent, pack, resolution, shared
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from ga.bounds import Bounds
+    from ga.start import Start
+
+__all__ = [
+    "Engine",
+    "Samples",
+    "Tree",
+    "check",
+    "collapse",
+    "engine_for",
+    "evaluate",
+    "fork",
+    "grow",
+    "pack",
+    "resolution",
+]
+
+Engine: TypeAlias = Samples | Tree
+
+WORTHWHILE: Final = 1_000_000_000
+"""Residuals in one search from which the boxes repay the seconds of their first compilation."""
+
+REPAID: Final = 50_000
+"""Evaluations in one search from which the boxes repay their growing, whatever the number of samples.
+
+A search of the `default` preset is over before, its children everywhere in a cloud that shrinks in step with the boxes.
+"""
+
+
+def engine_for(
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    bounds: Bounds,
+    evaluations: int,
+    start: Start | None = None,
+) -> Engine:
+    """The engine for columns (n, p) and torque (n,), N m, that some number of evaluations within the bounds asks for.
+
+    start: where all of them begin, to close in from there.
+    Raises ValueError where the data are not finite, not of equal length or empty.
+    """
+    if start is not None:
+        return collapse(columns, torque, start)
+    if evaluations < REPAID or len(torque) * evaluations < WORTHWHILE:
+        return pack(columns, torque)
+    return grow(columns, torque, bounds)
+
+
+def fork(engine: Engine) -> Engine:
+    """An engine over the same data for another thread: each has working space that it alone may use."""
+    return shared(engine) if isinstance(engine, Samples) else another(engine)
+
+
+@lean
+def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float) -> float:
+    """Equation 5 for one chromosome (p,), N m; infinite, perhaps, where it exceeds the limit."""
+    if samples is not None:
+        return dense_error(samples, genes, limit)
+    if tree is not None:
+        return tree_error(tree, genes, limit)
+    return np.nan
+
+
+@lean_apart
+def tangent_of(
+    samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float, slope: NDArray[np.float64]
+) -> float:
+    """A plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
+
+    It touches the fitness there, unless that exceeds the limit: then the plane does so too, but may run below it.
+    """
+    if samples is not None:
+        return dense_tangent(samples, genes, slope)
+    if tree is not None:
+        return tree_tangent(tree, genes, limit, slope)
+    return np.nan
+
+
+@lean_apart
+def exact_error(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64]) -> float:
+    """Equation 5 for one chromosome (p,), N m."""
+    return error_of(samples, tree, genes, np.inf)
+
+
+def parts(engine: Engine) -> tuple[Samples | None, Tree | None]:
+    """The engine as the compiled loops take it."""
+    return (engine, None) if isinstance(engine, Samples) else (None, engine)
+
+
+def columns_of(engine: Engine) -> int:
+    """p, the number of parameters."""
+    return engine.blocks.shape[1] - 1 if isinstance(engine, Samples) else engine.origin.size
+
+
+def evaluate(engine: Engine, genes: NDArray[np.float64]) -> float:
+    """The fitness, N m, of one chromosome (p,)."""
+    return float(exact_error(*parts(engine), genes))

@@ -1,0 +1,1 @@
+"""The exact minimum of the fitness: least absolute deviations."""

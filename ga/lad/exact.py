@@ -1,0 +1,229 @@
+"""The exact minimum of the fitness: the least-absolute-deviations problem, solved to a vertex and proven.
+
+The search is judged by it: the gap between the two is the optimiser's error, what is left is the data's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from ga.fitness.dense import check, resolution
+from ga.lad.simplex import OPTIMAL, STALLED, descend, product, weighted_sum
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_RANK: Final = 1e-10
+"""A column that is, to this part of its length, a combination of others adds nothing that rounding leaves."""
+
+_PERTURBATIONS: Final = (0.0, 1e-11, 1e-9, 1e-7)
+"""Relative to the mean torque: tried in turn until one gives a certificate; ties are resolved by the second."""
+
+_ROUNDING: Final = 64.0 * float(np.finfo(np.float64).eps)
+_PROVEN: Final = 1e-9
+_DIRECT: Final = 6000
+"""Rows up to which the descent takes all of them; above, it is bracketed on a subsample first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """The least mean absolute error and where it is.
+
+    genes: (p,), SI; a parameter whose column adds nothing (zero, or a combination of others) is zero.
+    fitness: N m, the mean absolute error there.
+    certificate: the proof. Signs s in -1 ... 1, the sign of the residual wherever it is not zero, make the subgradient
+        columns^T s; the certificate is its largest component as a part of sum |column|. Zero to rounding is optimal.
+    unique: whether no other chromosome is as good; False also where that could not be proven.
+    floor: N m, the least fitness that `relative_gap` divides by.
+    """
+
+    genes: NDArray[np.float64]
+    fitness: float
+    certificate: float
+    unique: bool
+    floor: float
+
+    def relative_gap(self, fitness: float) -> float:
+        """How much worse a fitness, N m, is than the optimum, relative to it; minus rounding where it is as good."""
+        return (fitness - self.fitness) / max(self.fitness, self.floor)
+
+
+def least_absolute_deviations(
+    columns: NDArray[np.float64], torque: NDArray[np.float64], near: NDArray[np.float64] | None = None
+) -> Optimum:
+    """The chromosome of least mean absolute error for columns (n, p) and torque (n,), N m, unbounded.
+
+    Any n, any p up to 8 or so; rows may be tied or repeated, columns zero or collinear, n less than p.
+    near: genes (p,) that are thought to be close to it, SI: the closer they are, the sooner it is found.
+    Raises ValueError where the data are not finite, not of equal length or empty, RuntimeError where no certificate
+    could be reached.
+    """
+    check(columns, torque)
+    sizes = np.abs(columns.T, order="C")
+    scale, extent = sizes.max(axis=1), sizes.sum(axis=1)
+    scale[scale == 0.0] = extent[extent == 0.0] = 1.0
+    size = float(np.mean(np.abs(torque))) or 1.0
+    rows, kept = _whiten(columns, scale)
+    if not kept.size:
+        return Optimum(np.zeros(len(scale)), float(np.mean(np.abs(torque))), 0.0, False, resolution(torque))
+    target = torque / size
+    start = target if near is None else _times(columns, near) / size
+    best: Optimum | None = None
+    for amount in _PERTURBATIONS:
+        moved = target + amount * np.random.default_rng(0).uniform(-1.0, 1.0, len(torque)) if amount else target
+        basis = _solve(rows, moved, weighted_sum(rows, start) / len(rows), close=near is not None)
+        if basis is None:
+            continue
+        # the perturbation ends here: the vertex is that of the data as they are
+        genes = np.zeros(len(scale))
+        genes[kept] = np.linalg.solve(columns[np.ix_(basis, kept)] / scale[kept], target[basis])
+        signs = _signs(rows, target, moved, basis)
+        optimum = _certify(columns, torque, genes * size / scale, basis, signs, scale=scale, extent=extent)
+        if best is None or optimum.certificate < best.certificate:
+            best = optimum
+        if best.certificate <= _PROVEN:
+            break
+    if best is None:
+        raise RuntimeError("no optimal vertex was found: the columns are too nearly collinear")
+    return best
+
+
+def _signs(
+    rows: NDArray[np.float64], torque: NDArray[np.float64], moved: NDArray[np.float64], basis: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """The sign (n,) of each residual; where it is zero to rounding, of the moved torque's; in the basis 0."""
+    inverse = np.linalg.inv(rows[basis])
+    point, extent = inverse @ torque[basis], np.abs(inverse) @ np.abs(torque[basis])
+    residual = torque - _times(rows, point)
+    # entries that cancel to zero have an error too: bounded by the rows' length, not by the entries
+    rounding = _ROUNDING * (np.abs(torque) + _times(np.abs(rows), np.ones(len(basis))) * float(extent.max()))
+    tied = np.abs(residual) <= rounding
+    signs = np.sign(residual)
+    signs[tied] = np.sign(moved[tied] - _times(rows[tied], inverse @ moved[basis]))
+    signs[basis] = 0.0
+    return signs
+
+
+def _certify(
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    genes: NDArray[np.float64],
+    basis: NDArray[np.int64],
+    signs: NDArray[np.float64],
+    *,
+    scale: NDArray[np.float64],
+    extent: NDArray[np.float64],
+) -> Optimum:
+    """The optimum with its proof, from the signs (n,) of the residuals outside the basis.
+
+    scale and extent: the largest and the sum of each column's sizes (p,), 1 where it is all zero.
+    """
+    residual = torque - _times(columns, genes)
+    needed = -np.linalg.lstsq((columns[basis] / scale).T, weighted_sum(columns, signs) / scale, rcond=None)[0]
+    signs[basis] = np.clip(needed, -1.0, 1.0)
+    violation = np.abs(weighted_sum(columns, signs)) / extent
+    full = len(basis) == columns.shape[1]
+    return Optimum(
+        genes=genes,
+        fitness=float(np.mean(np.abs(residual))),
+        certificate=float(violation.max()),
+        unique=full and bool(np.all(np.abs(needed) < 1.0 - 1e-9)),
+        floor=resolution(torque),
+    )
+
+
+def _whiten(columns: NDArray[np.float64], scale: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Independent columns made orthogonal, each of length sqrt(n): rows (n, r), and which columns they span.
+
+    Gram-Schmidt with column exchange, each column cleaned twice. The rank is revealed by what is left of a column.
+    scale: the largest size in each column (p,), which keeps squares in range.
+    """
+    work = np.divide(columns.T, scale[:, None], order="C")
+    lengths = np.sqrt(np.einsum("kn,kn->k", work, work))
+    work /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    order = np.arange(len(work))
+    rank = 0
+    while rank < min(columns.shape):
+        left = np.einsum("kn,kn->k", work[rank:], work[rank:])
+        pivot = rank + int(np.argmax(left))
+        if not np.sqrt(left.max()) > _RANK:
+            break
+        if pivot != rank:
+            work[[rank, pivot]], order[[rank, pivot]] = work[[pivot, rank]], order[[pivot, rank]]
+        for j in range(rank):
+            work[rank] -= np.einsum("n,n", work[j], work[rank]) * work[j]
+        work[rank] /= np.sqrt(np.einsum("n,n", work[rank], work[rank]))
+        for j in range(rank + 1, len(work)):
+            work[j] -= np.einsum("n,n", work[rank], work[j]) * work[rank]
+        rank += 1
+    return np.multiply(work[:rank].T, np.sqrt(len(columns)), order="C"), order[:rank]
+
+
+def _solve(
+    rows: NDArray[np.float64], torque: NDArray[np.float64], start: NDArray[np.float64], *, close: bool = False
+) -> NDArray[np.int64] | None:
+    """The optimal basis of all rows (n, r), looked for from the point start (r,); None where the descent stalls.
+
+    close: whether the optimum is thought to be as near to the start as it would be to that of other such rows.
+    """
+    n, r = rows.shape
+    if close and (found := _bracketed(rows, torque, start, n)) is not None:
+        return found
+    if n <= _DIRECT:
+        return _descend(rows, torque, np.zeros(r), start)[1]
+    step = max(n // max(_DIRECT, n // 16), 2)
+    count = n // step
+    # one row at random out of every `step`: a fixed stride could beat with a periodic excitation
+    sample = np.arange(count) * step + np.random.default_rng(1).integers(0, step, count)
+    basis = _solve(rows[sample], torque[sample], start)
+    if basis is None:
+        return None
+    return _bracketed(rows, torque, np.linalg.solve(rows[sample][basis], torque[sample][basis]), count)
+
+
+def _bracketed(
+    rows: NDArray[np.float64], torque: NDArray[np.float64], centre: NDArray[np.float64], count: int
+) -> NDArray[np.int64] | None:
+    """The optimal basis, looked for around the centre (r,), which is as good as an estimate from `count` rows."""
+    r = len(centre)
+    residual = torque - _times(rows, centre)
+    reach = 4.0 * float(np.mean(np.abs(residual))) * np.sqrt(r / count)
+    lengths = np.sqrt(_times(rows**2, np.ones(r)))
+    while True:
+        # within `reach` of the centre these rows keep their sign (Cauchy-Schwarz): together they are one linear term
+        settled = np.abs(residual) > reach * lengths
+        pull = weighted_sum(rows, np.where(settled, np.sign(residual), 0.0))
+        open_rows = np.flatnonzero(~settled)
+        status, found = _descend(rows[open_rows], torque[open_rows], pull, centre)
+        if status == STALLED:
+            return None
+        if found is not None:
+            basis = open_rows[found]
+            if (
+                _is_vertex(rows[basis])
+                and np.linalg.norm(np.linalg.solve(rows[basis], torque[basis]) - centre) <= reach
+            ):
+                return basis
+        if not settled.any():
+            return None
+        reach = 4.0 * max(reach, 1e-300)
+
+
+def _is_vertex(basis: NDArray[np.float64]) -> bool:
+    """Whether the rows (r, r) of a basis are independent: the few that a bracket leaves open need not be."""
+    return bool(np.linalg.cond(basis) < 1.0 / _RANK)
+
+
+def _times(rows: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    return product(rows, vector[:, None])[:, 0]
+
+
+def _descend(
+    rows: NDArray[np.float64], torque: NDArray[np.float64], pull: NDArray[np.float64], start: NDArray[np.float64]
+) -> tuple[int, NDArray[np.int64] | None]:
+    basis = np.empty(rows.shape[1], np.int64)
+    status = descend(np.ascontiguousarray(rows), torque, pull, start, basis)
+    return status, basis if status == OPTIMAL else None

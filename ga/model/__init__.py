@@ -1,0 +1,1 @@
+"""The coupling models and their terms."""

@@ -1,0 +1,1 @@
+"""Independent trials, their checkpoint, and the search over nonlinear parameters."""

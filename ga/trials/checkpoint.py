@@ -1,0 +1,94 @@
+"""The state of a long run of trials on disk, so that it can go on where it was cut short.
+
+One NumPy archive (.npz, no pickles), replaced as a whole: a reader sees the old state or the new one. Beside the
+populations it holds what they belong to, and a run with other data, bounds, settings, seed or number of trials is
+refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from dataclasses import asdict
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ga.evolution.population import Population
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from ga.bounds import Bounds
+    from ga.evolution.evolution import Settings
+
+
+class WrongCheckpoint(ValueError):
+    """A checkpoint that cannot be gone on from: of another run, or not one at all."""
+
+
+class State(NamedTuple):
+    """Of every trial, its population and its record: the best fitness, N m, at each point of the history so far."""
+
+    populations: list[Population]
+    records: NDArray[np.float64]
+
+
+def belonging(
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    *,
+    bounds: Bounds,
+    settings: Settings,
+    seed: int,
+    trials: int,
+) -> dict[str, str]:
+    """What a run is of, each as a text that differs when it does."""
+    data = hashlib.sha256(str(columns.shape).encode())
+    for array in (columns, torque):
+        data.update(np.ascontiguousarray(array).data)
+    return {
+        "data": data.hexdigest(),
+        "bounds": json.dumps([bounds.low.tolist(), bounds.high.tolist()]),
+        "settings": json.dumps(asdict(settings), sort_keys=True),
+        "seed": str(seed),
+        "number of trials": str(trials),
+    }
+
+
+def save(path: Path, belongs: dict[str, str], state: State) -> None:
+    """Write the state, replacing what is there in one step. Raises OSError."""
+    arrays = {
+        field: np.stack([getattr(population, field) for population in state.populations])
+        for field in Population._fields
+    }
+    draft = path.with_name(path.name + ".tmp")
+    with draft.open("wb") as file:
+        np.savez(file, records=state.records, belongs=np.array(json.dumps(belongs)), **arrays)  # type: ignore[arg-type]
+        file.flush()
+        os.fsync(file.fileno())
+    draft.replace(path)
+
+
+def load(path: Path, belongs: dict[str, str]) -> State:
+    """The state in a file. Raises WrongCheckpoint where it is of another run or none, OSError as opening does."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            found = json.loads(str(archive["belongs"]))
+            arrays = [archive[field] for field in Population._fields]
+            records = archive["records"]
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise WrongCheckpoint(
+            f"{path} is not a checkpoint of a search, or a damaged one: name another file, or remove it"
+        ) from error
+    differing = [what for what, text in belongs.items() if found.get(what) != text]
+    if differing:
+        raise WrongCheckpoint(
+            f"{path} is the checkpoint of another run, with different {', '.join(differing)}: "
+            "run it as it was begun, or remove it to begin anew"
+        )
+    return State([Population(*parts) for parts in zip(*arrays, strict=True)], records)

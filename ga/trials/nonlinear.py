@@ -1,0 +1,122 @@
+"""Many independent searches for the shape of a model, the linear parameters solved for exactly inside.
+
+Each runs the `default` scheme on some hundred rows, where a shape costs a fraction of a millisecond, until its
+population has gathered in one valley, and goes down that by descent, on more rows and then on all: trials that end in
+different valleys differ, others hardly.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from ga.bounds import Bounds
+from ga.evolution.ask_tell import Search
+from ga.evolution.evolution import Settings
+from ga.model.separable import FEW, Fit, Problem, attempted, by_compass, descend
+from ga.trials.trials import History, Trials
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_TOLERANCE: Final = 1e-3
+"""Spread of the population's fitness at which it has gathered in one valley."""
+
+_POLL: Final = 0.1
+
+
+@dataclass(eq=False)
+class _Trial:
+    """One search under way. record: the best fitness, N m, of each generation. seconds: of its thread's processor."""
+
+    search: Search
+    record: list[float] = field(default_factory=list)
+    fit: Fit | None = None
+    seconds: float = 0.0
+
+
+def search_shapes(
+    problem: Problem,
+    settings: Settings,
+    *,
+    trials: int,
+    seed: int,
+    workers: int,
+    progress: Callable[[float], None] | None = None,
+) -> Trials:
+    """Search `trials` times for the shape of the problem's model; genes are all its parameters, (p + q,).
+
+    The result does not depend on `workers`. Ctrl-C ends the searches where they are: what is found so far is returned.
+    Raises ValueError for settings that are not of the generational scheme.
+    """
+    thin = problem.thinned(FEW)
+    bounds = Bounds(problem.low, problem.high)
+    settings = replace(settings, tolerance=max(settings.tolerance or 0.0, _TOLERANCE))
+    seeds = np.random.SeedSequence([seed, trials]).generate_state(trials, np.uint32)
+    running = [_Trial(Search(bounds, settings, seed=int(number))) for number in seeds]
+    cancelled = threading.Event()
+    with ThreadPoolExecutor(min(workers, trials)) as pool:
+        futures = [pool.submit(_run, trial, problem, thin, cancelled) for trial in running]
+        try:
+            _watch(futures, progress)
+        except KeyboardInterrupt:
+            pass  # said by the trials that are not finished
+        finally:
+            cancelled.set()
+    begun = [trial for trial in running if trial.record]
+    _polish([trial for trial in begun if trial.fit is not None], problem)
+    return _outcome(begun, problem)
+
+
+def _polish(finished: list[_Trial], problem: Problem) -> None:
+    """The lowest place of the best trial's valley."""
+    if finished:
+        best = min(finished, key=lambda trial: trial.fit.fitness if trial.fit else np.inf)
+        best.fit = best.fit and by_compass(problem, best.fit)
+
+
+def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None) -> None:
+    pending: set[Future[None]] = set(futures)
+    while pending:
+        done, pending = wait(pending, timeout=_POLL)
+        for future in done:
+            future.result()
+        if progress is not None:
+            progress(1.0 - len(pending) / len(futures))
+
+
+def _run(trial: _Trial, problem: Problem, thin: Problem, cancelled: threading.Event) -> None:
+    search, near, began = trial.search, None, time.thread_time()
+    while not search.done:
+        if cancelled.is_set():
+            break
+        shapes = search.ask()
+        fits = [attempted(thin, shape, near) for shape in shapes]
+        near = min((fit for fit in (*fits, near) if fit), key=lambda fit: fit.fitness, default=None)
+        search.tell(shapes, [fit.fitness if fit else np.inf for fit in fits])
+        trial.record.append(search.best_fitness)
+    if search.done:
+        some = problem.thinned()
+        trial.fit = by_compass(problem, descend(problem, by_compass(some, descend(some, search.best)).shape))
+    trial.seconds = time.thread_time() - began
+
+
+def _outcome(running: list[_Trial], problem: Problem) -> Trials:
+    fits = [trial.fit or problem.solve(trial.search.best) for trial in running]
+    last = max(len(trial.record) for trial in running)
+    record = np.array([trial.record + [trial.record[-1]] * (last - len(trial.record)) for trial in running])
+    return Trials(
+        genes=np.stack([fit.values for fit in fits]),
+        fitness=np.array([fit.fitness for fit in fits]),
+        evaluations=sum(trial.search.evaluations for trial in running),
+        made=sum(trial.search.evaluations for trial in running),
+        processor_seconds=sum(trial.seconds for trial in running),
+        generations=np.array([len(trial.record) for trial in running], dtype=np.int64),
+        history=History(np.arange(last), record),
+        finished=np.array([trial.fit is not None for trial in running]),
+    )

@@ -1,0 +1,304 @@
+"""The control loop: drive the motor through a profile, tick by tick, and write every sample.
+
+A tick is one `exchange`. A reply that is lost is a counted gap; everything else that goes wrong ends the run. However
+it ends, the torque is off before anything else is done, and what was recorded becomes a file.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from statistics import fmean, median
+
+import numpy as np
+
+from drivers.servo import BadReply, Command, NoReply, Quantity, Sample, Servo, Status
+from hil.acquisition.excitation import Profile
+from hil.acquisition.guard import AtJoint, Guard
+from hil.acquisition.interrupt import StopRequest
+from hil.acquisition.setpoints import SetPoints
+from hil.errors import WrongUse
+from hil.recording.writer import PartFile, Row
+from hil.stand.file import Stand
+
+_REST_SAMPLES = 16  # averaged for the zero of the deflection
+_REST_TRIES = 100
+_TOO_LONG = 1.5  # periods that an answer at rest may take; some drives answer sooner once they are armed
+_RAMP_DOWN = 0.1  # s; a first request to stop lets the cable down over this long
+_BLOCK = 512  # set-points computed at a time
+_OFF_TRIES, _OFF_PAUSE = 20, 0.05  # times that the torque-off is asked for, s between two
+
+
+class _StopAsked(Exception):
+    """A request to stop came before anything was driven."""
+
+
+@dataclass(frozen=True, slots=True)
+class Zero:
+    """Where the axis rests before anything is commanded: motor and joint, rad; joint 0 where it has no sensor."""
+
+    motor: float
+    joint: float
+    has_joint: bool
+
+
+@dataclass(slots=True)
+class Outcome:
+    """How a run went.
+
+    error: what ended it early, None where it ran to its end or was stopped on request. signal: the one that asked.
+    alarm: what people must be told first, where the torque may still be on; "" otherwise.
+    """
+
+    samples: int = 0
+    lost: int = 0
+    late: int = 0
+    saturated: int = 0
+    end_reason: str = "done"
+    signal: int = 0
+    error: BaseException | None = None
+    alarm: str = ""
+
+
+def tick_count(profile: Profile, rate: float) -> int:
+    """Rows that a run of `profile` at `rate` Hz has."""
+    return round(profile.duration * rate) + 1
+
+
+class Recorder:
+    """One run on an open servo. Set-points are at the joint, in N m or rad; what is sent is at the motor shaft."""
+
+    def __init__(self, stand: Stand, servo: Servo, profile: Profile, rate: float, part: PartFile) -> None:
+        limits = stand.checked_limits()
+        self._stand = stand.stand
+        self._motor_limits = stand.motor_limits
+        self._servo = servo
+        self._profile = profile
+        self._rate = rate
+        self._part = part
+        # a profile of torque swings by twice its amplitude; in a profile of position the limit is what is known
+        by_torque = profile.quantity is Quantity.TORQUE
+        self._guard = Guard(limits, moves=profile.amplitude if by_torque else 0.5 * limits.torque)
+        self._outcome = Outcome()
+        self._start = math.nan
+        self._off_asked = False
+        self._trouble: BaseException | None = None
+
+    def run(self, stop: StopRequest) -> Outcome:
+        """Record until the profile's end, a request to stop or a fault. The servo is disarmed on return.
+
+        Never raises: the outcome holds what went wrong, since what was recorded is still to be kept.
+        """
+        outcome = self._outcome
+        try:
+            self._record(stop)
+        except _StopAsked:
+            self._stopped(stop)
+        except BaseException as error:  # noqa: BLE001 - whatever it is, the torque goes off and the data is kept
+            outcome.error = error
+            outcome.end_reason = f"{type(error).__name__}: {error}"
+        finally:
+            if not self._off_asked:  # nothing was driven, or the torque-off itself was interrupted
+                self._torque_off()
+        outcome.samples = len(self._part)
+        self._note_end()
+        return outcome
+
+    def _record(self, stop: StopRequest) -> None:
+        with SetPoints(self._part.path.parent) as set_points:
+            for times in self._times():
+                _heed(stop)
+                set_points.extend(self._profile.at(times))
+            zero = self._find_zero(stop)
+            limits = self._motor_limits(zero.motor)
+            with _quiet_collector():
+                _heed(stop)
+                try:
+                    self._servo.arm(limits)
+                    self._loop(set_points, zero, stop)
+                finally:  # before anything else, which might take its time
+                    self._torque_off()
+
+    def _times(self) -> Iterator[np.ndarray[tuple[int], np.dtype[np.float64]]]:
+        count = tick_count(self._profile, self._rate)
+        for first in range(0, count, _BLOCK):
+            yield np.arange(first, min(first + _BLOCK, count)) / self._rate
+
+    def _find_zero(self, stop: StopRequest) -> Zero:
+        """Read the axis at rest, without driving it.
+
+        Raises NoReply where it does not answer, BadReply where it does not say what is needed, WrongUse where a tick
+        is too short for it, LimitReached where it is too warm.
+        """
+        found = self._at_rest(stop)
+        motor = _mean(sample.motor_position for sample in found)
+        joint = _mean(sample.joint_position for sample in found)
+        if not math.isfinite(motor):
+            raise BadReply("the drive reports no position: a deflection cannot be recorded")
+        zero = Zero(motor, joint if math.isfinite(joint) else 0.0, math.isfinite(joint))
+        seen = [self._at_joint(sample, zero) for sample in found]
+        if not any(math.isfinite(at_joint.torque) for at_joint in seen):
+            source = self._stand.torque_source
+            raise BadReply(f"the stand file says torque_source = {source!r}, but no torque is reported there")
+        self._guard.check_start(found, seen)
+        return zero
+
+    def _at_rest(self, stop: StopRequest) -> list[Sample]:
+        found: list[Sample] = []
+        took: list[float] = []
+        clock = self._servo.clock
+        begin = clock.now()
+        for attempt in range(_REST_TRIES):
+            clock.sleep_until(begin + attempt / self._rate)
+            _heed(stop)
+            asked = clock.now()
+            try:
+                found.append(self._servo.exchange(Command.rest()))
+            except (NoReply, BadReply):
+                continue
+            took.append(clock.now() - asked)
+            if len(found) == _REST_SAMPLES:
+                break
+        else:
+            raise NoReply(f"{len(found)} replies to {_REST_TRIES} requests: check power, cable, id and baud rate")
+        if median(took) > _TOO_LONG / self._rate:
+            raise WrongUse(
+                f"--rate {self._rate:g}: this servo takes {median(took) * 1e3:.3g} ms to answer, so it can be asked at "
+                f"most {1.0 / median(took):.0f} times a second: lower the rate"
+            )
+        return found
+
+    def _loop(self, set_points: Iterable[float], zero: Zero, stop: StopRequest) -> None:
+        clock = self._servo.clock
+        period = 1.0 / self._rate
+        self._start = clock.now() + period
+        stopping_at = math.inf
+        for seq, set_point in enumerate(set_points):
+            due = seq * period
+            clock.sleep_until(self._start + due)
+            if stop.count and math.isinf(stopping_at):
+                stopping_at = due
+                self._stopped(stop)
+                self._part.event(due, "stop-requested", f"signal {stop.number}")
+            left = min(1.0, 1.0 - (due - stopping_at) / _RAMP_DOWN) if math.isfinite(stopping_at) else 1.0
+            if left <= 0.0 or stop.count > 1:
+                return
+            self._tick(seq, due, set_point * left, zero)
+
+    def _stopped(self, stop: StopRequest) -> None:
+        self._outcome.end_reason = "stopped on request"
+        self._outcome.signal = stop.number
+
+    def _tick(self, seq: int, due: float, set_point: float, zero: Zero) -> None:
+        try:
+            sample = self._servo.exchange(self._command(set_point, zero))
+        except (NoReply, BadReply) as error:
+            status = Status.BAD_REPLY if isinstance(error, BadReply) else Status.NO_REPLY
+            sample = Sample.missing(self._start + due, status)
+            self._outcome.lost += 1
+            self._part.append(self._row(seq, due, set_point, sample, AtJoint()))
+            self._guard.check_silence(self._servo.clock.now())
+            return
+        at_joint = self._at_joint(sample, zero)
+        self._part.append(self._row(seq, due, set_point, sample, at_joint))
+        self._guard.check(sample, at_joint)
+
+    def _at_joint(self, sample: Sample, zero: Zero) -> AtJoint:
+        ratio = self._stand.gear_ratio
+        joint = sample.joint_position if zero.has_joint else 0.0
+        return AtJoint(
+            torque=sample.joint_torque if self._stand.torque_source == "joint" else sample.motor_torque * ratio,
+            dtheta=(sample.motor_position - zero.motor) / ratio - (joint - zero.joint),
+            dtheta_dot=sample.motor_velocity / ratio,
+        )
+
+    def _command(self, set_point: float, zero: Zero) -> Command:
+        ratio = self._stand.gear_ratio
+        if self._profile.quantity is Quantity.TORQUE:
+            return Command(Quantity.TORQUE, set_point / ratio)
+        return Command(Quantity.POSITION, zero.motor + set_point * ratio)
+
+    def _row(self, seq: int, due: float, set_point: float, sample: Sample, at_joint: AtJoint) -> Row:
+        sent = sample.t - self._start
+        status = sample.status
+        if sent - due > 0.5 / self._rate:
+            status |= Status.LATE
+            self._outcome.late += 1
+        if status & Status.SATURATED:
+            self._outcome.saturated += 1
+        return (
+            seq,
+            sent,
+            set_point,
+            *at_joint,
+            sample.motor_position,
+            sample.motor_velocity,
+            sample.motor_torque,
+            sample.joint_position,
+            sample.joint_torque,
+            sample.t_read - self._start,
+            sample.t_joint - self._start,
+            sample.temperature,
+            int(status),
+        )
+
+    def _torque_off(self) -> None:
+        """Ask for it until the drive confirms it, about a second long; nothing that is raised ends this early."""
+        trouble: BaseException | None = None
+        for _ in range(_OFF_TRIES):
+            try:
+                self._servo.disarm()
+            except BaseException as error:  # noqa: BLE001 - a live motor is worse than anything this could be
+                trouble = error
+            else:
+                break
+            try:
+                self._servo.clock.sleep_until(self._servo.clock.now() + _OFF_PAUSE)
+            except BaseException as error:  # noqa: BLE001 - the same
+                trouble = error
+        else:
+            self._outcome.alarm = f"CUT THE POWER: the torque-off is not confirmed ({trouble})"
+        if self._outcome.alarm or not isinstance(trouble, Exception | None):
+            self._trouble = trouble
+        self._off_asked = True
+
+    def _note_end(self) -> None:
+        """Say in the recording what ended it. The run is over: nothing that fails here is worth more than its data."""
+        outcome = self._outcome
+        outcome.error = outcome.error or self._trouble
+        if outcome.alarm:
+            outcome.end_reason = f"{outcome.end_reason}; {outcome.alarm}"
+        if outcome.error is None:
+            return
+        try:
+            since = self._servo.clock.now() - self._start if math.isfinite(self._start) else 0.0
+            self._part.event(since, type(outcome.error).__name__, outcome.end_reason)
+        except Exception as error:  # noqa: BLE001 - the same
+            outcome.end_reason += f"; {error}"
+
+
+def _heed(stop: StopRequest) -> None:
+    if stop.count:
+        raise _StopAsked
+
+
+def _mean(values: Iterable[float]) -> float:
+    """The mean of those that are numbers, NaN where none is."""
+    numbers = [value for value in values if math.isfinite(value)]
+    return fmean(numbers) if numbers else math.nan
+
+
+@contextmanager
+def _quiet_collector() -> Iterator[None]:
+    """No garbage collection inside the loop: a full one can stop it for 100 ms."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()

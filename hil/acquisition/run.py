@@ -1,0 +1,115 @@
+"""One run, from a free place on disk to a finished file: the stand, the servo, the recorder and the store together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from drivers.servo import Servo
+from hil.acquisition.excitation import Profile
+from hil.acquisition.interrupt import StopRequest
+from hil.acquisition.live_view import beside
+from hil.acquisition.recorder import Outcome, Recorder, tick_count
+from hil.errors import WrongUse
+from hil.recording.output import Taken, check_part, check_target, give_up, next_free
+from hil.recording.writer import Header, PartFile
+from hil.stand.devices import check_backend
+from hil.stand.file import Stand, open_servo
+
+_FOLDER = Path("recordings")
+
+
+def run(
+    stand: Stand,
+    profile: Profile,
+    *,
+    rate: float,
+    seed: int,
+    realtime: bool = False,
+    note: str = "",
+    command_line: str = "",
+    output: Path | None = None,
+    force: bool = False,
+    alarm: Callable[[str], object] | None = None,
+) -> tuple[Path, Outcome]:
+    """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
+
+    The servo is closed, and the torque off, however it ends; the outcome says how that was, and the path is where the
+    data is. force: overwrite, and give up an unfinished recording of that name. seed: of the simulator. alarm: told at
+    once, before the file is made final, where the torque may still be on.
+    Raises WrongUse before anything moves, DriverError where the servo cannot be opened.
+    """
+    check_backend(stand.stand.backend)
+    if output is not None:
+        check_target(output, force=force)
+        if not force:
+            check_part(output)
+    with StopRequest().listening() as stop:
+        servo, truth = open_servo(stand, quantity=profile.quantity, seed=seed, realtime=realtime)
+        outcome = Outcome()
+        try:
+            header = Header(
+                profile=profile.attributes() | {"rate": rate},
+                stand_toml=stand.text,
+                truth=truth,
+                seed=seed,
+                operator_note=note,
+                command_line=command_line,
+            )
+            part = _claim(output, header, tick_count(profile, rate), force=force)
+            try:
+                with beside(part.path):
+                    outcome = Recorder(stand, servo, profile, rate, part).run(stop)
+            except BaseException:
+                _leave(part)
+                raise
+        finally:
+            _let_go(servo, outcome)
+        if outcome.alarm and alarm is not None:
+            alarm(outcome.alarm)
+        return _keep(part, outcome), outcome
+
+
+def _claim(output: Path | None, header: Header, length: int, *, force: bool) -> PartFile:
+    """The `.part` of a new recording, under a name that nobody else takes at the same time."""
+    if output is not None:
+        if force:
+            give_up(output)
+        return PartFile(output, header, length)
+    while True:
+        path = next_free(_FOLDER)
+        try:
+            part = PartFile(path, header, length)
+        except Taken:
+            continue
+        if not path.exists():
+            return part
+        part.discard()  # another recorder began and ended under this name since we looked
+
+
+def _leave(part: PartFile) -> None:
+    with part:
+        if not len(part):
+            part.discard()
+
+
+def _let_go(servo: Servo, outcome: Outcome) -> None:
+    try:
+        servo.close()
+    except BaseException as error:  # noqa: BLE001 - the data of a run outlives a fault of its driver
+        outcome.error = outcome.error or error
+
+
+def _keep(part: PartFile, outcome: Outcome) -> Path:
+    """Make the recording final; where it then is. What fails is in the outcome: the rows are safe in the `.part`."""
+    try:
+        with part:
+            if len(part):
+                return part.finish(outcome.end_reason)
+            part.discard()
+    except Exception as error:  # noqa: BLE001 - whatever it is, people must learn where their data is
+        problem = WrongUse(f"{error}\nThe run itself is safe: hil recover {part.path} -o OTHER.h5")
+        problem.__cause__ = error
+        outcome.error = outcome.error or problem
+        return part.path if part.path.exists() else part.final
+    return part.final

@@ -1,0 +1,90 @@
+"""The commands of `hil`, and the exit status of each."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from typing import Any, NoReturn, cast
+
+import typer
+
+from hil.cli.compare import compare
+from hil.cli.demo import demo, replicate
+from hil.cli.design import design
+from hil.cli.doctor import doctor
+from hil.cli.emulate import emulate
+from hil.cli.files import export_data, import_data, inspect, recover
+from hil.cli.identify import identify
+from hil.cli.record import record
+from hil.cli.stand import stand
+from hil.cli.terminal import DONE, INTERRUPTED, LIMIT_REACHED, STAND_FAILED, UNTRUSTWORTHY, WRONG_USE, say
+from hil.errors import Untrustworthy, WrongUse
+
+app = typer.Typer(
+    name="hil",
+    help=(
+        "Record a robot-hand joint against its locked output, identify the stiffness and damping of its coupling. "
+        "--debug anywhere shows the traceback of an error."
+    ),
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+_UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # what typer raises for wrong words and does not name
+
+app.command()(record)
+app.command()(identify)
+app.command()(compare)
+app.command()(inspect)
+app.command("import")(import_data)
+app.command("export")(export_data)
+app.command()(recover)
+app.command()(demo)
+app.command()(replicate)
+app.command()(design)
+app.command()(emulate)
+app.command()(doctor)
+app.add_typer(stand, name="stand")
+
+
+def main() -> NoReturn:
+    """Run the command line and exit with its status."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(words: list[str]) -> int:
+    """Run the words of a command; its exit status. A traceback is shown only where "--debug" is among them."""
+    try:
+        answer = app([word for word in words if word != "--debug"], standalone_mode=False)
+    except _UsageError as error:
+        cast("Any", error).show()
+        return WRONG_USE
+    except typer.Exit as error:
+        return error.exit_code
+    except (typer.Abort, KeyboardInterrupt):
+        say("interrupted")
+        return INTERRUPTED
+    except Exception as error:  # noqa: BLE001 - the last line of defence: every error becomes a sentence and a status
+        if "--debug" in words:
+            traceback.print_exc()
+        say(f"hil: {error}")
+        return _status_of(error)
+    return answer if isinstance(answer, int) else DONE
+
+
+def _status_of(error: Exception) -> int:
+    from drivers.servo import DriverError
+    from hil.acquisition.guard import LimitReached
+
+    if isinstance(error, WrongUse):
+        return WRONG_USE
+    if isinstance(error, LimitReached):
+        return LIMIT_REACHED
+    if isinstance(error, DriverError):
+        return STAND_FAILED
+    if not isinstance(error, Untrustworthy):
+        say("this is a fault in hil itself: run it again with --debug and report what it prints")
+    return UNTRUSTWORTHY

@@ -1,0 +1,82 @@
+"""`hil doctor`: ports, CAN interfaces and the drive of a stand."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hil.cli.terminal import STAND_FAILED, Json, out, print_json
+from hil.errors import WrongUse
+
+if TYPE_CHECKING:
+    from drivers.ports import Port
+    from hil.doctor.checks import Check, Examination
+
+
+def doctor(
+    stand: Annotated[Path | None, typer.Argument(help="The stand file; without it, ports and CAN interfaces.")] = None,
+    move: Annotated[bool, typer.Option("--move", help="Move the motor a little: checks signs and the lock.")] = False,
+    amplitude: Annotated[float | None, typer.Option(help="Of --move: N m or rad at the joint; 1/20 limit.")] = None,
+    quantity: Annotated[str, typer.Option(help="What is commanded: torque or position.")] = "torque",
+    rate: Annotated[float, typer.Option(min=1.0, max=10_000.0, help="Hz that the link is to manage.")] = 500.0,
+    as_json: Json = False,
+) -> None:
+    """Look at ports and CAN interfaces, and with a stand file at the drive: what is wrong and how to mend it.
+
+    With a stand file the drive is connected, listened to for a second, armed at zero torque and stopped again.
+    """
+    from drivers.ports import can_interfaces, serial_ports
+    from drivers.servo import Quantity
+    from hil.doctor.checks import Examination
+    from hil.doctor.examine import examine
+    from hil.stand.file import load
+
+    if quantity not in set(Quantity):
+        raise WrongUse(f"unknown --quantity {quantity!r}: known are torque, position")
+    if amplitude is not None and not amplitude > 0.0:
+        raise WrongUse(f"--amplitude {amplitude:g}: it must be above 0")
+    opened = None if stand is None else load(stand)
+    ports, interfaces = serial_ports(), can_interfaces()
+    found = Examination()
+    if not as_json:
+        _print_ports("serial port", ports)
+        _print_ports("CAN interface", interfaces)
+        found.tell = _print_check
+    if opened is not None:
+        examine(found, opened, Quantity(quantity), rate=rate, move=move, amplitude=amplitude)
+    if as_json:
+        print_json(_as_json(found, {"serial": ports, "can": interfaces}))
+    if found.signal:
+        raise typer.Exit(128 + found.signal)
+    if not found.ok:
+        raise typer.Exit(STAND_FAILED)
+
+
+def _print_ports(kind: str, ports: list[Port]) -> None:
+    if not ports:
+        out(f"no {kind} is seen")
+    for port in ports:
+        out(f"{kind} {port.name}" + (f" ({port.described})" if port.described else ""))
+        if port.problem:
+            out(f"    problem: {port.problem}")
+
+
+def _print_check(check: Check) -> None:
+    out(f"{check.verdict:11} {check.name}: {check.message}")
+
+
+def _as_json(found: Examination, ports: dict[str, list[Port]]) -> dict[str, Any]:
+    info = None if found.info is None else asdict(found.info) | {"quantities": sorted(found.info.quantities)}
+    if info is not None:
+        info = {key: None if value != value else value for key, value in info.items()}  # noqa: PLR0124 - JSON has no NaN
+    return {
+        "schema": "hil-doctor/1",
+        "ok": found.ok,
+        "ports": {kind: [asdict(port) for port in listed] for kind, listed in ports.items()},
+        "drive": info,
+        "bus": None if found.bus is None else asdict(found.bus),
+        "checks": [asdict(check) for check in found.checks],
+    }

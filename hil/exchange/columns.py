@@ -1,0 +1,141 @@
+"""Named columns out of other people's files: CSV, Parquet, MATLAB."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+from hil.exchange import delimited, matlab
+from hil.exchange.row_filter import Condition
+from hil.exchange.units import split
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+def titles(source: Path) -> list[str]:
+    """The columns that a file has, in order. Raises WrongUse for a file that cannot be read."""
+    if source.suffix.lower() in _FILES:
+        return list(_columns(source))
+    return delimited.titles(source)
+
+
+def place(source: Path, known: Sequence[str], name: str) -> int:
+    """Where the column `name` stands among a file's titles; "tau" also finds "tau [mN m]". Raises WrongUse."""
+    for candidates in (list(known), [split(title)[0] for title in known]):
+        if candidates.count(name) > 1:
+            raise WrongUse(f"{source} has {candidates.count(name)} columns named {name!r}: rename all but one")
+        if name in candidates:
+            return candidates.index(name)
+    near = get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    if known and all(_is_number(title) for title in known):
+        hint = "its first line holds numbers: write the columns' names above them; "
+    raise WrongUse(f"{source} has no column {name!r}; {hint}it has {', '.join(known)}")
+
+
+def read(source: Path, wanted: Sequence[str], where: Sequence[Condition]) -> tuple[Array, Rows]:
+    """The columns `wanted`, named as `place` finds them, of the rows that meet every condition.
+
+    The result is (columns, n) and the rows' numbers in the file. Raises WrongUse for what is wrong with the file, with
+    the row at fault, and where no row is left.
+    """
+    known = titles(source)
+    at = [place(source, known, name) for name in wanted]
+    tests = [(place(source, known, condition.column), condition) for condition in where]
+    table, rows = (
+        _read_whole(source, known, at, tests) if source.suffix.lower() in _FILES else delimited.read(source, at, tests)
+    )
+    if not len(rows):
+        what = "no row meets " + " and ".join(str(condition) for condition in where) if where else "it has no rows"
+        raise WrongUse(f"{source}: {what}")
+    return table, rows
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_whole(
+    source: Path, known: Sequence[str], wanted: Sequence[int], tests: Sequence[tuple[int, Condition]]
+) -> tuple[Array, Rows]:
+    columns = _columns(source)
+    numbers = {at: _numbers(source, known[at], columns[known[at]]()) for at in [*wanted, *(at for at, _ in tests)]}
+    lengths = {known[at]: len(values) for at, values in numbers.items()}
+    if len(set(lengths.values())) > 1:
+        said = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise WrongUse(f"{source}: columns of unequal length ({said}): name columns that belong together")
+    kept = np.ones(next(iter(lengths.values())), dtype=np.bool_)
+    for at, condition in tests:
+        kept &= condition.mask(numbers[at])
+    return np.stack([numbers[at][kept] for at in wanted]), np.flatnonzero(kept) + 1
+
+
+def _numbers(source: Path, name: str, values: Any) -> Array:
+    if np.asarray(values).dtype.kind not in "fiub":
+        raise WrongUse(f"{source}: column {name!r} does not hold numbers")
+    return np.asarray(values, dtype=np.float64)
+
+
+_Columns = Mapping[str, Callable[[], Any]]
+
+
+def _columns(source: Path) -> _Columns:
+    if not source.is_file():
+        raise WrongUse(f"{source} cannot be read: there is no such file")
+    return _FILES[source.suffix.lower()](source)
+
+
+def parquet(path: Path) -> ModuleType:
+    """pyarrow's Parquet module, which is optional. Raises WrongUse where it is not installed; `path` is why."""
+    try:
+        import pyarrow.parquet
+    except ImportError:
+        raise WrongUse(f"{path}: Parquet needs pyarrow: pip install 'hil[parquet]', or use CSV") from None
+    found: ModuleType = pyarrow.parquet
+    return found
+
+
+def _parquet(source: Path) -> _Columns:
+    module = parquet(source)
+    try:
+        file = module.ParquetFile(source)
+        names = list(file.schema_arrow.names)
+    except (OSError, ValueError) as error:  # pyarrow's own errors are of these two
+        raise WrongUse(f"{source} is not Parquet, or is cut off ({_first_line(error)})") from None
+
+    def reader(name: str) -> Callable[[], Any]:
+        def read_column() -> Any:
+            try:
+                return file.read(columns=[name]).column(name).to_numpy()
+            except (OSError, ValueError) as error:
+                raise WrongUse(f"{source}: column {name!r} is damaged ({_first_line(error)})") from None
+
+        return read_column
+
+    return {name: reader(name) for name in names}
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [""])[0]
+
+
+def _matlab(source: Path) -> _Columns:
+    def holder(values: Array) -> Callable[[], Array]:
+        return lambda: values
+
+    return {name: holder(values) for name, values in matlab.vectors(source).items()}
+
+
+_FILES: Mapping[str, Callable[[Path], _Columns]] = {".parquet": _parquet, ".pq": _parquet, ".mat": _matlab}

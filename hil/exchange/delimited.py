@@ -1,0 +1,175 @@
+"""CSV as people's programs write it: separators, byte-order marks, decimal commas; a sentence for what is wrong."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import math
+import re
+import zlib
+from array import array
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BufferedReader, TextIOWrapper
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+from hil.exchange.row_filter import Condition
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_SHOWN = 40  # characters of a bad cell that are quoted
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+
+
+def titles(source: Path) -> list[str]:
+    """The headings of the first line, in order. Raises WrongUse for a file that is no text."""
+    with _text(source) as text:
+        return _header(source, text)[0]
+
+
+def read(source: Path, wanted: Sequence[int], tests: Sequence[tuple[int, Condition]]) -> tuple[Array, Rows]:
+    """The columns at the places `wanted` of the rows that meet every condition, (columns, n), and their lines (n,).
+
+    Cells of rows that are left out are not looked at. An empty cell is NaN. Raises WrongUse with the row at fault.
+    """
+    kept = [array("d") for _ in wanted]
+    lines = array("q")
+    with _text(source) as text:
+        names, delimiter = _header(source, text)
+        reader = csv.reader(text, delimiter=delimiter)
+        cells = _Cells(source, names)
+        for row in _rows(source, reader):
+            if not row:
+                continue
+            line = reader.line_num + 1
+            if len(row) != len(names):
+                raise WrongUse(_unequal(source, line, row, names, delimiter))
+            if all(condition.holds(cells.number(line, at, row[at])) for at, condition in tests):
+                for column, at in zip(kept, wanted, strict=True):
+                    column.append(cells.number(line, at, row[at]))
+                lines.append(line)
+        cells.check_commas()
+    return np.array(kept, dtype=np.float64).reshape(len(kept), len(lines)), np.array(lines, dtype=np.int64)
+
+
+def _rows(source: Path, reader: Iterator[list[str]]) -> Iterator[list[str]]:
+    try:
+        yield from reader
+    except csv.Error as error:
+        line = getattr(reader, "line_num", 0) + 1
+        raise WrongUse(f"{source}, near row {line}: {_csv_error(error)}") from None
+
+
+def _csv_error(error: csv.Error) -> str:
+    if "field limit" in str(error):
+        return (
+            f"a field is longer than {csv.field_size_limit()} characters: close the quotation mark that was opened "
+            "there, or check that the file is CSV"
+        )
+    return f"this is not CSV ({error})"
+
+
+def _unequal(source: Path, line: int, row: list[str], names: list[str], delimiter: str) -> str:
+    said = f"{source}, row {line}: {len(row)} fields, but the header names {len(names)}: "
+    if delimiter == "," and len(row) > len(names):
+        return said + "mend the row; where decimals are written with commas, separate the columns with semicolons"
+    return said + "mend the row, or delete it if the file was cut off there"
+
+
+def _header(source: Path, text: TextIO) -> tuple[list[str], str]:
+    line = text.readline().rstrip("\r\n")
+    delimiter = max(",;\t", key=line.count)
+    try:
+        names = next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error as error:
+        raise WrongUse(f"{source}, row 1: {_csv_error(error)}") from None
+    return [name.strip() for name in names], delimiter
+
+
+@contextmanager
+def _text(source: Path) -> Iterator[TextIO]:
+    try:
+        with _bytes(source) as raw, TextIOWrapper(raw, encoding=_encoding(source), newline="") as text:
+            yield text
+    except UnicodeDecodeError:
+        raise WrongUse(f"{source} cannot be read as text: save the table as CSV in UTF-8") from None
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise WrongUse(f"{source} cannot be read ({reason}): check the name, and that it is CSV or .csv.gz") from None
+
+
+def _bytes(source: Path) -> gzip.GzipFile | BufferedReader:
+    if not source.is_file():  # a FIFO would hang the reader
+        raise WrongUse(f"{source} cannot be read: there is no such file")
+    return gzip.open(source, "rb") if source.suffix.lower() == ".gz" else source.open("rb")
+
+
+def _encoding(source: Path) -> str:
+    """UTF-8, with a byte-order mark or without, or the UTF-16 that spreadsheets call Unicode text."""
+    with _bytes(source) as raw:
+        return "utf-16" if raw.read(2) in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig"
+
+
+class _Cells:
+    """Reads numbers, and learns from them how the file writes decimals: with a point or a comma, never both.
+
+    "1,234" may be a thousand in one program and a decimal in another. It is taken for a decimal once another number
+    ("0,5", "12,25") cannot be anything else; a file in which none is one is refused.
+    """
+
+    def __init__(self, source: Path, names: list[str]) -> None:
+        self._source = source
+        self._names = names
+        self._point = ""  # where the first number with a point stands, and with a comma
+        self._comma = ""
+        self._sure = False
+
+    def number(self, line: int, at: int, cell: str) -> float:
+        """The number in a cell; NaN for an empty one, which identification drops and counts."""
+        text = cell.strip()
+        if not text:
+            return math.nan
+        try:
+            if "_" in text:
+                raise ValueError  # Python's own way with thousands, and nobody else's
+            value = float(text)
+        except ValueError:
+            return self._with_comma(line, at, text)
+        if not self._point and "." in text:
+            self._point = self._place(line, at, text)
+            self._refuse_both()
+        return value
+
+    def _with_comma(self, line: int, at: int, text: str) -> float:
+        if not _DECIMAL_COMMA.fullmatch(text):
+            shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+            raise WrongUse(f"{self._source}, row {line}, column {self._names[at]}: {shown!r} is not a number")
+        if not self._comma:
+            self._comma = self._place(line, at, text)
+            self._refuse_both()
+        self._sure = self._sure or not _THOUSANDS.fullmatch(text)
+        return float(text.replace(",", "."))
+
+    def _place(self, line: int, at: int, text: str) -> str:
+        return f"{text!r} in row {line}, column {self._names[at]}"
+
+    def _refuse_both(self) -> None:
+        if self._point and self._comma:
+            raise WrongUse(
+                f"{self._source} writes decimals both ways, {self._point}, and {self._comma}: write all with a point"
+            )
+
+    def check_commas(self) -> None:
+        """Raise WrongUse where every comma may as well stand for thousands."""
+        if self._comma and not self._sure:
+            raise WrongUse(
+                f"{self._source}: {self._comma}, may be a decimal or a thousand, and so may every number with a comma "
+                "there: write decimals with a point"
+            )

@@ -1,0 +1,196 @@
+"""Other people's tables into a recording: named columns, units, signs, a row filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+from hil.exchange import columns as tables
+from hil.exchange import units
+from hil.exchange.exporter import heading
+from hil.exchange.row_filter import Condition
+from hil.recording.reader import CHANNELS
+from hil.recording.writer import Header, write
+from hil.stand.file import Stand
+
+Array = NDArray[np.float64]
+
+DIMENSION: Mapping[str, str] = MappingProxyType(
+    {
+        "time": "time",
+        "torque": "torque",
+        "dtheta": "angle",
+        "dtheta_dot": "rate",
+        "motor_torque": "torque",
+        "motor_position": "angle",
+    }
+)
+"""The channels that a column can be named for, and what each measures."""
+
+_SI: Mapping[str, str] = MappingProxyType({"time": "s", "torque": "N*m", "angle": "rad", "rate": "rad/s"})
+_SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """Where a channel comes from: the column's name, its unit there, and what its numbers are multiplied by besides.
+
+    unit: None takes the one that the heading names ("tau [mN m]", "tau_mNm"), SI where it names none. scale: -1 turns
+    the sign.
+    """
+
+    name: str
+    unit: str | None = None
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """What was brought in. duration: s. units: of each column that has one, as they were understood."""
+
+    samples: int
+    duration: float
+    units: Mapping[str, str]
+
+
+def import_table(
+    source: Path,
+    target: Path,
+    columns: Mapping[str, Column],
+    where: Sequence[Condition],
+    *,
+    stand: Stand | None = None,
+    command_line: str = "",
+) -> Imported:
+    """Write the rows of a CSV, .csv.gz, Parquet or .mat file that meet every condition as a recording.
+
+    columns: channel (see DIMENSION) to its column: time, torque or motor_torque, and dtheta or motor_position; what is
+    of the motor comes to the joint through the stand's gear. {}: the file is an export of hil, whose headings say all.
+    Raises WrongUse, with the row where one is at fault.
+    """
+    if columns:
+        _check_channels(columns, stand)
+    known = tables.titles(source)
+    names = {channel: column.name for channel, column in columns.items()} or _own(source, known)
+    understood = {
+        channel: _unit(channel, known[tables.place(source, known, column.name)], column)
+        for channel, column in columns.items()
+    }
+    table, rows = tables.read(source, list(names.values()), where)
+    channels = dict(zip(names, table, strict=True))
+    for channel, unit in understood.items():
+        channels[channel] = channels[channel] * (columns[channel].scale * units.factor(DIMENSION[channel], unit))
+    _check_time(source, channels["time"], rows)
+    if columns:
+        _complete(source, channels, stand)
+    header = Header(
+        profile={"kind": "imported", "source": source.name, "where": " and ".join(str(item) for item in where)},
+        stand_toml="" if stand is None else stand.text,
+        command_line=command_line,
+    )
+    write(target, header, channels)
+    return Imported(len(rows), float(channels["time"][-1] - channels["time"][0]), understood)
+
+
+def _own(source: Path, known: Sequence[str]) -> dict[str, str]:
+    """The columns of a file that `hil export` wrote, by channel."""
+    found = {name: heading(name) for name in CHANNELS if name != "seq"}  # the rows are numbered anew
+    if not set(found.values()) <= set(known):
+        raise WrongUse(f"name the columns of {source} with --time, --torque and --dtheta; it has {', '.join(known)}")
+    return found
+
+
+def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
+    if "time" not in columns:
+        raise WrongUse("name the column of the time with --time")
+    for joint, motor in (("torque", "motor_torque"), ("dtheta", "motor_position")):
+        options = f"--{joint}", f"--{motor.replace('_', '-')}"
+        if joint in columns and motor in columns:
+            raise WrongUse(f"give either {options[0]} or {options[1]}, not both")
+        if joint not in columns and motor not in columns:
+            raise WrongUse(f"name the columns: {options[0]}, or {options[1]} with --stand, is missing")
+        if motor in columns and stand is None:
+            raise WrongUse(f"{options[1]} needs --stand: its gear_ratio brings the motor's side to the joint")
+    if stand is not None and "motor_torque" in columns and stand.stand.torque_source != "motor":
+        raise WrongUse('the stand has torque_source = "joint": name the torque cell\'s column with --torque')
+    for channel, column in columns.items():
+        if not np.isfinite(column.scale) or column.scale == 0.0:
+            raise WrongUse(f"{channel} cannot be scaled by {column.scale:g}: give a number that is not zero")
+
+
+def _unit(channel: str, title: str, column: Column) -> str:
+    """The unit of a column: the one given, or else the heading's, or else SI. Raises WrongUse where the two differ."""
+    dimension = DIMENSION[channel]
+    name, inside = units.split(title)
+    named = inside or units.suffix(dimension, name)
+    if column.unit is None:
+        if named and units.canonical(dimension, named) is None:
+            raise WrongUse(f"column {title!r} names a unit of {dimension} that is not known: {_give(channel)}")
+        return named or _SI[dimension]
+    factor = units.factor(dimension, column.unit)
+    if named and units.canonical(dimension, named) is not None and units.factor(dimension, named) != factor:
+        raise WrongUse(
+            f"column {title!r} is in {named} by its heading and in {column.unit} by the command: mend the heading, or "
+            "leave the option out"
+        )
+    return column.unit
+
+
+def _give(channel: str) -> str:
+    option = channel.replace("motor_torque", "torque").replace("motor_position", "dtheta").replace("_", "-")
+    return f"give it with --{option}-unit, one of {', '.join(units.UNITS[DIMENSION[channel]])}"
+
+
+def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:
+    bad = np.flatnonzero(~np.isfinite(time))
+    if bad.size:
+        raise WrongUse(f"{source}, row {rows[bad[0]]}: the time is not a number")
+    backwards = np.flatnonzero(np.diff(time) < 0.0)
+    if backwards.size:
+        raise WrongUse(
+            f"{source}, row {rows[backwards[0] + 1]}: the time goes backwards; "
+            "if the file holds several runs, choose one with --where"
+        )
+
+
+def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> None:
+    """Let the time begin at zero, and bring what is of the motor to the joint."""
+    channels["time"] = channels["time"] - channels["time"][0]
+    if stand is not None and "motor_torque" in channels:
+        channels["torque"] = stand.stand.gear_ratio * channels["motor_torque"]
+    if stand is not None and "motor_position" in channels:
+        position = channels["motor_position"]
+        channels["dtheta"] = (position - position[np.isfinite(position)][:1].sum()) / stand.stand.gear_ratio
+    if "dtheta_dot" in channels:
+        _check_rate(source, channels["time"], channels["dtheta"], channels["dtheta_dot"])
+
+
+def _check_rate(source: Path, time: Array, dtheta: Array, rate: Array) -> None:
+    """Refuse a rate that has the deflection's shape and another size: their units or signs are mixed.
+
+    The rate's integral is compared with the deflection, both without a line in time: noise and a coarse clock matter
+    little there, and what is not alike in shape is not judged.
+    """
+    good = np.isfinite(dtheta) & np.isfinite(rate)
+    time, dtheta, rate = time[good], dtheta[good], rate[good]
+    if len(time) < 3 or np.ptp(time) == 0.0:
+        return
+    integral = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
+    line = np.column_stack([np.ones_like(time), (time - time.mean()) / np.ptp(time)])
+    both = np.column_stack([dtheta, integral])
+    moved, implied = (both - line @ np.linalg.lstsq(line, both, rcond=None)[0]).T
+    product, power = float(moved @ implied), float(implied @ implied) * float(moved @ moved)
+    if power == 0.0 or product**2 < _SAME_SHAPE * power:
+        return
+    ratio = product / float(moved @ moved)
+    if not 0.5 < ratio < 2.0:
+        raise WrongUse(
+            f"{source}: the rate of the deflection is {ratio:.3g} times what the deflection does: their units or signs "
+            "differ; give --dtheta-unit and --dtheta-dot-unit, or turn a sign with --dtheta-dot-scale -1"
+        )

@@ -1,0 +1,1 @@
+"""Predict the standard errors of an excitation before the motor moves."""

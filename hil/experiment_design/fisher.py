@@ -1,0 +1,302 @@
+"""How well parameters could be told from a motion: the Fisher information of what would be read.
+
+Two errors are predicted. The bound of Cramer and Rao is what no unbiased estimate from these readings can beat, and
+what least squares reaches in Gaussian noise. `hil identify` minimises absolute deviations, as the paper does, which in
+white Gaussian noise costs a factor sqrt(pi/2) = 1.25 on it (Koenker, Quantile Regression, 2005, section 4.3).
+
+Both come from the sensitivities x of the torque to each parameter and the spectrum of what is left of the torque when
+the model is right: the torque's own noise, and that of the angle, which the coupling turns into torque.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.experiment_design.response import Joint, Motion
+from hil.signals.prepare import excited_band, narrowed, windows
+from hil.signals.savitzky_golay import kernel
+
+Array = NDArray[np.float64]
+Spectrum = NDArray[np.complex128]
+
+_SMOOTHING = 0.05  # of the Coulomb term, as a part of the r.m.s. rate
+_REPEATS = 30  # of a reweighted fit, after which nothing moves
+_SINGULAR = 1e-12  # of the correlation matrix's eigenvalues, below which a direction is not told at all
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """What the stand's sensors make of the motion, all at the joint.
+
+    torque_noise: N m, white, Gaussian; torque_lsb: N m a count; angle_lsb: rad, the root of the sum of squares of the
+    counts of every encoder in the deflection; skew: s, how much older the torque reading is than the angle's;
+    motor_side: whether the torque is inferred from the motor's through equation (1).
+    """
+
+    torque_noise: float
+    torque_lsb: float
+    angle_lsb: float
+    skew: float
+    motor_side: bool
+
+    @property
+    def white(self) -> float:
+        """The torque reading's standard deviation, N m, counts included."""
+        return math.hypot(self.torque_noise, self.torque_lsb / math.sqrt(12.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter as it would be told, SI.
+
+    rough: the value the prediction is for. error: standard error of the least absolute deviations of `hil identify`.
+    bound: of Cramer and Rao. bias: what the stand's known skew and the way the rate is made add to the mean.
+    inflation: how many times more variance it has than if all others were known. Infinite where nothing is told.
+    """
+
+    name: str
+    unit: str
+    rough: float
+    error: float
+    bound: float
+    bias: float
+    inflation: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Term:
+    parameters: tuple[tuple[str, str], ...]
+    columns: Callable[[Joint, Motion], tuple[Array, ...]]
+
+
+def _coulomb(motion: Motion) -> Array:
+    speed = _SMOOTHING * float(np.sqrt(np.mean(motion.dtheta_dot**2)))
+    return np.tanh(motion.dtheta_dot / speed) if speed > 0.0 else np.zeros_like(motion.dtheta_dot)
+
+
+_TERMS: Mapping[str, _Term] = MappingProxyType(
+    {
+        "linear": _Term((("Kc", "N*m/rad"), ("Bc", "N*m*s/rad")), lambda _, motion: (motion.dtheta, motion.dtheta_dot)),
+        "offset": _Term((("tau0", "N*m"),), lambda _, motion: (np.ones_like(motion.time),)),
+        "drift": _Term((("drift", "N*m/s"),), lambda _, motion: (motion.time,)),
+        "coulomb": _Term((("Fc", "N*m"),), lambda _, motion: (_coulomb(motion),)),
+        "cubic": _Term((("K3", "N*m/rad^3"),), lambda _, motion: (motion.dtheta**3,)),
+        "skew": _Term((("skew", "s"),), lambda joint, motion: (_ageing(joint, motion),)),
+        "inertia": _Term((("J", "kg*m^2"),), lambda _, motion: (motion.acceleration,)),
+    }
+)
+
+TERMS = tuple(_TERMS)
+"""The terms whose errors can be predicted. Play and slack are not among them: near zero the torque has no slope."""
+
+
+def _ageing(joint: Joint, motion: Motion) -> Array:
+    """How the torque read changes with its age, (n,) N m/s."""
+    return -(joint.stiffness * motion.dtheta_dot + joint.damping * motion.acceleration)
+
+
+def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Motion) -> Array:
+    """The torque's slope (n, p) along every parameter of the terms, at the rough Kc, Bc and zero for the others."""
+    return np.stack([column for term in terms for column in _TERMS[term].columns(joint, motion)], axis=1)
+
+
+def covariance(columns: Array) -> Array:
+    """The inverse (p, p) of X'X for columns (n, p); infinite variance where they do not tell a parameter."""
+    norms = np.linalg.norm(columns, axis=0)
+    scale = np.where(norms > 0.0, norms, 1.0)
+    values, vectors = np.linalg.eigh((columns / scale).T @ (columns / scale))
+    lost = values <= _SINGULAR * values[-1]
+    inverse = (vectors[:, ~lost] / values[~lost]) @ vectors[:, ~lost].T
+    untold = (np.abs(vectors[:, lost]) > 1e-3).any(axis=1)
+    inverse[untold, untold] = np.inf
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Readings) -> tuple[Parameter, ...]:
+    """What would be told of every parameter of the terms from this motion."""
+    columns = sensitivities(terms, joint, motion)
+    window = _Window(motion, readings.angle_lsb)
+    inverse = covariance(columns)
+    told = np.isfinite(np.diag(inverse))
+    bound, error, bias, inflation = (np.full(len(told), np.inf) for _ in range(4))
+    if told.any():
+        kept = columns[:, told]
+        bound[told] = np.sqrt(np.diag(_bound(kept, joint, readings, window.step)))
+        seen, residual = _seen(joint, motion, readings, window), _residual(len(kept), joint, readings, window)
+        fitted, misfit = _misfit(sensitivities(terms, joint, seen)[:, told], seen.torque, residual)
+        bias[told] = fitted - _rough(terms, joint, readings)[told]
+        error[told] = np.sqrt(np.diag(_absolute(kept, misfit, residual)))
+        inflation[told] = np.diag(inverse)[told] * np.sum(kept**2, axis=0)
+    names = [parameter for term in terms for parameter in _TERMS[term].parameters]
+    rough = _rough(terms, joint, readings)
+    return tuple(
+        Parameter(name, unit, *(float(values[index]) for values in (rough, error, bound, bias, inflation)))
+        for index, (name, unit) in enumerate(names)
+    )
+
+
+def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> float:
+    """What one N m of dry friction that the terms leave out adds to Bc in a fit, N m s/rad; 0 where they do not."""
+    if "coulomb" in terms:
+        return 0.0
+    columns = sensitivities(terms, joint, motion)
+    norms = np.linalg.norm(columns, axis=0)
+    norms[norms == 0.0] = 1.0
+    return float((np.linalg.lstsq(columns / norms, _coulomb(motion), rcond=None)[0] / norms)[1])
+
+
+class _Window:
+    """The local polynomials that `hil identify` would put over this motion: their answers to a single sample of one."""
+
+    def __init__(self, motion: Motion, angle_lsb: float) -> None:
+        seen = np.round(motion.dtheta / angle_lsb) * angle_lsb
+        self.step = float(motion.time[1] - motion.time[0])
+        slope, curvature = windows(motion.time, excited_band(motion.time, seen)[1])
+        noise = angle_lsb / math.sqrt(12.0)
+        self.halves = narrowed(slope, self.step, noise, motion.dtheta_dot), curvature
+        # the answer at one sample to another's value: the slope's is odd, so the order matters
+        self.slope, self.curvature = (
+            kernel(half, order)[::-1] / self.step**order for order, half in zip((1, 2), self.halves, strict=True)
+        )
+
+    def sloped(self, values: Array) -> Array:
+        """The slope at every sample of (n,), which begin and end at rest."""
+        return self._over(values, self.slope)
+
+    def curved(self, values: Array) -> Array:
+        """The curvature at every sample."""
+        return self._over(values, self.curvature)
+
+    def _over(self, values: Array, weights: Array) -> Array:
+        from scipy.signal import fftconvolve
+
+        return np.asarray(fftconvolve(values, weights, mode="same"))
+
+    def gains(self, count: int) -> tuple[Spectrum, Spectrum]:
+        """The gains of slope and curvature at the frequencies of a transform of `count` samples."""
+        found = []
+        for half, weights in zip(self.halves, (self.slope, self.curvature), strict=True):
+            padded = np.zeros(count)
+            padded[: 2 * half + 1] = weights
+            found.append(np.fft.rfft(np.roll(padded, -half)))
+        return found[0], found[1]
+
+
+def _bound(columns: Array, joint: Joint, readings: Readings, step: float) -> Array:
+    """The inverse (p, p) of the Fisher information, by frequency: the angle's noise grows with it, the torque's not."""
+    count = _padded(len(columns))
+    slope = 2j * np.pi * np.fft.rfftfreq(count, step)
+    turned = joint.stiffness + joint.damping * slope
+    if readings.motor_side:
+        turned = turned + joint.friction * slope + joint.inertia * slope**2
+    density = readings.white**2 + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2
+    return _inverse(_form(columns, 1.0 / density))
+
+
+@dataclass(frozen=True, slots=True)
+class _Residual:
+    """What noise leaves of the torque when the model is right.
+
+    variance: N^2 m^2. at_zero: its density there, 1/(N m). signs: the spectrum (m,) of the covariance of its signs,
+    as a part of what white noise has.
+    """
+
+    variance: float
+    at_zero: float
+    signs: Array
+
+
+def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> _Residual:
+    """Signs of Gaussian residuals covary by 2/pi times the arc sine of their correlation; the window makes some."""
+    slope, curvature = window.gains(_padded(count))
+    turned = joint.stiffness + joint.damping * slope
+    if readings.motor_side:
+        turned = turned + joint.friction * slope + joint.inertia * curvature
+    density = np.full(len(slope), readings.white**2)
+    alike = np.fft.irfft(density + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2)
+    variance = float(alike[0])
+    signs = 2.0 / np.pi * np.fft.rfft(np.arcsin(np.clip(alike / variance, -1.0, 1.0))).real
+    return _Residual(variance, _density_at_zero(variance, 0.0 if readings.motor_side else readings.torque_lsb), signs)
+
+
+def _absolute(columns: Array, misfit: Array, residual: _Residual) -> Array:
+    """The covariance (p, p) of the least absolute deviations, A^-1 B A^-1; misfit: (n,) N m, as `_misfit` has it.
+
+    A is twice the sum of x x' times the residual's density at zero, B the covariance of the sum of x times its sign.
+    Where the misfit stands above the noise, both density and sign hardly change any more.
+    """
+    from scipy.special import ndtr
+
+    density = residual.at_zero * np.maximum(np.exp(-(misfit**2) / (2.0 * residual.variance)), 1e-12)
+    below = ndtr(misfit / math.sqrt(residual.variance))
+    undecided = np.sqrt(4.0 * below * (1.0 - below))
+    inverse = _inverse(2.0 * (columns.T * density) @ columns)
+    return np.asarray(inverse @ _form(columns * undecided[:, None], residual.signs) @ inverse)
+
+
+def _density_at_zero(variance: float, lsb: float) -> float:
+    """Of a Gaussian error and the rounding to counts of `lsb`, of this variance, N^2 m^2, together."""
+    gaussian = math.sqrt(max(variance - lsb**2 / 12.0, 0.0))
+    if lsb <= 1e-6 * gaussian:
+        return 1.0 / (math.sqrt(2.0 * math.pi) * gaussian)
+    return math.erf(lsb / (2.0 * math.sqrt(2.0) * gaussian)) / lsb if gaussian > 0.0 else 1.0 / lsb
+
+
+def _seen(joint: Joint, motion: Motion, readings: Readings, window: _Window) -> Motion:
+    """The motion as `hil identify` would make it of readings without noise: late, and through the window."""
+    rate = window.sloped(motion.dtheta)
+    acceleration = window.curved(motion.dtheta)
+    if readings.motor_side:
+        aged = motion.drive - readings.skew * np.gradient(motion.drive, window.step)
+        torque = aged - joint.inertia * acceleration - joint.friction * rate
+    else:
+        torque = motion.torque + readings.skew * _ageing(joint, motion)
+    return Motion(motion.time, motion.dtheta, rate, acceleration, torque, motion.drive)
+
+
+def _misfit(columns: Array, torque: Array, residual: _Residual) -> tuple[Array, Array]:
+    """What absolute deviations are least for on average over the noise, (p,), and what is left of the torque, (n,).
+
+    The mean of |m + e| over Gaussian e has the slope 2 Phi(m/sigma) - 1, so the least is a fit weighted with that over
+    m, found by repeating it.
+    """
+    from scipy.special import ndtr
+
+    norms, sigma = np.linalg.norm(columns, axis=0), math.sqrt(residual.variance)
+    scaled, weight = columns / norms, np.ones_like(torque)
+    for _ in range(_REPEATS):
+        found = np.linalg.solve((scaled.T * weight) @ scaled, (scaled.T * weight) @ torque)
+        left = np.abs(torque - scaled @ found) + 1e-9 * sigma
+        weight = (2.0 * ndtr(left / sigma) - 1.0) / left * sigma
+    return found / norms, torque - scaled @ found
+
+
+def _rough(terms: tuple[str, ...], joint: Joint, readings: Readings) -> Array:
+    values = {"Kc": joint.stiffness, "Bc": joint.damping, "skew": readings.skew}
+    return np.array([values.get(name, 0.0) for term in terms for name, _ in _TERMS[term].parameters])
+
+
+def _padded(count: int) -> int:
+    """A length of a transform in which nothing wraps round."""
+    return 1 << (2 * count - 1).bit_length()
+
+
+def _form(columns: Array, weight: Array) -> Array:
+    """X' W X (p, p) for columns (n, p) and a stationary W given by its spectrum (m,)."""
+    count = 2 * (len(weight) - 1)
+    spectra = np.fft.rfft(columns, count, axis=0)
+    twice = np.full(len(weight), 2.0)  # each frequency but the first and the last stands for its negative too
+    twice[0] = twice[-1] = 1.0
+    return np.asarray(((np.conj(spectra).T * (weight * twice)) @ spectra).real / count)
+
+
+def _inverse(matrix: Array) -> Array:
+    """The inverse (p, p), scaled so that units do not count."""
+    scale = np.sqrt(np.diag(matrix))
+    return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))

@@ -1,0 +1,172 @@
+"""What a locked joint does under a profile, before it is driven: equation (1) with the coupling of equation (2).
+
+Everything is at the joint. A torque profile is held from tick to tick and the motor's inertia rings on the coupling's
+spring, so the deflection is what the two make of it. A position profile prescribes the deflection, and the torque is
+what that takes. The joint stays where it is locked, and dry friction, play and the fixture's give are left out.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.servo import Quantity
+from hil.acquisition.excitation import Profile
+
+Array = NDArray[np.float64]
+
+_POINTS = 32  # a period of the fastest motion, which find its peak to within 1 %
+_FEWEST, _MOST = 4, 64  # steps between two ticks
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """Kc, N m/rad, and Bc, N m s/rad, of the coupling; and the motor as the joint feels it.
+
+    inertia: eta^2 Dm, kg m^2, 0 where it is not known. friction: eta^2 Bm, N m s/rad.
+    """
+
+    stiffness: float
+    damping: float
+    inertia: float
+    friction: float
+
+    @property
+    def corner(self) -> float:
+        """Hz above which the damper carries more of the torque than the spring: Kc/(2 pi Bc)."""
+        return self.stiffness / (2.0 * math.pi * self.damping)
+
+    @property
+    def resonance(self) -> float:
+        """Hz at which the motor's inertia rings on the coupling, undamped; infinite without inertia."""
+        return math.sqrt(self.stiffness / self.inertia) / (2.0 * math.pi) if self.inertia else math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Equal-length (n,) arrays at the ticks: time s, dtheta rad, its rate rad/s and acceleration rad/s^2, torques N m.
+
+    torque: in the coupling. drive: the motor's, as it is read at a tick, before the tick's own set-point acts.
+    """
+
+    time: Array
+    dtheta: Array
+    dtheta_dot: Array
+    acceleration: Array
+    torque: Array
+    drive: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Peaks:
+    """The largest magnitudes at any instant, at the joint.
+
+    drive: N m, what the motor makes. torque: N m, what the coupling carries. deflection: rad. velocity: rad/s.
+    """
+
+    drive: float
+    torque: float
+    deflection: float
+    velocity: float
+
+    @property
+    def in_order(self) -> tuple[float, float, float, float]:
+        """All four, in the order above."""
+        return self.drive, self.torque, self.deflection, self.velocity
+
+
+def respond(joint: Joint, profile: Profile, rate: float) -> tuple[Motion, Peaks]:
+    """The motion at `rate` ticks a second and its peaks, which are looked for between the ticks too."""
+    if profile.quantity is Quantity.POSITION:
+        return _prescribed(joint, _course(profile, rate), rate)
+    return _driven(joint, set_points(profile, rate), rate)
+
+
+def peaks(joints: list[Joint], profile: Profile, rate: float) -> list[Peaks]:
+    """The peaks alone, for each of the joints."""
+    if profile.quantity is Quantity.POSITION:
+        course = _course(profile, rate)
+        return [_prescribed(joint, course, rate)[1] for joint in joints]
+    held = set_points(profile, rate)
+    return [_driven(joint, held, rate)[1] for joint in joints]
+
+
+def set_points(profile: Profile, rate: float) -> Array:
+    """What is sent at each tick, (n,) N m or rad, as the recorder sends it."""
+    return profile.at(np.arange(round(profile.duration * rate) + 1) / rate)
+
+
+def _driven(joint: Joint, held: Array, rate: float) -> tuple[Motion, Peaks]:
+    steps = min(_MOST, max(_FEWEST, math.ceil(_POINTS * min(joint.resonance, _MOST * rate) / rate)))
+    dtheta, velocity = _oscillator(joint, np.repeat(held[:-1], steps), 1.0 / (rate * steps))
+    torque = joint.stiffness * dtheta + joint.damping * velocity
+    found = Peaks(*(float(np.abs(values).max()) for values in (held, torque, dtheta, velocity)))
+    angle, speed, carried = (values[::steps] for values in (dtheta, velocity, torque))
+    before = np.append(0.0, held[:-1])
+    if joint.inertia:  # it jumps at a tick; halfway is what any average over a few ticks sees
+        acceleration = (0.5 * (before + held) - carried - joint.friction * speed) / joint.inertia
+    else:
+        acceleration = np.gradient(speed, 1.0 / rate)
+    return Motion(np.arange(held.size) / rate, angle, speed, acceleration, carried, before), found
+
+
+def _oscillator(joint: Joint, held: Array, step: float) -> tuple[Array, Array]:
+    """Deflection and rate (n + 1,) from rest, under torques (n,) each held for `step` s: exact at every step.
+
+    J d'' + b d' + Kc d = u has the poles p and q, which carry the state over a step; as a recursion that is a
+    second-order filter. Without inertia the same with one so small that it neither rings nor shows.
+    """
+    from scipy.signal import lfilter
+
+    damping = joint.damping + joint.friction
+    least = min(1e-3 * step * damping, damping**2 / (8.0 * joint.stiffness))
+    inertia = joint.inertia or least
+    half, square = damping / (2.0 * inertia), joint.stiffness / inertia
+    apart = cmath.sqrt(half**2 - square)
+    if abs(apart) < 1e-6 * half:  # a double pole, which is as good as two that are this near
+        apart = complex(1e-6 * half)
+    p = -half - apart
+    q = square / p
+    first, second = cmath.exp(p * step), cmath.exp(q * step)
+    carried = np.array([[0.0, 1.0], [-square, -2.0 * half]]) * ((second - first) / (q - p)).real
+    state = carried + np.eye(2) * ((q * first - p * second) / (q - p)).real
+    entry = (np.eye(2) - state)[:, 0] / joint.stiffness  # from rest at one deflection to rest at another
+    trace, determinant = float(np.trace(state)), (first * second).real
+    delayed = (state - trace * np.eye(2)) @ entry  # of the adjugate of zI - A, which is zI - (tr A) I + A
+    entering = np.append(held, 0.0)
+    found = [
+        np.asarray(lfilter([0.0, entry[row], delayed[row]], [1.0, -trace, determinant], entering)) for row in (0, 1)
+    ]
+    return found[0], found[1]
+
+
+@dataclass(frozen=True, slots=True)
+class _Course:
+    """A prescribed deflection, rad, its rate and acceleration, `steps` times a tick, (n,)."""
+
+    dtheta: Array
+    velocity: Array
+    acceleration: Array
+    steps: int
+
+
+def _course(profile: Profile, rate: float) -> _Course:
+    smooth = profile.kind in {"chirp", "sine", "multisine"}
+    steps = max(1, math.ceil(_POINTS * profile.band[1] / rate)) if smooth else _FEWEST
+    step = 1.0 / (rate * steps)
+    dtheta = profile.at(np.arange(round(profile.duration * rate) * steps + 1, dtype=np.float64) * step)
+    velocity = np.gradient(dtheta, step)
+    return _Course(dtheta, velocity, np.gradient(velocity, step), steps)
+
+
+def _prescribed(joint: Joint, course: _Course, rate: float) -> tuple[Motion, Peaks]:
+    torque = joint.stiffness * course.dtheta + joint.damping * course.velocity
+    drive = torque + joint.inertia * course.acceleration + joint.friction * course.velocity  # equation 1
+    every = (course.dtheta, course.velocity, course.acceleration, torque, drive)
+    found = Peaks(*(float(np.abs(values).max()) for values in (drive, torque, course.dtheta, course.velocity)))
+    ticks = [values[:: course.steps] for values in every]
+    return Motion(np.arange(len(ticks[0])) / rate, *ticks), found

@@ -1,0 +1,124 @@
+"""The profile that tells most of Kc and Bc within a stand's limits.
+
+The deflection answers a profile linearly, so every profile is judged at the largest amplitude that the limits leave
+it, for every Kc and Bc within `SLACK` of the rough ones, and the search is over its kind and its band alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+from hil.acquisition import excitation
+from hil.acquisition.excitation import Profile
+from hil.errors import WrongUse
+from hil.experiment_design.assessment import Assessment, Task, assess, rounded, strained
+from hil.experiment_design.fisher import covariance, sensitivities
+from hil.experiment_design.response import respond
+
+SEED = 1
+"""Of a PRBS, as in `hil record`."""
+
+_KINDS = ("chirp", "multisine", "prbs")
+_OCTAVES = 2.0  # the narrowest band searched: one speed tells no friction from damping
+_PERIODS = 2.0  # of the lowest frequency in the run, at least
+_TICKS = 10.0  # a period of the highest frequency, for which the narrowest window's rate is within 0.5 %
+_SOFT, _SOFTEST = 1.0, 0.1  # s of soft start and stop, as in `hil record`, and the least there is
+_LONGEST = 5.0  # s on which the search is done; all errors go with the root of the duration
+
+
+def best(task: Task, duration: float) -> Assessment:
+    """The profile of `duration` s with the least relative error of Kc and Bc within the limits, judged.
+
+    A grid over kind and band, an octave apart; then, for each kind, steps of the best band's two ends, made shorter
+    until they matter no more; then the best of each kind at the whole duration. Raises WrongUse where no band fits the
+    rate and the duration, or where no motion tells the terms apart.
+    """
+    span = min(duration, _LONGEST)
+    lowest, highest = rounded(_PERIODS / span), rounded(task.rate / _TICKS, down=True)
+    if not highest >= lowest * 2.0**_OCTAVES:
+        raise WrongUse(
+            f"{duration:g} s at {task.rate:g} Hz leave no band of {_OCTAVES:g} octaves to choose from: "
+            "give a longer --duration or a higher --rate"
+        )
+    search = _Search(task, (span, max(_SOFT * span / duration, _SOFTEST)), (lowest, highest))
+    ends = _octaves(lowest, highest)
+    for kind, low, high in itertools.product(_KINDS, ends, ends):
+        search.judge(kind, low, high)
+    if math.isinf(min(search.errors.values())):
+        raise WrongUse(
+            f"no profile tells Kc and Bc with --model {'+'.join(task.terms)}: some of its terms look the same in every "
+            "motion (skew is the sum of a damping and an inertia); leave one out"
+        )
+    for kind in _KINDS:
+        search.refine(kind)
+    chosen = [min((key for key in search.errors if key[0] == kind), key=search.errors.__getitem__) for kind in _KINDS]
+    whole = [assess(task, _largest(task, _made(task, kind, band, duration, _SOFT))) for kind, band in chosen]
+    return min(whole, key=lambda one: one.relative)
+
+
+class _Search:
+    """The relative error of every kind and band that was tried, up to a factor common to all.
+
+    times: s, the duration and the soft start, which is as large a part of it as it will be.
+    """
+
+    def __init__(self, task: Task, times: tuple[float, float], reach: tuple[float, float]) -> None:
+        self.errors: dict[tuple[str, tuple[float, float]], float] = {}
+        self._task = task
+        self._times = times
+        self._reach = reach
+
+    def judge(self, kind: str, low: float, high: float) -> None:
+        """Add the nearest band within reach, where it is wide enough and was not tried yet."""
+        low, high = rounded(max(low, self._reach[0])), rounded(min(high, self._reach[1]))
+        if kind == "prbs":  # which begins at zero whatever its band
+            low = self._reach[0]
+        if high >= low * 2.0**_OCTAVES and (kind, (low, high)) not in self.errors:
+            self.errors[kind, (low, high)] = _error(self._task, kind, (low, high), *self._times)
+
+    def refine(self, kind: str) -> None:
+        """Walk from the best band of the kind to the best within steps of five percent."""
+        step = math.sqrt(2.0)
+        while step > 1.05:
+            low, high = min((key for key in self.errors if key[0] == kind), key=self.errors.__getitem__)[1]
+            before = self.errors[kind, (low, high)]
+            for lower, upper in ((low / step, high), (low * step, high), (low, high / step), (low, high * step)):
+                self.judge(kind, lower, upper)
+            if not min(error for key, error in self.errors.items() if key[0] == kind) < 0.999 * before:
+                step = math.sqrt(step)
+
+
+def _octaves(lowest: float, highest: float) -> list[float]:
+    """Frequencies from the lowest to the highest, an octave or a little less apart."""
+    count = math.ceil(math.log2(highest / lowest))
+    return [lowest * (highest / lowest) ** (index / count) for index in range(count + 1)]
+
+
+def _error(task: Task, kind: str, band: tuple[float, float], duration: float, soft: float) -> float:
+    """The larger relative error of Kc and Bc, up to a common factor, at the largest amplitude."""
+    motion, _ = respond(task.joint, _largest(task, _made(task, kind, band, duration, soft)), task.rate)
+    variance = covariance(sensitivities(task.terms, task.joint, motion)).diagonal()[:2]
+    rough = (task.joint.stiffness, task.joint.damping)
+    return max(math.sqrt(value) / size for value, size in zip(variance, rough, strict=True))
+
+
+def _largest(task: Task, profile: Profile) -> Profile:
+    """The same profile, of amplitude one, at the largest amplitude within every limit."""
+    amplitude = min(task.own_limit, 1.0 / max(strained(task, profile)))
+    return replace(profile, amplitude=rounded(amplitude, down=True))
+
+
+def _made(task: Task, kind: str, band: tuple[float, float], duration: float, soft: float) -> Profile:
+    return excitation.make(
+        kind,
+        task.quantity,
+        amplitude=1.0,
+        default_amplitude=1.0,
+        duration=duration,
+        band=band,
+        rate=task.rate,
+        soft=soft,
+        seed=SEED,
+    )

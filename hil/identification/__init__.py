@@ -1,0 +1,1 @@
+"""Identify the coupling of one or several recordings."""

@@ -1,0 +1,1 @@
+"""The recording on disk: its reader, its writer, and the path it is written to."""

@@ -1,0 +1,146 @@
+"""A comparison as people and machines read it: a table, JSON, a picture. Nothing here prints."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.identification.compare import COMPARED, Comparison, Measured, Repeated
+from hil.recording.output import writing
+from hil.report.identification import people_unit
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+SCHEMA = "hil-comparison/1"
+
+
+def as_json(found: Comparison) -> dict[str, Any]:
+    """The JSON object of `hil compare --json`, SI units and hours; what is not known is null."""
+    return {
+        "schema": SCHEMA,
+        "model": found.model,
+        "recordings": [_recording(one) for one in found.recordings],
+        "parameters": {one.name: _parameter(one) for one in found.parameters},
+        "verdict": [one.verdict for one in found.parameters],
+        "warnings": [finding.as_json() for finding in found.findings],
+    }
+
+
+def _recording(one: Measured) -> dict[str, Any]:
+    return {
+        "path": str(one.path),
+        "created": None if one.created is None else one.created.isoformat(),
+        "hours": _number(one.hours),
+        "model": one.model,
+        "parameters": {
+            name: {
+                "value": estimate.exact,
+                "unit": estimate.unit,
+                "ci95": [_number(end) for end in estimate.ci95],
+                "identifiable": name in one.told,
+            }
+            for name, estimate in one.estimates.items()
+        },
+    }
+
+
+def _parameter(one: Repeated) -> dict[str, Any]:
+    pooled, drift = one.pooled, one.drift
+    return {
+        "unit": one.unit,
+        "recordings": len(one.told_by),
+        "value": None if pooled is None else pooled.value,
+        "standard_error": None if pooled is None else pooled.standard_error,
+        "ci95": None if pooled is None else list(pooled.ci95),
+        "within": None if pooled is None else pooled.within,
+        "between": None if pooled is None else pooled.between,
+        "between_ci95": None if pooled is None else list(pooled.between_ci95),
+        "p_alike": None if pooled is None else pooled.p_alike,
+        "drift_per_hour": None if drift is None else {"value": drift.slope, "ci95": list(drift.ci95), "p": drift.p},
+        "repeats": one.repeats,
+        "verdict": one.verdict,
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _scale(found: Comparison, unit: str) -> tuple[float, str]:
+    """In mN m where the joint is as soft as a hand's, as in the paper."""
+    kc = [abs(one.estimates["Kc"].exact) for one in found.recordings if one.estimates]
+    return people_unit(unit, milli=not kc or min(kc) < 1.0)
+
+
+def comparison_table(found: Comparison) -> Table:
+    """The recordings one by one, and below them what they have in common."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    table = Table(title=f"{found.model}, each recording on its own", box=SIMPLE, pad_edge=False)
+    table.add_column("")
+    table.add_column("hours", justify="right")
+    for parameter in found.parameters:
+        table.add_column(f"{parameter.name}, {_scale(found, parameter.unit)[1]}", justify="right", no_wrap=True)
+    for one in found.recordings:
+        cells = [_cell(found, one, name) for name in COMPARED]
+        table.add_row(str(one.path), f"{one.hours:.3g}" if math.isfinite(one.hours) else "?", *cells)
+    table.add_section()
+    headings = ("pooled", "95 % interval", "within a recording", "between them", "drift an hour")
+    together = [_together(found, parameter) for parameter in found.parameters]
+    for heading, *cells in zip(headings, *together, strict=True):
+        table.add_row(heading, "", *cells)
+    return table
+
+
+def _cell(found: Comparison, one: Measured, name: str) -> str:
+    if name not in one.estimates:
+        return "left out"
+    estimate = one.estimates[name]
+    factor = _scale(found, estimate.unit)[0]
+    half = 0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor
+    shown = f"{estimate.exact * factor:.5g} ± {half:.1g}" if math.isfinite(half) else f"{estimate.exact * factor:.3g}"
+    return shown if name in one.told else f"{shown} ?"
+
+
+def _together(found: Comparison, one: Repeated) -> list[str]:
+    if one.pooled is None:
+        return ["?"] * 5
+    factor = _scale(found, one.unit)[0]
+    low, high = (end * factor for end in one.pooled.ci95)
+    share = 100.0 / abs(one.pooled.value)
+    spread = [f"{part * share:.2g} %" for part in (one.pooled.within, one.pooled.between)]
+    slope = "?" if one.drift is None else f"{one.drift.slope * share:+.2g} % (p = {one.drift.p:.2g})"
+    return [f"{one.pooled.value * factor:.5g}", f"{low:.5g} to {high:.5g}", *spread, slope]
+
+
+def draw(found: Comparison, path: Path) -> None:
+    """Write a PNG: each parameter over the recordings with its interval, and the pooled interval behind them.
+
+    Raises WrongUse where the file cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 6), layout="constrained")
+    panels = figure.subplots(len(COMPARED), 1, sharex=True)
+    for panel, parameter in zip(panels, found.parameters, strict=True):
+        factor, unit = _scale(found, parameter.unit)
+        told = [
+            (index, one.estimates[parameter.name])
+            for index, one in enumerate(found.recordings)
+            if parameter.name in one.told
+        ]
+        halves = [0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor for _, estimate in told]
+        values = [estimate.exact * factor for _, estimate in told]
+        panel.errorbar([index for index, _ in told], values, halves, fmt="o", capsize=4)
+        if parameter.pooled is not None:
+            low, high = (end * factor for end in parameter.pooled.ci95)
+            panel.axhspan(low, high, color="C1", alpha=0.2, label="pooled, 95 %")
+            panel.legend(loc="best")
+        panel.set(ylabel=f"{parameter.name} [{unit}]")
+        panel.grid(visible=True, lw=0.3)
+    panels[-1].set_xticks(range(len(found.recordings)), [one.path.stem for one in found.recordings], rotation=30)
+    with writing(path):
+        figure.savefig(path, dpi=110)

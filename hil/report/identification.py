@@ -1,0 +1,352 @@
+"""Results as people and machines read them: tables, JSON, a picture, a page. Nothing here prints."""
+
+from __future__ import annotations
+
+import base64
+import html
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnostics import Finding
+from hil.errors import WrongUse
+from hil.recording.output import replacing
+
+if TYPE_CHECKING:  # rich costs 50 ms, and what these modules import more
+    from rich.table import Table
+
+    from hil.identification.result import Estimate, Fixture, Identification
+    from hil.identification.stepwise import Rung
+    from hil.signals.inspection import Inspection
+
+SCHEMA = "hil-identification/1"
+
+
+def people_unit(unit: str, *, milli: bool) -> tuple[float, str]:
+    """The factor and the words in which people read a parameter: mN m for N m where `milli`, as in the paper."""
+    if milli and unit.startswith("N*m"):
+        return 1e3, ("mN m" + unit.removeprefix("N*m")).replace("*", " ")
+    return 1.0, unit.replace("*", " ")
+
+
+def _milli(found: Identification) -> bool:
+    """Whether the joint is small enough to be spoken of in mN m: a hand's is, an arm's is not."""
+    return float(np.ptp(found.signals.torque)) < 1.0
+
+
+def as_json(found: Identification) -> dict[str, Any]:
+    """The JSON object of `hil identify --json`, SI units; what is not a finite number is null."""
+    return {
+        "schema": SCHEMA,
+        "recordings": [str(path) for path in found.recordings],
+        "model": found.model.name,
+        "preset": found.preset,
+        "seed": found.seed,
+        "parameters": {estimate.name: _parameter(estimate) for estimate in found.estimates},
+        "fitness": {
+            "value": found.fitness,
+            "exact_optimum": found.optimum,
+            "relative_gap": found.relative_gap,
+            "unit": "N*m",
+        },
+        "samples": found.samples,
+        "trials": len(found.trials.fitness),
+        "evaluations": found.trials.evaluations,
+        "seconds": found.seconds,
+        "holdout": {"fitness": _number(found.holdout.fitness), "nrmse": _number(found.holdout.nrmse)},
+        "warnings": [finding.as_json() for finding in found.findings],
+        "ladder": [_rung(rung) for rung in found.rungs],
+        "fixture": None if found.fixture is None else _fixture(found.fixture),
+    }
+
+
+def _fixture(fixture: Fixture) -> dict[str, Any]:
+    return {
+        "recording": str(fixture.recording),
+        "model": fixture.model,
+        "parameters": {estimate.name: _parameter(estimate) for estimate in fixture.estimates},
+    }
+
+
+def unusable_json(recordings: Sequence[Path], model: str, preset: str, seed: int, reason: str) -> dict[str, Any]:
+    """The same object where nothing could be fitted: Kc and Bc are null and not identifiable, and `reason` says why."""
+    units = {"Kc": "N*m/rad", "Bc": "N*m*s/rad"}
+    return {
+        "schema": SCHEMA,
+        "recordings": [str(path) for path in recordings],
+        "model": model,
+        "preset": preset,
+        "seed": seed,
+        "parameters": {
+            name: {"value": None, "unit": unit, "ci95": [None, None], "identifiable": False}
+            for name, unit in units.items()
+        },
+        "warnings": [Finding("unusable", reason, name).as_json() for name in units],
+    }
+
+
+def _parameter(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "value": estimate.value,
+        "unit": estimate.unit,
+        "ci95": [_number(end) for end in estimate.ci95],
+        "exact": estimate.exact,
+        "trials_mean": estimate.trials_mean,
+        "trials_std": _number(estimate.trials_std),
+        "identifiable": estimate.identifiable,
+        "at_bound": estimate.at_bound,
+        "bounds": [_number(end) for end in estimate.bounds],
+        "within_std": None if estimate.scatter is None else estimate.scatter.within,
+        "between_std": None if estimate.scatter is None else estimate.scatter.between,
+    }
+
+
+def _rung(rung: Rung) -> dict[str, Any]:
+    return {
+        "model": rung.model,
+        "term": rung.term,
+        "taken": rung.taken,
+        "fitness": rung.fitness,
+        "held_out": rung.held_out,
+        "gain": _number(rung.gain),
+        "Kc": rung.Kc,
+        "Bc": rung.Bc,
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def identification_tables(found: Identification, width: int) -> list[Table]:
+    """Table 1 of the paper, with the exact optimum and its interval beside the search.
+
+    One table where it fits into `width` characters, two that are narrower where it does not.
+    """
+    from rich.console import Console
+
+    title = f"{found.model.name}, {found.samples} samples, {len(found.trials.fitness)} trials"
+    headings = ("best trial", "mean ± std", "exact", "95 % interval")
+    table = _estimates(found, headings, title)
+    if Console(width=1000).measure(table).maximum <= width:
+        return [table]
+    return [_estimates(found, headings[:2], title), _estimates(found, headings[2:], "")]
+
+
+def _estimates(found: Identification, headings: Sequence[str], title: str) -> Table:
+    from rich.box import SIMPLE
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title) if title else None, box=SIMPLE, pad_edge=False)
+    for heading in ("", *headings, ""):
+        table.add_column(heading, justify="right" if heading else "left", overflow="fold")
+    for estimate in found.estimates:
+        factor, unit = people_unit(estimate.unit, milli=_milli(found))
+        cells = _cells(estimate, factor)
+        name = estimate.name if estimate.identifiable else f"{estimate.name} ?"
+        table.add_row(name, *(cells[heading] for heading in headings), unit)
+    return table
+
+
+def ladder_table(found: Identification) -> Table:
+    """The ladder of models: what each term gains, and what it does to Kc and Bc."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    milli = _milli(found)
+    torque, kc, bc = (people_unit(unit, milli=milli) for unit in ("N*m", "N*m/rad", "N*m*s/rad"))
+    table = Table(title="which terms the recording asks for", box=SIMPLE, pad_edge=False)
+    for heading in ("term", f"error, {torque[1]}", "held out", "gain", f"Kc, {kc[1]}", f"Bc, {bc[1]}", ""):
+        table.add_column(heading, justify="right" if heading not in {"term", ""} else "left")
+    for rung in found.rungs:
+        table.add_row(
+            rung.term if rung.term == "linear" else f"+ {rung.term}",
+            f"{rung.fitness * torque[0]:.4g}",
+            f"{rung.held_out * torque[0]:.4g}",
+            f"{rung.gain:.3g}" if math.isfinite(rung.gain) else "",
+            f"{rung.Kc * kc[0]:.5g}",
+            f"{rung.Bc * bc[0]:.4g}",
+            "taken" if rung.taken else "not taken",
+        )
+    return table
+
+
+def _cells(estimate: Estimate, factor: float) -> dict[str, str]:
+    low, high = (end * factor for end in estimate.ci95)
+    spread = (
+        f" ± {estimate.trials_std * factor:.0e}" if math.isfinite(estimate.trials_std) else ""
+    )  # of one trial: none
+    return {
+        "best trial": f"{estimate.value * factor:.5g}",
+        "mean ± std": f"{estimate.trials_mean * factor:.5g}{spread}",
+        "exact": f"{estimate.exact * factor:.5g}",
+        "95 % interval": f"{low:.5g} to {high:.5g}" if math.isfinite(low) else "cannot be told",
+    }
+
+
+def identification_lines(found: Identification) -> list[str]:
+    """What the table does not say: the fitness and its gap, the held-out part, the work done."""
+    factor, unit = people_unit("N*m", milli=_milli(found))
+    return [
+        f"mean |torque error| {found.fitness * factor:.5g} {unit}; exact minimum {found.optimum * factor:.5g} {unit}; "
+        f"the search's own error is {found.relative_gap:.1e} of it",
+        f"held-out fifth: {found.holdout.fitness * factor:.3g} {unit}; RMS {found.holdout.nrmse:.2%} of the torque's",
+        *_scatter_lines(found),
+        *_fixture_lines(found),
+        *(
+            []
+            if found.rungs
+            else ["the intervals are those of this model: --model auto asks what else the stand shows"]
+        ),
+        f"moved {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
+        f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s",
+    ]
+
+
+def _scatter_lines(found: Identification) -> list[str]:
+    """What pooled recordings say of Kc and Bc: how far one is from another, beside its own error."""
+    told = [(estimate, estimate.scatter) for estimate in found.estimates[:2] if estimate.scatter is not None]
+    return [
+        f"{estimate.name}, standard deviation between the {len(found.recordings)} recordings: "
+        f"{scatter.between * factor:.2g} {unit}; within one: {scatter.within * factor:.2g} {unit}"
+        for estimate, scatter in told
+        for factor, unit in [people_unit(estimate.unit, milli=_milli(found))]
+    ]
+
+
+def _fixture_lines(found: Identification) -> list[str]:
+    """What was taken off Kc and Bc."""
+    if found.fixture is None:
+        return []
+    told = [
+        f"{estimate.name} {estimate.exact * factor:.4g} {unit}"
+        for estimate in found.fixture.estimates
+        for factor, unit in [people_unit(estimate.unit, milli=_milli(found))]
+    ]
+    return [f"without the fixture of {found.fixture.recording}, {' and '.join(told)}"]
+
+
+def inspection_table(seen: Inspection) -> Table:
+    """What a recording holds, a line each."""
+    from rich.table import Table
+    from rich.text import Text
+
+    # a name is shown as it is: "[red]" in it is no colour
+    table = Table(title=Text(f"{seen.path}: {seen.kind}, {seen.end_reason}"), show_header=False)
+    factor, unit = people_unit("N*m", milli=seen.torque < 1.0)
+    rows: Mapping[str, str] = {
+        "samples": f"{seen.samples} over {seen.duration:.3g} s",
+        "rate": f"{seen.rate:.5g} Hz, 99 % of intervals within {seen.jitter * 1e6:.3g} us of it",
+        "lost, NaN, late": f"{seen.lost}, {seen.not_numbers}, {seen.late}; longest gap {seen.longest_gap * 1e3:.3g} ms",
+        "saturated": f"{seen.saturated} rows",
+        "deflection": f"{seen.deflection:.4g} rad peak to peak, smallest step {seen.deflection_lsb:.2g} rad",
+        "torque": f"{seen.torque * factor:.4g} {unit} peak to peak, from {seen.torque_from}",
+        "torque noise": f"{seen.torque_noise * factor:.3g} {unit}; signal to noise {seen.snr:.0f} dB",
+        "moved": f"{seen.band[0]:.3g} to {seen.band[1]:.3g} Hz (99 % of the rate's power)",
+        "rate from": f"a local polynomial over {seen.rate_window * 1e3:.3g} ms" if seen.rate_window else "the file",
+    }
+    for name, text in rows.items():
+        table.add_row(name, Text(text))
+    return table
+
+
+def inspection_json(seen: Inspection) -> dict[str, Any]:
+    """The JSON object of `hil inspect --json`, SI units."""
+    plain = {name: getattr(seen, name) for name in seen.__slots__ if name not in {"path", "findings"}}
+    plain["snr"] = _number(seen.snr)
+    return {
+        "schema": "hil-inspection/1",
+        "recording": str(seen.path),
+        "usable": seen.usable,
+        **plain,
+        "warnings": [finding.as_json() for finding in seen.findings],
+    }
+
+
+def draw(found: Identification, path: Path) -> None:
+    """Write a PNG: torque and its model over time, what is left, and the loop of torque against deflection.
+
+    Raises WrongUse where the file cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    signals = found.signals
+    model = _modelled(found)
+    factor, unit = people_unit("N*m", milli=_milli(found))
+    figure = Figure(figsize=(10, 6), layout="constrained")
+    panels = figure.subplot_mosaic([["torque", "loop"], ["left", "loop"]], width_ratios=[3, 2], height_ratios=[2, 1])
+    time = signals.time
+    panels["torque"].plot(time, signals.torque * factor, lw=0.8, color="0.65", label="measured")
+    panels["torque"].plot(time, model * factor, lw=0.6, color="C0", label=found.model.name)
+    panels["torque"].set(ylabel=f"torque at the joint [{unit}]", title=_title(found))
+    panels["torque"].legend(loc="upper right")
+    panels["left"].plot(time, (signals.torque - model) * factor, lw=0.4, color="C3")
+    panels["left"].set(xlabel="time [s]", ylabel=f"error [{unit}]")
+    panels["loop"].plot(signals.dtheta, signals.torque * factor, ".", ms=1, color="0.65")
+    panels["loop"].plot(signals.dtheta, model * factor, lw=0.3, color="C0")
+    panels["loop"].set(xlabel="deflection [rad]", ylabel=f"torque at the joint [{unit}]")
+    for panel in panels.values():
+        panel.grid(visible=True, lw=0.3)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)
+
+
+def _modelled(found: Identification) -> NDArray[np.float64]:
+    signals = found.signals
+    values = np.array([estimate.value for estimate in found.estimates])
+    shape = values[len(found.model.linear) :]
+    columns = found.model.columns(signals.motion, shape)
+    known = signals.torque - found.model.target(signals.motion, signals.torque, shape)
+    return np.asarray(known + columns @ values[: len(found.model.linear)])
+
+
+def _title(found: Identification) -> str:
+    parts = []
+    for estimate in found.estimates[:2]:
+        factor, unit = people_unit(estimate.unit, milli=_milli(found))
+        half = 0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor
+        parts.append(f"{estimate.name} = {estimate.value * factor:#.4g} ± {half:.1g} {unit}")
+    return ",  ".join(parts)
+
+
+def page_files(path: Path) -> tuple[Path, Path]:
+    """The page at `path` and the picture beside it. Raises WrongUse where the two would be one file."""
+    picture = path.with_suffix(".png")
+    if picture == path:
+        raise WrongUse(
+            f"{path} is the name of the report's picture: name the page, such as {path.with_suffix('.html')}"
+        )
+    return path, picture
+
+
+def write_page(found: Identification, path: Path) -> list[Path]:
+    """Write a page that stands alone (`path`, HTML) and its picture beside it; the files written. Raises WrongUse."""
+    path, picture = page_files(path)
+    draw(found, picture)
+    rows = "".join(
+        f"<tr><td>{estimate.name}</td><td>{estimate.value * factor:.5g}</td>"
+        f"<td>{estimate.ci95[0] * factor:.5g} to {estimate.ci95[1] * factor:.5g}</td><td>{html.escape(unit)}</td>"
+        f"<td>{'yes' if estimate.identifiable else 'no'}</td></tr>"
+        for estimate in found.estimates
+        for factor, unit in [people_unit(estimate.unit, milli=_milli(found))]
+    )
+    names = html.escape(", ".join(str(recording) for recording in found.recordings))
+    said = "".join(f"<li>{html.escape(finding.message)}</li>" for finding in found.findings)
+    lines = "".join(f"<p>{html.escape(line)}</p>" for line in identification_lines(found))
+    data = base64.b64encode(picture.read_bytes()).decode()
+    page = (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>hil</title>'
+        "<style>body{font:16px/1.5 sans-serif;max-width:60rem;margin:2rem auto}td,th{padding:.2rem 1rem .2rem 0;"
+        "text-align:left}img{max-width:100%}</style>"
+        f"<h1>{names}</h1><table><tr><th></th><th>value</th><th>95 % interval</th><th>unit</th>"
+        f"<th>identifiable</th></tr>{rows}</table>{lines}<ul>{said}</ul>"
+        f'<img alt="measured and modelled torque" src="data:image/png;base64,{data}"></html>\n'
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return [path, picture]

@@ -1,0 +1,98 @@
+"""Whether a recording can be used: its rate, gaps, saturation, excitation and noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.servo import Status
+from hil.diagnostics import Finding, lateness
+from hil.errors import Untrustworthy
+from hil.identification.dataset import recording_findings, stand_of
+from hil.recording.reader import Recording
+from hil.signals.prepare import prepare
+from hil.signals.quality import assess
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """What a recording holds.
+
+    rate Hz (median), jitter s (99 % of the intervals are within it of the median), longest_gap s, deflection rad and
+    torque N m (peak to peak), deflection_lsb rad (smallest step seen), torque_noise N m (standard deviation of what is
+    left of the torque after a local polynomial), snr dB (torque's variance over that noise's), band Hz, rate_window s.
+    """
+
+    path: Path
+    kind: str
+    created: str
+    end_reason: str
+    samples: int
+    duration: float
+    rate: float
+    jitter: float
+    lost: int
+    not_numbers: int
+    longest_gap: float
+    saturated: int
+    late: int
+    deflection: float
+    deflection_lsb: float
+    torque: float
+    torque_noise: float
+    snr: float
+    band: tuple[float, float]
+    rate_window: float
+    torque_from: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Whether nothing fatal was found."""
+        return not any(finding.fatal for finding in self.findings)
+
+
+def inspect(path: Path) -> Inspection:
+    """Look at one recording, finished or not. Raises WrongUse, and Untrustworthy where there is nothing to measure."""
+    with Recording(path) as recording:
+        if not recording.verify():
+            raise Untrustworthy(f"{path}: the samples are not the ones that were written (sha256 differs)")
+        signals = prepare(recording, stand_of(recording))
+        status = recording.channel("status").astype(np.int64)
+        late = int(np.count_nonzero(status & int(Status.LATE)))
+        intervals = np.diff(signals.time)
+        read = recording.channel("read_time")
+        stamps = np.where(np.isfinite(read), read, recording.channel("time"))
+        stamps = stamps[np.isfinite(stamps)]
+        quality = assess(recording, signals)
+        return Inspection(
+            path=path,
+            kind=str(recording.profile.get("kind", "unknown")),
+            created=str(recording.attributes.get("created", "")),
+            end_reason=str(recording.attributes.get("end_reason", "")) or "did not end",
+            samples=len(recording),
+            duration=float(stamps[-1] - stamps[0]),
+            rate=1.0 / float(np.median(intervals)),
+            jitter=float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99)),
+            lost=signals.lost,
+            not_numbers=signals.not_numbers,
+            longest_gap=float(intervals.max()),
+            saturated=quality.saturated,
+            late=late,
+            deflection=float(np.ptp(signals.dtheta)),
+            deflection_lsb=quality.deflection_lsb,
+            torque=float(np.ptp(signals.torque)),
+            torque_noise=quality.torque_noise,
+            snr=quality.snr,
+            band=signals.band,
+            rate_window=signals.rate_window,
+            torque_from=signals.torque_from,
+            findings=tuple(
+                recording_findings(recording, signals) + quality.findings() + lateness(late, len(recording))
+            ),
+        )

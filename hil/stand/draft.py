@@ -1,0 +1,182 @@
+"""A new stand.toml: what has to be known for it, and the commented file that is written from the answers."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import textwrap
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from hil.stand.devices import BACKENDS, SENSORS
+from hil.stand.file import LimitsTable, StandTable
+
+_UNKNOWN = object()
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One key: its table and name, what it means, and its default (None: it must be answered)."""
+
+    table: str
+    name: str
+    meaning: str
+    default: Any
+
+    @property
+    def key(self) -> str:
+        """As in the messages: table.name."""
+        return f"{self.table}.{self.name}"
+
+
+_STAND = (
+    Question("stand", "name", "what you call it", "my stand"),
+    Question("stand", "gear_ratio", "motor turns (or turns of the servo's horn) for one of the joint", 1.0),
+    Question("stand", "motor_inertia", "kg m^2, at the motor shaft; 0 where not known", 0.0),
+    Question("stand", "motor_damping", "N m s/rad, at the motor shaft; 0 where not known", 0.0),
+    Question(
+        "stand",
+        "torque_source",
+        '"joint": a torque cell at the locked joint; "motor": inferred from its own',
+        "motor",
+    ),
+)
+_LIMITS = (
+    Question("limits", "torque", "N m", 0.02),
+    Question("limits", "deflection", "rad", 0.5),
+    Question("limits", "velocity", "rad/s", 20.0),
+    Question("limits", "temperature", "degC, of the winding", 60.0),
+)
+_TABLES: Mapping[str, Any] = {"stand": StandTable, "limits": LimitsTable}
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A stand file in the making, for `backend` and the joint sensor `sensor` (None: without one)."""
+
+    backend: str
+    sensor: str | None
+
+    def questions(self) -> list[Question]:
+        """What has to be asked: of the stand, of the device what has no default, the limits."""
+        return [*_STAND, *(q for q in self._device_questions() if q.default is None), *_LIMITS]
+
+    def wrong(self, question: Question, value: Any) -> str:
+        """Why `value` cannot be the answer, "" where it can."""
+        try:
+            TypeAdapter(self._class_of(question.table)).validate_python({question.name: value})
+        except ValidationError as error:
+            for item in error.errors():
+                if item["loc"][:1] == (question.name,):
+                    return str(item["msg"])
+        return ""
+
+    def value(self, question: Question, text: str) -> Any:
+        """What a person typed, as a number where that is what the key takes, else as text."""
+        try:
+            value = tomllib.loads(f"x = {text}")["x"]
+        except tomllib.TOMLDecodeError:
+            return text
+        return text if self.wrong(question, value) and not self.wrong(question, text) else value
+
+    def question(self, key: str) -> Question | None:
+        """The question of a key, `table.name`, asked or not; None where there is no such key."""
+        return next((q for q in [*_STAND, *_LIMITS, *self._device_questions()] if q.key == key), None)
+
+    def keys(self) -> list[str]:
+        """Every key there is."""
+        return [q.key for q in [*_STAND, *_LIMITS, *self._device_questions()]]
+
+    def text(self, answers: Mapping[str, Any]) -> str:
+        """The file. answers: by key; what has a default and no answer stands in it as a comment or as the default."""
+        lines = [
+            "# hil doctor checks it. For completion in an editor: hil stand schema > stand.schema.json",
+            "#:schema ./stand.schema.json",
+            "",
+            "[stand]",
+            f"backend = {_toml(self.backend)}",
+            *_lines(_STAND, answers),
+        ]
+        mine = list(self._device_questions())
+        for table in dict.fromkeys(question.table for question in mine):
+            lines += ["", f"[{table}]"]
+            if table == "joint_sensor":
+                lines.append(f"kind = {_toml(self.sensor)}")
+            lines += _lines([q for q in mine if q.table == table], answers, optional=True)
+        lines += ["", "[limits]" + " " * 22 + "# at the joint; no option can raise them", *_lines(_LIMITS, answers)]
+        return "\n".join(lines) + "\n"
+
+    def _class_of(self, table: str) -> Any:
+        if table == "joint_sensor":
+            return SENSORS[str(self.sensor)].table_class()
+        return _TABLES[table] if table in _TABLES else BACKENDS[table].table_class()
+
+    def _device_questions(self) -> Iterator[Question]:
+        tables = [self.backend] if self.backend != "sim" else []
+        for table in [*tables, *(["joint_sensor"] if self.sensor else [])]:
+            cls = self._class_of(table)
+            meanings = _meanings(cls)
+            for name, default in _fields(cls):
+                yield Question(table, name, meanings.get(name, ""), None if default is _UNKNOWN else (default,))
+
+
+def _fields(cls: Any) -> Iterator[tuple[str, Any]]:
+    """The keys of a table with their defaults, `_UNKNOWN` where they must be given."""
+    if dataclasses.is_dataclass(cls):
+        for field in dataclasses.fields(cls):
+            if field.default_factory is not dataclasses.MISSING:
+                yield field.name, field.default_factory()
+            else:
+                yield field.name, _UNKNOWN if field.default is dataclasses.MISSING else field.default
+        return
+    for name, info in cls.model_fields.items():
+        yield name, _UNKNOWN if info.is_required() else info.get_default(call_default_factory=True)
+
+
+def _meanings(cls: Any) -> dict[str, str]:
+    """What the docstring of a table says of its keys, each as `key: what it means.`"""
+    names = [name for name, _ in _fields(cls)]
+    alternatives = "|".join(names)
+    text = re.sub(r"\s+", " ", cls.__doc__ or "")
+    found = re.findall(rf"\b({alternatives}): (.*?)(?= (?:\w+, )*(?:{alternatives}): |$)", text)
+    return {name: meaning.strip().rstrip(".") for name, meaning in found}
+
+
+def _lines(
+    questions: list[Question] | tuple[Question, ...], answers: Mapping[str, Any], *, optional: bool = False
+) -> Iterator[str]:
+    """Key and value with the meaning behind it; an optional key without an answer as a comment."""
+    for question in questions:
+        if question.key in answers:
+            yield from _commented(f"{question.name} = {_toml(answers[question.key])}", question.meaning)
+        elif not optional:
+            yield from _commented(f"{question.name} = {_toml(question.default)}", question.meaning)
+        elif question.default is not None:
+            (default,) = question.default
+            shown = "..." if default is None else _toml(default)
+            yield from _commented(f"# {question.name} = {shown}", question.meaning)
+
+
+def _commented(line: str, meaning: str) -> Iterator[str]:
+    if not meaning:
+        yield line
+        return
+    first, *rest = textwrap.wrap(meaning, 86)
+    yield f"{line:<30}# {first}"
+    for more in rest:
+        yield f"{'':<30}# {more}"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return json.dumps(str(value), ensure_ascii=False)

@@ -1,0 +1,230 @@
+"""The stand: what `stand.toml` says of the motor, the gear, the limits, and the servo that is opened from it.
+
+People speak of the joint and a servo speaks of the motor shaft. `Stand` holds the joint's side; the recorder and
+`motor_limits` do the conversion with the gear ratio.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, create_model
+
+from drivers.servo import Limits, MonotonicClock, Quantity, Servo
+from hil.errors import WrongUse
+from hil.stand.devices import BACKENDS, SENSORS, check_backend, check_sensor, open_backend, open_sensor
+from hil.stand.servo import StandServo
+from sim_backend.parameters import SimParameters
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class StandTable(_Table):
+    """[stand]: what is known of the motor and its gear.
+
+    gear_ratio: motor turns a joint turn. motor_inertia: kg m^2. motor_damping: N m s/rad, both at the motor shaft.
+    torque_source: "joint" for a torque cell at the locked joint, "motor" to infer it through equation (1).
+    torque_uncertainty: of the torque's scale (torque constant or cell), relative, one standard deviation. zero: rad,
+    what the drive shows where the stand's motor angle is zero.
+    """
+
+    name: str = "unnamed stand"
+    backend: str | None = None
+    gear_ratio: Positive = 1.0
+    motor_inertia: NotNegative = 0.0
+    motor_damping: NotNegative = 0.0
+    torque_source: Literal["motor", "joint"] = "motor"
+    torque_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    zero: Finite = 0.0
+
+
+class LimitsTable(_Table):
+    """[limits], all at the joint: torque N m, deflection rad, velocity rad/s; temperature of the winding degC."""
+
+    torque: Positive
+    deflection: Positive
+    velocity: Positive
+    temperature: Positive = 70.0
+
+
+class File(_Table):
+    """The tables that are the same for every stand."""
+
+    stand: StandTable
+    limits: LimitsTable | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Stand:
+    """A checked stand file. `text` is the file as written; `limits` is None where the file sets none.
+
+    devices: the backends' own tables, those the file has. sensor: the joint sensor's kind and table, None without one.
+    """
+
+    stand: StandTable
+    limits: LimitsTable | None
+    devices: Mapping[str, Any]
+    sensor: tuple[str, Any] | None
+    text: str
+
+    @property
+    def sim(self) -> SimParameters:
+        """[sim], the default where the file has none."""
+        parameters: SimParameters = self.devices.get("sim") or SimParameters()
+        return parameters
+
+    def simulated(self) -> SimParameters:
+        """[sim] with the motor and gear of [stand] where [sim.motor] states none.
+
+        The gear is the stand's even where it is left at 1: the recorder reckons with it.
+        """
+        stated = self.stand.model_dump(include=self.stand.model_fields_set)
+        return self.sim.resolved(
+            gear_ratio=self.stand.gear_ratio,
+            motor_inertia=stated.get("motor_inertia") or None,
+            motor_damping=stated.get("motor_damping"),
+        )
+
+    def checked_limits(self) -> LimitsTable:
+        """The limits, without which nothing is driven. Raises WrongUse where the file has none."""
+        if self.limits is None:
+            raise WrongUse("the stand file sets no limits: add [limits] with torque, deflection and velocity")
+        return self.limits
+
+    def motor_limits(self, zero: float) -> Limits:
+        """The limits at the motor shaft, for a joint at rest at motor position `zero` rad."""
+        limits, ratio = self.checked_limits(), self.stand.gear_ratio
+        reach = limits.deflection * ratio
+        return Limits(
+            torque=limits.torque / ratio,
+            velocity=limits.velocity * ratio,
+            temperature=limits.temperature,
+            position=(zero - reach, zero + reach),
+        )
+
+
+SIMULATED = """\
+[stand]
+name = "simulated index finger, the paper's joint"
+backend = "sim"
+gear_ratio = 4.0
+motor_inertia = 2.0e-7
+motor_damping = 1.0e-7
+torque_source = "joint"
+
+[limits]
+torque = 0.03
+deflection = 1.0
+velocity = 100.0
+temperature = 80.0
+"""
+"""The stand that `--backend sim` means. What is not here is the simulator's own default."""
+
+
+def load(path: Path) -> Stand:
+    """The stand in a TOML file. Raises WrongUse with every problem of the file at once, each with its key."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise WrongUse(f"{path}: the stand file cannot be read ({error})") from None
+    return parse(text, str(path))
+
+
+def parse(text: str, name: str = "stand.toml") -> Stand:
+    """The stand in `text`. Raises WrongUse with every problem at once, each with its key."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise WrongUse(f"{name} is not TOML: {error}") from None
+    kind, problems = _sensor_kind(table)
+    file: Any = None
+    try:
+        file = _file_model(frozenset(table) & frozenset(BACKENDS), kind).model_validate(table)
+    except ValidationError as error:
+        problems += [_problem(item) for item in error.errors()]
+    if problems:
+        raise WrongUse(f"{name} has {len(problems)} problem(s):\n" + "\n".join(f"  {text}" for text in problems))
+    devices = {backend: getattr(file, backend) for backend in BACKENDS if backend in table}
+    sensor = None if kind is None else (kind, file.joint_sensor)
+    return Stand(file.stand, file.limits, devices, sensor, text)
+
+
+def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[str]]:
+    """The joint sensor's kind, taken out of [joint_sensor], whose other keys are its own; and what is wrong with it."""
+    sensor = table.get("joint_sensor")
+    if not isinstance(sensor, dict):
+        return None, []
+    try:
+        return check_sensor(sensor.pop("kind", None)), []
+    except WrongUse as error:
+        del table["joint_sensor"]
+        return None, [f"joint_sensor.kind: {error}"]
+
+
+def _file_model(backends: frozenset[str], sensor: str | None) -> type[File]:
+    """What a file with the tables of these backends and that sensor must hold; no other device's code is loaded."""
+    tables: dict[str, Any] = {name: (BACKENDS[name].table_class(), ...) for name in sorted(backends)}
+    if sensor is not None:
+        tables["joint_sensor"] = (SENSORS[sensor].table_class(), ...)
+    return create_model("_FileOfStand", __base__=File, **tables)
+
+
+def _problem(item: Any) -> str:
+    key = ".".join(str(part) for part in item["loc"])
+    if item["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
+        return f"{key}: no such key"
+    if item["type"] in {"missing", "missing_argument"}:
+        return f"{key}: must be given"
+    if item["type"] == "value_error":  # several keys that do not fit each other; the message names them
+        return f"{key}: {item['ctx']['error']}"
+    return f"{key} = {item['input']!r}: {item['msg']}"
+
+
+def open_servo(
+    stand: Stand, *, quantity: Quantity = Quantity.TORQUE, seed: int = 0, realtime: bool = False
+) -> tuple[Servo, Mapping[str, float]]:
+    """The stand's servo, closed by whoever asked for it, and the truth where it is simulated ({} otherwise).
+
+    Its joint sensor, where the stand has one, is part of it, and so is the stand's zero. quantity: what will be
+    commanded, which chooses a drive's mode. seed: of everything random in a simulated servo. realtime: simulate in wall
+    time. Raises WrongUse, DriverError.
+    """
+    name = check_backend(stand.stand.backend)
+    truth: Mapping[str, float] = {}
+    if name == "sim":
+        from sim_backend.servo import SimServo, VirtualClock
+
+        clock = MonotonicClock() if realtime else VirtualClock()
+        simulated = SimServo(stand.simulated(), seed=seed, clock=clock)
+        servo, truth = cast("Servo", simulated), simulated.truth()
+    else:
+        servo = open_backend(name, _table_of(stand, name), quantity)
+    if stand.sensor is None and not stand.stand.zero:
+        return servo, truth
+    try:
+        sensor = None if stand.sensor is None else open_sensor(*stand.sensor, servo.clock)
+    except BaseException:
+        servo.close()
+        raise
+    return StandServo(servo, stand.stand.zero, sensor), truth
+
+
+def _table_of(stand: Stand, name: str) -> Any:
+    """The backend's own table. Raises WrongUse where the file has none, with the keys that it must have."""
+    if name in stand.devices:
+        return stand.devices[name]
+    try:
+        return TypeAdapter(BACKENDS[name].table_class()).validate_python({})
+    except ValidationError as error:
+        keys = ", ".join(str(item["loc"][0]) for item in error.errors())
+        raise WrongUse(f"the stand file has no [{name}]: add it with at least {keys}") from None

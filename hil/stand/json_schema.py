@@ -1,0 +1,41 @@
+"""The JSON schema of stand.toml, for editors that check and complete as one types; made from what checks the file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import create_model
+
+from hil.stand.devices import BACKENDS, SENSORS
+from hil.stand.file import File
+
+_SENSOR = "joint_sensor_"
+
+
+def stand_schema() -> dict[str, Any]:
+    """The schema, with the tables of every backend and joint sensor there is."""
+    tables: dict[str, Any] = {name: (device.table_class(), None) for name, device in BACKENDS.items()}
+    tables |= {f"{_SENSOR}{kind}": (device.table_class(), None) for kind, device in SENSORS.items()}
+    schema = create_model("Stand", __base__=File, **tables).model_json_schema()
+    schema["$schema"] = "http://json-schema.org/draft-07/schema#"
+    schema["title"] = "stand.toml"
+    definitions, properties = schema["$defs"], schema["properties"]
+    definitions["StandTable"]["properties"]["backend"] = {"enum": list(BACKENDS), "title": "Backend"}
+    for name in (*BACKENDS, *(f"{_SENSOR}{kind}" for kind in SENSORS)):
+        properties[name].pop("default", None)  # a table that is left out has no default worth completing
+    sensors = [_with_kind(kind, _resolved(properties.pop(f"{_SENSOR}{kind}"), definitions)) for kind in SENSORS]
+    if sensors:
+        properties["joint_sensor"] = {"anyOf": sensors}
+    return schema
+
+
+def _resolved(field: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """The definition that a field refers to."""
+    definition: dict[str, Any] = definitions[str(field["$ref"]).rpartition("/")[2]]
+    return definition
+
+
+def _with_kind(kind: str, table: dict[str, Any]) -> dict[str, Any]:
+    """A sensor's table with the key that says which it is."""
+    properties = {"kind": {"const": kind}, **table.get("properties", {})}
+    return table | {"properties": properties, "required": ["kind", *table.get("required", [])]}

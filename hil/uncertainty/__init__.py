@@ -1,0 +1,1 @@
+"""Confidence intervals, and whether they may be trusted."""

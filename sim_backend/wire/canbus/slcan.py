@@ -1,0 +1,161 @@
+"""A serial CAN adapter of the LAWICEL kind on a pty, with an emulated bus behind it.
+
+Source: the LAWICEL CANUSB manual for commands and answers; the CANable 2 firmware's additions for CAN FD (Yn, d, D, b,
+B). Ended by CR: Sn bit rate, Yn data bit rate, O L C open and close, V N version and serial number, F status flags, t T
+data frame, r R remote frame. Answers: CR done (z CR or Z CR for a frame taken), BEL refused.
+"""
+
+from __future__ import annotations
+
+import heapq
+import os
+import select
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.canbus.frames import CanFrame
+from sim_backend.wire.uart.pty_line import PtyLine
+
+if TYPE_CHECKING:
+    from sim_backend.wire.canbus.bus import Bus, Delivery
+
+OK, BELL = b"\r", b"\a"
+BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000, 83_300)
+"""bit/s of S0 to S9 (S9: CANable)."""
+LONGEST = 160
+_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+_IDLE = 0.02
+
+
+class Adapter:
+    """Text in, text out. bitrate: bit/s that the bus runs at; None: whatever the client sets is right."""
+
+    def __init__(self, bus: Bus, *, bitrate: int | None = None) -> None:
+        self._bus = bus
+        self._bitrate = bitrate
+        self._set: int | None = None
+        self._text = bytearray()
+        self._open = False
+        self._listening = False
+
+    @property
+    def unplugged(self) -> bool:
+        """Whether it has been pulled out."""
+        return self._bus.unplugged
+
+    @unplugged.setter
+    def unplugged(self, value: bool) -> None:
+        self._bus.unplugged = value
+
+    def due(self) -> float:
+        """When the bus next says something unasked, s."""
+        return self._bus.due()
+
+    def receive(self, data: bytes, now: float, _baudrate: int | None = None) -> list[tuple[float, bytes]]:
+        """What the client's `data` make it answer, and when, s."""
+        out: list[tuple[float, bytes]] = []
+        self._text += data
+        while OK[0] in self._text:
+            line, _, rest = bytes(self._text).partition(OK)
+            self._text = bytearray(rest)
+            if line:
+                out += self._command(line, now)
+        if len(self._text) > LONGEST:
+            self._text.clear()
+            out.append((now, BELL))
+        return out
+
+    def speak(self, now: float) -> list[tuple[float, bytes]]:
+        """What the bus has said unasked up to `now`."""
+        return self._texts(self._bus.advance(now))
+
+    def advance(self, now: float) -> None:
+        """Let time pass; what is said meanwhile is lost."""
+        self._bus.advance(now)
+
+    def _command(self, line: bytes, now: float) -> list[tuple[float, bytes]]:
+        letter = line[:1]
+        if letter in b"tTrRdDbB":
+            return self._transmit(line, now)
+        answer = BELL
+        if letter == b"S" and line[1:].isdigit() and not self._open and int(line[1:]) < len(BITRATES):
+            self._set = BITRATES[int(line[1:])]
+            answer = OK
+        elif letter in b"sYMmZU" and not self._open:
+            answer = OK
+        elif letter in b"OL" and not self._open:
+            self._open, self._listening = True, letter == b"L"
+            answer = OK
+        elif letter == b"C":
+            answer = OK if self._open else BELL
+            self._open = False
+        elif letter == b"V":
+            answer = b"V1013\r"
+        elif letter == b"N":
+            answer = b"NHIL1\r"
+        elif letter == b"F" and self._open:
+            answer = b"F80\r" if self._bus.off else b"F00\r"
+        return [(now, answer)]
+
+    def _transmit(self, line: bytes, now: float) -> list[tuple[float, bytes]]:
+        frame = _parsed(line)
+        if frame is None or not self._open or self._listening or self._bus.off:
+            return [(now, BELL)]
+        taken = b"Z\r" if frame.extended else b"z\r"
+        if self._bitrate not in {None, self._set}:
+            return [(now, taken)]  # nobody on the bus understands it
+        return [(now, taken), *self._texts(self._bus.receive(frame, now))]
+
+    def _texts(self, deliveries: list[Delivery]) -> list[tuple[float, bytes]]:
+        """Frames as text; an adapter of this kind tells of errors only where it is asked for its flags."""
+        return [(at, _text(frame)) for at, frame in deliveries if self._open and not frame.error]
+
+
+class SlcanLine(PtyLine):
+    """Serves `bus` through an adapter at `link`, a symlink to a pty. See `PtyLine`."""
+
+    def __init__(self, link: Path, bus: Bus, *, bitrate: int | None = None) -> None:
+        self._adapter = Adapter(bus, bitrate=bitrate)
+        super().__init__(link, self._adapter, any_baudrate=True)
+
+    def run(self) -> None:
+        """Serve until `stop` is called or the adapter is unplugged. A bus speaks unasked, so its time is kept too."""
+        while not self._adapter.unplugged:
+            next_ = min([self._adapter.due(), *(at for at, _, _ in self._due[:1])])
+            ready, _, _ = select.select([self._master, self._wake], [], [], max(0.0, min(_IDLE, next_ - self.now())))
+            if self._wake in ready:
+                return
+            if self._master in ready:
+                self._take(os.read(self._master, 4096))
+            with self.lock:
+                said = self._adapter.speak(self.now())
+            for at, text in said:
+                self._sent += 1
+                heapq.heappush(self._due, (at, self._sent, text))
+            self._send()
+        self._drop()
+
+
+def _parsed(line: bytes) -> CanFrame | None:
+    """The frame of a transmit command; None where it is none."""
+    letter = line[:1].decode("ascii")
+    extended, remote, fd = letter in "TRDB", letter in "rR", letter in "dDbB"
+    digits = 8 if extended else 3
+    try:
+        ident = int(line[1 : 1 + digits], 16)
+        length = int(line[1 + digits : 2 + digits], 16)
+        data = b"" if remote else bytes.fromhex(line[2 + digits :].decode("ascii"))
+    except ValueError:
+        return None
+    wanted = 0 if remote else _LENGTHS[length]
+    if (length > 8 and not fd) or len(data) != wanted or ident >= 1 << (29 if extended else 11):
+        return None
+    return CanFrame(ident, data, extended=extended, remote=remote, fd=fd, fast=letter in "bB")
+
+
+def _text(frame: CanFrame) -> bytes:
+    letter = ("b" if frame.fast else "d") if frame.fd else ("r" if frame.remote else "t")
+    ident = f"{frame.ident:08X}" if frame.extended else f"{frame.ident:03X}"
+    length = next(code for code, size in enumerate(_LENGTHS) if size >= len(frame.data))
+    head = (letter.upper() if frame.extended else letter) + ident + f"{length:X}"
+    return (head + frame.data.hex().upper()).encode("ascii") + OK

@@ -1,0 +1,1 @@
+"""Emulated CiA 402 drives."""

@@ -1,0 +1,267 @@
+"""One CiA 402 drive on a CAN bus: an EPOS4, an EPOS2, or a plain CiA 402 drive, with the plant behind its motor.
+
+Source: CiA 402-2 for states and objects, the maxon firmware specifications for units. What they leave open, or what is
+chosen here: the speed limit in torque modes takes away the torque that would go beyond it; a heartbeat that stays
+away switches the power stage off whatever 0x6007 says (and latches 0x8130); in an active quick stop the drive brakes;
+averages are not averaged. Modes other than the torque mode are taken and drive nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.canbus.motor import Law, Motor, behind
+from sim_backend.wire.canopen.dictionary import BAD_SIGNATURE, RANGE, Abort, Dictionary, eds
+from sim_backend.wire.canopen.node import CanopenNode
+from sim_backend.wire.cia402.machine import Machine, State
+from sim_backend.wire.cia402.tables import GROUPS, MODELS, SCALE, TORQUE_CONSTANT, entries
+
+if TYPE_CHECKING:
+    from sim_backend.parameters import SimParameters
+    from sim_backend.wire.canbus.frames import CanFrame
+
+TURN = 2.0 * math.pi
+OVERTEMPERATURE = 0x4210
+OVERCURRENT = 0x2310
+FOLLOWING_ERROR = 0x8611
+_SAVE, _LOAD = 0x65766173, 0x64616F6C
+_REGISTER = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0x8: 0x10}
+"""Bits of the error register by the first digit of the error code; bit 0 is always set."""
+
+
+class Device:
+    """Drive `model` (of `MODELS`) with node id `ident`. Times are s on the bus's clock."""
+
+    def __init__(
+        self,
+        model: str = "epos4",
+        ident: int = 1,
+        *,
+        parameters: SimParameters | None = None,
+        now: float = 0.0,
+        serial: int = 0x62004411,
+    ) -> None:
+        self.model = MODELS[model]
+        self.kind = model
+        self.motor = Motor(parameters or behind(SCALE, TORQUE_CONSTANT, 0.6))
+        self.machine = Machine()
+        self.objects = Dictionary(entries(model, ident), GROUPS)
+        identity: dict[tuple[int, int], int | str] = {
+            (0x1008, 0): self.model.name,
+            (0x1018, 1): self.model.vendor,
+            (0x1018, 2): self.model.product,
+            (0x1018, 3): self.model.revision,
+            (0x1018, 4): serial,
+            (0x6502, 0): 1 << 9 if self.model.mode == 10 else 1 << 16,
+        }
+        for key, value in identity.items():
+            self.objects.put(*key, value)
+        self._powered = now
+        self._zero = 0.0
+        self._hook()
+        self.node = CanopenNode(ident, self.objects, self, now)
+
+    @property
+    def eds(self) -> str:
+        """Its electronic data sheet."""
+        model = self.model
+        return eds(self.objects, vendor=model.vendor, product=model.product, revision=model.revision, name=model.name)
+
+    # -- the node's side of the bus ---------------------------------------------------------------------------------
+
+    def due(self) -> float:
+        """When it next speaks, or something in it happens."""
+        return min(self.node.due(), self.machine.due())
+
+    def speak(self, now: float) -> list[CanFrame]:
+        """What it says unasked."""
+        self.advance(now)
+        return self.node.speak(now)
+
+    def advance(self, now: float) -> None:
+        """Carry the motor to `now`."""
+        self.machine.advance(now)
+        self._control()
+        self.motor.run(now - self._powered)
+        self.node.advance(now)
+        hot = self.objects.entries.get((0x3201, 4))
+        too_hot = hot is not None and self.motor.temperature * 10.0 > self.objects.get(0x3201, 4)
+        if too_hot and self.machine.state is not State.FAULT:
+            self.fail(OVERTEMPERATURE)
+        self._control()
+
+    def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """What it answers."""
+        self.advance(now)
+        return self.node.hear(frame, now)
+
+    def reboot(self, now: float) -> None:
+        """Lose power for a moment: RAM, position and faults are gone."""
+        self.restarted(now)
+        self.node.reset(now, application=True)
+
+    def fail(self, code: int) -> None:
+        """Latch a fault, and say it in an EMCY."""
+        self.machine.fail()
+        self.motor.disable()
+        count = self.objects.get(0x1003)
+        for place in range(min(count, 4), 0, -1):
+            self.objects.put(0x1003, place + 1, self.objects.get(0x1003, place))
+        self.objects.put(0x1003, 0, min(count + 1, 5))
+        self.objects.put(0x1003, 1, code)
+        self.objects.put(0x1001, 0, 1 | _REGISTER.get(code >> 12, 0))
+        if (0x603F, 0) in self.objects.entries:
+            self.objects.put(0x603F, 0, code)
+        self.node.emergency(code)
+
+    # -- canopen_node.Application -----------------------------------------------------------------------------------
+
+    def receive(self, index: int, _sub: int, value: int, now: float) -> None:
+        """A mapped object came in a PDO."""
+        if index == 0x6040:
+            self._command(value, now)
+        elif index == 0x6060:
+            self.objects.put(0x6061, 0, value)
+        self._control()
+
+    def connection_lost(self, code: int, _now: float) -> None:
+        """Nobody watches any more."""
+        live = self.machine.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.SWITCHED_ON}
+        if code:
+            self.fail(code)
+        elif live:
+            self.machine.disable_voltage()
+            self._control()
+
+    def restarted(self, now: float) -> None:
+        """Begin anew."""
+        self.motor.run(now - self._powered)
+        self.motor.disable()
+        self.machine = Machine()
+        self._zero = self.motor.position
+        self.objects.put(0x1001, 0, 0)
+        self.objects.put(0x1003, 0, 0)
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+
+    def _command(self, word: int, now: float) -> None:
+        self.machine.quick_stop_holds = self._quick_stop_holds()
+        if self.machine.command(word, now):
+            self.objects.put(0x1001, 0, 0)
+            if (0x603F, 0) in self.objects.entries:
+                self.objects.put(0x603F, 0, 0)
+            self.node.emergency(0)
+        self._control()
+
+    def _quick_stop_holds(self) -> bool:
+        return (0x605A, 0) not in self.objects.entries or self.objects.get(0x605A) >= 5
+
+    def _control(self) -> None:
+        """Hand the motor what state, set-point and limits make of it."""
+        state = self.machine.state
+        if state is State.QUICK_STOP_ACTIVE:
+            self.motor.follow(Law(kd=1e-3, ceiling=self._ceiling()))
+            return
+        if state is not State.OPERATION_ENABLED:
+            if self.motor.enabled:
+                self.motor.disable()
+            return
+        if not self.motor.enabled:
+            self.motor.enable()
+        wanted = self._wanted()
+        ceiling = self._ceiling()
+        unit = self._speed_unit() if self.kind == "epos4" else TURN / 60.0
+        fast = abs(self.motor.velocity) > self.objects.get(*self.model.speed) * unit
+        if fast and wanted * self.motor.velocity > 0.0:
+            ceiling = 0.0
+        self.machine.limiting = abs(wanted) > ceiling
+        self.motor.follow(Law(feedforward=max(-ceiling, min(ceiling, wanted))))
+
+    def _wanted(self) -> float:
+        """N m of the set-point."""
+        if self.objects.get(0x6060) != self.model.mode:
+            return 0.0
+        value = self.objects.get(*self.model.target)
+        return value * (1e-3 * TORQUE_CONSTANT if self.kind == "epos2" else 1e-3 * self._rated())
+
+    def _ceiling(self) -> float:
+        """N m that current or torque limit allow."""
+        if self.model.current_limit is None:
+            return self.objects.get(0x6072) * 1e-3 * self._rated()
+        return self.objects.get(*self.model.current_limit) * 1e-3 * self._constant()
+
+    def _constant(self) -> float:
+        """N m/A that the drive believes; what the motor makes of a current is `TORQUE_CONSTANT`."""
+        return self.objects.get(0x3001, 5) * 1e-6 if self.kind == "epos4" else TORQUE_CONSTANT
+
+    def _rated(self) -> float:
+        """N m of 0x6076."""
+        return self._rated_torque() * (1e-6 if self.kind == "epos4" else 1e-3)
+
+    def _rated_torque(self) -> int:
+        if self.kind != "epos4":
+            return int(self.objects.values[0x6076, 0])
+        return round(self.objects.get(0x3001, 1) * self.objects.get(0x3001, 5) * 1e-3)
+
+    def _speed_unit(self) -> float:
+        """rad/s of one count of velocity."""
+        prefix = 0
+        if (0x60A9, 0) in self.objects.entries:
+            prefix = self.objects.get(0x60A9) >> 24
+            prefix -= 256 if prefix > 127 else 0
+        return float(TURN / 60.0 * 10.0**prefix)
+
+    def _hook(self) -> None:
+        """Tie the objects that show or change what the drive does to it."""
+        counts = 4 * self.objects.get(0x2210, 1) if self.kind == "epos2" else 0
+        counts = counts or self.objects.get(*((0x3000, 5) if self.kind == "epos4" else (0x608F, 1)))
+        motor = self.motor
+        reads = {
+            (0x6041, 0): lambda: self.machine.statusword,
+            (0x6064, 0): lambda: round((motor.position - self._zero) / TURN * counts),
+            (0x606C, 0): lambda: round(motor.velocity / self._speed_unit()),
+            (0x6077, 0): lambda: round(motor.torque / self._rated() * 1e3) if self._rated() else 0,
+            (0x6078, 0): self._milliamperes,
+            (0x2027, 0): self._milliamperes,
+            (0x2028, 0): lambda: round(motor.velocity / self._speed_unit()),
+            (0x30D0, 0): lambda: round(motor.demand / TORQUE_CONSTANT * 1e3),
+            (0x30D1, 1): self._milliamperes,
+            (0x30D1, 2): self._milliamperes,
+            (0x3201, 1): lambda: round(motor.temperature * 10.0),
+        }
+        if self.kind == "epos4":
+            reads[0x6076, 0] = self._rated_torque
+        self.objects.read_hooks = {key: hook for key, hook in reads.items() if key in self.objects.entries}
+        self.objects.write_hooks |= {
+            0x1003: self._history_written,
+            0x1010: self._stored,
+            0x1011: self._restored,
+            0x6040: lambda _i, _s, value: self._command(value, self._powered + self.motor._time),
+            0x6060: self._mode_written,
+        }
+
+    def _milliamperes(self) -> int:
+        return round(self.motor.torque / TORQUE_CONSTANT * 1e3)
+
+    def _mode_written(self, _index: int, _sub: int, value: int) -> None:
+        if value not in {self.model.mode, 1, 3, 6}:
+            raise Abort(RANGE)
+        self.objects.put(0x6061, 0, value)
+
+    def _history_written(self, _index: int, _sub: int, value: int) -> None:
+        if value:
+            raise Abort(RANGE)
+
+    def _stored(self, _index: int, _sub: int, value: int) -> None:
+        if value != _SAVE:
+            raise Abort(BAD_SIGNATURE)
+        self.node.saved = dict(self.objects.values)
+
+    def _restored(self, _index: int, _sub: int, value: int) -> None:
+        """Take hold of the delivered values; they count from the next reset on."""
+        if value != _LOAD:
+            raise Abort(BAD_SIGNATURE)
+        delivered = {key: entry.default for key, entry in self.objects.entries.items()}
+        identity = {key: self.objects.values[key] for key in delivered if key[0] in {0x1008, 0x1018, 0x6502}}
+        self.node.saved = delivered | identity

@@ -1,0 +1,246 @@
+"""Emulated SimpleFOC boards on a pty: what `hil emulate commander` serves."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim_backend.parameters import SimParameters
+from sim_backend.wire.commander.device import Device
+from sim_backend.wire.commander.motor import Motor
+from sim_backend.wire.dynamixel.faults import DropRequests, Fault, Reboots, Unplug, spoiled
+from sim_backend.wire.loadcell.emulator import of
+from sim_backend.wire.loadcell.emulator import serve as serve_cell
+from sim_backend.wire.uart.pty_line import PtyLine
+
+MODELS = ("motor", "motor+loadcell")
+FIRMWARES = ("2.3", "2.4", "2.4-watchdog")
+WATCHDOG = 0.1
+"""s of silence after which the program with a watchdog (docs/serial.md) disables the motor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How long things take, s. usb_latency: that the adapter holds bytes back. loop: of the program, which reads
+    commands between two turns of the current loop. boot: from a reset to the first command that it hears.
+    """
+
+    usb_latency: float = 1e-3
+    loop: float = 1e-4
+    boot: float = 3.0
+
+
+class Board:
+    """A board as bytes with times. timing: None, where everything but a boot happens at once.
+
+    watchdog: s; 0: none, as in the library's examples. Times are those of whoever calls.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        *,
+        baudrate: int = 1_000_000,
+        timing: Timing | None = None,
+        watchdog: float = 0.0,
+        now: float = 0.0,
+    ) -> None:
+        self.device = device
+        self.unplugged = False
+        self.watchdog = watchdog
+        self._baudrate = baudrate
+        self._timing = timing
+        self._made = now
+        self._heard = now
+        self._awake = now
+        self._free = now
+        self._replies = 0
+        self._faults: list[tuple[int, Fault]] = []
+        self._misheard: list[tuple[str, str]] = []
+        self.streams = 0.0
+        """s between two lines of `motor.monitor()` in the program's loop; 0: it is not there."""
+        self._streamed = now
+
+    @property
+    def motor(self) -> Motor:
+        """What turns."""
+        return self.device.motor
+
+    def inject(self, fault: Fault) -> None:
+        """Let `fault` happen, counted in replies from now (each command has one)."""
+        self._faults.append((self._replies + fault.after, fault))
+
+    def mishear(self, said: str, heard: str) -> None:
+        """Let the board once hear `heard` where `said` was sent."""
+        self._misheard.append((said, heard))
+
+    def mean(self, begin: float, end: float) -> float:
+        """N m at the joint, the mean from `begin` to `end`: what a torque cell there feels."""
+        self.advance(end)
+        return self.motor.joint.mean(begin - self._made, end - self._made)
+
+    def reboot(self, now: float) -> None:
+        """Take its power away for a moment."""
+        self.advance(now)
+        self.motor.disable()
+        self._awake = now + (self._timing or Timing()).boot
+
+    def advance(self, now: float) -> None:
+        """Let time pass for it."""
+        if self._awake > self._made and now >= self._awake:
+            self.motor.run(self._awake - self._made)
+            self.device.restart()
+            self._heard, self._awake = self._awake, self._made
+        elif self.watchdog and self.motor.enabled and now > self._heard + self.watchdog:
+            self.motor.run(self._heard + self.watchdog - self._made)
+            self.motor.disable()
+            self.motor.target = 0.0
+        self.motor.run(now - self._made)
+
+    def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
+        """What `data`, whose first byte is sent at `now`, makes it print, and when each line has arrived."""
+        out: list[tuple[float, bytes]] = []
+        self.advance(now)
+        if baudrate not in {None, self._baudrate}:
+            return [(now, bytes(0x80 | byte for byte in data))] if data else []
+        out += self._monitored(now)
+        text = data.decode("latin-1")
+        for said, heard in list(self._misheard):
+            if said in text:
+                text = text.replace(said, heard, 1)
+                self._misheard.remove((said, heard))
+        at = now
+        for character in text:
+            at += self._duration(1)
+            if self._awake > self._made:  # it does not hear while it boots
+                continue
+            self._heard = at
+            printed = self.device.type(character) if character not in "\n\r" else self._obey(character, at)
+            for line in printed.splitlines(keepends=True):
+                out += self._reply(line.encode("latin-1"), at)
+        return out
+
+    def _monitored(self, now: float) -> list[tuple[float, bytes]]:
+        """The lines that the program printed by itself since it was last looked at."""
+        out: list[tuple[float, bytes]] = []
+        while self.streams and self._streamed + self.streams <= now:
+            self._streamed += self.streams
+            line = self.device.monitored()
+            if line and self._awake <= self._made:
+                out += self._reply(line.encode(), self._streamed)
+        return out
+
+    def _obey(self, end: str, at: float) -> str:
+        self.advance(at)
+        if self._fault(DropRequests) is not None:
+            self._replies += 1
+            self.device.forget()
+        return self.device.type(end)
+
+    def _reply(self, line: bytes, at: float) -> list[tuple[float, bytes]]:
+        fault = self._fault(None)
+        self._replies += 1
+        if isinstance(fault, Unplug):
+            self.unplugged = True
+            return []
+        if isinstance(fault, Reboots):
+            self.reboot(at)
+            return [(self._awake - 0.1, self.device.greeting.encode())]
+        loop, latency = (self._timing.loop, self._timing.usb_latency) if self._timing else (0.0, 0.0)
+        self._free = max(self._free, at + loop) + self._duration(len(line))
+        return spoiled(fault, line, self._free + latency) if fault is not None else [(self._free + latency, line)]
+
+    def _fault(self, kind: type | None) -> Fault | None:
+        for begin, fault in self._faults:
+            wanted = isinstance(fault, kind) if kind else not isinstance(fault, DropRequests)
+            if wanted and begin <= self._replies < begin + fault.count:
+                return fault
+        return None
+
+    def _duration(self, size: int) -> float:
+        return 10.0 * size / self._baudrate if self._timing else 0.0
+
+
+class Pair:
+    """A board and the torque cell at its joint, each on a pty of its own."""
+
+    def __init__(self, board: PtyLine, cell: PtyLine) -> None:
+        self._board = board
+        self._cell = cell
+
+    def serve(self) -> None:
+        """Serve both until `stop` is called from another thread or from a signal, then clean up."""
+        with self._cell:
+            self._board.serve()
+
+    def stop(self) -> None:
+        """Let `serve` return."""
+        self._board.stop()
+
+
+class _Locked:
+    """The joint of a board that another thread is at."""
+
+    def __init__(self, board: Board, lock: threading.Lock) -> None:
+        self._board = board
+        self._lock = lock
+
+    def mean(self, begin: float, end: float) -> float:
+        with self._lock:
+            return self._board.mean(begin, end)
+
+
+def new_board(
+    parameters: SimParameters | None = None,
+    *,
+    firmware: str = "2.4",
+    baudrate: int = 1_000_000,
+    timing: Timing | None = None,
+    now: float = 0.0,
+) -> Board:
+    """A board with the plant of `parameters` (None: the paper's joint behind its gear). firmware: see FIRMWARES."""
+    version = (2, 3) if firmware == "2.3" else (2, 4)
+    watchdog = WATCHDOG if firmware.endswith("watchdog") else 0.0
+    device = Device(Motor(parameters or SimParameters()), version=version)
+    return Board(device, baudrate=baudrate, timing=timing, watchdog=watchdog, now=now)
+
+
+def serve(link: Path, board: Board) -> PtyLine:
+    """`board`, made with `now=time.monotonic()`, at `link`, a symlink to a pty: `with serve(...) as line:`."""
+    return PtyLine(link, board)
+
+
+def emulate(
+    link: Path,
+    model: str = "motor",
+    firmware: str = "2.4",
+    *,
+    baudrate: int = 1_000_000,
+    parameters: SimParameters | None = None,
+    instant: bool = False,
+) -> PtyLine | Pair:
+    """What `hil emulate commander` serves.
+
+    model: "motor", or "motor+loadcell" for a torque cell at its joint on a second pty, named as `link` with ".cell"
+    behind it. firmware: the library's version, "2.4-watchdog" for a program that disables the motor after 0.1 s of
+    silence. Raises ValueError for a model, a firmware or a baud rate that cannot be, FileExistsError where `link` is a
+    file.
+    """
+    if model not in MODELS:
+        raise ValueError(f"model {model!r} is not known: there are {', '.join(MODELS)}")
+    if firmware not in FIRMWARES:
+        raise ValueError(f"firmware {firmware!r} is not known: there are {', '.join(FIRMWARES)}")
+    if baudrate <= 0:
+        raise ValueError(f"baud rate {baudrate}: it must be above 0")
+    parameters = parameters or SimParameters()
+    board = new_board(
+        parameters, firmware=firmware, baudrate=baudrate, timing=None if instant else Timing(), now=time.monotonic()
+    )
+    line = serve(link, board)
+    if model == "motor":
+        return line
+    joint = _Locked(board, line.lock)
+    return Pair(line, serve_cell(link.with_name(f"{link.name}.cell"), of(parameters.sensors), joint))

@@ -1,0 +1,254 @@
+"""Several servos on one half-duplex line: who answers what, in which order, and when.
+
+Source: e-manual, "Protocol 2.0": Sync Read to Fast Bulk Read, and the notes on the broadcast id. What it leaves open:
+a servo missing from a Sync Read is passed over; a servo missing from a Fast Read ends the answer, since the ones behind
+it wait for it. Bytes in and bytes out, with times; no I/O.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+from sim_backend.wire.dynamixel.faults import DropRequests, Fault, Reboots, Unplug, spoiled
+from sim_backend.wire.dynamixel.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status
+from sim_backend.wire.dynamixel.mx_frames import MxFramer, mx_bulk_reads, mx_status, mx_sync_writes
+
+
+class Reply(NamedTuple):
+    """Bytes that reach the host, and when, s."""
+
+    at: float
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How long the line takes. usb_latency: s that the adapter holds received bytes back."""
+
+    usb_latency: float = 1e-3
+
+
+class Peer(Protocol):
+    """A servo as the line sees it; `sim_backend.wire.dynamixel.device` explains the methods."""
+
+    @property
+    def id(self) -> int: ...  # noqa: D102 - see there, as for all below
+
+    @property
+    def shadow(self) -> int | None: ...  # noqa: D102
+
+    @property
+    def baudrate(self) -> int: ...  # noqa: D102
+
+    @property
+    def return_delay(self) -> float: ...  # noqa: D102
+
+    @property
+    def status_return_level(self) -> int: ...  # noqa: D102
+
+    def listens(self, now: float) -> bool: ...  # noqa: D102
+
+    def advance(self, now: float) -> None: ...  # noqa: D102
+
+    def heard(self, now: float) -> None: ...  # noqa: D102
+
+    def reboot(self, now: float) -> None: ...  # noqa: D102
+
+    def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None: ...  # noqa: D102
+
+    def read(self, address: int, size: int, now: float) -> tuple[int, bytes]: ...  # noqa: D102
+
+    def write(self, address: int, data: bytes) -> int: ...  # noqa: D102
+
+    def alerted(self, error: int) -> int: ...  # noqa: D102
+
+
+class Bus:
+    """The line with its servos, which all speak one protocol. timing: None where everything happens at once."""
+
+    def __init__(self, devices: Iterable[Peer], *, timing: Timing | None = None, protocol: int = 2) -> None:
+        self.devices: list[Any] = list(devices)  # whoever looks at them knows of what kind they are
+        self.unplugged = False
+        self._timing = timing
+        self._protocol = protocol
+        self._framer = Framer() if protocol == 2 else MxFramer()
+        self._status = status if protocol == 2 else mx_status
+        self._free = 0.0
+        self._replies = 0
+        self._requests = 0
+        self._faults: list[tuple[int, Fault]] = []
+
+    def inject(self, fault: Fault) -> None:
+        """Let `fault` happen, counted from now."""
+        seen = self._requests if isinstance(fault, DropRequests) else self._replies
+        self._faults.append((seen + fault.after, fault))
+
+    def clear_faults(self) -> None:
+        """Let nothing of what was injected happen any more."""
+        self._faults.clear()
+
+    def advance(self, now: float) -> None:
+        """Carry every servo to `now`, s."""
+        for device in self.devices:
+            device.advance(now)
+
+    def receive(self, data: bytes, now: float, baudrate: int | None = None) -> list[Reply]:
+        """What `data`, whose first byte is sent at `now`, makes the servos answer.
+
+        baudrate: bit/s of the host's line; None where every servo understands it.
+        """
+        out: list[Reply] = []
+        begin = max(now, self._free)
+        for frame, used in self._framer.feed(data):
+            arrival = begin + self._duration(used, baudrate)
+            self._requests += 1
+            if not self._hit(DropRequests, self._requests):
+                out += self._execute(frame, arrival, baudrate)
+        self._free = max(self._free, begin + self._duration(len(data), baudrate))
+        return out
+
+    def _duration(self, size: int, baudrate: int | None) -> float:
+        if self._timing is None:
+            return 0.0
+        rate = baudrate or (self.devices[0].baudrate if self.devices else 1_000_000)
+        return 10.0 * size / rate
+
+    def _execute(self, frame: Frame, now: float, baudrate: int | None) -> list[Reply]:
+        self.advance(now)
+        awake = [d for d in self.devices if d.listens(now) and baudrate in {None, d.baudrate}]
+        for device in awake:
+            device.heard(now)
+        if frame.id != BROADCAST:
+            return self._addressed(frame, awake, now)
+        if not frame.sound:
+            return []
+        if frame.instruction >= Instruction.SYNC_READ:
+            together = self._together if self._protocol == 2 else self._mx_together
+            return together(frame, {device.id: device for device in awake}, now)
+        answers = [(d, d.answer(frame, now)) for d in sorted(awake, key=lambda d: d.id)]
+        if frame.instruction != Instruction.PING:
+            return []
+        return self._timed([(d, self._status(d.id, *a)) for d, a in answers if a is not None], now)
+
+    def _addressed(self, frame: Frame, awake: list[Peer], now: float) -> list[Reply]:
+        """One id; a servo that has it as its shadow id does what it is told and says nothing."""
+        for device in awake:
+            if device.id != frame.id and device.shadow == frame.id:
+                device.answer(frame, now)
+        named = [device for device in awake if device.id == frame.id]
+        answers = [device.answer(frame, now) for device in named]
+        packets = [self._status(frame.id, *answer) for answer in answers if answer is not None]
+        return self._timed([(named[0], _collided(packets))], now) if packets else []
+
+    def _together(self, frame: Frame, present: dict[int, Peer], now: float) -> list[Reply]:
+        """The instructions that speak to several servos at once."""
+        p = frame.parameters
+        if frame.instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
+            writes = _sync_writes(p) if frame.instruction == Instruction.SYNC_WRITE else _bulk_writes(p)
+            for ident, address, data in writes:
+                if ident in present:
+                    present[ident].write(address, data)
+            return []
+        if frame.instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
+            wanted = [(ident, *_words(p)) for ident in p[4:]]
+        else:
+            wanted = [(p[i], *_words(p[i + 1 :])) for i in range(0, len(p) - 4, 5)]
+        if frame.instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}:
+            return self._fast(wanted, present, now)
+        packets = []
+        for ident, address, size in wanted:
+            device = present.get(ident)
+            if device is not None and device.status_return_level > 0:
+                error, data = device.read(address, size, now)
+                packets.append((device, status(ident, device.alerted(error), data)))
+        return self._timed(packets, now)
+
+    def _mx_together(self, frame: Frame, present: dict[int, Peer], now: float) -> list[Reply]:
+        """The same of protocol 1.0: Sync Write, and Bulk Read, in which each waits for the one before it."""
+        if frame.instruction == Instruction.SYNC_WRITE:
+            for ident, address, data in mx_sync_writes(frame.parameters):
+                if ident in present:
+                    present[ident].write(address, data)
+        packets = []
+        for ident, address, size in mx_bulk_reads(frame):
+            device = present.get(ident)
+            if device is None or device.status_return_level == 0:
+                break
+            error, data = device.read(address, size, now)
+            packets.append((device, mx_status(ident, device.alerted(error), data)))
+        return self._timed(packets, now)
+
+    def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, Peer], now: float) -> list[Reply]:
+        """One status packet that the servos write one after the other; it is not stuffed."""
+        length = 1 + sum(size + 4 for _, _, size in wanted)
+        out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([Instruction.STATUS])
+        first = None
+        for ident, address, size in wanted:
+            device = present.get(ident)
+            if device is None or device.status_return_level == 0:
+                break
+            first = first or device
+            error, data = device.read(address, size, now)
+            out += bytes([device.alerted(error), ident]) + data.ljust(size, b"\0")
+            out += crc(out).to_bytes(2, "little")
+        return [] if first is None else self._timed([(first, out)], now)
+
+    def _timed(self, packets: list[tuple[Peer, bytes]], now: float) -> list[Reply]:
+        """The packets at the host, one behind the other, spoiled as planned."""
+        out: list[Reply] = []
+        at = now
+        for device, data in packets:
+            if self._timing is not None:
+                at += device.return_delay + 10.0 * len(data) / device.baudrate
+            held = self._timing.usb_latency if self._timing is not None else 0.0
+            self._replies += 1
+            out += self._spoil(data, at, at + held)
+        self._free = max(self._free, at)
+        return sorted(out, key=lambda reply: reply.at)
+
+    def _spoil(self, data: bytes, now: float, at: float) -> list[Reply]:
+        if self._hit(Unplug, self._replies):
+            self.unplugged = True
+        if self._hit(Reboots, self._replies):
+            for device in self.devices:
+                device.reboot(now)
+            return []
+        arriving = [(at, data)]
+        for first, fault in self._faults:
+            if not isinstance(fault, DropRequests) and first < self._replies <= first + fault.count:
+                arriving = [piece for when, part in arriving for piece in spoiled(fault, part, when)]
+        return [] if self.unplugged else [Reply(when, part) for when, part in arriving]
+
+    def _hit(self, kind: type[Fault], number: int) -> bool:
+        return any(isinstance(f, kind) and first < number <= first + f.count for first, f in self._faults)
+
+
+def _collided(packets: list[bytes]) -> bytes:
+    """What arrives where several servos drive the line at once: a bit is low where any of them is."""
+    longest = max(packets, key=len)
+    merged = bytearray(longest)
+    for data in packets:
+        for i, byte in enumerate(data):
+            merged[i] &= byte
+    return bytes(merged)
+
+
+def _words(p: bytes) -> tuple[int, int]:
+    return int.from_bytes(p[:2], "little"), int.from_bytes(p[2:4], "little")
+
+
+def _sync_writes(p: bytes) -> list[tuple[int, int, bytes]]:
+    address, size = _words(p)
+    return [(p[i], address, p[i + 1 : i + 1 + size]) for i in range(4, len(p) - size, size + 1)]
+
+
+def _bulk_writes(p: bytes) -> list[tuple[int, int, bytes]]:
+    out = []
+    i = 0
+    while i + 5 <= len(p):
+        address, size = _words(p[i + 1 :])
+        out.append((p[i], address, p[i + 5 : i + 5 + size]))
+        i += 5 + size
+    return out

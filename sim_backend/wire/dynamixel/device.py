@@ -1,0 +1,316 @@
+"""One servo on the bus: what each instruction does to its control table and its motor, and what it answers.
+
+Source: e-manual, "Protocol 2.0" for the instructions; "Bus Watchdog(98)", "Operating Mode(11)", "Shutdown(63)" and
+"Hardware Error Status(70)" of the models' pages for what happens inside. What the manual leaves open: a tripped
+watchdog takes the current away in current mode and holds the position otherwise ("the DYNAMIXEL will stop").
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.dynamixel.frames import BROADCAST, Error, Frame, Instruction
+from sim_backend.wire.dynamixel.motor import COUNT, Goals, Motor, behind
+from sim_backend.wire.dynamixel.registers import Registers
+from sim_backend.wire.dynamixel.tables import BAUD, CURRENT, CURRENT_POSITION, MODELS, POSITION, RPM
+
+if TYPE_CHECKING:
+    from sim_backend.parameters import SimParameters
+
+BOOT = 0.3
+"""s without an answer after a reboot; not in the manual."""
+ALERT = 0x80
+VOLTAGE, OVERHEAT, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
+"""Bits of Hardware Error Status(70)."""
+
+_PWM_LSB = 1.0 / 885.0
+
+
+class Device:
+    """A servo of `model` (a key of `dynamixel_tables.MODELS`) with the plant of `parameters` behind its horn.
+
+    Times are s on the bus's clock, `now` when it is powered. Raises KeyError for a model that is not in the table.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        ident: int = 1,
+        *,
+        baudrate: int = 1_000_000,
+        firmware: int | None = None,
+        parameters: SimParameters | None = None,
+        now: float = 0.0,
+    ) -> None:
+        self.model = MODELS[model]
+        self.registers = Registers(self.model)
+        self.registers.put("id", ident)
+        self.registers.put("baud_rate", BAUD.index(baudrate))
+        if firmware is not None:
+            self.registers.put("firmware_version", firmware)
+        self.motor = Motor(self.model, parameters or behind(self.model))
+        self._firmware = self.registers.get("firmware_version")
+        self._powered = now
+        self._booted = now
+        self._ready = now
+        self._heard = now
+        self._registered: tuple[int, bytes] | None = None
+        self._turns_off = 0
+        self.registers.put("goal_position", self._position())
+        self.watchdog_broken = False
+        """The register trips and the motor turns on: seen on the 330 series, forum.robotis.com/t/4814."""
+        self.ignores_torque_off = False
+        """Torque-off is acknowledged and not done."""
+
+    @property
+    def id(self) -> int:
+        """Its id."""
+        return self.registers.get("id")
+
+    @property
+    def shadow(self) -> int | None:
+        """Another id it listens to without answering."""
+        return self.registers.get("secondary_id")
+
+    @property
+    def status_return_level(self) -> int:
+        """Which instructions it answers."""
+        return self.registers.get("status_return_level")
+
+    @property
+    def baudrate(self) -> int:
+        """bit/s."""
+        return BAUD[self.registers.get("baud_rate")]
+
+    @property
+    def return_delay(self) -> float:
+        """s from the instruction to its answer."""
+        return self.registers.get("return_delay_time") * 2e-6
+
+    @property
+    def tripped(self) -> bool:
+        """Whether the bus watchdog has stopped it."""
+        return self.registers.get("bus_watchdog") == -1
+
+    @property
+    def torque_on(self) -> bool:
+        """Whether current can flow."""
+        return self.motor.enabled
+
+    def listens(self, now: float) -> bool:
+        """Whether it is awake, and not booting."""
+        return now >= self._ready
+
+    def advance(self, now: float) -> None:
+        """Carry motor and watchdog to `now`."""
+        period = self.registers.get("bus_watchdog") * 0.02
+        if self.motor.enabled and period > 0.0 and now - self._heard > period:
+            self.motor.run(self._heard + period - self._powered)
+            self._trip()
+        self.motor.run(now - self._powered)
+        if self.motor.temperature > self.registers.get("temperature_limit"):
+            self.fail(OVERHEAT)
+
+    def heard(self, now: float) -> None:
+        """Any instruction on the bus, to whomever, feeds the watchdog."""
+        self._heard = now
+
+    def fail(self, bits: int) -> None:
+        """Latch hardware errors; those in Shutdown(63) take the torque away."""
+        self.registers.put("hardware_error_status", self.registers.get("hardware_error_status") | bits)
+        if bits & self.registers.get("shutdown"):
+            self._torque(on=False)
+
+    def reboot(self, now: float) -> None:
+        """Lose what is in RAM, the torque first, and answer again after the boot."""
+        self._torque(on=False)
+        self.motor.disable()
+        self.registers.power_up()
+        self.registers.put("goal_position", self._position())
+        self._registered = None
+        self._booted = now
+        self._ready = now + BOOT
+
+    def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
+        """Do what `frame`, sent to this id or to all, asks. The error and the parameters; None where it is silent."""
+        if frame.instruction == Instruction.PING and frame.sound:
+            identity = self.registers.get("model_number").to_bytes(2, "little")
+            return self.alerted(Error.NONE), identity + bytes([self._firmware])
+        level = self.registers.get("status_return_level")
+        if frame.instruction == Instruction.READ and frame.sound:
+            p = frame.parameters
+            error, data = self.read(*_words(p), now) if len(p) == 4 else (Error.DATA_LENGTH, b"")
+            return (self.alerted(error), data) if level > 0 else None
+        error = self._done(frame, now)
+        return (self.alerted(error), b"") if level > 1 else None
+
+    def _done(self, frame: Frame, now: float) -> Error:
+        """Do what changes something; how it went."""
+        if not frame.sound:
+            return Error.CRC
+        match frame.instruction:
+            case Instruction.WRITE | Instruction.REG_WRITE:
+                error = self._written(frame)
+            case Instruction.ACTION:
+                error = self._action()
+            case Instruction.REBOOT:
+                self.reboot(now)
+                error = Error.NONE
+            case Instruction.FACTORY_RESET:
+                error = self._factory_reset(frame, now)
+            case Instruction.CLEAR:
+                error = self._clear(frame.parameters)
+            case _:
+                error = Error.INSTRUCTION
+        return error
+
+    def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
+        """The error and the bytes of a read at `now`."""
+        if address + size > 120:
+            self._refresh(now)
+        return self.registers.read(address, size)
+
+    def write(self, address: int, data: bytes) -> Error:
+        """Write as an instruction does; the error."""
+        mode = self.registers.get("operating_mode")
+        error, changes = self.registers.check(address, data, torque=self.motor.enabled, tripped=self.tripped)
+        if error:
+            return error
+        self.registers.store(changes)
+        names = {item.name for item, _ in changes}
+        if "operating_mode" in names and self.registers.get("operating_mode") != mode:
+            self._mode_changed()
+        if "torque_enable" in names:
+            self._torque(on=bool(self.registers.get("torque_enable")))
+        self._hand_over_goals()
+        return Error.NONE
+
+    def alerted(self, error: int) -> int:
+        """The error byte: the number, and the alert where a hardware error is latched."""
+        return error | (ALERT if self.registers.get("hardware_error_status") else 0)
+
+    def _written(self, frame: Frame) -> Error:
+        if len(frame.parameters) < 3:
+            return Error.DATA_LENGTH
+        address, data = int.from_bytes(frame.parameters[:2], "little"), frame.parameters[2:]
+        if frame.instruction == Instruction.WRITE:
+            return self.write(address, data)
+        error, _ = self.registers.check(address, data, torque=self.motor.enabled, tripped=self.tripped)
+        if not error:
+            self._registered = (address, data)
+            self.registers.put("registered_instruction", 1)
+        return error
+
+    def _action(self) -> Error:
+        if self._registered is None:
+            return Error.INSTRUCTION
+        address, data = self._registered
+        self._registered = None
+        self.registers.put("registered_instruction", 0)
+        return self.write(address, data)
+
+    def _factory_reset(self, frame: Frame, now: float) -> Error:
+        option = frame.parameters[0] if len(frame.parameters) == 1 else 0
+        if option not in {0xFF, 0x01, 0x02} or (option == 0xFF and frame.id == BROADCAST):
+            return Error.DATA_RANGE
+        kept = {"firmware_version": self._firmware}
+        if option != 0xFF:
+            kept["id"] = self.id
+        if option == 0x02:
+            kept["baud_rate"] = self.registers.get("baud_rate")
+        self.registers.erase()
+        for name, value in kept.items():
+            self.registers.put(name, value)
+        self.reboot(now)
+        return Error.NONE
+
+    def _clear(self, parameters: bytes) -> Error:
+        """Take whole turns off the position (0x01 'D' 'X' 'L' 0x22)."""
+        if parameters != b"\x01\x44\x58\x4c\x22":
+            return Error.DATA_RANGE
+        if abs(self.motor.velocity) > self.registers.get("moving_threshold") * RPM:
+            return Error.RESULT_FAIL
+        self._turns_off += math.floor(self._position() / 4096)
+        return Error.NONE
+
+    def _position(self) -> int:
+        """Present Position in counts: what the horn shows, reversed where the drive mode says so, plus the offset."""
+        counts = round(self._sign() * self.motor.position / COUNT)
+        return counts + self.registers.get("homing_offset") - 4096 * self._turns_off
+
+    def _sign(self) -> int:
+        return -1 if self.registers.get("drive_mode") & 1 else 1
+
+    def _mode_changed(self) -> None:
+        """Goals and profile as the manual's note on Operating Mode(11) says."""
+        r = self.registers
+        r.put("goal_pwm", r.get("pwm_limit"))
+        r.put("goal_current", r.get("current_limit"))
+        r.put("goal_velocity", 0)
+        r.put("goal_position", self._position())
+        r.put("profile_velocity", 0)
+        r.put("profile_acceleration", 0)
+
+    def _torque(self, *, on: bool) -> None:
+        if on and self.registers.get("hardware_error_status") & self.registers.get("shutdown"):
+            on = False  # a servo that shut down stays off until it is rebooted
+        if not on and self.ignores_torque_off and self.motor.enabled:
+            self.registers.put("torque_enable", 1)
+            return
+        if on and not self.motor.enabled:
+            self.motor.enable()
+        if not on:
+            self.motor.disable()
+        self.registers.put("torque_enable", int(on))
+
+    def _trip(self) -> None:
+        self.registers.put("bus_watchdog", -1)
+        if self.watchdog_broken:
+            return
+        self.registers.put("goal_velocity", 0)
+        self.registers.put("goal_position", self._position())
+        self.registers.put("goal_pwm", 0)
+        if self.registers.get("operating_mode") == CURRENT:
+            self.registers.put("goal_current", 0)
+        self._hand_over_goals()
+
+    def _hand_over_goals(self) -> None:
+        r, sign = self.registers, self._sign()
+        mode = r.get("operating_mode")
+        current = r.get("goal_current")
+        limit = r.get("current_limit")
+        if mode in {CURRENT, CURRENT_POSITION}:
+            current = max(-limit, min(limit, current))
+        position = r.get("goal_position") - r.get("homing_offset") + 4096 * self._turns_off
+        self.motor.goals = Goals(
+            mode=mode,
+            current=sign * current * self.model.current_lsb,
+            velocity=sign * r.get("goal_velocity") * RPM,
+            position=sign * position * COUNT,
+            duty=sign * r.get("goal_pwm") * _PWM_LSB,
+        )
+
+    def _refresh(self, now: float) -> None:
+        """Bring the present values up to `now`."""
+        r, motor, sign = self.registers, self.motor, self._sign()
+        r.put("realtime_tick", int((now - self._booted) * 1e3) % 32768)
+        velocity = round(sign * motor.velocity / RPM)
+        r.put("moving", int(abs(velocity) > r.get("moving_threshold")))
+        r.put("present_pwm", round(sign * motor.duty / _PWM_LSB))
+        if self.model.current_lsb:
+            r.put("present_current", round(sign * motor.current / self.model.current_lsb))
+        else:
+            r.put("present_load", round(sign * motor.duty * 1000.0))
+        r.put("present_velocity", velocity)
+        r.put("present_position", self._position())
+        r.put("position_trajectory", r.get("goal_position"))
+        r.put("velocity_trajectory", r.get("goal_velocity"))
+        r.put("present_input_voltage", round(self.model.stall[0] * 10.0))
+        r.put("present_temperature", round(motor.temperature))
+        if r.get("operating_mode") != POSITION and not motor.enabled:
+            r.put("position_trajectory", self._position())
+
+
+def _words(parameters: bytes) -> tuple[int, int]:
+    return int.from_bytes(parameters[:2], "little"), int.from_bytes(parameters[2:4], "little")

@@ -1,0 +1,75 @@
+"""Emulated DYNAMIXEL servos on a pty: what `hil emulate dynamixel` serves."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.dynamixel.bus import Bus, Timing
+from sim_backend.wire.dynamixel.device import Device
+from sim_backend.wire.dynamixel.mx_device import MxDevice
+from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_MODELS
+from sim_backend.wire.dynamixel.tables import BAUD, MODELS
+from sim_backend.wire.uart.pty_line import PtyLine
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from sim_backend.parameters import SimParameters
+
+KNOWN = tuple(sorted(MODELS | MX_MODELS))
+"""The models there are; those with protocol 1.0 cannot share a line with the others."""
+
+
+def serve(
+    link: Path,
+    model: str,
+    idents: Iterable[int] = (1,),
+    *,
+    baudrate: int = 1_000_000,
+    parameters: SimParameters | None = None,
+    timing: Timing | None = None,
+) -> PtyLine:
+    """Servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
+
+    `with serve(...) as line:` answers from a thread; `serve(...).serve()` from this one, until an exception or
+    `line.stop()`. parameters: the plant; None: the paper's joint on the horn. timing: None answers at once.
+    Raises KeyError for a model that is not KNOWN, ValueError for an unknown baud rate, FileExistsError where `link` is
+    a file.
+    """
+    now = time.monotonic()
+    if model in MX_MODELS:
+        old = [MxDevice(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
+        return PtyLine(link, Bus(old, timing=timing, protocol=1))
+    devices = [Device(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
+    return PtyLine(link, Bus(devices, timing=timing))
+
+
+def emulate(
+    link: Path,
+    model: str = "xl330-m288",
+    idents: Sequence[int] = (1,),
+    *,
+    baudrate: int = 1_000_000,
+    parameters: SimParameters | None = None,
+    instant: bool = False,
+) -> PtyLine:
+    """What `hil emulate dynamixel` serves: `serve` with the times of a real line and a USB adapter, unless `instant`.
+
+    parameters: the plant, in which the motor's constant and winding are made the model's. Raises ValueError, with a
+    sentence for a person, for a model, an id or a baud rate that cannot be, FileExistsError as `serve` does.
+    """
+    if model not in KNOWN:
+        raise ValueError(f"model {model!r} is not known: there are {', '.join(KNOWN)}")
+    rates = sorted(MX_BAUD.values() if model in MX_MODELS else BAUD)
+    if baudrate not in rates:
+        raise ValueError(f"baud rate {baudrate}: a servo knows {', '.join(map(str, rates))}")
+    if len(set(idents)) < len(idents) or not all(0 <= ident <= 252 for ident in idents):
+        raise ValueError("ids must differ and lie between 0 and 252")
+    if parameters is not None:
+        volts, amperes, torque = (MODELS | MX_MODELS)[model].stall
+        motor = replace(parameters.motor, torque_constant=torque / amperes, winding_resistance=volts / amperes)
+        parameters = replace(parameters, motor=motor)
+    return serve(link, model, idents, baudrate=baudrate, parameters=parameters, timing=None if instant else Timing())

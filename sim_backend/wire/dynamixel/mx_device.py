@@ -1,0 +1,277 @@
+"""One MX servo with protocol 1.0: its control table, what each instruction does, and what it answers.
+
+Source: e-manual, "Protocol 1.0" and the pages of MX-64 and MX-106. Where they are silent: a write to an address without
+an item, to a read-only one, or to the EEPROM while it is locked, is a range error; a read may span addresses without
+an item, which read as zero; a positive current turns counter-clockwise, in which the position grows; in torque control
+mode the position is that of the wheel mode, within one turn; speeds and gains in the position modes have no effect.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.dynamixel.frames import BROADCAST, Frame, Instruction
+from sim_backend.wire.dynamixel.motor import COUNT, Goals, Motor, behind
+from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_EEPROM_END, MX_MODELS, MX_RPM
+from sim_backend.wire.dynamixel.tables import CURRENT, CURRENT_POSITION, SPEED
+
+if TYPE_CHECKING:
+    from sim_backend.parameters import SimParameters
+    from sim_backend.wire.dynamixel.tables import Item
+
+BOOT = 0.3
+"""s without an answer after the power comes; not in the manual."""
+MX_VOLTAGE, MX_ANGLE, MX_HEAT, MX_RANGE, MX_CHECKSUM, MX_OVERLOAD, MX_INSTRUCTION = 1, 2, 4, 8, 16, 32, 64
+"""Bits of the error byte."""
+_TURN, _MULTI_TURN, _CW = 4096, 4095, 1024
+
+
+class MxDevice:
+    """A servo of `model` (a key of `MX_MODELS`) with the plant of `parameters` behind its horn.
+
+    Times are s on the bus's clock, `now` when it is powered. Raises KeyError for a model or StopIteration for a baud
+    rate that is not in the tables.
+    """
+
+    shadow: int | None = None
+
+    def __init__(
+        self,
+        model: str,
+        ident: int = 1,
+        *,
+        baudrate: int = 1_000_000,
+        firmware: int | None = None,
+        parameters: SimParameters | None = None,
+        now: float = 0.0,
+    ) -> None:
+        self.model = MX_MODELS[model]
+        self._items = {item.address: item for item in self.model.items}
+        self._named = {item.name: item for item in self.model.items}
+        self._memory = bytearray(max(item.address + item.size for item in self.model.items))
+        self.motor = Motor(self.model, parameters or behind(self.model))
+        self.errors = 0
+        """Hardware errors that hold: bits of the error byte."""
+        self.ignores_torque_off = False
+        """Torque-off is acknowledged and not done."""
+        self._powered = self._booted = self._ready = now
+        self._registered: tuple[int, bytes] | None = None
+        for item in self.model.items:
+            self.put(item.name, item.initial)
+        self.put("id", ident)
+        self.put("baud_rate", next(code for code, rate in MX_BAUD.items() if rate == baudrate))
+        if firmware is not None:
+            self.put("firmware_version", firmware)
+        self.put("goal_position", self._position())
+
+    def get(self, name: str) -> int:
+        """The value of an item, 0 where the model has none of that name."""
+        item = self._named.get(name)
+        if item is None:
+            return 0
+        return int.from_bytes(self._memory[item.address : item.address + item.size], "little", signed=item.signed)
+
+    def put(self, name: str, value: int) -> None:
+        """Set an item from inside the servo, no rule asked."""
+        item = self._named[name]
+        self._memory[item.address : item.address + item.size] = (value % (1 << 8 * item.size)).to_bytes(
+            item.size, "little"
+        )
+
+    def eeprom(self) -> bytes:
+        """What survives a loss of power."""
+        return bytes(self._memory[:MX_EEPROM_END])
+
+    @property
+    def id(self) -> int:
+        """Its id."""
+        return self.get("id")
+
+    @property
+    def baudrate(self) -> int:
+        """bit/s; 2 Mbit/s over the value plus one where the manual's table has no line for it."""
+        code = self.get("baud_rate")
+        return MX_BAUD.get(code, 2_000_000 // (code + 1))
+
+    @property
+    def return_delay(self) -> float:
+        """s from the instruction to its answer."""
+        return self.get("return_delay_time") * 2e-6
+
+    @property
+    def status_return_level(self) -> int:
+        """Which instructions it answers."""
+        return self.get("status_return_level")
+
+    @property
+    def torque_on(self) -> bool:
+        """Whether current can flow."""
+        return self.motor.enabled
+
+    def listens(self, now: float) -> bool:
+        """Whether it is awake, and not booting."""
+        return now >= self._ready
+
+    def heard(self, now: float) -> None:
+        """It has no watchdog to feed."""
+
+    def advance(self, now: float) -> None:
+        """Carry the motor to `now`; heat is an error as long as it lasts."""
+        self.motor.run(now - self._powered)
+        hot = self.motor.temperature > self.get("temperature_limit")
+        if hot:
+            self.fail(MX_HEAT)
+        elif self.errors & MX_HEAT:
+            self.errors &= ~MX_HEAT
+
+    def fail(self, bits: int) -> None:
+        """Report hardware errors; those in Shutdown(18) take Torque Limit(34) to zero."""
+        self.errors |= bits
+        if bits & self.get("shutdown"):
+            self.put("torque_limit", 0)
+            self._hand_over_goals()
+
+    def reboot(self, now: float) -> None:
+        """Lose power for a moment: what is in RAM is gone, the torque first."""
+        self.motor.disable()
+        self.errors = 0
+        self._registered = None
+        for item in self.model.items:
+            if item.address >= MX_EEPROM_END:
+                self.put(item.name, item.initial)
+        self.put("torque_limit", self.get("max_torque"))
+        self.put("goal_position", self._position())
+        self._booted, self._ready = now, now + BOOT
+
+    def alerted(self, error: int) -> int:
+        """The error byte: what went wrong with the instruction, and the hardware errors."""
+        return error | self.errors
+
+    def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
+        """Do what `frame`, sent to this id or to all, asks. The error and the parameters; None where it is silent."""
+        if frame.instruction == Instruction.PING and frame.sound:
+            return self.alerted(0), b""
+        if frame.instruction == Instruction.READ and frame.sound:
+            p = frame.parameters
+            error, data = self.read(p[0], p[1], now) if len(p) == 2 else (MX_RANGE, b"")
+            return (self.alerted(error), data) if self.status_return_level > 0 else None
+        error = self._done(frame, now)
+        return (self.alerted(error), b"") if self.status_return_level > 1 else None
+
+    def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
+        """The error and the bytes of a read at `now`."""
+        if size == 0 or address + size > len(self._memory):
+            return MX_RANGE, b""
+        self._refresh(now)
+        return 0, bytes(self._memory[address : address + size])
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write as an instruction does; the error."""
+        error, changes = self._checked(address, data)
+        if error:
+            return error
+        for item, value in changes:
+            self.put(item.name, value)
+        if any(item.name == "torque_enable" for item, _ in changes):
+            self._torque(on=bool(self.get("torque_enable")))
+        self._hand_over_goals()
+        return 0
+
+    def _done(self, frame: Frame, now: float) -> int:
+        if not frame.sound:
+            return MX_CHECKSUM
+        if frame.instruction in {Instruction.WRITE, Instruction.REG_WRITE} and len(frame.parameters) > 1:
+            address, data = frame.parameters[0], frame.parameters[1:]
+            if frame.instruction == Instruction.WRITE:
+                return self.write(address, data)
+            error, _ = self._checked(address, data)
+            if not error:
+                self._registered = (address, data)
+                self.put("registered", 1)
+            return error
+        if frame.instruction == Instruction.ACTION and self._registered is not None:
+            waiting, self._registered = self._registered, None
+            self.put("registered", 0)
+            return self.write(*waiting)
+        if frame.instruction == Instruction.FACTORY_RESET and frame.id != BROADCAST:
+            for item in self.model.items:
+                if item.name != "firmware_version":
+                    self.put(item.name, item.initial)
+            self.reboot(now)
+            return 0
+        return MX_INSTRUCTION
+
+    def _checked(self, address: int, data: bytes) -> tuple[int, list[tuple[Item, int]]]:
+        """The error of a write, and where there is none the items with their new values."""
+        changes: list[tuple[Item, int]] = []
+        at = 0
+        while at < len(data):
+            item = self._items.get(address + at)
+            locked = item is not None and item.address < MX_EEPROM_END and self.get("lock") == 1
+            if item is None or not item.writable or locked or at + item.size > len(data):
+                return MX_RANGE, []
+            value = int.from_bytes(data[at : at + item.size], "little", signed=item.signed)
+            if not item.low <= value <= item.high:
+                return MX_RANGE, []
+            if item.name == "goal_position" and not self._reachable(value):
+                return MX_ANGLE, []
+            changes.append((item, value))
+            at += item.size
+        return 0, changes
+
+    def _reachable(self, goal: int) -> bool:
+        low, high = self.get("cw_angle_limit"), self.get("ccw_angle_limit")
+        return self._multi_turn or (low, high) == (0, 0) or low <= goal <= high
+
+    @property
+    def _multi_turn(self) -> bool:
+        return self.get("cw_angle_limit") == self.get("ccw_angle_limit") == _MULTI_TURN
+
+    def _torque(self, *, on: bool) -> None:
+        if not on and self.ignores_torque_off and self.motor.enabled:
+            self.put("torque_enable", 1)
+        elif on and not self.motor.enabled:
+            self.motor.enable()
+        elif not on:
+            self.motor.disable()
+
+    def _hand_over_goals(self) -> None:
+        limit = self.get("torque_limit")
+        share = limit / 1023.0 * self.model.stall[1]
+        if self.get("torque_control"):
+            wanted = max(-limit, min(limit, _signed(self.get("goal_torque"))))
+            self.motor.goals = Goals(mode=CURRENT, current=wanted * self.model.current_lsb)
+        elif self.get("cw_angle_limit") == self.get("ccw_angle_limit") == 0:
+            self.motor.goals = Goals(mode=SPEED, current=share, velocity=_signed(self.get("moving_speed")) * MX_RPM)
+        else:
+            goal = self.get("goal_position") - (self.get("multi_turn_offset") if self._multi_turn else 0)
+            self.motor.goals = Goals(mode=CURRENT_POSITION, current=share, position=goal * COUNT)
+
+    def _position(self) -> int:
+        """Present Position in counts: over many turns in multi-turn mode, else within one."""
+        counts = round(self.motor.position / COUNT)
+        if self._multi_turn and not self.get("torque_control"):
+            return counts + self.get("multi_turn_offset")
+        return counts % _TURN
+
+    def _refresh(self, now: float) -> None:
+        """Bring the present values up to `now`."""
+        motor = self.motor
+        self.put("realtime_tick", int((now - self._booted) * 1e3) % 32768)
+        self.put("present_position", self._position())
+        speed = round(motor.velocity / MX_RPM)
+        self.put("present_speed", _directed(speed))
+        self.put("moving", int(abs(speed) > 0))
+        self.put("present_load", _directed(round(motor.duty * 1000.0)))
+        self.put("current", 2048 + round(motor.current / self.model.current_lsb))
+        self.put("present_voltage", round(self.model.stall[0] * 10.0))
+        self.put("present_temperature", round(motor.temperature))
+
+
+def _signed(value: int) -> int:
+    return -(value - _CW) if value >= _CW else value
+
+
+def _directed(value: int) -> int:
+    """A number as 10 bits with the direction in the eleventh: clockwise is negative."""
+    return min(1023, abs(value)) | (_CW if value < 0 else 0)

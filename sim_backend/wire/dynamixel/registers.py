@@ -1,0 +1,141 @@
+"""The control table as memory with rules: what may be read, what may be written, when, and with which error.
+
+Source: e-manual, "Protocol 2.0", table of errors, and the notes above each control table ("Data in the EEPROM Area can
+only be written when the value of Torque Enable(64) is cleared to 0"). A read may span addresses without an item, which
+read as zero, but it must begin at a defined one; the manual is silent on this.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.dynamixel.frames import Error
+from sim_backend.wire.dynamixel.tables import BAUD, MODES, POSITION, Model
+
+if TYPE_CHECKING:
+    from sim_backend.wire.dynamixel.tables import Item
+
+EEPROM_END = 64
+GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
+
+
+class Registers:
+    """One servo's control table. Values are whole counts, signed where the item is."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._items = {item.address: item for item in model.items}
+        self._names = {item.name: item for item in model.items}
+        self._end = max(item.address + item.size for item in model.items)
+        self._memory = bytearray(self._end)
+        self._defined = {a for item in model.items for a in range(item.address, item.address + item.size)}
+        self._indirect = {
+            data + slot: address + 2 * slot for address, data, slots in model.indirect for slot in range(slots)
+        }
+        self.erase()
+
+    def erase(self) -> None:
+        """Everything to its factory value."""
+        for item in self._items.values():
+            self._store(item, item.initial)
+        self.put("model_number", self._model.number)
+        self.put("firmware_version", self._model.firmware)
+
+    def power_up(self) -> None:
+        """What lies in RAM to its initial value; the EEPROM keeps what it holds."""
+        for item in self._items.values():
+            if item.address >= EEPROM_END:
+                self._store(item, item.initial)
+
+    def has(self, name: str) -> bool:
+        """Whether this model has the item."""
+        return name in self._names
+
+    def get(self, name: str) -> int:
+        """The value of an item, 0 where the model has none of that name."""
+        item = self._names.get(name)
+        if item is None:
+            return 0
+        raw = self._memory[item.address : item.address + item.size]
+        return int.from_bytes(raw, "little", signed=item.signed)
+
+    def put(self, name: str, value: int) -> None:
+        """Set an item from inside the servo, no rule asked; without effect where the model has none of that name."""
+        item = self._names.get(name)
+        if item is not None:
+            self._store(item, value)
+
+    def read(self, address: int, size: int) -> tuple[Error, bytes]:
+        """What a Read answers: the error and the bytes."""
+        if size == 0 or address not in self._defined or address + size > self._end:
+            return Error.ACCESS, b""
+        first, last = min(self._indirect), max(self._indirect)
+        if address > last or address + size <= first:
+            return Error.NONE, bytes(self._memory[address : address + size])
+        return Error.NONE, bytes(self._memory[self._behind(a)] for a in range(address, address + size))
+
+    def check(self, address: int, data: bytes, *, torque: bool, tripped: bool) -> tuple[Error, list[tuple[Item, int]]]:
+        """What a Write of `data` would change: the error, and where there is none the items with their new values.
+
+        torque: whether the torque is on. tripped: whether the bus watchdog has stopped the servo.
+        """
+        changes: list[tuple[Item, int]] = []
+        at = 0
+        while at < len(data):
+            where = self._behind(address + at)
+            item = self._items.get(where)
+            if item is None or not item.writable or (item.address < EEPROM_END and torque):
+                return Error.ACCESS, []
+            if at + item.size > len(data):
+                return Error.DATA_LENGTH, []
+            value = int.from_bytes(data[at : at + item.size], "little", signed=item.signed)
+            error = self._judge(item, value, tripped=tripped)
+            if error:
+                return error, []
+            changes.append((item, value))
+            at += item.size
+        return (Error.NONE, changes) if data else (Error.DATA_LENGTH, [])
+
+    def store(self, changes: list[tuple[Item, int]]) -> None:
+        """Make what `check` allowed."""
+        for item, value in changes:
+            self._store(item, value)
+
+    def eeprom(self) -> bytes:
+        """What survives a loss of power."""
+        return bytes(self._memory[:EEPROM_END])
+
+    def _behind(self, address: int) -> int:
+        """Where an address leads: an indirect data item to what its address item names, unless that is itself."""
+        pointer = self._indirect.get(address)
+        if pointer is None:
+            return address
+        target = int.from_bytes(self._memory[pointer : pointer + 2], "little")
+        return address if target in self._indirect else target
+
+    def _judge(self, item: Item, value: int, *, tripped: bool) -> Error:
+        low, high = item.low, item.high
+        if item.name == "operating_mode":
+            allowed = MODES if self.has("goal_current") else tuple(m for m in MODES if m not in {0, 5})
+            return Error.NONE if value in allowed else Error.DATA_RANGE
+        if item.name == "baud_rate":
+            return Error.NONE if value < min(len(BAUD), high + 1) else Error.DATA_RANGE
+        if item.name == "bus_watchdog":
+            low = 0
+        if item.name in GOALS and tripped:
+            return Error.DATA_RANGE
+        if not low <= value <= high:
+            return Error.DATA_RANGE
+        return Error.NONE if self._within_limits(item.name, value) else Error.DATA_LIMIT
+
+    def _within_limits(self, name: str, value: int) -> bool:
+        if name == "goal_position":
+            if self.get("operating_mode") == POSITION:
+                return self.get("min_position_limit") <= value <= self.get("max_position_limit")
+            return abs(value) <= 256 * 4096
+        limit = {"goal_pwm": "pwm_limit", "goal_current": "current_limit", "goal_velocity": "velocity_limit"}.get(name)
+        return limit is None or abs(value) <= self.get(limit)
+
+    def _store(self, item: Item, value: int) -> None:
+        raw = (value & ((1 << 8 * item.size) - 1)).to_bytes(item.size, "little")
+        self._memory[item.address : item.address + item.size] = raw

@@ -1,0 +1,174 @@
+"""An emulated torque cell: a board with an HX711 that prints `micros,raw` lines, or values, on a pty.
+
+Source: HX711 data sheet (AVIA Semiconductor): 24 bit two's complement that stays at 7FFFFF or 800000 hex beyond its
+range, 10 or 80 conversions a second, settled after 400 or 50 ms, which is 4 conversions. The sheet does not say how
+its filter weighs these; here a reading is the plain mean over them. The first reading after power-on comes when it has
+settled. Wire times and the board's clock are the emulator's own.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import xor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim_backend.parameters import SensorParameters, SimParameters
+from sim_backend.wire.dynamixel.faults import (
+    CorruptReplies,
+    DelayReplies,
+    DropReplies,
+    DuplicateReplies,
+    Fault,
+    NoiseBefore,
+    Reboots,
+    TruncateReplies,
+    Unplug,
+    spoiled,
+)
+from sim_backend.wire.loadcell.joint_torque import AtRest, Felt
+from sim_backend.wire.uart.pty_line import PtyLine
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SETTLING = 4
+"""Conversions over which a reading is the mean."""
+SCALE = 1e-7
+"""N m a count, unless a stand says otherwise."""
+_BOOT = 1.0  # s; the board's own start, before the converter settles
+_LOOK = 1e-3  # s between two looks at the line
+_KINDS = (CorruptReplies, DelayReplies, DropReplies, DuplicateReplies, NoiseBefore, TruncateReplies)
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """How the board is built and programmed.
+
+    rate: conversions a second. scale: N m a count. tare: counts without torque. form: "micros,raw" or "value".
+    checksum: whether `*` and the exclusive or of the line end it. clock: seconds of its own a second. noise N m, white,
+    standard deviation; offset N m and drift N m/s on top of the tare. baudrate: bit/s. usb_latency: s that the adapter
+    holds bytes back; None: no time passes on the wire.
+    """
+
+    rate: float = 80.0
+    scale: float = SCALE
+    tare: int = 84_000
+    form: str = "micros,raw"
+    checksum: bool = False
+    clock: float = 1.0
+    noise: float = 0.0
+    offset: float = 0.0
+    drift: float = 0.0
+    baudrate: int = 115200
+    usb_latency: float | None = 1e-3
+
+
+class LoadCell:
+    """The cell as bytes with times; it talks without being asked. micros: of its clock when it is made at `now` s."""
+
+    def __init__(
+        self, board: Board | None = None, joint: Felt | None = None, *, now: float = 0.0, micros: int = 0, seed: int = 0
+    ) -> None:
+        self.board = board or Board()
+        self.unplugged = False
+        self._joint = joint or AtRest()
+        self._made = now
+        self._powered = now - micros * 1e-6
+        self._rng = np.random.default_rng(seed)
+        self._next = now + SETTLING / self.board.rate
+        self._printed = 0
+        self._faults: list[tuple[int, Fault]] = []
+
+    def inject(self, fault: Fault) -> None:
+        """Let `fault` happen, counted in lines from now."""
+        self._faults.append((self._printed + fault.after, fault))
+
+    def advance(self, now: float) -> None:
+        """Nothing: it lives in `receive`."""
+
+    def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:  # noqa: ARG002 - it does not listen
+        """The lines it has printed by `now`, and when each has arrived; `baudrate` bit/s is what the host set."""
+        out: list[tuple[float, bytes]] = []
+        while self._next <= now and not self.unplugged:
+            taken = self._next
+            self._next += 1.0 / self.board.rate
+            line = self._line(taken)
+            self._printed += 1
+            fault = next((f for at, f in self._faults if at < self._printed <= at + f.count), None)
+            if isinstance(fault, Unplug):
+                self.unplugged = True
+                break
+            if isinstance(fault, Reboots):
+                self._powered = taken + _BOOT
+                self._next = self._powered + SETTLING / self.board.rate
+                break
+            arrives = taken
+            if self.board.usb_latency is not None:
+                arrives += 10.0 * len(line) / self.board.baudrate + self.board.usb_latency
+            if baudrate is not None and baudrate != self.board.baudrate:
+                line = _misread(line, self.board.baudrate / max(1, baudrate))
+            out += spoiled(fault, line, arrives) if isinstance(fault, _KINDS) else [(arrives, line)]
+        return out
+
+    def _line(self, taken: float) -> bytes:
+        board = self.board
+        torque = self._joint.mean(taken - SETTLING / board.rate, taken) + board.offset
+        torque += board.drift * (taken - self._made) + board.noise * self._rng.standard_normal()
+        if board.form == "value":
+            text = f"{torque / board.scale:.4f}"
+        else:
+            raw = board.tare + math.floor(torque / board.scale + 0.5)
+            micros = int((taken - self._powered) * board.clock * 1e6) % (1 << 32)
+            text = f"{micros},{max(-0x800000, min(0x7FFFFF, raw))}"
+        if board.checksum:
+            text += f"*{reduce(xor, text.encode()):02X}"
+        return text.encode() + b"\r\n"
+
+
+def _misread(line: bytes, ratio: float) -> bytes:
+    """What a receiver at another speed makes of it: nothing sure, but no text."""
+    return bytes(0x80 | (byte * 37 & 0x7F) for byte in line)[: max(1, round(len(line) / max(1.0, ratio)))]
+
+
+def of(sensors: SensorParameters) -> Board:
+    """A board with the torque cell of [sim.sensors]: its noise, offset and drift, and a count no coarser than its."""
+    return replace(
+        Board(),
+        scale=min(SCALE, sensors.torque_cell_lsb),
+        noise=sensors.torque_cell_noise,
+        offset=sensors.torque_cell_offset,
+        drift=sensors.torque_cell_drift,
+    )
+
+
+def serve(link: Path, board: Board | None = None, joint: Felt | None = None) -> PtyLine:
+    """A cell at `link`, a symlink to a pty. `with serve(...):` prints from a thread, `.serve()` from this one.
+
+    joint: what it feels, on the clock of `time.monotonic`; None: a joint at rest.
+    """
+    return PtyLine(link, LoadCell(board, joint, now=time.monotonic()), beat=_LOOK)
+
+
+def emulate(
+    link: Path, model: str = "hx711", *, baudrate: int = 115200, parameters: SimParameters | None = None
+) -> PtyLine:
+    """What `hil emulate loadcell` serves: a cell at a joint at rest.
+
+    model: "hx711" prints `micros,raw`, "hx711-checked" ends its lines with a checksum, "value" prints counts as plain
+    numbers. A cell at a joint that a motor turns comes with `hil emulate commander`. Raises ValueError for an unknown
+    model or a baud rate that is not above 0.
+    """
+    kinds = {"hx711": ("micros,raw", False), "hx711-checked": ("micros,raw", True), "value": ("value", False)}
+    if model not in kinds:
+        raise ValueError(f"model {model!r} is not known: there are {', '.join(kinds)}")
+    if baudrate <= 0:
+        raise ValueError(f"baud rate {baudrate}: it must be above 0")
+    form, checksum = kinds[model]
+    board = of((parameters or SimParameters()).sensors)
+    return serve(link, replace(board, form=form, checksum=checksum, baudrate=baudrate))

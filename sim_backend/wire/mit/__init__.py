@@ -1,0 +1,1 @@
+"""Emulated CubeMars AK and Damiao motors."""

@@ -1,0 +1,221 @@
+"""One motor that speaks MIT frames on a CAN bus, CubeMars AK or Damiao, with the plant behind its output.
+
+Sources: as in `mit_tables`. As in the mini-cheetah's firmware every frame to the motor's id is answered with its state,
+values are cut off to counts, and zero is nowhere. What the manuals leave open: an AK answers with its own id; a Damiao
+that lost communication is disabled and stays so until FB clears it; an AK's error stays until it is switched off; a
+boot takes 0.2 s and an AK comes back with its rotor's turns forgotten.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.canbus.frames import CanFrame
+from sim_backend.wire.canbus.motor import Law, Motor, behind
+from sim_backend.wire.mit.tables import MODELS, registers
+
+if TYPE_CHECKING:
+    from sim_backend.parameters import SimParameters
+
+BOOT = 0.2
+KP_MOST, KD_MOST = 500.0, 5.0
+TIMEOUT_LSB = 50e-6
+
+DISABLED, ENABLED = 0, 1
+OVER_CURRENT = {False: 2, True: 10}
+TOO_HOT = {False: 1, True: 12}
+LOST_COMMUNICATION = 13
+"""Errors, for an AK (False) and a Damiao (True)."""
+
+_AK_HOTTEST = 100.0
+
+
+class Device:
+    """A motor of `model` (a key of `mit_tables.MODELS`). Times are s on the bus's clock.
+
+    reply_id: the identifier of its replies; None: its own for an AK, 0 for a Damiao, as delivered.
+    Raises KeyError for a model that is not in the table.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        ident: int = 1,
+        *,
+        reply_id: int | None = None,
+        parameters: SimParameters | None = None,
+        now: float = 0.0,
+    ) -> None:
+        self.model = MODELS[model]
+        self.damiao = self.model.damiao
+        reply = reply_id if reply_id is not None else (0 if self.damiao else ident)
+        self._items = registers(self.model, ident, reply) if self.damiao else {}
+        self.values = {number: item.initial for number, item in self._items.items()}
+        self._ident, self._reply = ident, reply
+        self.motor = Motor(parameters or behind(self.model.scale, self.model.torque_constant, self.model.resistance))
+        self.error = 0
+        self.refused: set[int] = set()
+        """Registers whose writes are answered and not done."""
+        self.ignores_off = False
+        """Leaving motor mode is answered and not done."""
+        self._zero = 0.0
+        self._powered = now
+        self._ready = now
+        self._heard = now
+
+    @property
+    def ident(self) -> int:
+        """Its id on the bus."""
+        return int(self.values[8]) if self.damiao else self._ident
+
+    @property
+    def status(self) -> int:
+        """A Damiao's status, an AK's error code."""
+        if self.error or not self.damiao:
+            return self.error
+        return ENABLED if self.motor.enabled else DISABLED
+
+    def due(self) -> float:
+        """It says nothing unasked."""
+        return math.inf
+
+    def speak(self, now: float) -> list[CanFrame]:
+        """Nothing."""
+        self.advance(now)
+        return []
+
+    def advance(self, now: float) -> None:
+        """Carry the motor to `now` and look for faults."""
+        timeout = self.values[9] * TIMEOUT_LSB if self.damiao else 0.0
+        if self.motor.enabled and 0.0 < timeout < now - self._heard:
+            self.motor.run(self._heard + timeout - self._powered)
+            self.fail(LOST_COMMUNICATION)
+        self.motor.run(now - self._powered)
+        if self.motor.temperature > (self.values[2] if self.damiao else _AK_HOTTEST):
+            self.fail(TOO_HOT[self.damiao])
+
+    def fail(self, error: int) -> None:
+        """Latch an error; no current from now on."""
+        self.error = self.error or error
+        self.motor.disable()
+
+    def reboot(self, now: float) -> None:
+        """Lose what was not stored, the torque first, and be silent for a while."""
+        self.motor.disable()
+        self.error = 0
+        self.values = {number: item.initial for number, item in self._items.items()}
+        if not self.damiao:
+            turn = 2.0 * math.pi / self.model.gear
+            self._zero += round((self.motor.position - self._zero) / turn) * turn
+        self._ready = now + BOOT
+
+    def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """What it answers."""
+        if frame.extended or frame.remote or frame.error or now < self._ready or len(frame.data) != 8:
+            return []
+        self.advance(now)
+        if self.damiao and frame.ident == 0x7FF:
+            return self._register(frame.data, now)
+        if frame.ident not in self._listens():
+            return []
+        self._heard = now
+        if frame.data[:7] == b"\xff" * 7 and frame.data[7] >= 0xFB:
+            self._special(frame.data[7])
+        elif self.motor.enabled:
+            self._command(frame)
+        return [self._state()]
+
+    def _listens(self) -> set[int]:
+        """The identifier of commands, which for a Damiao depends on its mode."""
+        return {self.ident + 0x100 * (int(self.values[10]) - 1), self.ident} if self.damiao else {self.ident}
+
+    def _special(self, code: int) -> None:
+        if code == 0xFC and not self.error:
+            self.motor.enable()
+        elif code == 0xFD and not self.ignores_off:
+            self.motor.disable()
+        elif code == 0xFE and not self.motor.enabled:
+            self._zero = self.motor.position
+        elif code == 0xFB and self.damiao:
+            self.error = 0
+
+    def _command(self, frame: CanFrame) -> None:
+        mode = int(self.values[10]) if self.damiao else 1
+        if frame.ident != self.ident + 0x100 * (mode - 1):
+            return
+        if mode == 1:
+            self.motor.follow(self._impedance(frame.data))
+        elif mode == 2:
+            position, speed = struct.unpack("<ff", frame.data)
+            self._regulate(position, speed)
+        elif mode == 3:
+            self._regulate(None, struct.unpack_from("<f", frame.data)[0])
+
+    def _impedance(self, data: bytes) -> Law:
+        word = int.from_bytes(data, "big")
+        counts = (word >> 48, word >> 36 & 0xFFF, word >> 24 & 0xFFF, word >> 12 & 0xFFF, word & 0xFFF)
+        position, velocity, torque = self._span()
+        return Law(
+            feedforward=_from_counts(counts[4], -torque, torque, 12),
+            kp=_from_counts(counts[2], 0.0, KP_MOST, 12),
+            kd=_from_counts(counts[3], 0.0, KD_MOST, 12),
+            position=_from_counts(counts[0], -position, position, 16) + self._zero,
+            velocity=_from_counts(counts[1], -velocity, velocity, 12),
+            ceiling=torque,
+        )
+
+    def _regulate(self, position: float | None, speed: float) -> None:
+        scale = self.model.scale
+        kp = 0.0 if position is None else 0.1 * scale
+        velocity = speed if position is None else 0.0
+        self.motor.follow(Law(0.0, kp, 2e-3 * scale, (position or 0.0) + self._zero, velocity, ceiling=self._span()[2]))
+
+    def _span(self) -> tuple[float, float, float]:
+        return (self.values[21], self.values[22], self.values[23]) if self.damiao else self.model.span
+
+    def _state(self) -> CanFrame:
+        position, velocity, torque = self._span()
+        angle = _to_counts(self.motor.position - self._zero, -position, position, 16)
+        rate = _to_counts(self.motor.velocity, -velocity, velocity, 12)
+        effort = _to_counts(self.motor.torque, -torque, torque, 12)
+        head = self.status << 4 | self.ident & 0xF if self.damiao else self.ident
+        body = (head << 40 | angle << 24 | rate << 12 | effort).to_bytes(6, "big")
+        warmth = min(255, max(0, int(self.motor.temperature)))
+        tail = bytes([warmth, warmth]) if self.damiao else bytes([warmth, self.error])
+        return CanFrame(int(self.values[7]) if self.damiao else self._reply, body + tail)
+
+    def _register(self, data: bytes, now: float) -> list[CanFrame]:
+        """Read (33), write (55) or store (AA) a register, or say the state (CC)."""
+        if int.from_bytes(data[:2], "little") != self.ident:
+            return []
+        self._heard = now
+        command, number = data[2], data[3]
+        reply_id = int(self.values[7])
+        if command == 0xCC:
+            return [self._state()]
+        item = self._items.get(number)
+        if command == 0xAA:
+            return [CanFrame(reply_id, data)]
+        if item is None or command not in {0x33, 0x55}:
+            return []
+        layout = "<I" if item.whole else "<f"
+        self.values[62 if number == 62 else 61] = self.motor.temperature
+        if command == 0x55:
+            value = float(struct.unpack_from(layout, data, 4)[0])
+            if item.writable and number not in self.refused and item.low <= value <= item.high:
+                self.values[number] = value
+        kept = self.values[number]
+        raw = struct.pack(layout, int(kept) if item.whole else kept)
+        return [CanFrame(reply_id, data[:4] + raw)]
+
+
+def _to_counts(value: float, low: float, high: float, bits: int) -> int:
+    """As the firmware does it: held within the range and cut off."""
+    held = max(low, min(high, value))
+    return int((held - low) * ((1 << bits) - 1) / (high - low))
+
+
+def _from_counts(counts: int, low: float, high: float, bits: int) -> float:
+    return counts * (high - low) / ((1 << bits) - 1) + low

@@ -1,0 +1,1 @@
+"""Emulated ODrive axes."""

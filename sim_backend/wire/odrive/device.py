@@ -1,0 +1,310 @@
+"""One ODrive axis on a CAN bus: CANSimple in, CANSimple out, with the plant behind its motor.
+
+Source: the vendor's CAN protocol page and DBC files for 0.5.6 and 0.6.10, and the 0.5.6 firmware's can_simple.cpp and
+controller.cpp. What they leave open: a boot takes 0.5 s; 0.6 feeds its watchdog by set-points and state requests (the
+vendor's watchdog example says so of both) and looks at it in closed loop only; the current sensor counts in 20 mA.
+Position and velocity control are cascades of plain gains without the firmware's integrator.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.canbus.frames import CanFrame
+from sim_backend.wire.canbus.motor import Law, Motor, behind
+from sim_backend.wire.odrive.endpoints import Endpoints
+
+if TYPE_CHECKING:
+    from sim_backend.parameters import SimParameters
+
+IDLE, CLOSED_LOOP = 1, 8
+BOOT = 0.5
+TURN = 2.0 * math.pi
+COUNTS = 16384
+"""Encoder counts a turn."""
+CURRENT_LSB = 0.02
+"""A."""
+TORQUE_CONSTANT = 0.04
+"""N m/A of the motor behind it."""
+SCALE = 20.0
+"""The paper's joint with torques as large as suit that motor."""
+
+WATCHDOG = {"0.5": 0x800, "0.6": 0x1000000}
+OVERSPEED = {"0.5": 0x200, "0.6": 0x8000}
+OVERHEAT = {"0.5": 0x40000, "0.6": 0x2000}
+ESTOP = {"0.5": 0x4000, "0.6": 0x2000000}
+DRIVER_FAULT = {"0.5": 0x40, "0.6": 0x20}
+"""Bits of the error word, by the firmware's layout."""
+
+_FLOATS = struct.Struct("<ff")
+
+
+class Device:
+    """An axis with node id `ident` and firmware `firmware`, 0.5.6 or 0.6.x. Times are s on the bus's clock."""
+
+    def __init__(
+        self,
+        ident: int = 0,
+        *,
+        firmware: str = "0.6.10",
+        parameters: SimParameters | None = None,
+        now: float = 0.0,
+        serial: int = 0x3A5B12,
+    ) -> None:
+        self.ident = ident
+        self.firmware = firmware
+        self.layout = "0.5" if firmware.startswith("0.5") else "0.6"
+        self.motor = Motor(parameters or behind(SCALE, TORQUE_CONSTANT, 0.06))
+        self.endpoints = Endpoints(ident)
+        self.endpoints.put("serial_number", float(serial))
+        self.state = IDLE
+        self.errors = 0
+        self.disarm_reason = 0
+        self.ignores_idle = False
+        """A request for idle is taken and not done."""
+        self.calibrated = True
+        self._powered = now
+        self._start(now)
+
+    def _start(self, now: float) -> None:
+        self._ready = now
+        self._fed = now
+        self._heartbeat = now + 0.01 * (1 + self.ident % 7)
+        self._estimates = now + 0.013
+        self._torques = now + 0.017
+        self._torque = self._velocity = 0.0
+        self._position = self._offset = 0.0
+        self._result = 0
+
+    # -- the node's side of the bus ---------------------------------------------------------------------------------
+
+    def due(self) -> float:
+        """When the next cyclic message goes out."""
+        return min(self._heartbeat, self._estimates, self._torques)
+
+    def speak(self, now: float) -> list[CanFrame]:
+        """The cyclic messages that are due."""
+        self.advance(now)
+        out = []
+        if self._heartbeat <= now:
+            self._heartbeat += self._period("heartbeat")
+            out.append(self._frame(0x01, self._heartbeat_data()))
+        if self._estimates <= now:
+            self._estimates += self._period("encoder")
+            out.append(self._frame(0x09, self._encoder_data()))
+        if self._torques <= now:
+            self._torques += self._period("torques")
+            out += [self._frame(0x1C, self._torques_data())] if math.isfinite(self._torques) else []
+        return out if now >= self._ready else []
+
+    def _period(self, kind: str) -> float:
+        """s between two cyclic messages of a kind; infinite where they are switched off."""
+        milliseconds = self.endpoints.get(f"axis0.config.can.{kind}_msg_rate_ms")
+        return milliseconds * 1e-3 if milliseconds else math.inf
+
+    def advance(self, now: float) -> None:
+        """Carry the motor to `now` and look for faults."""
+        timeout = self.endpoints.get("axis0.config.watchdog_timeout")
+        watched = bool(self.endpoints.get("axis0.config.enable_watchdog")) and timeout > 0.0
+        if watched and now - self._fed > timeout and (self.layout == "0.5" or self.state == CLOSED_LOOP):
+            self.motor.run(self._fed + timeout - self._powered)
+            self.fail(WATCHDOG[self.layout])
+        self.motor.run(now - self._powered)
+        if self.state != CLOSED_LOOP:
+            return
+        limit = self.endpoints.get("axis0.controller.config.vel_limit")
+        tolerance = self.endpoints.get("axis0.controller.config.vel_limit_tolerance")
+        if abs(self.motor.velocity) / TURN > limit * tolerance:
+            self.fail(OVERSPEED[self.layout])
+        elif self.motor.temperature > self.endpoints.get("axis0.motor.motor_thermistor.config.temp_limit_upper"):
+            self.fail(OVERHEAT[self.layout])
+        else:
+            self._control()
+
+    def reboot(self, now: float) -> None:
+        """Lose everything in RAM, the position first, and be silent for a while."""
+        self._go_idle()
+        self.errors = self.disarm_reason = 0
+        self._start(now)
+        self._offset = self.motor.position
+        self._ready = now + BOOT
+        self._heartbeat = self._estimates = self._torques = self._ready
+
+    def fail(self, bits: int) -> None:
+        """Latch errors; the axis disarms."""
+        self.errors |= bits
+        if self.state == CLOSED_LOOP:
+            self.disarm_reason = bits
+        self._go_idle()
+
+    def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """What it answers."""
+        if frame.extended or frame.error or frame.ident >> 5 != self.ident or now < self._ready:
+            return []
+        command = frame.ident & 0x1F
+        self.advance(now)
+        if self.layout == "0.5" or command in {0x07, 0x0C, 0x0D, 0x0E}:
+            self._fed = now
+        if frame.remote or not frame.data:
+            data = self._asked(command)
+            return [] if data is None else [self._frame(command, data)]
+        if command in {0x04} and self.layout == "0.6":
+            return self._parameter(frame.data)
+        self._told(command, frame.data.ljust(8, b"\0"), now)
+        return []
+
+    def _frame(self, command: int, data: bytes) -> CanFrame:
+        return CanFrame(self.ident << 5 | command, data)
+
+    # -- what it is asked -------------------------------------------------------------------------------------------
+
+    def _asked(self, command: int) -> bytes | None:
+        """The data of a message that a remote frame asks for; None where there is none."""
+        modern = self.layout == "0.6"
+        answers = {0x03: self._error_data, 0x09: self._encoder_data, 0x14: self._iq_data, 0x17: self._bus_data}
+        if modern:
+            answers |= {0x00: self._version_data, 0x06: self._address_data, 0x15: self._temperature_data}
+            answers |= {0x1C: self._torques_data, 0x1D: self._powers_data}
+        else:
+            answers |= {0x04: lambda: bytes(8), 0x05: lambda: bytes(8), 0x1D: lambda: bytes(8)}  # no such errors
+            answers |= {0x0A: self._count_data, 0x15: lambda: bytes(8)}  # the sensorless estimator does not run
+        return answers[command]() if command in answers else None
+
+    def _version_data(self) -> bytes:
+        return bytes([2, 5, 2, 0, *(int(part) for part in self.firmware.split(".")), 0])
+
+    def _error_data(self) -> bytes:
+        return struct.pack("<II", self.errors, self.disarm_reason if self.layout == "0.6" else 0)
+
+    def _address_data(self) -> bytes:
+        return bytes([self.ident]) + int(self.endpoints.get("serial_number")).to_bytes(6, "little") + b"\0"
+
+    def _count_data(self) -> bytes:
+        counts = round(self._turns() * COUNTS)
+        return struct.pack("<ii", counts, counts % COUNTS)
+
+    def _iq_data(self) -> bytes:
+        return _FLOATS.pack(self.motor.demand / TORQUE_CONSTANT, self._current())
+
+    def _temperature_data(self) -> bytes:
+        return _FLOATS.pack(self.motor.temperature, self.motor.temperature)
+
+    def _bus_data(self) -> bytes:
+        volts = self.endpoints.get("vbus_voltage")
+        return _FLOATS.pack(volts, self._power() / volts)
+
+    def _torques_data(self) -> bytes:
+        return _FLOATS.pack(self.motor.demand, self._current() * TORQUE_CONSTANT)
+
+    def _powers_data(self) -> bytes:
+        return _FLOATS.pack(self._power(), self.motor.torque * self.motor.velocity)
+
+    def _heartbeat_data(self) -> bytes:
+        if self.layout == "0.6":
+            return struct.pack("<IBBBB", self.errors, self.state, self._result, 1, 0)
+        motor, controller = bool(self.errors & 0x40), bool(self.errors & 0x200)
+        return struct.pack("<IBBBB", self.errors, self.state, motor, 0, controller | 0x80)
+
+    def _encoder_data(self) -> bytes:
+        turns = round(self._turns() * COUNTS) / COUNTS
+        return _FLOATS.pack(turns, self.motor.velocity / TURN)
+
+    def _turns(self) -> float:
+        return (self.motor.position - self._offset) / TURN
+
+    def _current(self) -> float:
+        return round(self.motor.torque / TORQUE_CONSTANT / CURRENT_LSB) * CURRENT_LSB
+
+    def _power(self) -> float:
+        return 0.06 * self._current() ** 2 + self.motor.torque * self.motor.velocity
+
+    def _parameter(self, data: bytes) -> list[CanFrame]:
+        """RxSdo: read or write an endpoint. 0.6.11 and later confirm a write."""
+        if len(data) < 4:
+            return []
+        opcode, number, _ = struct.unpack_from("<BHB", data)
+        if opcode == 1:
+            done = self.endpoints.write(number, data[4:].ljust(4, b"\0"))
+            confirms = int(self.firmware.split(".")[2]) >= 11
+            return [self._frame(0x05, struct.pack("<BHB4x", 1, number, 0))] if done and confirms else []
+        value = self.endpoints.read(number)
+        return [] if value is None else [self._frame(0x05, struct.pack("<BHB", 0, number, 0) + value)]
+
+    # -- what it is told --------------------------------------------------------------------------------------------
+
+    def _told(self, command: int, data: bytes, now: float) -> None:
+        first, second = _FLOATS.unpack(data)
+        words = struct.unpack("<II", data)
+        match command:
+            case 0x02:
+                self.fail(ESTOP[self.layout])
+            case 0x07:
+                self._request_state(words[0])
+            case 0x0C:
+                self._position = first
+            case 0x0D:
+                self._velocity, self._torque = first, second
+            case 0x0E:
+                self._torque = first
+            case 0x16:
+                self.reboot(now)
+            case 0x18:
+                self.errors = self.disarm_reason = 0
+            case _:
+                self._configured(command, first, second, words)
+        if self.state == CLOSED_LOOP:
+            self._control()
+
+    def _configured(self, command: int, first: float, second: float, words: tuple[int, int]) -> None:
+        """What changes the configuration."""
+        controller = "axis0.controller.config."
+        changes: dict[int, dict[str, float]] = {
+            0x0B: {controller + "control_mode": words[0], controller + "input_mode": words[1]},
+            0x0F: {controller + "vel_limit": first, "axis0.config.motor.current_soft_max": second},
+            0x1A: {controller + "pos_gain": first},
+            0x1B: {controller + "vel_gain": first, controller + "vel_integrator_gain": second},
+        }
+        for name, value in changes.get(command, {}).items():
+            self.endpoints.put(name, value)
+        if command == 0x19 and self.layout == "0.6":
+            self._offset = self.motor.position - first * TURN
+
+    def _request_state(self, state: int) -> None:
+        if state == CLOSED_LOOP:
+            if self.errors or not self.calibrated:
+                self._result = 14 if not self.calibrated else 3
+                self.errors |= 0x1 if self.layout == "0.5" else 0
+                return
+            self._result = 0
+            self.state = CLOSED_LOOP
+            self.motor.enable()
+            self._control()
+        elif state == IDLE and not self.ignores_idle:
+            self._go_idle()
+
+    def _go_idle(self) -> None:
+        self.state = IDLE
+        self.motor.disable()
+
+    def _control(self) -> None:
+        """Hand the controller's law to the motor: cascades in position and velocity control, limits in every mode."""
+        get = self.endpoints.get
+        mode = int(get("axis0.controller.config.control_mode"))
+        ceiling = get("axis0.config.motor.current_soft_max") * TORQUE_CONSTANT
+        high = min(ceiling, get("axis0.config.torque_soft_max"))
+        low = max(-ceiling, get("axis0.config.torque_soft_min"))
+        gain, speed = get("axis0.controller.config.vel_gain"), get("axis0.controller.config.vel_limit")
+        if mode == 1:
+            wanted = self._torque
+            if get("axis0.controller.config.enable_torque_mode_vel_limit"):
+                velocity = self.motor.velocity / TURN
+                wanted = min(max(wanted, (-speed - velocity) * gain), (speed - velocity) * gain)
+            self.motor.follow(Law(feedforward=min(max(wanted, low), high)))
+            return
+        damping = gain / TURN
+        stiffness = get("axis0.controller.config.pos_gain") * damping if mode == 3 else 0.0
+        velocity = self._velocity * TURN if mode == 2 else 0.0
+        position = self._position * TURN + self._offset
+        self.motor.follow(Law(self._torque, stiffness, damping, position, velocity, ceiling=max(0.0, min(high, -low))))

@@ -1,0 +1,59 @@
+"""A program that dies in the middle, on a serial CAN adapter: what the drive does when nobody is left to tell it."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sim_backend.wire.canbus.bus import Bus
+from sim_backend.wire.canbus.slcan import SlcanLine
+from sim_backend.wire.cia402.device import Device as Cia402Device
+from sim_backend.wire.mit.device import Device as MitDevice
+from sim_backend.wire.moteus.device import Device as MoteusDevice
+
+CRASHES = """
+import os, signal, sys
+from drivers.servo import Command, Limits, Quantity
+if sys.argv[1] == "moteus":
+    from drivers.moteus.servo import MoteusServo as Servo
+    from drivers.moteus.config import MoteusConfig
+    config = MoteusConfig("slcan", sys.argv[2], reply_timeout=0.3, watchdog=1.0)
+elif sys.argv[1] == "cia402":
+    from drivers.cia402.servo import Cia402Servo as Servo
+    from drivers.cia402.config import Cia402Config
+    config = Cia402Config("slcan", sys.argv[2], "epos4", reply_timeout=0.3, watchdog=1.0)
+else:
+    from drivers.mit.servo import MitServo as Servo
+    from drivers.mit.config import MitConfig
+    config = MitConfig("slcan", sys.argv[2], "dm-j4310", reply_timeout=0.3, watchdog=1.0)
+servo = Servo(config)
+servo.arm(Limits(torque=0.4, velocity=60.0, temperature=75.0, position=(-3.0, 3.0)))
+servo.exchange(Command(Quantity.TORQUE, 0.2))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("kind", ["moteus", "mit", "cia402"])
+def test_a_killed_program_leaves_no_torque_once_the_watchdog_has_run_out(tmp_path: Path, kind: str) -> None:
+    bus = Bus([])
+    with SlcanLine(tmp_path / "ttyCAN", bus) as line:
+        now = line.now()
+        device: Any
+        if kind == "moteus":
+            device = MoteusDevice(now=now)
+        else:
+            device = Cia402Device(now=now) if kind == "cia402" else MitDevice("dm-j4310", now=now)
+        bus.nodes.append(device)
+        root = Path(__file__).parents[3]
+        command = [sys.executable, "-c", CRASHES, kind, str(line.link)]
+        done = subprocess.run(command, cwd=root, check=False, timeout=60)
+        assert done.returncode == -signal.SIGKILL
+        with line.lock:
+            bus.advance(line.now() + 1.05)
+            assert device.motor.torque == 0.0
+            assert device.motor.demand == 0.0

@@ -1,0 +1,417 @@
+"""A SimpleFOC board over its emulator: what is sent, what is made of the replies, and everything that can go wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from drivers.commander.config import CommanderConfig
+from drivers.commander.lines import RESOLUTION, same, state, target
+from drivers.commander.servo import RESTARTED, STOPPED, CommanderServo
+from drivers.servo import (
+    BadReply,
+    Command,
+    DeviceFault,
+    DriverError,
+    Limits,
+    LinkLost,
+    NoReply,
+    Quantity,
+    UnsafeCommand,
+)
+from sim_backend.servo import VirtualClock
+from sim_backend.wire.commander.device import number
+from sim_backend.wire.commander.emulator import WATCHDOG, Timing, new_board, serve
+from sim_backend.wire.dynamixel.faults import (
+    CorruptReplies,
+    DelayReplies,
+    DropReplies,
+    DropRequests,
+    DuplicateReplies,
+    NoiseBefore,
+    Reboots,
+    TruncateReplies,
+    Unplug,
+)
+from sim_backend.wire.loadcell.emulator import LoadCell as Cell
+from sim_backend.wire.uart.loopback import Loopback
+
+Rig = Any
+Make = Callable[..., Rig]
+KT = 0.0145
+LIMITS = Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0))
+PUSH = Command(Quantity.TORQUE, 2e-3)
+
+
+@pytest.fixture
+def foc(make_foc: Make) -> Rig:
+    return make_foc()
+
+
+def armed(rig: Rig, **changes: Any) -> CommanderServo:
+    servo: CommanderServo = rig.open(**changes)
+    servo.arm(LIMITS)
+    rig.wait(4e-3)
+    servo.exchange(PUSH)
+    return servo
+
+
+def drive_on(rig: Rig, servo: CommanderServo, ticks: int) -> None:
+    """Go on as a recorder does, until something ends it."""
+    for _ in range(ticks):
+        rig.wait(4e-3)
+        with contextlib.suppress(NoReply, BadReply):
+            servo.exchange(PUSH)
+
+
+def off(rig: Rig) -> bool:
+    """Whether no current can flow, nor would by enabling it."""
+    return not rig.board.motor.enabled and rig.board.motor.target == 0.0
+
+
+# -- what is sent and read ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_torque_arrives_as_current_and_the_state_comes_back_in_si(foc: Rig, sign: int) -> None:
+    servo = armed(foc, sign=sign)
+    for _ in range(100):
+        foc.wait(4e-3)
+        sample = servo.exchange(PUSH)
+    motor = foc.board.motor
+    assert motor.target == pytest.approx(sign * 2e-3 / KT, abs=2 * RESOLUTION)
+    assert sample.motor_torque == pytest.approx(2e-3, abs=KT * 1e-3)
+    assert sample.motor_position == pytest.approx(sign * motor.angle, abs=2e-3)
+    assert sample.motor_position > 0.1
+
+
+def test_the_limits_reach_the_board(foc: Rig) -> None:
+    armed(foc)
+    assert foc.board.motor.current_limit == pytest.approx(4e-3 / KT, rel=1e-4)
+    assert foc.board.motor.current_limit <= 4e-3 / KT
+    assert foc.board.motor.velocity_limit == 400.0
+    assert foc.board.device.torque_type == 2
+
+
+@pytest.mark.parametrize("firmware", ["2.3", "2.4"])
+def test_a_target_is_bounded_here_whether_or_not_the_library_does(make_foc: Make, firmware: str) -> None:
+    rig = make_foc(firmware=firmware)
+    servo = armed(rig)
+    servo.exchange(Command(Quantity.TORQUE, -1.0))
+    assert -4e-3 / KT <= rig.board.motor.target == pytest.approx(-4e-3 / KT, abs=3 * RESOLUTION)
+
+
+def test_a_position_is_refused(foc: Rig) -> None:
+    servo = armed(foc)
+    with pytest.raises(UnsafeCommand, match="torque mode"):
+        servo.exchange(Command(Quantity.POSITION, 0.1))
+
+
+def test_a_target_left_over_from_another_mode_never_becomes_a_torque(foc: Rig) -> None:
+    motor = foc.board.motor
+    motor.mode, motor.target = 2, 3.0  # 3 rad would be 3 A
+    foc.board.device.restart = lambda: None
+    servo = foc.open()
+    assert off(foc)
+    servo.arm(LIMITS)
+    assert motor.target == 0.0
+
+
+def test_a_tick_is_one_round_trip_of_the_length_it_is_reckoned_with(foc: Rig) -> None:
+    servo = armed(foc)
+    foc.wait(0.01)
+    foc.port.sent.clear()
+    before = foc.clock.now()
+    servo.exchange(PUSH)
+    assert bytes(foc.port.sent).split(b"\n")[1:] == [b"MMG7", b"ME", b""]
+    wire = 10.0 * (len(foc.port.sent) + 90) / 1_000_000
+    assert foc.clock.now() - before < wire + Timing().usb_latency + 3 * Timing().loop + 2e-3
+
+
+@pytest.mark.parametrize("current", [0.0, 1e-5, 0.137, -0.137, 12.34567, -39.9999])
+def test_a_target_says_which_request_it_was_and_survives_the_boards_arithmetic(current: float) -> None:
+    sent = [target(current, count) for count in range(10)]
+    assert len(set(sent)) == 10
+    for text in sent:
+        assert abs(float(text) - current) <= RESOLUTION
+        assert len(f"M{text}\n") <= 20
+        assert [other for other in sent if same(other, float(f"{number(text):.5f}"))] == [text]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["0.00000", "0.00000;" * 6, "0.00000;" * 7, "0.000;" * 6 + "0.000", "nan;" + "0.00000;" * 5 + "0.00000", "err", ""],
+)
+def test_what_is_not_seven_whole_numbers_is_no_state(text: str) -> None:
+    assert state(text) is None
+
+
+# -- the line -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        DropReplies(count=3),
+        TruncateReplies(count=3, keep=9),
+        DelayReplies(count=3, seconds=0.03),
+        DropRequests(count=3),
+        CorruptReplies(count=3),
+    ],
+)
+def test_a_lost_or_damaged_reply_is_one_gap_and_what_follows_is_fresh(foc: Rig, fault: Any) -> None:
+    servo = armed(foc)
+    foc.board.inject(fault)
+    gaps = 0
+    for step in range(40):
+        foc.wait(4e-3)
+        wanted = Command(Quantity.TORQUE, 1e-4 * (step % 7))
+        try:
+            sample = servo.exchange(wanted)
+        except (NoReply, BadReply):
+            gaps += 1
+            continue
+        assert foc.board.motor.target == pytest.approx(wanted.value / KT, abs=2 * RESOLUTION)
+        assert sample.t_read <= foc.clock.now()
+    assert 1 <= gaps <= 2
+    assert foc.board.motor.enabled
+
+
+@pytest.mark.parametrize(
+    "fault", [DuplicateReplies(count=9), NoiseBefore(count=9, noise=b"\xffMOT: junk\r\nME0.5\n\r")]
+)
+def test_junk_and_doubled_lines_cost_nothing(foc: Rig, fault: Any) -> None:
+    servo = armed(foc)
+    foc.board.inject(fault)
+    for _ in range(10):
+        foc.wait(4e-3)
+        assert servo.exchange(PUSH).motor_position >= 0.0
+
+
+def test_a_digit_lost_on_the_way_to_the_board_is_put_right_within_the_tick(foc: Rig) -> None:
+    servo = armed(foc)
+    foc.wait(4e-3)
+    foc.board.mishear("M0.1", "M1")  # ten times the current
+    with pytest.raises(BadReply):
+        servo.exchange(PUSH)
+    assert foc.board.motor.target == pytest.approx(2e-3 / KT, abs=2 * RESOLUTION)
+    foc.wait(4e-3)
+    servo.exchange(PUSH)
+
+
+def test_an_old_reply_is_not_taken_for_the_answer_to_the_same_set_point(foc: Rig) -> None:
+    servo = armed(foc)
+    foc.board.inject(DelayReplies(after=0, count=3, seconds=0.010))
+    with pytest.raises((NoReply, BadReply)):
+        servo.exchange(PUSH)
+    begin = foc.clock.now()
+    assert servo.exchange(PUSH).t >= begin
+
+
+def test_silence_is_no_reply_within_its_deadline(foc: Rig) -> None:
+    servo = armed(foc)
+    foc.board.inject(DropReplies(count=1000))
+    before = foc.clock.now()
+    with pytest.raises(NoReply):
+        servo.exchange(PUSH)
+    assert foc.clock.now() - before < 0.008 + 0.006
+
+
+def test_a_pulled_cable_is_a_lost_link_and_disarming_says_that_it_is_not_confirmed(foc: Rig) -> None:
+    servo = armed(foc)
+    foc.board.inject(Unplug())
+    with pytest.raises(LinkLost, match="cut the power"):
+        drive_on(foc, servo, 2)
+    with pytest.raises(LinkLost, match="not confirmed"):
+        servo.disarm()
+    servo.close()
+
+
+@pytest.mark.parametrize("after", [0, 1, 2])
+def test_a_board_that_restarts_is_a_fault_and_its_motor_is_switched_off_again(foc: Rig, after: int) -> None:
+    servo = armed(foc)
+    foc.board.inject(Reboots(after=after))
+    with pytest.raises(DeviceFault) as caught:
+        drive_on(foc, servo, 1000)
+    assert caught.value.code == RESTARTED
+    assert foc.board.motor.enabled  # as the program does when it begins
+    servo.disarm()
+    assert off(foc)
+    servo.arm(LIMITS)
+    drive_on(foc, servo, 5)
+    assert servo.exchange(PUSH).motor_torque > 0.0
+
+
+def test_a_restart_that_nobody_drove_through_does_not_leave_the_motor_on(foc: Rig) -> None:
+    servo = foc.open()
+    foc.board.reboot(foc.clock.now())
+    foc.wait(4.0)
+    foc.board.device.verbose, foc.board.device.decimals = 3, 5  # a program that prints like this by itself
+    assert foc.board.motor.enabled
+    servo.exchange(Command.rest())
+    assert off(foc)
+
+
+def test_a_motor_that_its_boards_watchdog_stopped_is_a_fault(make_foc: Make) -> None:
+    rig = make_foc(firmware="2.4-watchdog")
+    servo = armed(rig)
+    rig.wait(0.9 * WATCHDOG)
+    servo.exchange(PUSH)
+    rig.wait(1.1 * WATCHDOG)
+    with pytest.raises(DeviceFault, match="by itself") as caught:
+        servo.exchange(PUSH)
+    assert caught.value.code == STOPPED
+
+
+# -- opening and arming ---------------------------------------------------------------------------------------------
+
+
+def test_a_board_that_is_still_booting_is_waited_for(foc: Rig) -> None:
+    foc.board.reboot(0.0)
+    servo = foc.open()
+    assert foc.clock.now() > Timing().boot
+    assert off(foc)
+    assert servo.exchange(Command.rest()).motor_torque == 0.0
+
+
+def test_a_motor_that_somebody_left_on_is_off_once_it_is_opened(foc: Rig) -> None:
+    motor = foc.board.motor
+    motor.enable()
+    motor.target = 0.2
+    for character in "M0.05":  # and died while it was typing
+        foc.board.device.type(character)
+    foc.open()
+    assert off(foc)
+
+
+def test_the_wrong_baud_rate_and_silence_are_told_apart(make_foc: Make) -> None:
+    rig = make_foc(baudrate=115200)
+    rig.port = Loopback(rig.board, rig.clock, 1_000_000)
+    with pytest.raises(BadReply, match="no Commander"):
+        rig.open(baudrate=1_000_000)
+    assert rig.port.closed
+    silent = make_foc()
+    silent.board.inject(DropReplies(count=10_000))
+    with pytest.raises(NoReply, match="nothing answers on loopback at 1000000 baud"):
+        silent.open()
+    assert off(silent)
+
+
+def test_another_device_at_the_port_is_told_by_what_it_says(foc: Rig) -> None:
+    clock = VirtualClock()
+    foc.clock, foc.port = clock, Loopback(Cell(), clock)
+    with pytest.raises(BadReply, match=r"no Commander of SimpleFOC 2.2 or later \('\d+,84000'\)"):
+        foc.open()
+
+
+def test_a_motor_under_another_letter_is_told_with_those_there_are(foc: Rig) -> None:
+    with pytest.raises(DriverError, match="no motor 'A' that can be read: it has M:motor"):
+        foc.open(motor="A")
+
+
+def test_a_board_that_streams_is_made_to_stop_even_after_a_restart(foc: Rig) -> None:
+    foc.board.streams = 1e-3
+    servo = armed(foc)
+    drive_on(foc, servo, 3)
+    assert foc.board.device.watched == "0000000"
+    foc.board.reboot(foc.clock.now())
+    foc.wait(4.0)
+    servo.disarm()
+    assert off(foc)
+
+
+def test_a_limit_that_the_board_does_not_take_is_refused_with_the_motor_off(foc: Rig) -> None:
+    servo = foc.open()
+    foc.board.mishear("MLC0", "MLC9")
+    with pytest.raises(DriverError, match="current limit"):
+        servo.arm(LIMITS)
+    assert off(foc)
+    with pytest.raises(DriverError, match="below what a target resolves"):
+        servo.arm(Limits(torque=1e-7, velocity=1.0, temperature=80.0, position=(-1.0, 1.0)))
+
+
+def test_a_port_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DriverError, match="there is no such port"):
+        CommanderServo(CommanderConfig(str(tmp_path / "nothing"), torque_constant=KT, watchdog=0.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"watchdog": None}, "watchdog"),
+        ({"torque_constant": 0.0}, "torque_constant"),
+        ({"motor": "MM"}, "motor"),
+        ({"torque_mode": "voltage"}, "torque_mode"),
+        ({"sign": 2}, "sign"),
+        ({"bauderate": 1}, "bauderate"),
+    ],
+)
+def test_a_table_that_cannot_be_is_refused_at_its_key(change: dict[str, Any], key: str) -> None:
+    good: dict[str, Any] = {"port": "/dev/ttyACM0", "torque_constant": 0.05, "watchdog": 0.1}
+    table = TypeAdapter(CommanderConfig)
+    assert table.validate_python(good).motor == "M"
+    with pytest.raises(ValidationError) as caught:
+        table.validate_python(good | change)
+    assert [error["loc"][0] for error in caught.value.errors()] == [key]
+    with pytest.raises(ValidationError, match="one lost reply"):
+        table.validate_python(good | {"watchdog": 0.01})
+
+
+# -- torque off -----------------------------------------------------------------------------------------------------
+
+
+def test_the_torque_is_off_after_close_and_after_an_exception_whatever_the_line_does(make_foc: Make) -> None:
+    rig = make_foc()
+    armed(rig).close()
+    assert off(rig)
+    for fault in (DropReplies(count=1000), CorruptReplies(count=1000), DropRequests(count=2)):
+        rig = make_foc()
+        servo = armed(rig)
+        rig.board.inject(fault)
+        with contextlib.suppress(DriverError):
+            servo.exchange(PUSH)
+        servo.close()
+        assert off(rig)
+
+
+def test_a_torque_off_that_is_not_confirmed_is_said_and_may_be_asked_again(foc: Rig) -> None:
+    servo = armed(foc)
+    foc.board.inject(DropReplies(count=18))
+    with pytest.raises(DriverError, match="not confirmed"):
+        servo.disarm()
+    servo.disarm()
+    assert off(foc)
+
+
+CRASHES = """
+import os, signal, sys
+from drivers.commander.servo import CommanderServo
+from drivers.commander.config import CommanderConfig
+from drivers.servo import Command, Limits, Quantity
+servo = CommanderServo(CommanderConfig(sys.argv[1], torque_constant=0.0145, watchdog=0.1, reply_timeout=0.04))
+servo.arm(Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0)))
+servo.exchange(Command(Quantity.TORQUE, 2e-3))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_killed_program_leaves_no_current_once_the_boards_watchdog_has_run_out(tmp_path: Path) -> None:
+    board = new_board(firmware="2.4-watchdog", timing=Timing(), now=time.monotonic())
+    board.watchdog = 1.0
+    with serve(tmp_path / "tty", board) as line:
+        root = Path(__file__).parents[3]
+        done = subprocess.run([sys.executable, "-c", CRASHES, str(line.link)], cwd=root, check=False, timeout=60)
+        assert done.returncode == -signal.SIGKILL
+        with line.lock:
+            board.advance(line.now() + 1.05)
+            assert not board.motor.enabled
+            assert board.motor.torque == 0.0

@@ -1,0 +1,41 @@
+"""The [dynamixel] table as whoever reads a stand file checks it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from drivers.dynamixel.config import DynamixelConfig
+
+TABLE = TypeAdapter(DynamixelConfig)
+GOOD: dict[str, Any] = {"port": "/dev/ttyUSB0", "model": "xm430-w350"}
+
+
+def test_ten_lines_are_enough() -> None:
+    config = TABLE.validate_python(GOOD | {"id": 3, "baudrate": 4_000_000, "sign": -1})
+    assert (config.id, config.baudrate, config.effective_mode) == (3, 4_000_000, "current")
+    assert TABLE.validate_python({"port": "p", "model": "xl430-w250"}).effective_mode == "extended-position"
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"id": 253}, "id"),
+        ({"id": "one"}, "id"),
+        ({"baudrate": 1_152_000}, "baudrate"),
+        ({"sign": 0}, "sign"),
+        ({"mode": "velocity"}, "mode"),
+        ({"torque_constant": 0.0}, "torque_constant"),
+        ({"torque_constant": float("nan")}, "torque_constant"),
+        ({"return_delay": 1e-3}, "return_delay"),
+        ({"watchdog": 3.0}, "watchdog"),
+        ({"reply_timeout": 0.0}, "reply_timeout"),
+        ({"bauderate": 57600}, "bauderate"),
+    ],
+)
+def test_what_cannot_be_is_refused_at_its_key(change: dict[str, Any], key: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        TABLE.validate_python(GOOD | change)
+    assert [error["loc"][0] for error in caught.value.errors()] == [key]

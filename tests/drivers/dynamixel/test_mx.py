@@ -1,0 +1,413 @@
+"""MX servos with protocol 1.0: the emulator against the manual and the vendor's client, the adapter on the emulator."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, GroupSyncWrite, PortHandler, Protocol1PacketHandler
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.dynamixel.config import DynamixelConfig
+from drivers.dynamixel.faults import RESTARTED
+from drivers.dynamixel.models import POSITION_LSB, models
+from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, NoReply, Quantity, Sample
+from hil.acquisition import excitation
+from hil.acquisition.interrupt import StopRequest
+from hil.acquisition.recorder import Recorder, tick_count
+from hil.recording.reader import Recording
+from hil.recording.writer import Header, PartFile
+from hil.signals.prepare import prepare
+from hil.stand.file import parse
+from sim_backend.parameters import CouplingParameters, FixtureParameters
+from sim_backend.wire.dynamixel.bus import Bus
+from sim_backend.wire.dynamixel.faults import CorruptReplies, DelayReplies, DropReplies, Reboots, TruncateReplies
+from sim_backend.wire.dynamixel.motor import COUNT, behind
+from sim_backend.wire.dynamixel.mx_device import MX_ANGLE, MX_CHECKSUM, MX_HEAT, MX_INSTRUCTION, MX_OVERLOAD, MX_RANGE
+from sim_backend.wire.dynamixel.mx_device import MxDevice as Device
+from sim_backend.wire.dynamixel.mx_frames import MxFramer, mx_status
+from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
+from sim_backend.wire.uart.pty_line import PtyLine
+
+Make = Callable[..., Any]
+PACKETS = Protocol1PacketHandler()
+LIMITS = Limits(torque=0.5, velocity=6.0, temperature=65.0, position=(-40.0, 40.0))
+TURN = 2.0 * math.pi
+
+
+def torque(value: float) -> Command:
+    return Command(Quantity.TORQUE, value)
+
+
+def drive(rig: Any, servo: Any, command: Command, ticks: int = 20) -> Sample:
+    for _ in range(ticks):
+        rig.wait(2e-3)
+        sample: Sample = servo.exchange(command)
+    return sample
+
+
+def drive_on(rig: Any, servo: Any) -> None:
+    """A while of ticks; lost ones are passed over."""
+    for _ in range(200):
+        rig.wait(2e-3)
+        with contextlib.suppress(NoReply, BadReply):
+            servo.exchange(torque(0.05))
+
+
+def soft(model: str = "mx-64", stiffness: float = 0.05) -> Device:
+    """A servo on a cable so soft that it turns far."""
+    coupling = CouplingParameters(stiffness=stiffness, damping=2e-3, coulomb_friction=0.0)
+    return Device(model, parameters=behind(MX_MODELS[model], coupling))
+
+
+# --- the emulator -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("request_", "reply"),
+    [
+        ("ff ff 01 02 01 fb", "ff ff 01 02 00 fc"),  # the manual's ping
+        ("ff ff 01 05 04 1e f4 01 e2", "ff ff 01 02 00 fc"),  # its reg write of 500 to Goal Position(30)
+        ("ff ff fe 02 05 fa", ""),  # its action to all
+        ("ff ff fe 0e 83 1e 04 00 10 00 50 01 01 20 02 60 03 67", ""),  # its sync write
+        ("ff ff 01 02 01 fa", "ff ff 01 02 10 ec"),  # a wrong checksum
+        ("ff ff 01 02 05 f7", "ff ff 01 02 40 bc"),  # an action without a reg write
+        ("ff ff 01 04 02 00 03 f5", "ff ff 01 05 00 36 01 29 99"),  # model number and firmware
+    ],
+)
+def test_the_emulator_answers_the_manuals_packets(request_: str, reply: str) -> None:
+    bus = Bus([Device("mx-64")], protocol=1)
+    replies = bus.receive(bytes.fromhex(request_), 0.1)
+    assert b"".join(data for _, data in replies) == bytes.fromhex(reply)
+
+
+def test_the_manuals_sync_write_reaches_the_servo_it_names() -> None:
+    device = Device("mx-106", 1)
+    bus = Bus([device], protocol=1)
+    bus.receive(bytes.fromhex("ff ff fe 0e 83 1e 04 00 10 00 50 01 01 20 02 60 03 67"), 0.1)
+    assert (device.get("goal_position"), device.get("moving_speed")) == (0x220, 0x360)
+
+
+@given(
+    junk=st.binary(max_size=8).filter(lambda data: b"\xff" not in data),
+    pieces=st.lists(st.integers(1, 5), max_size=12),
+    parameters=st.binary(max_size=12),
+)
+def test_packets_are_found_whatever_pieces_they_come_in(junk: bytes, pieces: list[int], parameters: bytes) -> None:
+    body = bytes([7, 2 + len(parameters), 3]) + parameters
+    data = junk + b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
+    framer, frames = MxFramer(), []
+    for size in pieces:
+        frames += framer.feed(data[:size])
+        data = data[size:]
+    frames += framer.feed(data)
+    assert [(frame.id, frame.instruction, frame.parameters, frame.sound) for frame, _ in frames] == [
+        (7, 3, parameters, True)
+    ]
+
+
+def test_a_status_packet_has_the_manuals_checksum() -> None:
+    assert mx_status(1, 0x24) == bytes.fromhex("ff ff 01 02 24 d8")
+    assert mx_status(1, 0, b"\x20") == bytes.fromhex("ff ff 01 03 00 20 db")
+
+
+@pytest.mark.parametrize("model", MX_MODELS)
+def test_every_register_answers_and_begins_within_its_range(model: str) -> None:
+    device = Device(model)
+    for item in MX_MODELS[model].items:
+        error, data = device.read(item.address, item.size, 0.1)
+        assert (error, len(data)) == (0, item.size)
+        if item.writable:
+            assert item.low <= item.initial <= item.high
+
+
+@pytest.mark.parametrize(
+    ("address", "data", "error"),
+    [
+        (0, b"\x01\x00", MX_RANGE),  # read only
+        (9, b"\x01", MX_RANGE),  # the middle of an item
+        (14, b"\x00\x04", MX_RANGE),  # 1024 of 1023
+        (30, b"\xff\x7f", MX_RANGE),
+        (30, b"\x00\x10", MX_ANGLE),  # 4096 of 4095 in joint mode
+        (30, b"\x00\x08", 0),
+    ],
+)
+def test_a_write_keeps_to_the_rules_of_the_table(address: int, data: bytes, error: int) -> None:
+    assert Device("mx-64").write(address, data) == error
+
+
+def test_a_locked_eeprom_takes_nothing_until_the_power_was_off() -> None:
+    device = Device("mx-64")
+    device.write(47, b"\x01")
+    assert device.write(5, b"\x00") == MX_RANGE
+    device.reboot(1.0)
+    assert device.write(5, b"\x00") == 0
+
+
+def test_heat_takes_the_torque_limit_to_zero_and_is_told_while_it_lasts() -> None:
+    device = Device("mx-64")
+    device.motor.warm_to(90.0)
+    device.advance(0.1)
+    assert device.alerted(0) == MX_HEAT
+    assert device.get("torque_limit") == 0
+    device.motor.warm_to(30.0)
+    device.advance(0.2)
+    assert device.alerted(0) == 0
+    assert device.get("torque_limit") == 0
+
+
+@pytest.fixture
+def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Bus]]:
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 100)  # ms; patience on a busy machine
+    bus = Bus([], protocol=1)
+    with PtyLine(tmp_path / "ttyDXL", bus) as served:
+        bus.devices += [Device("mx-64", 1, now=served.now()), Device("mx-106", 2, now=served.now())]
+        port = PortHandler(str(served.link))
+        port.openPort()
+        try:
+            yield port, bus
+        finally:
+            port.closePort()
+
+
+def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, Bus]) -> None:
+    port, bus = line
+    assert PACKETS.ping(port, 1) == (310, COMM_SUCCESS, 0)
+    assert PACKETS.ping(port, 2) == (320, COMM_SUCCESS, 0)
+    assert PACKETS.ping(port, 3)[1] == COMM_RX_TIMEOUT
+    assert PACKETS.read2ByteTxRx(port, 1, 8) == (4095, COMM_SUCCESS, 0)
+    assert PACKETS.write2ByteTxRx(port, 2, 34, 300) == (COMM_SUCCESS, 0)
+    assert PACKETS.write2ByteTxRx(port, 2, 34, 1024) == (COMM_SUCCESS, MX_RANGE)
+    group = GroupSyncWrite(port, PACKETS, 71, 2)
+    for ident in (1, 2):
+        assert group.addParam(ident, [ident, 4])
+    assert group.txPacket() == COMM_SUCCESS
+    assert PACKETS.read2ByteTxRx(port, 2, 71) == (1026, COMM_SUCCESS, 0)
+    assert [device.get("goal_torque") for device in bus.devices] == [1025, 1026]
+
+
+def test_bulk_read_is_answered_in_its_order() -> None:
+    bus = Bus([Device("mx-64", 1), Device("mx-64", 2)], protocol=1)
+    replies = bus.receive(bytes.fromhex("ff ff fe 09 92 00 02 01 1e 02 02 24 1d"), 0.1)  # the manual's
+    assert [data[2] for _, data in replies] == [1, 2]
+    assert {len(data) for _, data in replies} == {8}
+
+
+def test_an_unknown_instruction_and_a_damaged_one_are_told_apart() -> None:
+    bus = Bus([Device("mx-64")], protocol=1)
+    (unknown,) = bus.receive(bytes.fromhex("ff ff 01 02 77 85"), 0.1)
+    (damaged,) = bus.receive(bytes.fromhex("ff ff 01 02 77 84"), 0.2)
+    assert (unknown.data[4], damaged.data[4]) == (MX_INSTRUCTION, MX_CHECKSUM)
+
+
+# --- the adapter on it ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", MX_MODELS)
+def test_the_two_sets_of_tables_say_the_same(model: str) -> None:
+    ours, theirs = models()[model], MX_MODELS[model]
+    items = {item.name: item for item in theirs.items}
+    assert (ours.protocol, ours.number, ours.current_lsb) == (1, theirs.number, theirs.current_lsb)
+    assert (ours.current_max, ours.temperature_max) == (items["max_torque"].high, items["temperature_limit"].initial)
+    assert theirs.stall in ours.stall
+
+
+@pytest.mark.parametrize("value", [0.2, -0.3])
+def test_a_torque_reaches_the_motor_with_its_sign_to_half_a_count(make_rig: Make, value: float) -> None:
+    rig = make_rig("mx-64")
+    rig.bus.devices[0] = soft(stiffness=1.0)
+    servo = rig.open(torque_constant=6.0 / 4.1)
+    servo.arm(LIMITS)
+    last = drive(rig, servo, torque(value), ticks=100)
+    motor = rig.device.motor
+    assert motor.torque == pytest.approx(value, abs=0.51 * servo.info.torque_lsb)
+    assert last.motor_torque == pytest.approx(motor.torque, abs=0.51 * servo.info.torque_lsb)
+    assert last.motor_position == pytest.approx(motor.position, abs=2 * COUNT)
+    assert last.motor_velocity == pytest.approx(motor.velocity, abs=0.1)
+    assert last.voltage == pytest.approx(12.0)
+    assert last.temperature == pytest.approx(motor.temperature, abs=1.0)
+    servo.close()
+
+
+def test_turns_are_counted_although_the_servo_does_not(make_rig: Make) -> None:
+    rig = make_rig("mx-64")
+    rig.bus.devices[0] = soft()
+    servo = rig.open()
+    servo.arm(LIMITS)
+    positions = [drive(rig, servo, torque(0.45), ticks=1).motor_position for _ in range(400)]
+    assert max(positions) > TURN
+    assert max(np.abs(np.diff(positions))) < 0.25 * TURN
+    assert positions[-1] == pytest.approx(rig.device.motor.position, abs=0.2)
+    assert 0 <= rig.device.get("present_position") < 4096
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_positions_are_followed_beyond_a_turn_from_wherever_it_stands(make_rig: Make, sign: int) -> None:
+    rig = make_rig("mx-106")
+    rig.bus.devices[0] = soft("mx-106")
+    servo = rig.open(mode="extended-position", sign=sign)
+    before = servo.exchange(Command.rest()).motor_position
+    servo.arm(LIMITS)
+    resting = drive(rig, servo, Command.rest(), ticks=50)
+    assert resting.motor_position == pytest.approx(before, abs=2 * POSITION_LSB)
+    goal = before + 1.2 * TURN
+    last = drive(rig, servo, Command(Quantity.POSITION, goal), ticks=1000)
+    assert last.motor_position == pytest.approx(goal, abs=0.02)
+    assert sign * rig.device.motor.position > 0.0
+
+
+def test_the_limits_are_in_the_servo_before_current_flows_and_the_eeprom_is_put_back(make_rig: Make) -> None:
+    rig = make_rig("mx-64")
+    before = rig.device.eeprom()
+    servo = rig.open(mode="extended-position")
+    servo.arm(LIMITS)
+    device = rig.device
+    largest = max(servo.info.torque_lsb, 7.3 / 1023)
+    assert device.get("torque_limit") == math.floor(0.5 / largest)
+    assert device.get("temperature_limit") == 65
+    assert device.get("moving_speed") == math.floor(6.0 / (0.114 * TURN / 60.0))
+    assert (device.get("cw_angle_limit"), device.get("ccw_angle_limit")) == (4095, 4095)
+    servo.close()
+    assert device.eeprom() == before
+    assert not device.torque_on
+
+
+def test_after_torque_off_nothing_waits_to_act(make_rig: Make) -> None:
+    rig = make_rig("mx-64")
+    servo = rig.open()
+    servo.arm(LIMITS)
+    drive(rig, servo, torque(0.3), ticks=3)
+    servo.disarm()
+    assert not rig.device.torque_on
+    assert (rig.device.get("goal_torque"), rig.device.get("torque_control")) == (0, 0)
+
+
+@pytest.mark.parametrize("bits", [MX_HEAT, MX_OVERLOAD])
+def test_a_shutdown_ends_the_run_and_keeps_the_servo_from_being_armed(make_rig: Make, bits: int) -> None:
+    rig = make_rig("mx-64")
+    servo = rig.open()
+    servo.arm(LIMITS)
+    drive(rig, servo, torque(0.1), ticks=3)
+    rig.device.put("shutdown", 36)
+    rig.device.fail(bits)
+    if bits == MX_HEAT:
+        rig.device.motor.warm_to(95.0)
+    with pytest.raises(DeviceFault) as fault:
+        drive(rig, servo, torque(0.1), ticks=3)
+    assert fault.value.code == bits
+    servo.disarm()
+    with pytest.raises(DeviceFault):
+        servo.arm(LIMITS)
+    assert not rig.device.torque_on
+
+
+def test_a_servo_that_restarts_is_a_fault(make_rig: Make) -> None:
+    rig = make_rig("mx-64")
+    servo = rig.open()
+    servo.arm(LIMITS)
+    rig.bus.inject(Reboots(after=2))
+    with pytest.raises(DeviceFault) as fault:
+        drive_on(rig, servo)
+    assert fault.value.code == RESTARTED
+    servo.close()
+
+
+@pytest.mark.parametrize("kind", [DropReplies, CorruptReplies, TruncateReplies, DelayReplies])
+def test_what_goes_wrong_on_the_line_is_a_gap_and_never_another_value(make_rig: Make, kind: Any) -> None:
+    rig = make_rig("mx-64")
+    rig.bus.devices[0] = soft(stiffness=1.0)
+    servo = rig.open()
+    servo.arm(LIMITS)
+    drive(rig, servo, torque(0.2), ticks=50)
+    rig.bus.inject(kind(after=3, count=2))
+    gaps = 0
+    for _ in range(12):
+        rig.wait(2e-3)
+        try:
+            sample = servo.exchange(torque(0.2))
+        except (NoReply, BadReply):
+            gaps += 1
+        else:
+            assert sample.motor_position == pytest.approx(rig.device.motor.position, abs=0.05)
+    assert 0 < gaps <= 4
+
+
+def test_older_firmware_has_no_tick_and_works_without(make_rig: Make) -> None:
+    rig = make_rig("mx-64", firmware=36)
+    servo = rig.open()
+    servo.arm(LIMITS)
+    assert drive(rig, servo, torque(0.1)).status == 0
+
+
+def test_a_torque_that_does_not_go_off_is_told(make_rig: Make) -> None:
+    rig = make_rig("mx-64")
+    servo = rig.open()
+    servo.arm(LIMITS)
+    rig.device.ignores_torque_off = True
+    with pytest.raises(DriverError, match="cut the servo's power"):
+        servo.disarm()
+
+
+def test_the_wrong_model_is_refused_by_name(make_rig: Make) -> None:
+    with pytest.raises(DriverError, match="is a mx-64"):
+        make_rig("mx-64").open(model="mx-106")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, "the mx-64 has none: set it to 0"),
+        ({"watchdog": 0.0, "mode": "current-based-position"}, "has current and extended-position"),
+        ({"watchdog": 0.0, "baudrate": 4_000_000}, "no code for it"),
+    ],
+)
+def test_what_an_mx_cannot_do_is_refused_in_the_stand_file(change: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        DynamixelConfig(port="p", model="mx-64", **change)
+
+
+STAND = """
+[stand]
+motor_inertia = 3.2e-6
+motor_damping = 1.6e-6
+[limits]
+torque = 1.5
+deflection = 1.5
+velocity = 60.0
+temperature = 65.0
+"""
+
+
+def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(make_rig: Make, tmp_path: Path) -> None:
+    kc, bc, kt, rate = 1.0, 0.02, 6.0 / 4.1, 400.0
+    coupling = CouplingParameters(stiffness=kc, damping=bc, coulomb_friction=0.0)
+    rig = make_rig("mx-64")
+    rig.bus.devices[0] = Device("mx-64", parameters=behind(MX_MODELS["mx-64"], coupling))
+    profile = excitation.make(
+        "chirp", Quantity.TORQUE, amplitude=0.6, default_amplitude=0.6, duration=10.0, band=(0.1, 10.0), rate=rate
+    )
+    stand = parse(STAND)
+    servo = rig.open(torque_constant=kt)
+    with PartFile(tmp_path / "run.h5", Header(profile=profile.attributes()), tick_count(profile, rate)) as part:
+        outcome = Recorder(stand, servo, profile, rate, part).run(StopRequest())
+        servo.close()
+        part.finish(outcome.end_reason)
+    assert (outcome.end_reason, outcome.lost) == ("done", 0)
+    with Recording(tmp_path / "run.h5") as recording:
+        signals = prepare(recording, stand.stand)
+    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    found, *_ = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)
+    # half a count of current and of position, whatever their signs, and half a period of skew in Bc
+    worst = 0.5 * (kt * 4.5e-3 + kc * COUNT) * np.abs(np.linalg.pinv(design)).sum(axis=1)
+    assert worst[0] < 0.03 * kc
+    # the fixture gives in series with the cable: of the motor's way the cable takes this share (first order in w Bc/Kc)
+    share = FixtureParameters().stiffness / (FixtureParameters().stiffness + kc)
+    kc, bc = kc * share, bc * share**2
+    assert found[0] == pytest.approx(kc, abs=worst[0])
+    assert found[1] == pytest.approx(bc, abs=worst[1] + kc * 0.5 / rate)

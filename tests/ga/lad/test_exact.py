@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+from scipy.optimize import linprog
+
+from ga.lad.exact import least_absolute_deviations
+from ga.lad.simplex import lowest_crossing
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def highs(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> float:
+    """The least mean absolute error by an independent solver: HiGHS on the linear programme."""
+    n, p = columns.shape
+    scale = np.abs(columns).max(axis=0)
+    scale[scale == 0.0] = 1.0
+    size = float(np.abs(torque).max()) or 1.0
+    constraints = sparse.hstack([sparse.csr_matrix(columns / scale), sparse.eye(n), -sparse.eye(n)])
+    cost = np.concatenate([np.zeros(p), np.full(2 * n, 1.0 / n)])
+    bounds = [(None, None)] * p + [(0.0, None)] * (2 * n)
+    result = linprog(cost, A_eq=constraints, b_eq=torque / size, bounds=bounds, method="highs")
+    assert result.status == 0
+    genes = result.x[:p] * size / scale
+    return float(np.mean(np.abs(torque - columns @ genes)))
+
+
+def recording(kind: str, n: int, p: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    columns = rng.normal(size=(n, p)) * 10.0 ** rng.integers(-4, 3, size=p)
+    if kind == "collinear":
+        columns[:, -1] = 2.0 * columns[:, 0]
+    if kind == "a zero column":
+        columns[:, 0] = 0.0
+    if kind == "counts":
+        columns = np.round(rng.normal(size=(n, p)) * 2.0)
+    torque = columns @ (
+        rng.normal(size=p) / (1e-300 + np.abs(columns).mean(axis=0)) * (np.abs(columns).sum(axis=0) > 0)
+    )
+    torque += 0.3 * (rng.standard_cauchy(n) if kind == "outliers" else rng.normal(size=n))
+    if kind == "counts":
+        torque = np.round(torque)
+    if kind == "repeated rows":
+        pick = rng.integers(0, max(n // 4, 1), size=n)
+        columns, torque = columns[pick], torque[pick]
+    return columns, torque
+
+
+KINDS = ["normal", "outliers", "counts", "repeated rows", "collinear", "a zero column"]
+
+
+@settings(deadline=None, max_examples=120)
+@given(kind=st.sampled_from(KINDS), n=st.integers(1, 120), p=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))
+def test_the_optimum_is_that_of_an_independent_solver(kind: str, n: int, p: int, seed: int) -> None:
+    columns, torque = recording(kind, n, p, np.random.default_rng(seed))
+    optimum = least_absolute_deviations(columns, torque)
+    size = float(np.mean(np.abs(torque)))
+    assert optimum.fitness == pytest.approx(np.mean(np.abs(torque - columns @ optimum.genes)), abs=1e-12 * size)
+    # HiGHS solves to 1e-7 of the largest torque: it can be worse by that much, but never better
+    other = highs(columns, torque)
+    assert other - 1e-6 * float(np.abs(torque).max()) <= optimum.fitness <= other * (1.0 + 1e-12) + 1e-12 * size
+    assert optimum.certificate <= 1e-12
+
+
+@pytest.mark.parametrize("kind", ["counts", "repeated rows"])
+def test_ties_never_cost_the_proof(kind: str) -> None:
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        columns, torque = recording(kind, int(rng.integers(1, 400)), int(rng.integers(1, 9)), rng)
+        assert least_absolute_deviations(columns, torque).certificate <= 1e-12
+
+
+@pytest.mark.parametrize("p", [2, 5, 8])
+@pytest.mark.parametrize("kind", ["normal", "outliers", "counts", "repeated rows"])
+def test_bracketing_a_long_recording_gives_the_proven_optimum(kind: str, p: int) -> None:
+    columns, torque = recording(kind, 30_000, p, np.random.default_rng(p))
+    optimum = least_absolute_deviations(columns, torque)
+    assert optimum.certificate <= 1e-12
+    # any step away goes up: the certificate does not stand alone
+    rng = np.random.default_rng(0)
+    for size in (1e-6, 1e-2):
+        for _ in range(20):
+            moved = optimum.genes * (1.0 + size * rng.normal(size=p))
+            assert np.mean(np.abs(torque - columns @ moved)) >= optimum.fitness * (1.0 - 1e-14)
+
+
+def test_as_many_residuals_as_parameters_vanish() -> None:
+    columns, torque = recording("normal", 2500, 3, np.random.default_rng(4))
+    optimum = least_absolute_deviations(columns, torque)
+    residual = np.abs(torque - columns @ optimum.genes)
+    assert np.sum(residual < 1e-12 * np.abs(torque).mean()) == 3
+    assert optimum.unique
+
+
+def test_one_column_of_ones_gives_the_median() -> None:
+    torque = np.array([3.0, -1.0, 4.0, 1.0, 5.0, -9.0, 2.0])
+    optimum = least_absolute_deviations(np.ones((7, 1)), torque)
+    assert optimum.genes.tolist() == [2.0]
+    assert optimum.unique
+
+
+def test_an_even_number_of_readings_has_no_single_median() -> None:
+    optimum = least_absolute_deviations(np.ones((4, 1)), np.array([1.0, 2.0, 3.0, 4.0]))
+    assert optimum.fitness == 1.0
+    assert not optimum.unique
+
+
+def test_noise_free_data_give_back_what_they_were_made_with() -> None:
+    rng = np.random.default_rng(1)
+    columns, truth = rng.normal(size=(20_000, 4)) * [1e-2, 1.0, 1e2, 1e-4], np.array([263.0, -1e-4, 0.5, 17.75e-3])
+    optimum = least_absolute_deviations(columns, columns @ truth)
+    assert optimum.genes == pytest.approx(truth, rel=1e-9)
+    assert optimum.fitness < 1e-13
+    assert optimum.relative_gap(optimum.fitness) == 0.0
+
+
+def test_a_parameter_without_a_column_of_its_own_is_zero_and_not_unique() -> None:
+    column = np.sin(np.arange(300.0))
+    columns = np.stack([column, np.zeros(300)], axis=1)
+    optimum = least_absolute_deviations(columns, 3.0 * column)
+    assert optimum.genes == pytest.approx([3.0, 0.0], abs=1e-12)
+    assert not optimum.unique
+
+
+def test_columns_of_nothing_leave_the_torque_as_it_is() -> None:
+    optimum = least_absolute_deviations(np.zeros((10, 2)), np.full(10, -2.0))
+    assert optimum.genes.tolist() == [0.0, 0.0]
+    assert optimum.fitness == 2.0
+    assert not optimum.unique
+
+
+def test_torque_of_nothing_is_fitted_by_nothing() -> None:
+    optimum = least_absolute_deviations(np.random.default_rng(0).normal(size=(50, 3)), np.zeros(50))
+    assert np.all(optimum.genes == 0.0)
+    assert optimum.fitness == 0.0
+
+
+def test_data_with_a_nan_are_refused() -> None:
+    with pytest.raises(ValueError, match="NaN"):
+        least_absolute_deviations(np.array([[np.nan], [1.0]]), np.ones(2))
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    rows=st.lists(st.tuples(st.integers(-5, 5), st.integers(-3, 3)), min_size=1, max_size=40),
+    slack=st.floats(0.0, 0.99),
+)
+def test_the_lowest_point_of_a_ray_is_found_among_ties(rows: list[tuple[int, int]], slack: float) -> None:
+    residual, along = (np.array(side, dtype=np.float64) for side in zip(*rows, strict=True))
+    falling = float(np.sum(np.where(residual >= 0.0, along, -along))) - slack
+    crosses = ((residual >= 0.0) & (along > 0.0)) | ((residual < 0.0) & (along < 0.0))
+    if falling < 0.0 or not crosses.any():
+        return
+    entering, step = lowest_crossing(residual, along, falling)
+    assert crosses[entering]
+    assert step == residual[entering] / along[entering]
+
+    def height(t: float) -> float:
+        return float(np.sum(np.abs(residual - t * along))) + slack * t
+
+    lowest = min(height(t) for t in residual[crosses] / along[crosses])
+    assert height(step) == pytest.approx(lowest, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["plain", "outliers", "counts", "repeated rows", "collinear", "a zero column"])
+@pytest.mark.parametrize("off", [0.0, 1e-4, 3.0])
+def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: float) -> None:
+    for seed in range(20):
+        columns, torque = recording(kind, 300, 4, np.random.default_rng(seed))
+        plain = least_absolute_deviations(columns, torque)
+        near = plain.genes * (1.0 + off) + off * (plain.genes == 0.0)
+        found = least_absolute_deviations(columns, torque, near)
+        assert found.certificate < 1e-9
+        assert found.fitness == pytest.approx(plain.fitness, rel=1e-12)

@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ga.model.terms import UnknownTerm, parse
+from ga.model.trajectory import Motion
+
+TIME = np.linspace(1.7e9, 1.7e9 + 4.0, 401)
+DTHETA = 0.2 * np.sin(2.0 * (TIME - TIME[0]))
+RATE = 0.4 * np.cos(2.0 * (TIME - TIME[0]))
+ACCELERATION = -0.8 * np.sin(2.0 * (TIME - TIME[0]))
+MOTION = Motion(TIME, DTHETA, RATE, ACCELERATION, np.zeros(401))
+
+
+def moving(scale: float = 1.0, rate_noise: float | None = None) -> Motion:
+    return Motion(TIME, scale * DTHETA, scale * RATE, scale * ACCELERATION, np.zeros(401), rate_noise=rate_noise)
+
+
+def test_the_linear_model_is_equation_3() -> None:
+    columns = parse("linear").columns(MOTION)
+    assert np.array_equal(columns, np.stack([DTHETA, RATE], axis=1))
+
+
+def test_the_order_of_the_terms_does_not_matter() -> None:
+    one, other = parse("coulomb + linear+offset"), parse("linear+offset+coulomb")
+    assert one == other
+    assert one.name == "linear+offset+coulomb"
+    assert [p.name for p in one.parameters] == ["Kc", "Bc", "tau0", "Fc"]
+
+
+def test_every_term_names_its_parameters_with_their_units_in_the_order_of_the_columns() -> None:
+    model = parse("linear+offset+drift+coulomb+cubic+inertia")
+    assert [(p.name, p.unit) for p in model.parameters] == [
+        ("Kc", "N*m/rad"),
+        ("Bc", "N*m*s/rad"),
+        ("tau0", "N*m"),
+        ("drift", "N*m/s"),
+        ("Fc", "N*m"),
+        ("K3", "N*m/rad^3"),
+        ("J", "kg*m^2"),
+    ]
+    columns = model.columns(MOTION)
+    assert columns.shape == (401, 7)
+    assert np.array_equal(columns[:, 2], np.ones(401))
+    assert np.array_equal(columns[:, 3], TIME - TIME[0])
+    assert np.array_equal(columns[:, 5], DTHETA**3)
+    assert np.array_equal(columns[:, 6], ACCELERATION)
+
+
+def test_coulomb_friction_is_a_sign_smoothed_where_the_joint_hardly_moves() -> None:
+    friction = parse("linear+coulomb").columns(MOTION)[:, 2]
+    moving = np.abs(RATE) > 0.1
+    assert friction[moving] == pytest.approx(np.sign(RATE[moving]), abs=1e-3)
+    assert np.all(np.diff(friction[np.argsort(RATE)]) >= 0.0)
+
+
+def test_the_smoothing_follows_the_scale_of_the_rate() -> None:
+    model = parse("linear+coulomb")
+    slow = model.columns(moving(1e-4))[:, 2]
+    assert slow == pytest.approx(model.columns(MOTION)[:, 2], rel=1e-9)
+
+
+def test_a_joint_that_never_moved_has_no_coulomb_column() -> None:
+    columns = parse("linear+coulomb").columns(moving(0.0))
+    assert not columns[:, 2].any()
+
+
+def test_an_unknown_term_is_answered_with_the_known_ones_and_the_nearest() -> None:
+    with pytest.raises(UnknownTerm, match=r'no model term "coulom"; .*linear, offset.* did you mean "coulomb"\?'):
+        parse("linear+coulom")
+
+
+def test_friction_says_nothing_of_the_slowest_samples_and_is_a_sign_of_the_others() -> None:
+    model = parse("linear+coulomb").anchored(MOTION)
+    told = model.told(MOTION)
+    assert np.mean(~told) == pytest.approx(0.075, abs=0.005)
+    assert np.abs(RATE[~told]).max() <= np.abs(RATE[told]).min()
+    assert np.all(np.abs(model.columns(MOTION)[told, 2]) > 0.999)
+    assert parse("linear+skew").anchored(MOTION).told(MOTION).all()
+
+
+def test_the_slowest_samples_are_those_of_when_the_torque_was_read() -> None:
+    model = parse("linear+coulomb+skew").anchored(MOTION)
+    told = model.told(MOTION, 0.03)
+    late = MOTION.delayed(0.03).dtheta_dot
+    assert np.all(np.abs(late[told]) >= model.slowest)
+    turned = np.abs(MOTION.delayed(0.0325).dtheta_dot) < model.slowest  # a quarter of the time between two samples
+    assert not told[turned].any()
+    assert not np.array_equal(told, model.told(MOTION))
+
+
+def test_where_noise_hides_which_samples_are_slow_none_is_left_out() -> None:
+    noise = 2.0 * float(np.quantile(np.abs(RATE), 0.075))
+    assert parse("linear+coulomb").anchored(moving(rate_noise=noise)).told(MOTION).all()
+
+
+@pytest.mark.parametrize(("noise", "smoothing"), [(0.01, 0.005), (1e-9, 1e-3), (1.0, 0.05)])
+def test_the_sign_of_friction_is_as_soft_as_the_noise_of_the_rate(noise: float, smoothing: float) -> None:
+    """At least a thousandth and at most a twentieth of the r.m.s. rate."""
+    usual = np.sqrt(np.mean(RATE**2))
+    model = parse("linear+coulomb").anchored(moving(rate_noise=noise))
+    assert model.smoothing == pytest.approx(smoothing if noise == 0.01 else smoothing * usual)
+
+
+@pytest.mark.parametrize(
+    ("term", "parameters"), [("backlash", ["gap", "centre"]), ("slack", ["slack"]), ("skew", ["skew"])]
+)
+def test_a_term_that_shapes_the_columns_adds_none(term: str, parameters: list[str]) -> None:
+    model = parse(f"linear+offset+{term}")
+    assert [p.name for p in model.linear] == ["Kc", "Bc", "tau0"]
+    assert [p.name for p in model.shape] == parameters
+    assert model.columns(MOTION, np.full(len(parameters), 0.01)).shape == (401, 3)
+
+
+def test_a_gap_lets_the_joint_move_without_torque() -> None:
+    """A gap of 0.1 rad about 0.02 rad."""
+    columns = parse("linear+backlash").columns(MOTION, np.array([0.1, 0.02]))
+    beyond = DTHETA - 0.02
+    free = np.abs(beyond) <= 0.05
+    assert not columns[free].any()
+    assert columns[~free, 0] == pytest.approx(beyond[~free] - 0.05 * np.sign(beyond[~free]))
+    assert np.array_equal(columns[~free, 1], RATE[~free])
+
+
+def test_flanks_that_damping_would_make_pull_let_go() -> None:
+    """With Bc/Kc = 0.1 s the torque on a flank is that of the spring and the damper, or none: never of other sign."""
+    columns = parse("linear+backlash").columns(MOTION, np.array([0.1, 0.0]), lag=0.1)
+    torque = columns @ np.array([1.0, 0.1])
+    outside = np.sign(DTHETA) * np.maximum(np.abs(DTHETA) - 0.05, 0.0)
+    expected = outside + 0.1 * RATE
+    expected[(outside == 0.0) | (np.sign(expected) != np.sign(outside))] = 0.0
+    assert torque == pytest.approx(expected)
+    assert np.count_nonzero((outside != 0.0) & (torque == 0.0)) > 10
+
+
+def test_a_slack_tendon_pulls_one_way_only() -> None:
+    columns = parse("linear+slack").columns(MOTION, np.array([-0.05]))
+    loose = DTHETA <= -0.05
+    assert not columns[loose].any()
+    assert columns[~loose, 0] == pytest.approx(DTHETA[~loose] + 0.05)
+
+
+def test_skew_is_how_much_older_the_torque_is_than_the_angle() -> None:
+    """The torque reading shows the angle as it was; the closed form is the same sine, earlier."""
+    columns = parse("linear+skew").columns(MOTION, np.array([0.03]))  # stamps of today resolve 0.2 us
+    then = 2.0 * (TIME - TIME[0] - 0.03)
+    inner = slice(10, -10)
+    assert columns[inner, 0] == pytest.approx(0.2 * np.sin(then)[inner], abs=1e-6)
+    assert columns[inner, 1] == pytest.approx(0.4 * np.cos(then)[inner], abs=1e-6)
+
+
+def test_what_is_known_of_the_torque_is_as_old_as_the_rest_of_it() -> None:
+    motion = Motion(TIME, DTHETA, RATE, ACCELERATION, 3.0 * ACCELERATION)
+    left = parse("linear+skew").target(motion, np.zeros(401), np.array([0.03]))
+    assert left[10:-10] == pytest.approx(2.4 * np.sin(2.0 * (TIME - TIME[0] - 0.03))[10:-10], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["linear+skew", "linear+offset+cubic+inertia+skew", "linear+slack+skew"])
+def test_the_slopes_are_the_derivative_of_the_torque(name: str) -> None:
+    """Against finite differences, away from where a gap ends or the motion turns."""
+    motion = Motion(TIME - TIME[0], DTHETA, RATE, ACCELERATION, np.zeros(401), rate_noise=0.02)
+    model = parse(name).anchored(motion)
+    shape = np.array([-0.03, 0.02][-len(model.shape) :])
+    genes = np.linspace(0.5, 1.5, len(model.linear))
+    slopes = model.slopes(motion, shape, genes)
+    for k in range(len(shape)):
+        step = np.zeros(len(shape))
+        step[k] = 1e-6
+        torque = [model.columns(motion, shape + sign * step) @ genes for sign in (1.0, -1.0)]
+        expected = (torque[0] - torque[1]) / 2e-6
+        smooth = np.abs(expected) < 100.0
+        assert np.count_nonzero(smooth) > 390
+        assert slopes[smooth, k] == pytest.approx(expected[smooth], rel=1e-3, abs=1e-3)
+
+
+def test_the_slope_of_a_gap_is_half_the_stiffness_on_either_flank() -> None:
+    slopes = parse("linear+backlash").slopes(MOTION, np.array([0.1, 0.0]), np.array([2.0, 0.1]))
+    assert set(np.unique(slopes[:, 0])) == {-1.0, 0.0, 1.0}
+    assert np.array_equal(slopes[:, 1], np.where(np.abs(DTHETA) > 0.05, -2.0, 0.0))
+    assert np.array_equal(slopes[:, 0], np.where(np.abs(DTHETA) > 0.05, -np.sign(DTHETA), 0.0))
+
+
+def test_a_skew_is_looked_for_within_a_quarter_of_the_shortest_period() -> None:
+    low, high = parse("linear+skew").bounds(MOTION, highest=50.0)
+    assert (low[0], high[0]) == (-0.005, 0.005)
+    assert parse("linear+skew").bounds(MOTION, highest=0.1)[1][0] == 0.02
+
+
+def test_two_terms_that_exclude_each_other_are_refused() -> None:
+    with pytest.raises(ValueError, match="no second flank"):
+        parse("linear+backlash+slack")
+
+
+def test_a_term_named_twice_is_refused() -> None:
+    with pytest.raises(ValueError, match="offset is named twice"):
+        parse("linear+offset+offset")
+
+
+def test_a_model_without_stiffness_and_damping_is_refused() -> None:
+    with pytest.raises(ValueError, match="begins with linear"):
+        parse("offset")
+
+
+def test_vectors_of_different_lengths_are_refused() -> None:
+    with pytest.raises(ValueError, match="differ in shape"):
+        Motion(TIME, DTHETA[:-1], RATE, ACCELERATION, np.zeros(401))
+
+
+def test_an_anchored_model_is_one_model_for_every_part_of_the_data() -> None:
+    model = parse("linear+drift+coulomb")
+    whole = model.columns(MOTION)
+    anchored = model.anchored(MOTION)
+    parts = [anchored.columns(MOTION.of(part)) for part in (slice(0, 90), slice(90, None))]
+    assert np.array_equal(np.concatenate(parts), whole)
+    assert not np.array_equal(model.columns(MOTION.of(slice(90, None))), whole[90:])

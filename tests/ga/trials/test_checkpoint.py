@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from ga.bounds import PAPER_BOUNDS
+from ga.evolution.evolution import PRESETS, Settings
+from ga.trials.checkpoint import WrongCheckpoint
+from ga.trials.trials import Trials, run_trials
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.ga.conftest import Data
+
+LONG = replace(PRESETS["paper"], generations=3_000_000)
+
+
+def once(times: int) -> Callable[[], bool]:
+    """Says stop at the given time of asking."""
+    asked = iter([False] * (times - 1) + [True])
+    return lambda: next(asked)
+
+
+def tried(data: Data, settings: Settings = LONG, **how: Any) -> Trials:
+    how = {"trials": 3, "seed": 4, "workers": 2, "every": 0.0} | how
+    return run_trials(data.columns, data.torque, PAPER_BOUNDS, settings, **how)
+
+
+def assert_same(one: Trials, other: Trials) -> None:
+    assert np.array_equal(one.genes, other.genes)
+    assert np.array_equal(one.fitness, other.fitness)
+    assert np.array_equal(one.generations, other.generations)
+    assert np.array_equal(one.history.generation, other.history.generation)
+    assert np.array_equal(one.history.fitness, other.history.fitness)
+    assert one.evaluations == other.evaluations
+
+
+def test_a_run_cut_short_goes_on_to_the_same_bits(paper_like: Data, tmp_path: Path) -> None:
+    file = tmp_path / "run.npz"
+    part = tried(paper_like, stop=once(1), checkpoint=file)
+    assert part.interrupted
+    assert 0 <= part.generations.min() < LONG.generations
+    further = tried(paper_like, stop=once(1), checkpoint=file, workers=1)
+    assert further.made == further.evaluations - part.evaluations > 0
+    end = tried(paper_like, checkpoint=file)
+    assert not end.interrupted
+    assert_same(end, tried(paper_like))
+    assert_same(end, tried(paper_like, checkpoint=file))  # a finished one is only read
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.npz"]
+
+
+def test_what_a_stopped_run_returns_is_whole(paper_like: Data) -> None:
+    part = tried(paper_like, stop=once(1))
+    assert part.history.generation[-1] == part.generations.max()
+    assert np.array_equal(part.history.fitness[:, -1], part.fitness)
+    assert np.all(np.diff(part.history.fitness, axis=1) <= 0.0)
+    assert part.evaluations == 30 + part.generations.sum()
+
+
+def test_ctrl_c_keeps_what_is_done_where_stopping_was_asked_for(paper_like: Data, tmp_path: Path) -> None:
+    def interrupt(_done: float) -> None:
+        raise KeyboardInterrupt
+
+    assert tried(paper_like, stop=lambda: False, progress=interrupt).interrupted
+    with pytest.raises(KeyboardInterrupt):
+        tried(paper_like, checkpoint=tmp_path / "run.npz", progress=interrupt)
+    assert_same(tried(paper_like, checkpoint=tmp_path / "run.npz"), tried(paper_like))
+
+
+def test_a_run_of_the_default_preset_goes_on_as_well(paper_like: Data, tmp_path: Path) -> None:
+    settings = replace(PRESETS["default"], generations=400_000, tolerance=None)
+    part = tried(paper_like, settings, stop=once(1), checkpoint=tmp_path / "run.npz", trials=2)
+    assert part.interrupted
+    short = replace(settings, generations=500)
+    file = tmp_path / "short.npz"
+    assert_same(tried(paper_like, short, checkpoint=file), tried(paper_like, short, checkpoint=file))
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"seed": 5}, "different seed:"),
+        ({"trials": 4}, "different number of trials:"),
+        ({"settings": replace(LONG, mutation=0.1)}, "different settings:"),
+    ],
+)
+def test_a_checkpoint_of_another_run_is_refused(
+    paper_like: Data, tmp_path: Path, change: dict[str, Any], what: str
+) -> None:
+    file = tmp_path / "run.npz"
+    tried(paper_like, stop=once(1), checkpoint=file)
+    with pytest.raises(WrongCheckpoint, match=what):
+        tried(paper_like, change.pop("settings", LONG), checkpoint=file, **change)
+
+
+def test_a_checkpoint_of_other_data_is_refused(paper_like: Data, tmp_path: Path) -> None:
+    file = tmp_path / "run.npz"
+    tried(paper_like, stop=once(1), checkpoint=file)
+    other = paper_like._replace(torque=np.nextafter(paper_like.torque, 1.0))
+    with pytest.raises(WrongCheckpoint, match="different data: run it as it was begun"):
+        tried(other, checkpoint=file)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 torn", b"\x93NUMPY junk"])
+def test_a_damaged_checkpoint_is_refused_with_its_name(paper_like: Data, tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "run.npz"
+    file.write_bytes(content)
+    with pytest.raises(WrongCheckpoint, match=r"run\.npz is not a checkpoint"):
+        tried(paper_like, checkpoint=file)

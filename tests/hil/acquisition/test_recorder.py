@@ -1,0 +1,533 @@
+"""The control loop: the right set-points, the true rows, and torque off at every way out."""
+
+from __future__ import annotations
+
+import gc
+import math
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from types import FrameType
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from drivers.servo import BadReply, Command, DeviceFault, DriverError, LinkLost, NoReply, Quantity, Sample, Status
+from hil.acquisition import excitation, recorder
+from hil.acquisition.excitation import Profile
+from hil.acquisition.guard import LimitReached
+from hil.acquisition.interrupt import StopRequest
+from hil.acquisition.recorder import Outcome, Recorder, tick_count
+from hil.errors import WrongUse
+from hil.recording.reader import Recording
+from hil.recording.writer import Header, PartFile, Row
+from hil.stand.file import Stand, parse
+
+from ..conftest import SpringServo, lost
+
+RATE = 100.0
+STAND = """
+[stand]
+gear_ratio = 4.0
+torque_source = "joint"
+[limits]
+torque = 0.1
+deflection = 0.06
+velocity = 50.0
+temperature = 70.0
+"""
+
+
+def profile(quantity: Quantity = Quantity.TORQUE, amplitude: float = 0.05, duration: float = 2.0) -> Profile:
+    return excitation.make(
+        "sine",
+        quantity,
+        amplitude=amplitude,
+        default_amplitude=1.0,
+        duration=duration,
+        band=(1.0, 1.0),
+        rate=RATE,
+        soft=0.2,
+    )
+
+
+class Bench:
+    """A run on the spring servo, and the recording it left."""
+
+    def __init__(self, folder: Path, *, stand: str = STAND, asked: Profile | None = None) -> None:
+        self.servo = SpringServo()
+        self.stop = StopRequest()
+        self.profile = asked or profile()
+        self.stand: Stand = parse(stand)
+        self._path = folder / "a.h5"
+
+    def run(self) -> Outcome:
+        header = Header(profile=self.profile.attributes())
+        with PartFile(self._path, header, tick_count(self.profile, RATE), batch=3) as part:
+            self.outcome = Recorder(self.stand, self.servo, self.profile, RATE, part).run(self.stop)
+            if self.outcome.samples:
+                part.finish(self.outcome.end_reason)
+        return self.outcome
+
+    def channel(self, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        with Recording(self._path) as recording:
+            return recording.channel(name)
+
+    def events(self) -> list[str]:
+        with Recording(self._path) as recording:
+            return [event.code for event in recording.events()]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def test_a_run_holds_every_tick_at_its_time(bench: Bench) -> None:
+    outcome = bench.run()
+    assert (outcome.samples, outcome.lost, outcome.end_reason, outcome.error) == (201, 0, "done", None)
+    np.testing.assert_allclose(bench.channel("time"), np.arange(201) / RATE, atol=1e-9)
+    np.testing.assert_allclose(bench.channel("read_time"), np.arange(201) / RATE + 1e-4, atol=1e-9)
+    assert bench.channel("status").tolist() == [0.0] * 201
+
+
+def test_rows_hold_what_the_spring_did(bench: Bench) -> None:
+    """The servo is a spring of 2 N m/rad: deflection is half the torque, and the torque is the set-point."""
+    bench.run()
+    command = bench.channel("command")
+    np.testing.assert_allclose(command, bench.profile.at(np.arange(201) / RATE))
+    np.testing.assert_allclose(bench.channel("torque"), command, atol=1e-12)
+    np.testing.assert_allclose(bench.channel("dtheta"), command / 2.0, atol=1e-12)
+    np.testing.assert_allclose(bench.channel("motor_torque"), command / 4.0, atol=1e-12)
+
+
+def test_set_points_are_sent_at_the_motor_shaft(bench: Bench) -> None:
+    bench.run()
+    sent = [command.value for command in bench.servo.driven]
+    assert {command.quantity for command in bench.servo.driven} == {Quantity.TORQUE}
+    np.testing.assert_allclose(sent, bench.profile.at(np.arange(201) / RATE) / 4.0)
+
+
+def test_positions_are_commanded_from_where_the_joint_rests(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, asked=profile(Quantity.POSITION, amplitude=0.04))
+    bench.run()
+    sent = [command.value for command in bench.servo.driven]
+    np.testing.assert_allclose(sent, 7.0 + 4.0 * bench.profile.at(np.arange(201) / RATE))
+    np.testing.assert_allclose(bench.channel("dtheta"), bench.channel("command"), atol=1e-12)
+
+
+def test_limits_reach_the_servo_at_the_motor_shaft(bench: Bench) -> None:
+    bench.run()
+    limits = bench.servo.limits
+    assert limits is not None
+    assert (limits.torque, limits.velocity, limits.temperature) == pytest.approx((0.025, 200.0, 70.0))
+    assert limits.position == pytest.approx((7.0 - 0.24, 7.0 + 0.24))
+
+
+def test_torque_from_the_motor_is_recorded_at_the_joint(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, stand=STAND.replace('"joint"', '"motor"'))
+    bench.run()
+    np.testing.assert_allclose(bench.channel("torque"), 4.0 * bench.channel("motor_torque"), atol=1e-15)
+
+
+@pytest.mark.parametrize(("error", "status"), [(NoReply("-"), Status.NO_REPLY), (BadReply("-"), Status.BAD_REPLY)])
+def test_a_lost_reply_is_a_counted_gap_and_no_value_is_invented(
+    bench: Bench, error: DriverError, status: Status
+) -> None:
+    bench.servo.script = {50: error, 90: error}
+    outcome = bench.run()
+    assert (outcome.lost, outcome.samples, outcome.end_reason) == (2, 201, "done")
+    assert np.flatnonzero(bench.channel("status") == int(status)).tolist() == [50, 90]
+    for name in ("torque", "dtheta", "motor_position", "read_time", "temperature"):
+        assert np.flatnonzero(np.isnan(bench.channel(name))).tolist() == [50, 90]
+
+
+def test_silence_ends_the_run_with_the_torque_off(bench: Bench) -> None:
+    bench.servo.script = lost(50, start=60)
+    outcome = bench.run()
+    assert isinstance(outcome.error, NoReply)
+    assert len(bench.servo.driven) == 63
+    assert not bench.servo.armed
+    assert bench.events() == ["NoReply"]
+
+
+@pytest.mark.parametrize("error", [LinkLost("cable"), DeviceFault(32, "overload"), OSError(5, "I/O error")])
+def test_a_fault_ends_the_run_at_once_and_keeps_the_data(bench: Bench, error: Exception) -> None:
+    bench.servo.script = {70: error}
+    outcome = bench.run()
+    assert outcome.error is error
+    assert outcome.samples == 70
+    assert not bench.servo.armed
+    assert bench.events() == [type(error).__name__]
+
+
+@pytest.mark.parametrize(
+    ("changes", "ticks"),
+    [
+        ({"joint_torque": 0.12}, 3),
+        ({"joint_torque": -0.16}, 1),
+        ({"motor_position": 7.0 + 4 * 0.07}, 3),
+        ({"motor_velocity": 4 * 80.0}, 1),
+        ({"temperature": 66.0}, 1),
+    ],
+)
+def test_a_limit_passed_ends_the_run_in_few_ticks(bench: Bench, changes: dict[str, float], ticks: int) -> None:
+    bench.servo.script = dict.fromkeys(range(80, 201), changes)
+    outcome = bench.run()
+    assert isinstance(outcome.error, LimitReached)
+    assert len(bench.servo.driven) == 80 + ticks
+    assert not bench.servo.armed
+
+
+def test_one_odd_reading_does_not_throw_a_recording_away(bench: Bench) -> None:
+    bench.servo.script = {80: {"joint_torque": 0.12}, 82: {"joint_torque": 0.12}}
+    assert bench.run().end_reason == "done"
+
+
+def test_a_warm_motor_is_not_started(bench: Bench) -> None:
+    bench.servo.rest = {"temperature": 56.0}
+    outcome = bench.run()
+    assert isinstance(outcome.error, LimitReached)
+    assert (outcome.samples, bench.servo.driven) == (0, [])
+
+
+@pytest.mark.parametrize(
+    ("rest", "said"), [({"motor_position": math.nan}, "no position"), ({"joint_torque": math.nan}, "torque_source")]
+)
+def test_a_stand_that_cannot_measure_is_not_driven(bench: Bench, rest: dict[str, float], said: str) -> None:
+    bench.servo.rest = rest
+    outcome = bench.run()
+    assert said in str(outcome.error)
+    assert bench.servo.driven == []
+
+
+def test_one_request_to_stop_lets_the_cable_down_within_a_tenth_of_a_second(bench: Bench) -> None:
+    """A tenth of a second at 100 Hz is ten ticks, each a tenth less of what the profile asks."""
+    bench.servo.clock.plans = [(100.0 + 0.15 + 1.2, lambda: os.kill(os.getpid(), signal.SIGINT))]
+    with bench.stop.listening():
+        outcome = bench.run()
+    assert (outcome.end_reason, outcome.signal, outcome.error) == ("stopped on request", signal.SIGINT, None)
+    wanted = bench.profile.at(np.arange(outcome.samples) / RATE)
+    share = bench.channel("command")[-10:] / wanted[-10:]
+    np.testing.assert_allclose(share, np.arange(1.0, 0.05, -0.1), atol=1e-6)
+    assert not bench.servo.armed
+    assert bench.events() == ["stop-requested"]
+
+
+def test_a_second_request_ends_the_run_at_the_next_tick(bench: Bench) -> None:
+    def twice() -> None:
+        bench.stop.count = 2
+
+    bench.servo.clock.plans = [(100.0 + 0.15 + 1.0, twice)]
+    outcome = bench.run()
+    assert len(bench.servo.driven) == outcome.samples <= 101
+    assert not bench.servo.armed
+
+
+def test_no_number_of_signals_skips_the_torque_off(bench: Bench) -> None:
+    def many() -> None:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) * 7:
+            os.kill(os.getpid(), number)
+
+    bench.servo.clock.plans = [(100.0 + 0.15 + 1.0, many)]
+    before = signal.getsignal(signal.SIGINT)
+    with bench.stop.listening():
+        outcome = bench.run()
+    assert outcome.signal == signal.SIGINT
+    assert not bench.servo.armed
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_error_nobody_foresaw_still_leaves_the_torque_off(bench: Bench) -> None:
+    bench.servo.script = {10: ZeroDivisionError("a fault of our own")}
+    outcome = bench.run()
+    assert isinstance(outcome.error, ZeroDivisionError)
+    assert outcome.samples == 10
+    assert not bench.servo.armed
+
+
+@pytest.mark.parametrize(
+    "trouble", [NoReply("no answer to torque off"), OSError(5, "I/O error"), RuntimeError("a fault of the driver's")]
+)
+def test_a_torque_off_that_is_not_confirmed_is_shouted(bench: Bench, trouble: Exception) -> None:
+    bench.servo.disarm_error = trouble
+    outcome = bench.run()
+    assert outcome.alarm.startswith("CUT THE POWER: ")
+    assert outcome.alarm in outcome.end_reason
+    assert outcome.error is trouble
+    assert bench.servo.disarms == 20
+
+
+def test_a_torque_off_that_is_not_confirmed_is_shouted_over_an_earlier_error(bench: Bench) -> None:
+    bench.servo.script = {70: LinkLost("cable")}
+    bench.servo.disarm_error = LinkLost("still no cable")
+    outcome = bench.run()
+    assert outcome.alarm == "CUT THE POWER: the torque-off is not confirmed (still no cable)"
+    assert "LinkLost: cable; CUT THE POWER" in outcome.end_reason
+    assert outcome.error is bench.servo.script[70]
+
+
+def test_a_torque_off_is_asked_for_until_it_is_heard(bench: Bench) -> None:
+    bench.servo.disarm_error, bench.servo.heard_after = NoReply("a moment's silence"), 7
+    outcome = bench.run()
+    assert (bench.servo.disarms, bench.servo.armed) == (7, False)
+    assert (outcome.alarm, outcome.error, outcome.end_reason) == ("", None, "done")
+    assert bench.servo.clock.t - 102.16 == pytest.approx(6 * 0.05)
+
+
+def test_ctrl_c_in_the_torque_off_does_not_skip_it(bench: Bench) -> None:
+    """Signals are a flag while a run listens for them; this is what holds where nobody listens."""
+    bench.servo.disarm_error, bench.servo.heard_after = KeyboardInterrupt(), 3
+    outcome = bench.run()
+    assert not bench.servo.armed
+    assert isinstance(outcome.error, KeyboardInterrupt)
+
+
+class Pages:
+    """Stands in for a `.part`: takes rows and events, in memory."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "a.h5.part"
+        self.rows: list[Row] = []
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def append(self, row: Row) -> None:
+        self.rows.append(row)
+
+    def event(self, time: float, code: str, message: str) -> None:
+        assert (math.isfinite(time), bool(code), bool(message)) == (True, True, True)
+
+
+class Listed(list[float]):
+    """Stands in for the set-points on disk."""
+
+    def __init__(self, folder: Path) -> None:
+        assert folder.is_dir()
+        super().__init__()
+
+    def __enter__(self) -> Listed:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        pass
+
+
+def test_ctrl_c_at_any_line_of_the_recorder_leaves_the_torque_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Raised by the tracer before the n-th line that is executed, for every n; servo and store are closed forms."""
+    monkeypatch.setattr(recorder, "_REST_SAMPLES", 2)
+    monkeypatch.setattr(recorder, "SetPoints", Listed)
+    monkeypatch.setattr(gc, "collect", lambda: 0)
+    short = excitation.make(
+        "sine", Quantity.TORQUE, amplitude=0.05, default_amplitude=1.0, duration=0.03, band=(2.0, 2.0), rate=RATE
+    )
+    for at in count(1):
+        servo, lines = SpringServo(), count(1)
+
+        def trace(frame: FrameType, event: str, _: object, at: int = at, lines: Iterator[int] = lines) -> Any:
+            if frame.f_code.co_filename != recorder.__file__:
+                return None
+            if event == "line" and next(lines) == at:
+                raise KeyboardInterrupt
+            return trace
+
+        run = Recorder(parse(STAND), servo, short, RATE, cast("PartFile", Pages(tmp_path)))
+        raised: BaseException | None = None
+        sys.settrace(trace)
+        try:
+            outcome = run.run(StopRequest())
+        except KeyboardInterrupt as error:
+            raised = error
+        finally:
+            sys.settrace(None)
+        assert not servo.armed, at
+        if raised is None and outcome.error is None and next(lines) <= at:
+            break
+    assert at > 200
+    assert len(servo.driven) == 4
+
+
+@pytest.mark.parametrize("moment", [100.0, 100.05, 100.1499])
+def test_a_request_to_stop_before_the_start_drives_nothing(bench: Bench, moment: float) -> None:
+    """At rest the axis is read for 0.15 s; the motor must not be made live for somebody who said stop."""
+    bench.servo.clock.plans = [(moment, lambda: os.kill(os.getpid(), signal.SIGTERM))]
+    with bench.stop.listening():
+        outcome = bench.run()
+    assert (bench.servo.limits, bench.servo.driven) == (None, [])
+    assert (outcome.end_reason, outcome.signal) == ("stopped on request", signal.SIGTERM)
+    assert (outcome.error, outcome.samples) == (None, 0)
+
+
+@pytest.mark.parametrize("replies", [1, 16])
+def test_a_request_to_stop_is_heeded_between_any_two_requests_before_the_start(bench: Bench, replies: int) -> None:
+    """After the last reply at rest nothing is left but to arm."""
+    asked = 0
+
+    class Watched(SpringServo):
+        def exchange(self, command: Command) -> Sample:
+            nonlocal asked
+            asked += 1
+            bench.stop.count = int(asked == replies)
+            return super().exchange(command)
+
+    bench.servo = Watched()
+    assert bench.run().end_reason == "stopped on request"
+    assert (asked, bench.servo.limits) == (replies, None)
+
+
+@pytest.mark.parametrize("name", ["joint_torque", "motor_position", "motor_velocity", "temperature"])
+def test_a_sensor_that_goes_blind_ends_the_run_at_the_third_reply(bench: Bench, name: str) -> None:
+    nothing = {name: math.nan}
+    bench.servo.script = dict.fromkeys([20, 21, 30, *range(80, 201)], nothing)
+    outcome = bench.run()
+    assert isinstance(outcome.error, BadReply)
+    assert "missing from 3 replies" in str(outcome.error)
+    assert len(bench.servo.driven) == 83
+    assert not bench.servo.armed
+
+
+def test_a_sensor_the_stand_does_not_have_is_not_missed(bench: Bench) -> None:
+    blind = {"temperature": math.nan, "motor_velocity": math.nan}
+    bench.servo.rest = blind
+    bench.servo.script = dict.fromkeys(range(201), blind)
+    assert bench.run().end_reason == "done"
+
+
+def test_a_missing_reading_does_not_hide_that_a_limit_is_passed(bench: Bench) -> None:
+    beyond, nothing = {"joint_torque": 0.12}, {"joint_torque": math.nan}
+    bench.servo.script = {80: beyond, 81: nothing, 82: beyond, 83: nothing, 84: beyond}
+    outcome = bench.run()
+    assert isinstance(outcome.error, LimitReached)
+    assert len(bench.servo.driven) == 85
+
+
+def test_a_drive_whose_clock_stands_still_ends_the_run(bench: Bench) -> None:
+    """Three replies are too few where they come every 10 ms: 50 ms of them are asked for."""
+    stale = {"status": float(int(Status.STALE))}
+    bench.servo.script = dict.fromkeys([20, 21, 22, 23, *range(80, 201)], stale)
+    outcome = bench.run()
+    assert isinstance(outcome.error, BadReply)
+    assert len(bench.servo.driven) in {85, 86}  # the fifth is 50 ms after the last fresh one, give or take rounding
+    assert not bench.servo.armed
+
+
+def test_an_encoder_that_stands_still_while_the_torque_moves_ends_the_run(bench: Bench) -> None:
+    """The torque swings by 0.05 N m either way; in the half second from its peak it changes by more than that."""
+    stuck = {"motor_position": 7.0 + 4.0 * 0.05 / 2.0}
+    bench.servo.script = dict.fromkeys(range(75, 201), stuck)
+    outcome = bench.run()
+    assert isinstance(outcome.error, BadReply)
+    assert "encoder" in str(outcome.error)
+    assert 75 + 20 < len(bench.servo.driven) < 75 + 30
+    assert not bench.servo.armed
+
+
+def test_an_axis_that_rests_is_not_taken_for_a_frozen_one(tmp_path: Path) -> None:
+    steps = excitation.make(
+        "steps", Quantity.TORQUE, amplitude=0.05, default_amplitude=1.0, duration=4.0, band=(0.25, 0.25), rate=RATE
+    )
+    assert Bench(tmp_path, asked=steps).run().end_reason == "done"
+
+
+@pytest.mark.parametrize(("temperature", "starts"), [(55.0, True), (55.5, False)])
+def test_a_motor_is_started_up_to_fifteen_degrees_below_its_limit(
+    bench: Bench, temperature: float, starts: bool
+) -> None:
+    bench.servo.rest = {"temperature": temperature}
+    assert (bench.run().end_reason == "done") == starts
+
+
+@pytest.mark.parametrize(("temperature", "goes_on"), [(65.0, True), (65.5, False)])
+def test_a_motor_runs_up_to_five_degrees_below_its_limit(bench: Bench, temperature: float, goes_on: bool) -> None:
+    bench.servo.script = {100: {"temperature": temperature}}
+    outcome = bench.run()
+    assert (outcome.end_reason == "done") == goes_on
+    assert isinstance(outcome.error, LimitReached) != goes_on
+
+
+def test_every_set_point_is_worked_out_before_the_motor_is_live(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    armed = []
+
+    def shape(time: np.ndarray[tuple[int], np.dtype[np.float64]]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        armed.append(bench.servo.limits is not None)
+        return np.sin(time)
+
+    bench.profile = replace(profile(duration=20.0), shape=shape)
+    assert bench.run().samples == 2001
+    assert armed == [False] * 4
+    np.testing.assert_allclose(bench.channel("command"), bench.profile.at(np.arange(2001) / RATE))
+
+
+def test_a_set_point_that_is_no_number_is_found_before_the_motor_is_live(bench: Bench) -> None:
+    bench.profile = replace(bench.profile, shape=lambda time: np.where(time > 1.5, np.nan, 0.0))
+    outcome = bench.run()
+    assert isinstance(outcome.error, WrongUse)
+    assert bench.servo.limits is None
+
+
+def test_a_rate_the_servo_cannot_answer_at_is_refused_before_the_motor_is_live(bench: Bench) -> None:
+    class Slow(SpringServo):
+        def exchange(self, command: Command) -> Sample:
+            sample = super().exchange(command)
+            self.clock.t += 0.0160
+            return sample
+
+    bench.servo = Slow()
+    outcome = bench.run()
+    assert isinstance(outcome.error, WrongUse)
+    assert "16 ms to answer, so it can be asked at most 62 times a second" in str(outcome.error)
+    assert bench.servo.limits is None
+
+
+def test_what_is_ignored_stays_ignored_and_what_ends_a_process_is_a_flag() -> None:
+    """nohup has SIGHUP ignored; the run it shields must not be ended by a closed terminal."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        stop = StopRequest()
+        with stop.listening():
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert stop.count == 0
+            for number in (signal.SIGQUIT, signal.SIGTSTP, signal.SIGUSR1):
+                os.kill(os.getpid(), number)
+            assert (stop.count, stop.number) == (3, signal.SIGQUIT)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_late_ticks_are_marked(bench: Bench) -> None:
+    clock = bench.servo.clock
+
+    def stall() -> None:
+        clock.t += 0.017
+
+    clock.plans = [(100.0 + 0.15 + 1.0, stall)]
+    outcome = bench.run()
+    assert outcome.late == 2
+    assert np.count_nonzero(bench.channel("status") == int(Status.LATE)) == 2
+    assert bench.channel("time")[-1] == pytest.approx(2.0)  # lateness does not add up
+
+
+def test_saturated_rows_are_counted(bench: Bench) -> None:
+    bench.servo.script = {number: {"status": float(int(Status.SATURATED))} for number in (5, 6)}
+    assert bench.run().saturated == 2
+
+
+def test_a_servo_that_never_answers_is_given_up(bench: Bench) -> None:
+    class Mute(SpringServo):
+        def exchange(self, command: Command) -> object:  # type: ignore[override]
+            raise NoReply(f"nothing after {command}")
+
+    bench.servo = Mute()
+    outcome = bench.run()
+    assert isinstance(outcome.error, NoReply)
+    assert "check power" in str(outcome.error)

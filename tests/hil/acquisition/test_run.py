@@ -1,0 +1,354 @@
+"""A whole run, from the command to the file: whatever fails, and whoever else records, no torque and no lost data."""
+
+from __future__ import annotations
+
+import errno
+import gc
+import os
+import signal
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.servo import Command, LinkLost, NoReply, Quantity, Sample
+from hil.acquisition import excitation, recorder
+from hil.acquisition import run as run_module
+from hil.acquisition.excitation import Profile
+from hil.acquisition.run import run
+from hil.acquisition.setpoints import SetPoints
+from hil.cli import app as cli
+from hil.errors import WrongUse
+from hil.recording import writer as part_module
+from hil.recording.reader import Recording
+from hil.recording.writer import Header, PartFile
+from hil.stand.file import parse
+from sim_backend.faults import EncoderFreezes, Fault, LinkDrops, RepliesRepeat, Silence, TorqueUnreadable
+from sim_backend.parameters import SimParameters
+from sim_backend.servo import SimServo, VirtualClock
+
+from ..conftest import SpringServo
+
+RATE = 100.0
+STAND = parse(
+    '[stand]\nbackend = "sim"\ngear_ratio = 4.0\ntorque_source = "joint"\n'
+    "[limits]\ntorque = 0.1\ndeflection = 0.06\nvelocity = 50.0\n"
+)
+
+
+def profile(duration: float) -> Profile:
+    return excitation.make(
+        "sine",
+        Quantity.TORQUE,
+        amplitude=0.05,
+        default_amplitude=1.0,
+        duration=duration,
+        band=(2.0, 2.0),
+        rate=RATE,
+        soft=0.1,
+    )
+
+
+@pytest.fixture
+def spring(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SpringServo:
+    """The servo that every stand opens, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    servo = SpringServo()
+    monkeypatch.setattr(run_module, "open_servo", lambda *_, **__: (servo, {}))
+    return servo
+
+
+def record(*words: str) -> int:
+    return cli.run(["record", "--backend", "sim", "--rate", "100", "--band", "2", "--profile", "sine", *words])
+
+
+# --- a fault at every call -------------------------------------------------------------------------------------------
+
+
+class Saboteur:
+    """Raises at the `at`-th call of all that it stands in front of, before the call acts or after it has."""
+
+    def __init__(self, error: BaseException, at: int, *, after: bool) -> None:
+        self.error, self.at, self.after = error, at, after
+        self.calls = 0
+
+    def before(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*words: Any, **settings: Any) -> Any:
+            self.calls += 1
+            due = self.calls == self.at
+            if due and not self.after:
+                raise self.error
+            answer = function(*words, **settings)
+            if due:
+                raise self.error
+            return answer
+
+        return call
+
+    def spoil(self, monkeypatch: pytest.MonkeyPatch, servo: SpringServo) -> None:
+        for name in ("arm", "exchange", "disarm", "close"):
+            monkeypatch.setattr(servo, name, self.before(getattr(servo, name)))
+        for name in ("now", "sleep_until"):
+            monkeypatch.setattr(servo.clock, name, self.before(getattr(servo.clock, name)))
+        for name in ("append", "flush", "event", "finish", "discard", "close", "__len__"):
+            monkeypatch.setattr(PartFile, name, self.before(getattr(PartFile, name)))
+        for name in ("write_at", "finalise", "is_at", "remove"):
+            monkeypatch.setattr(part_module, name, self.before(getattr(part_module, name)))
+        for name in ("extend", "__exit__", "__iter__"):
+            monkeypatch.setattr(SetPoints, name, self.before(getattr(SetPoints, name)))
+        monkeypatch.setattr(Profile, "at", self.before(Profile.at))
+
+
+@pytest.mark.parametrize(
+    ("error", "after"),
+    [(KeyboardInterrupt(), False), (OSError(errno.ENOSPC, "No space left on device"), True)],
+    ids=["Ctrl-C", "disk full"],
+)
+def test_whatever_fails_at_whichever_call_the_torque_is_off_and_the_rows_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, after: bool
+) -> None:
+    monkeypatch.setattr(recorder, "_REST_SAMPLES", 2)
+    monkeypatch.setattr(gc, "collect", lambda: 0)  # these two are most of the time a run takes
+    monkeypatch.setattr(part_module, "_software", dict)
+    for at in count(1):
+        servo, saboteur = SpringServo(), Saboteur(error, at, after=after)
+        output = tmp_path / f"{at}.h5"
+        kept: Path | None = None
+        with monkeypatch.context() as patch:
+            patch.setattr(run_module, "open_servo", lambda *_, servo=servo, **__: (servo, {}))
+            patch.setattr(servo, "close", lambda: None)  # a second net, which must not be needed
+            saboteur.spoil(patch, servo)
+            try:
+                kept, _ = run(STAND, profile(0.05), rate=RATE, seed=0, output=output)
+            except (type(error), WrongUse) as raised:
+                assert error in {raised, raised.__cause__}  # noqa: PT017 - it may also be in the outcome
+        assert not servo.armed, at
+        if saboteur.calls < at:
+            break
+        if len(servo.driven) > 1:
+            found = [path for path in (output, output.with_name(output.name + ".part")) if path.exists()]
+            assert found, at
+            assert kept in {None, *found}
+            with Recording(found[0]) as recording:
+                assert len(recording) >= len(servo.driven) - 2
+    assert at > 60
+    assert len(servo.driven) == 6
+
+
+@pytest.mark.parametrize(
+    ("fault", "status"),
+    [
+        (LinkDrops(1.0), 3),
+        (Silence(1.0, 2.0), 3),
+        (EncoderFreezes(1.0), 3),
+        (TorqueUnreadable(1.0, 2.0), 3),
+        (RepliesRepeat(1.0, 2.0), 3),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_what_goes_wrong_on_the_simulated_stand_ends_the_run_and_the_torque(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, fault: Fault, status: int
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    servo = SimServo(SimParameters(), seed=1, clock=VirtualClock(), faults=(fault,))
+    monkeypatch.setattr(run_module, "open_servo", lambda *_, **__: (servo, {}))
+    assert cli.run(["record", "--backend", "sim", "--duration", "4", "-o", "a.h5"]) == status
+    with Recording(tmp_path / "a.h5") as recording:
+        assert not recording.complete
+        assert 400 < len(recording) < 800
+    servo.clock.sleep_until(servo.clock.now() + 0.1)  # what cannot be told to stop is stopped by its watchdog
+    assert not servo.true_state().enabled
+
+
+def test_a_torque_off_that_is_not_confirmed_is_the_first_thing_said(
+    spring: SpringServo, capfd: pytest.CaptureFixture[str]
+) -> None:
+    spring.script = {50: LinkLost("the cable is out")}
+    spring.disarm_error = OSError(5, "Input/output error")
+    assert record("-o", "a.h5") == 3
+    said = capfd.readouterr().err.splitlines()
+    alarm = "CUT THE POWER: the torque-off is not confirmed ([Errno 5] Input/output error)"
+    assert said == [alarm, "hil: the cable is out", alarm]
+    with Recording(Path("a.h5")) as recording:
+        assert len(recording) == 50
+
+
+def test_an_alarm_is_told_before_the_file_is_made_final(spring: SpringServo, tmp_path: Path) -> None:
+    spring.disarm_error = OSError(5, "Input/output error")
+    seen: list[bool] = []
+    run(
+        STAND,
+        profile(0.5),
+        rate=RATE,
+        seed=0,
+        output=tmp_path / "a.h5",
+        alarm=lambda said: seen.append(said.startswith("CUT THE POWER") and not (tmp_path / "a.h5").exists()),
+    )
+    assert seen == [True]
+    assert (tmp_path / "a.h5").exists()
+
+
+def test_a_link_that_fails_in_a_way_its_driver_did_not_foresee_is_the_stands_failure(
+    spring: SpringServo, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Not a fault of hil's own, and an EPIPE of a port is no closed standard output."""
+    spring.script = {50: BrokenPipeError(errno.EPIPE, "Broken pipe")}
+    assert record("-o", "a.h5") == 3
+    assert "the link failed" in capfd.readouterr().err
+
+
+def test_the_servo_is_closed_however_a_run_ends(spring: SpringServo, monkeypatch: pytest.MonkeyPatch) -> None:
+    closed: list[bool] = []
+    monkeypatch.setattr(spring, "close", lambda: closed.append(spring.armed))
+    assert record("-o", "a.h5") == 0
+    spring.script = {len(spring.driven) + 50: LinkLost("gone")}
+    assert record("-o", "b.h5") == 3
+    assert record("-o", "none/c.h5") == 2
+    monkeypatch.setattr(run_module, "PartFile", lambda *_: 1 / 0)
+    assert record("-o", "d.h5") == 1
+    assert closed == [False, False, False]
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129), ("SIGQUIT", 131)])
+def test_a_signal_ends_a_run_with_its_own_status_and_the_data_kept(
+    spring: SpringServo, name: str, status: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    spring.clock.plans = [(101.0, lambda: os.kill(os.getpid(), getattr(signal, name)))]
+    assert record("-o", "a.h5") == status
+    assert "stopped on request" in capfd.readouterr().out
+    assert not spring.armed
+    with Recording(Path("a.h5")) as recording:
+        assert 80 < len(recording) < 110
+
+
+def test_a_signal_before_the_start_records_nothing_and_says_so(
+    spring: SpringServo, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    spring.clock.plans = [(100.05, lambda: os.kill(os.getpid(), signal.SIGTERM))]
+    assert record("-o", "a.h5") == 143
+    assert capfd.readouterr().out == "nothing was recorded (stopped on request)\n"
+    assert spring.limits is None
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- names on disk ---------------------------------------------------------------------------------------------------
+
+
+def test_a_recording_in_progress_is_not_taken_over_even_with_force(spring: SpringServo) -> None:
+    with PartFile(Path("a.h5"), Header(profile={}), 5) as part:
+        assert record("-o", "a.h5", "--force") == 2
+        assert part.path.exists()
+    assert spring.driven == []
+    assert record("-o", "a.h5") == 2
+    assert record("-o", "a.h5", "--force") == 0
+
+
+def test_a_left_over_part_outlives_a_command_that_cannot_begin(spring: SpringServo) -> None:
+    with PartFile(Path("a.h5"), Header(profile={}), 5) as part:
+        pass
+    assert record("-o", "a.h5", "--force", "--amplitude", "99") == 2
+    assert part.path.exists()
+    assert spring.driven == []
+
+
+def test_recorders_that_look_for_a_name_at_once_take_different_ones(
+    spring: SpringServo, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """One found run1 free as we did and records; another was faster still and has ended."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    names = iter(["run1.h5", "run2.h5", "run3.h5"])
+    monkeypatch.setattr(run_module, "next_free", lambda _: folder / next(names))
+    (folder / "run2.h5").write_text("finished meanwhile")
+    with PartFile(folder / "run1.h5", Header(profile={}), 5) as other:
+        assert record() == 0
+        assert other.path.exists()
+    assert sorted(item.name for item in folder.iterdir()) == ["run1.h5.part", "run2.h5", "run3.h5"]
+    assert (folder / "run2.h5").read_text() == "finished meanwhile"
+    assert not spring.armed
+
+
+# --- lateness --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("late", [(5, 1, "problem"), (20, 0, "note"), (150, 0, "")])
+def test_a_run_whose_ticks_come_late_is_not_taken_for_a_good_one(
+    spring: SpringServo,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    late: tuple[int, int, str],
+) -> None:
+    every, status, said = late
+    exchange = spring.exchange
+
+    def sometimes_late(command: Command) -> Sample:
+        if spring.armed and len(spring.driven) % every == 0:
+            spring.clock.t += 0.006
+        return exchange(command)
+
+    monkeypatch.setattr(spring, "exchange", sometimes_late)
+    assert record("-o", "a.h5", "--duration", "3") == status
+    assert capfd.readouterr().err.startswith(f"{said} [many-late]" if said else "")
+    seen = cli.run(["inspect", "a.h5"])
+    assert seen == status
+    assert ("[many-late]" in capfd.readouterr().err) == bool(said)
+
+
+@pytest.mark.parametrize(("rate", "said"), [("19", "between 20 and 10000"), ("5000", "lower the rate")])
+def test_a_rate_no_drive_or_not_this_one_can_keep_is_wrong_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], rate: str, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["record", "--backend", "sim", "--rate", rate, "--band", "0.5:2", "-o", "a.h5"]) == 2
+    assert said in capfd.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_rate_the_servo_cannot_quite_keep_ends_in_a_run_not_to_be_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A round trip of 0.6 ms in a period of 0.5 ms."""
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["record", "--backend", "sim", "--rate", "2000", "--duration", "1", "-o", "a.h5"]) == 1
+    assert "many-late" in capfd.readouterr().err
+    with Recording(tmp_path / "a.h5") as recording:
+        assert len(recording) == 2001
+
+
+def test_the_lowest_rate_keeps_a_watchdog_of_a_tenth_of_a_second_quiet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["record", "--backend", "sim", "--rate", "20", "--band", "0.5:2", "-o", "a.h5"]) == 0
+
+
+def test_an_interrupted_torque_off_is_retried_until_the_silence_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    servo = SimServo(SimParameters(), seed=1, clock=VirtualClock(), faults=(Silence(1.0, 1.06),))
+    outcome = run_on(servo, monkeypatch)
+    assert isinstance(outcome.error, NoReply)
+    assert outcome.alarm == ""
+    assert not servo.true_state().enabled
+    assert servo.clock.now() < 1.1  # before the watchdog would have done it
+
+
+def run_on(servo: SimServo, monkeypatch: pytest.MonkeyPatch) -> recorder.Outcome:
+    monkeypatch.setattr(run_module, "open_servo", lambda *_, **__: (servo, {}))
+    stand = parse(
+        '[stand]\nbackend = "sim"\ngear_ratio = 4.0\ntorque_source = "joint"\n'
+        "[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n"
+    )
+    made = excitation.make(
+        "sine",
+        Quantity.TORQUE,
+        amplitude=0.005,
+        default_amplitude=1.0,
+        duration=4.0,
+        band=(2.0, 2.0),
+        rate=500.0,
+    )
+    return run(stand, made, rate=500.0, seed=0, output=Path("a.h5"))[1]

@@ -1,0 +1,513 @@
+"""The commands as a person runs them: what they print, where, and the status they end with."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from hil.cli.app import run
+from hil.recording.reader import Array, Recording
+from hil.recording.writer import Header, PartFile, missing_row
+
+from ..conftest import Maker
+
+SHORT = ("--duration", "2", "--soft", "0.2")
+
+
+@dataclass(frozen=True)
+class Ended:
+    status: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(self.out)
+        return found
+
+
+Hil = Callable[..., Ended]
+
+
+@pytest.fixture
+def hil(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hil:
+    """Run a command in an empty folder, where standard error is no terminal."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: object) -> Ended:
+        status = run([str(word) for word in words])
+        out, err = capfd.readouterr()
+        return Ended(status, out, err)
+
+    return call
+
+
+def record(hil: Hil, *words: object) -> Ended:
+    return hil("record", "--backend", "sim", "--profile", "chirp", *words)
+
+
+# --- the main job ----------------------------------------------------------------------------------------------------
+
+
+def test_recordings_are_numbered_and_nothing_is_printed_on_standard_error(hil: Hil, tmp_path: Path) -> None:
+    first, second = record(hil, *SHORT), record(hil, *SHORT)
+    assert (first.status, second.status) == (0, 0)
+    assert first.out.startswith("recordings/run1.h5: 1001 samples")
+    assert second.out.startswith("recordings/run2.h5: 1001 samples")
+    assert first.err == second.err == ""
+    assert sorted(path.name for path in (tmp_path / "recordings").iterdir()) == ["run1.h5", "run2.h5"]
+
+
+def test_the_main_job_finds_the_stiffness_the_simulator_was_given(hil: Hil) -> None:
+    """Within 1 % of Kc, against the truth in the file, with honest sensors in between."""
+    record(hil, "--seed", 1, "-o", "a.h5")
+    ended = hil("identify", "a.h5", "--json")
+    assert ended.status == 0
+    found = ended.json
+    with Recording(Path("a.h5")) as recording:
+        truth = recording.truth()
+    assert found["parameters"]["Kc"]["value"] == pytest.approx(truth["Kc"], rel=0.01)
+    assert found["parameters"]["Bc"]["value"] == pytest.approx(truth["Bc"], rel=0.05)
+    assert found["fitness"]["relative_gap"] < 1e-6
+
+
+def test_the_json_of_identify_is_the_designs(hil: Hil, make_recording: Maker) -> None:
+    found = hil("identify", make_recording(noise=1e-5), "--json").json
+    keys = "schema recordings model preset seed parameters fitness samples trials evaluations seconds holdout warnings"
+    assert list(found) == [*keys.split(), "ladder", "fixture"]
+    assert (found["schema"], found["model"], found["preset"]) == ("hil-identification/1", "linear", "default")
+    kc = found["parameters"]["Kc"]
+    assert {"value", "unit", "ci95", "trials_mean", "trials_std", "identifiable"} <= set(kc)
+    assert (kc["unit"], found["parameters"]["Bc"]["unit"], found["fitness"]["unit"]) == ("N*m/rad", "N*m*s/rad", "N*m")
+    assert set(found["fitness"]) == {"value", "exact_optimum", "relative_gap", "unit"}
+    assert set(found["holdout"]) == {"fitness", "nrmse"}
+    assert found["trials"] == 30
+    assert 1900 < found["samples"] < 2000  # without those beside the ends, where there is no rate
+    assert found["evaluations"] > 30
+    assert found["seconds"] > 0
+
+
+def test_every_reported_number_is_what_its_name_says(hil: Hil, make_recording: Maker) -> None:
+    """Recomputed here with NumPy from the signals alone."""
+    from hil.signals.prepare import prepare
+
+    path = make_recording(noise=2e-4)
+    found = hil("identify", path, "--json", "--trials", 7).json
+    with Recording(path) as recording:
+        signals = prepare(recording, None)
+    value = [found["parameters"][name]["value"] for name in ("Kc", "Bc")]
+    exact = [found["parameters"][name]["exact"] for name in ("Kc", "Bc")]
+    columns = np.column_stack([signals.dtheta, signals.dtheta_dot])
+
+    def mean_error(genes: list[float]) -> float:
+        return float(np.mean(np.abs(signals.torque - columns @ genes)))
+
+    fitness = found["fitness"]
+    assert fitness["value"] == pytest.approx(mean_error(value), rel=1e-12)
+    assert fitness["exact_optimum"] == pytest.approx(mean_error(exact), rel=1e-12)
+    assert fitness["relative_gap"] == pytest.approx(fitness["value"] / fitness["exact_optimum"] - 1.0, abs=1e-12)
+    assert fitness["exact_optimum"] <= fitness["value"]
+    low, high = found["parameters"]["Kc"]["ci95"]
+    assert low < 0.02 < high
+    # held out: every fifth of ten blocks, against a fit to the rest; Gaussian noise of 0.2 mN m
+    assert found["holdout"]["fitness"] == pytest.approx(2e-4 * np.sqrt(2 / np.pi), rel=0.1)
+    assert found["holdout"]["nrmse"] == pytest.approx(2e-4 / float(np.std(signals.torque)), rel=0.2)
+
+
+def test_the_same_seed_gives_the_same_samples_and_another_does_not(hil: Hil) -> None:
+    digests = []
+    for name, seed in (("a.h5", 1), ("b.h5", 1), ("c.h5", 2)):
+        record(hil, *SHORT, "--seed", seed, "-o", name)
+        with h5py.File(name) as file:
+            samples = {channel: file["samples"][channel][()].tobytes() for channel in file["samples"]}
+            digests.append((file.attrs["sha256"], samples))
+    assert digests[0] == digests[1]
+    assert digests[0][0] != digests[2][0]
+
+
+def test_the_numbers_of_identify_do_not_depend_on_the_workers(hil: Hil, make_recording: Maker) -> None:
+    path = make_recording(noise=2e-4)
+    found = []
+    for workers in (1, 2, 5):
+        table = hil("identify", path, "--json", "--trials", 5, "--seed", 3, "--workers", workers).json
+        table.pop("seconds")
+        found.append(table)
+    assert found[0] == found[1] == found[2]
+    other = hil("identify", path, "--json", "--trials", 5, "--seed", 4).json
+    assert other["parameters"]["Kc"]["trials_mean"] != found[0]["parameters"]["Kc"]["trials_mean"]
+
+
+def test_the_papers_preset_arrives_at_the_exact_optimum(hil: Hil, make_recording: Maker) -> None:
+    path = make_recording(noise=2e-4, kc=0.01775, bc=1.9e-4)
+    words = ("--preset", "paper", "--generations", 200_000, "--json")
+    found = hil("identify", path, *words).json
+    kc = found["parameters"]["Kc"]
+    assert found["trials"] == 30
+    assert found["evaluations"] == 30 * (10 + 200_000)
+    assert kc["trials_mean"] == pytest.approx(kc["exact"], rel=0.01)
+    assert kc["bounds"] == [0.5e-3, 0.2]
+    assert found["fitness"]["relative_gap"] >= 0.0
+
+
+def test_identification_never_looks_at_the_truth(hil: Hil) -> None:
+    record(hil, *SHORT, "-o", "a.h5")
+    before = hil("identify", "a.h5", "--json").json
+    with h5py.File("a.h5", "r+") as file:
+        del file["truth"]
+    after = hil("identify", "a.h5", "--json").json
+    for table in (before, after):
+        table.pop("seconds")
+    assert before == after
+
+
+LOCKED = ("--time", "TIME", "--torque", "TORQUE", "--dtheta", "POSITION", "--dtheta-unit", "rev")
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high"), [("base_onyx_runin1", 240.0, 300.0), ("split_onyx_12pre1", 190.0, 225.0)]
+)
+def test_real_locked_outputs_are_imported_and_identified(
+    hil: Hil, locked_output: Path, name: str, low: float, high: float
+) -> None:
+    source = locked_output / f"{name}.csv.gz"
+    assert hil("import", source, *LOCKED, "--where", "test_nr==100", "-o", "a.h5").status == 0
+    found = hil("identify", "a.h5", "--model", "auto", "--trials", "2", "--json").json
+    assert found["model"].startswith("linear+offset+coulomb")
+    assert low < found["parameters"]["Kc"]["value"] < high
+    assert found["parameters"]["Fc"]["value"] > 0.0
+    assert "coarse-clock" in {warning["code"] for warning in found["warnings"]}
+    assert not found["parameters"]["Bc"]["identifiable"]
+    assert any(
+        warning["parameter"] == "Bc" and "cannot be told from Coulomb friction" in warning["message"]
+        for warning in found["warnings"]
+    )
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_the_play_of_a_real_drive_is_seen_as_backlash(hil: Hil, locked_output: Path, number: int) -> None:
+    """Its encoder moves by 0.03 rad while hardly any torque is there (SOURCE.md)."""
+    source = locked_output / "base_onyx_runin1.csv.gz"
+    assert hil("import", source, *LOCKED, "--where", f"test_nr=={number}", "-o", "a.h5").status == 0
+    found = hil("identify", "a.h5", "--trials", "2", "--json").json
+    assert "backlash" in found["model"]
+    gap = found["parameters"]["gap"]
+    assert 0.02 < gap["value"] < 0.04
+    assert gap["identifiable"]
+
+
+MOTOR_SIDE = """\
+[stand]
+name = "no torque cell"
+backend = "sim"
+gear_ratio = 4.0
+motor_inertia = 2.0e-7
+motor_damping = 1.0e-7
+torque_source = "motor"
+[limits]
+torque = 0.03
+deflection = 1.0
+velocity = 100.0
+temperature = 80.0
+"""
+
+
+@pytest.mark.parametrize(("quantity", "amplitude", "warned"), [("torque", 0.006, False), ("position", 0.3, True)])
+def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
+    hil: Hil, tmp_path: Path, quantity: str, amplitude: float, *, warned: bool
+) -> None:
+    (tmp_path / "stand.toml").write_text(MOTOR_SIDE)
+    words = ("--quantity", quantity, "--amplitude", amplitude, "--duration", "4", "-o", "a.h5", "--json")
+    recorded = hil("record", "--stand", "stand.toml", *words)
+    assert recorded.status == 0
+    assert [warning["code"] for warning in recorded.json["warnings"]] == ["motor-side"] * warned
+    assert ("note [motor-side]" in recorded.err) == warned
+    found = hil("identify", "a.h5", "--trials", "2", "--json")
+    said = [warning for warning in found.json["warnings"] if warning["code"] == "motor-side"]
+    assert found.status == (1 if warned else 0)
+    assert [warning["parameter"] for warning in said] == ["Bc"] * warned
+    assert all("--quantity torque" in warning["message"] for warning in said)
+    off = found.json["parameters"]["Bc"]["value"] / 1.9e-4 - 1.0
+    assert (abs(off) > 0.5) == warned  # why it is said
+
+
+def test_a_report_is_a_page_and_its_picture(hil: Hil, make_recording: Maker, tmp_path: Path) -> None:
+    ended = hil("identify", make_recording(noise=1e-4), "--report", "page.html")
+    assert ended.status == 0
+    assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
+    page = (tmp_path / "page.html").read_text()
+    assert "Kc" in page
+    assert "data:image/png;base64," in page
+
+
+def test_the_demo_runs_the_main_job_and_says_where_the_files_are(hil: Hil, tmp_path: Path) -> None:
+    ended = hil("demo")
+    assert ended.status == 0
+    for name in ("run1.h5", "run1.html", "run1.png"):
+        assert (tmp_path / "hil-demo" / name).exists()
+        assert f"hil-demo/{name}" in ended.out + ended.err
+
+
+def test_inspect_says_what_a_recording_holds(hil: Hil) -> None:
+    record(hil, "--duration", 5, "--soft", 0.2, "-o", "a.h5")
+    seen = hil("inspect", "a.h5", "--json").json
+    assert seen["usable"]
+    assert seen["samples"] == 2501
+    assert seen["rate"] == pytest.approx(500.0, rel=1e-3)
+    assert seen["duration"] == pytest.approx(5.0, abs=0.02)
+    assert seen["torque_noise"] == pytest.approx(2e-4, rel=0.15)  # the cell's noise, as the simulator's default
+    assert seen["end_reason"] == "done"
+    with Recording(Path("a.h5")) as recording:
+        assert seen["lost"] == np.count_nonzero(recording.channel("status") == 1)
+        assert seen["deflection"] == pytest.approx(
+            np.nanmax(recording.channel("dtheta")) - np.nanmin(recording.channel("dtheta"))
+        )
+    assert "usable" in hil("inspect", "a.h5").out
+
+
+def test_an_unfinished_recording_is_recovered(hil: Hil, tmp_path: Path) -> None:
+    unfinished(tmp_path / "a.h5")
+    ended = hil("recover", "a.h5.part")
+    assert ended.status == 0
+    assert "a.h5: 800 samples recovered" in ended.out
+    assert (tmp_path / "a.h5.part").exists()
+    assert hil("recover", "a.h5.part").status == 2
+
+
+# --- bad input -------------------------------------------------------------------------------------------------------
+
+
+def unfinished(path: Path) -> Path:
+    with PartFile(path, Header(profile={"kind": "chirp"}), 1000) as part:
+        for seq in range(800):
+            time, row = seq / 500.0, list(missing_row(seq))
+            row[1:6] = [time, 0.0, 0.02 * np.sin(9 * time), np.sin(9 * time), np.nan]
+            part.append(tuple(row))
+    return part.path
+
+
+def no_trace(ended: Ended) -> bool:
+    return "Traceback" not in ended.err and len(ended.err.strip().splitlines()) <= 3
+
+
+@pytest.mark.parametrize("command", ["identify", "inspect"])
+@pytest.mark.parametrize(
+    ("content", "said"), [(None, "No such file"), (b"time,torque\n", "not HDF5"), (b"", "not HDF5")]
+)
+def test_what_is_no_recording_is_wrong_use(
+    hil: Hil, tmp_path: Path, command: str, content: bytes | None, said: str
+) -> None:
+    if content is not None:
+        (tmp_path / "a.h5").write_bytes(content)
+    ended = hil(command, "a.h5")
+    assert ended.status == 2
+    assert said in ended.err
+    assert no_trace(ended)
+
+
+def test_another_schema_version_is_wrong_use(hil: Hil, make_recording: Maker) -> None:
+    path = make_recording()
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema"] = "hil-recording/9"
+    ended = hil("identify", path)
+    assert ended.status == 2
+    assert "hil-recording/9" in ended.err
+
+
+def test_channels_of_unequal_length_are_wrong_use(hil: Hil, make_recording: Maker) -> None:
+    path = make_recording()
+    with h5py.File(path, "r+") as file:
+        del file["samples"]["torque"]
+        file["samples"]["torque"] = np.zeros(7)
+    ended = hil("identify", path)
+    assert ended.status == 2
+    assert "unequal length" in ended.err
+
+
+def test_an_unfinished_recording_is_identified_and_said_to_be_one(hil: Hil, tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "a.h5")
+    ended = hil("identify", path, "--json")
+    assert 700 < ended.json["samples"] < 800
+    assert ended.json["parameters"]["Kc"]["value"] == pytest.approx(0.02, rel=1e-3)
+    assert "unfinished" in {warning["code"] for warning in ended.json["warnings"]}
+    assert "it never ended" in ended.err
+
+
+@pytest.mark.parametrize("samples", [0, 1])
+def test_an_empty_or_one_sample_file_is_not_to_be_trusted(hil: Hil, make_recording: Maker, samples: int) -> None:
+    ended = hil("identify", make_recording(samples=samples))
+    assert ended.status == 1
+    assert "usable sample" in ended.err
+    assert no_trace(ended)
+
+
+def test_rows_with_a_nan_are_dropped_counted_and_said(hil: Hil, make_recording: Maker) -> None:
+    def spoil(channels: dict[str, Array]) -> None:
+        channels["torque"][1010:1017] = np.nan
+
+    whole = hil("identify", make_recording(noise=1e-5), "--json")
+    ended = hil("identify", make_recording(noise=1e-5, change=spoil), "--json")
+    assert ended.status == 0
+    assert ended.json["samples"] == whole.json["samples"] - 7
+    assert "7 of 2000 rows hold a NaN" in ended.err
+
+
+def test_a_constant_deflection_is_refused(hil: Hil, make_recording: Maker) -> None:
+    path = make_recording(change=lambda channels: channels.update(dtheta=np.full(2000, 0.1)))
+    for command in ("identify", "inspect"):
+        ended = hil(command, path)
+        assert ended.status == 1
+        assert "nothing moved" in ended.err
+        assert no_trace(ended)
+
+
+@pytest.mark.parametrize("words", [(), ("--model", "auto"), ("--preset", "paper")])
+def test_a_recording_of_nothing_is_told_in_the_json_too(
+    hil: Hil, make_recording: Maker, words: tuple[str, ...]
+) -> None:
+    path = make_recording(change=lambda channels: channels.update(dtheta=np.full(2000, 0.1)))
+    ended = hil("identify", path, *words, "--json")
+    assert ended.status == 1
+    assert ended.json["recordings"] == [str(path)]
+    assert [ended.json["parameters"][name]["value"] for name in ("Kc", "Bc")] == [None, None]
+    assert not any(parameter["identifiable"] for parameter in ended.json["parameters"].values())
+    assert [(warning["code"], warning["parameter"]) for warning in ended.json["warnings"]] == [
+        ("unusable", "Kc"),
+        ("unusable", "Bc"),
+    ]
+    assert all("raise --amplitude" in warning["message"] for warning in ended.json["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("record", "--backend", "simm"), "did you mean 'sim'"),
+        (("record", "--backend", "sim", "--profile", "chrip"), "unknown profile"),
+        (("record", "--backend", "sim", "--quantity", "speed"), "unknown --quantity"),
+        (("record", "--backend", "sim", "--amplitude", "1"), "beyond the stand's limit of 0.03 N m"),
+        (("record", "--backend", "sim", "--quantity", "position", "--amplitude", "9"), "limit of 1 rad"),
+        (("record", "--backend", "sim", "--amplitude", "nan"), "--amplitude nan"),
+        (("record", "--backend", "sim", "--band", "15:0.1"), "reversed"),
+        (("record", "--backend", "sim", "--band", "low:high"), "LOW:HIGH"),
+        (("record", "--backend", "sim", "--rate", "0"), "--rate 0"),
+        (("record", "--backend", "sim", "--stand", "x.toml"), "not both"),
+        (("record", "--stand", "x.toml"), "cannot be read"),
+        (("record",), "which stand?"),
+        (("record", "--backend", "sim", "-o", "none/a.h5"), "none is not a folder"),
+        (("identify", "a.h5", "--model", "linear+colour"), "colour"),
+        (("identify", "a.h5", "--preset", "papper"), "unknown --preset"),
+        (("identify", "a.h5", "--bounds", "Kc=5:0.01"), "lower one first"),
+        (("identify", "a.h5", "--bounds", "Kc=5"), "NAME=LOW:HIGH"),
+        (("identify", "a.h5", "--bounds", "Kx=0:1"), "no such parameter; it has Kc, Bc"),
+        (("identify", "a.h5", "--selection", "biggest"), "selection"),
+        (("identify", "a.h5", "--trials", "0"), "--trials"),
+        (("identify", "a.h5", "--population", "3"), "--population: population of 3"),
+        (("identify",), "Missing argument"),
+        (("import", "a.csv", "-o", "b.h5", "--time", "t", "--torque", "q"), "name the columns"),
+        (("import", "a.csv", "-o", "b.h5", "--time", "t", "--torque", "q", "--dtheta", "p"), "cannot be read"),
+        (("recover", "a.h5"), "does not end in .part"),
+        (("frobnicate",), "No such command"),
+    ],
+)
+def test_wrong_words_end_in_a_sentence_and_status_two(
+    hil: Hil, make_recording: Maker, words: tuple[str, ...], said: str
+) -> None:
+    make_recording(samples=50)
+    ended = hil(*words)
+    assert ended.status == 2
+    assert said in ended.err
+    assert "Traceback" not in ended.err
+    assert ended.out == ""
+
+
+def test_an_unknown_unit_is_wrong_use(hil: Hil, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,q,p\n0,1,2\n")
+    words = ("--time", "t", "--torque", "q", "--dtheta", "p", "--torque-unit", "mN*M")
+    ended = hil("import", "a.csv", "-o", "b.h5", *words)
+    assert ended.status == 2
+    assert "did you mean 'mN*m'" in ended.err
+
+
+def test_an_output_that_exists_is_overwritten_only_with_force(hil: Hil, tmp_path: Path) -> None:
+    (tmp_path / "a.h5").write_text("my own data")
+    ended = record(hil, *SHORT, "-o", "a.h5")
+    assert ended.status == 2
+    assert "--force" in ended.err
+    assert (tmp_path / "a.h5").read_text() == "my own data"
+    assert record(hil, *SHORT, "-o", "a.h5", "--force").status == 0
+    with Recording(tmp_path / "a.h5") as recording:
+        assert len(recording) == 1001
+
+
+def test_a_read_only_target_is_wrong_use_and_leaves_nothing() -> None:
+    """Root may write anywhere, so where the suite runs as root the command gives that right up first."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "locked"
+        folder.mkdir(mode=0o555)
+        Path(name).chmod(0o755)
+        code = (
+            "import os, sys\n"
+            "from hil.cli.app import run\n"
+            "words = ['record', '--backend', 'sim', '--duration', '1', '-o']\n"
+            "assert run([*words, sys.argv[1] + '/a.h5']) == 0\n"  # loads what an unprivileged user might not reach
+            "if os.getuid() == 0: os.setuid(65534)\n"
+            "sys.exit(run([*words, sys.argv[1] + '/locked/a.h5']))\n"
+        )
+        ended = subprocess.run([sys.executable, "-c", code, name], check=False, capture_output=True, text=True)
+        assert ended.returncode == 2
+        assert "cannot be written (Permission denied)" in ended.stderr
+        assert list(folder.iterdir()) == []
+
+
+def test_a_result_at_a_bound_is_said_to_be_at_a_bound(hil: Hil, make_recording: Maker) -> None:
+    ended = hil("identify", make_recording(noise=1e-5), "--bounds", "Kc=0.03:5", "--json")
+    kc = ended.json["parameters"]["Kc"]
+    assert ended.status == 1
+    assert kc["at_bound"] == "low"
+    assert kc["value"] == pytest.approx(0.03, rel=1e-3)
+    assert kc["exact"] == pytest.approx(0.02, rel=1e-2)
+    assert [warning["parameter"] for warning in ended.json["warnings"] if warning["code"] == "at-bound"] == ["Kc"]
+    assert "--bounds Kc=LOW:HIGH" in ended.err
+
+
+def test_a_limit_that_is_passed_ends_in_status_four_with_the_data_kept(hil: Hil, tmp_path: Path) -> None:
+    (tmp_path / "stand.toml").write_text(
+        '[stand]\nbackend = "sim"\ngear_ratio = 4.0\ntorque_source = "joint"\n'
+        "[limits]\ntorque = 0.03\ndeflection = 0.1\nvelocity = 100.0\n"
+    )
+    ended = hil("record", "--stand", "stand.toml", "-o", "a.h5", "--amplitude", 0.006)
+    assert ended.status == 4
+    assert "the deflection reached" in ended.err
+    with Recording(tmp_path / "a.h5") as recording:
+        assert not recording.complete
+        assert len(recording) > 100
+    assert "unfinished" in hil("identify", "a.h5").err
+
+
+def test_a_traceback_is_shown_only_on_request(hil: Hil) -> None:
+    assert "Traceback" not in hil("identify", "none.h5").err
+    assert "Traceback" in hil("identify", "none.h5", "--debug").err
+
+
+def test_the_profiles_are_explained(hil: Hil) -> None:
+    out = hil("record", "--list-profiles").out
+    for kind in ("chirp", "multisine", "sine", "steps", "ramp", "prbs", "file"):
+        assert kind in out
+
+
+@pytest.mark.parametrize("kind", ["multisine", "sine", "steps", "ramp", "prbs", "file"])
+@pytest.mark.parametrize("quantity", ["torque", "position"])
+def test_every_profile_records(hil: Hil, tmp_path: Path, kind: str, quantity: str) -> None:
+    (tmp_path / "set.csv").write_text("0,0\n1,0.004\n2,0\n")
+    words = ("--setpoints", "set.csv") if kind == "file" else ("--duration", "2")
+    ended = hil("record", "--backend", "sim", "--profile", kind, "--quantity", quantity, *words, "--json")
+    assert (ended.status, ended.json["samples"], ended.json["end_reason"]) == (0, 1001, "done")

@@ -1,0 +1,223 @@
+"""A drive that is not the simulator, from its stand file to a recording: over the emulator's wire, in real time."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from hil.cli.app import run
+from hil.recording.reader import Recording
+from hil.signals.prepare import prepare
+from hil.stand.file import load
+from sim_backend.wire.catalogue import EMULATORS, Emulator, make
+from sim_backend.wire.dynamixel.emulator import serve
+
+STAND = """
+[stand]
+backend = "dynamixel"
+motor_inertia = 3.2e-6
+motor_damping = 1.6e-6
+[limits]
+torque = 0.03
+deflection = 1.5
+velocity = 60.0
+temperature = 65.0
+[dynamixel]
+port = "{port}"
+model = "xl330-m288"
+reply_timeout = 0.3
+watchdog = 1.0
+"""
+
+
+def stand_file(folder: Path, text: str = STAND) -> Path:
+    path = folder / "stand.toml"
+    path.write_text(text.format(port=folder / "ttyDXL"))
+    return path
+
+
+@contextmanager
+def emulated(*words: str) -> Iterator[subprocess.Popen[str]]:
+    """`hil emulate` as a person starts it, from the moment it says that it is there."""
+    code = "from hil.cli.app import main; main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, "emulate", *words], stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stderr is not None
+            assert " is there " in process.stderr.readline()
+            yield process
+        finally:
+            process.kill()
+
+
+def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Path) -> None:
+    stand = stand_file(tmp_path)
+    recording = tmp_path / "run.h5"
+    link = tmp_path / "ttyDXL"
+    with emulated("dynamixel", "--link", str(link), "--id", "1", "--id", "2", "--stand", str(stand)) as process:
+        words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--soft", "0.5", "--rate", "100"]
+        assert run(["record", "--stand", str(stand), *words, "--amplitude", "0.01", "-o", str(recording)]) == 0
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20.0) == 0
+    assert not link.is_symlink()
+    with Recording(recording) as made:
+        signals = prepare(made, load(stand).stand)
+    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    kc = float(np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0][0])
+    assert kc == pytest.approx(17.75e-3, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "table"),
+    [
+        ("odrive", 20.0, "torque_constant = 0.04\nbitrate = 1000000"),
+        ("mit", 100.0, 'model = "dm-j4310"'),
+        ("moteus", 20.0, ""),
+        ("cia402", 2.0, 'profile = "epos4"'),
+    ],
+)
+def test_a_drive_on_can_is_recorded_over_a_serial_adapter(tmp_path: Path, name: str, scale: float, table: str) -> None:
+    """The joint behind each is the paper's with every torque `scale` times as large."""
+    link, stand, recording = tmp_path / "ttyCAN", tmp_path / "stand.toml", tmp_path / "run.h5"
+    stand.write_text(
+        f'[stand]\nbackend = "{name}"\nmotor_inertia = {3.2e-6 * scale}\nmotor_damping = {1.6e-6 * scale}\n'
+        f"[limits]\ntorque = {0.03 * scale}\ndeflection = 1.5\nvelocity = 25.0\ntemperature = 75.0\n"
+        f'[{name}]\ninterface = "slcan"\nchannel = "{link}"\nreply_timeout = 0.3\nwatchdog = 1.0\n{table}\n'
+    )
+    words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--soft", "0.5", "--rate", "50"]
+    with emulated(name, "--link", str(link)) as process:
+        assert (
+            run(["record", "--stand", str(stand), *words, "--amplitude", f"{0.01 * scale}", "-o", str(recording)]) == 0
+        )
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20.0) == 0
+    with Recording(recording) as made:
+        signals = prepare(made, load(stand).stand)
+    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    kc = float(np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0][0])
+    assert kc == pytest.approx(17.75e-3 * scale, rel=0.1)
+
+
+def test_a_kill_ends_an_emulator_cleanly(tmp_path: Path) -> None:
+    link = tmp_path / "ttyDXL"
+    with emulated("dynamixel", "--link", str(link), "--model", "mx-64") as process:
+        assert link.is_symlink()
+        process.terminate()
+        assert process.wait(20.0) == 0
+    assert not link.is_symlink()
+
+
+def test_a_position_profile_puts_the_drive_into_a_position_mode(tmp_path: Path) -> None:
+    stand = stand_file(tmp_path)
+    recording = tmp_path / "run.h5"
+    words = ["--profile", "sine", "--band", "1", "--duration", "1.5", "--soft", "0.25", "--rate", "50"]
+    with serve(tmp_path / "ttyDXL", "xl330-m288"):
+        words += ["--quantity", "position", "--amplitude", "0.3", "-o", str(recording)]
+        assert run(["record", "--stand", str(stand), *words]) == 0
+    with Recording(recording) as made:
+        command, dtheta = made.channel("command"), made.channel("dtheta")
+    assert np.ptp(dtheta) == pytest.approx(np.ptp(command), rel=0.2)
+
+
+def test_record_without_a_drive_at_the_port_fails_as_a_stand_does_and_says_what_to_do(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["record", "--stand", str(stand_file(tmp_path)), "-o", str(tmp_path / "run.h5")]) == 3
+    assert "there is no such port" in capfd.readouterr().err
+    assert not (tmp_path / "run.h5").exists()
+
+
+def test_the_backends_and_the_emulators_are_listed(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["record", "--list-backends"]) == 0
+    assert re.findall(r"^\w+", capfd.readouterr().out, re.MULTILINE)[:2] == ["sim", "dynamixel"]
+    assert run(["emulate"]) == 0
+    assert re.findall(r"^\w+", capfd.readouterr().out, re.MULTILINE) == list(EMULATORS)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["dynamixle"], "did you mean 'dynamixel'"),
+        (["dynamixel"], "needs --link"),
+        (["dynamixel", "--link", "x", "--bus", "slcan"], "takes no --bus: it takes --link, --model, --id"),
+        (["dynamixel", "--link", "x", "--model", "xl1"], "there are mx-106"),
+        (["dynamixel", "--link", "x", "--id", "1", "--id", "1"], "ids must differ"),
+        (["dynamixel", "--link", "x", "--baudrate", "1000"], "a servo knows 9600"),
+        (["dynamixel", "--link", "."], "is not a link"),
+    ],
+)
+def test_an_emulator_that_cannot_be_is_refused_in_a_sentence(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["emulate", *words]) == 2
+    assert said in capfd.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", EMULATORS)
+def test_an_emulators_function_takes_options_of_the_command_only(name: str) -> None:
+    options = {"link", "channel", "interface", "model", "firmware", "idents", "baudrate", "parameters"}
+    taken = set(inspect.signature(EMULATORS[name].function()).parameters)
+    assert taken <= options | {"instant", "timing"}
+    assert ("timing" in taken) == bool(EMULATORS[name].timing)
+
+
+class Wire:
+    """What stands for the times of a wire."""
+
+
+def serve_on_can(
+    channel: str | Path,
+    firmware: str = "0.6",
+    idents: Iterable[int] = (0,),
+    *,
+    interface: str = "slcan",
+    timing: Wire | None = None,
+) -> tuple[object, ...]:
+    if firmware == "0.1":
+        raise RuntimeError("no such bus")
+    return str(channel), firmware, list(idents), interface, type(timing)
+
+
+@pytest.fixture
+def can(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = ModuleType("a_can_drive")
+    module.__dict__.update(serve=serve_on_can, Wire=Wire)
+    monkeypatch.setitem(sys.modules, "a_can_drive", module)
+    monkeypatch.setattr(
+        "sim_backend.wire.catalogue.EMULATORS", {"drive": Emulator("a drive", "a_can_drive:serve", "a_can_drive:Wire")}
+    )
+
+
+@pytest.mark.usefixtures("can")
+def test_the_options_go_to_the_parameters_of_an_emulator_by_name() -> None:
+    options = {"link": Path("ttyCAN"), "bus": "slcan", "idents": [1, 2]}
+    assert make("drive", options) == ("ttyCAN", "0.6", [1, 2], "slcan", Wire)  # type: ignore[comparison-overlap]  # a stand-in
+    options = {"channel": "239.0.0.1", "bus": "udp_multicast", "instant": True}
+    assert make("drive", options) == ("239.0.0.1", "0.6", [0], "udp_multicast", type(None))  # type: ignore[comparison-overlap]  # a stand-in
+
+
+@pytest.mark.usefixtures("can")
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, r"needs --link \(or --channel\)"),
+        ({"link": Path("x"), "model": "y"}, "takes no --model: it takes --link"),
+        ({"link": Path("x"), "firmware": "0.1"}, "hil emulate drive: no such bus"),
+    ],
+)
+def test_what_an_emulator_raises_is_told_in_a_sentence(options: dict[str, object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make("drive", options)

@@ -1,0 +1,117 @@
+"""`hil import` and `hil export` as a person runs them: every bad file ends with one sentence and status 2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.cli.app import run
+from hil.recording.reader import Recording
+
+from ..conftest import Maker
+
+Hil = Callable[..., tuple[int, str, str]]
+NAMED = ("--time", "t", "--torque", "q", "--dtheta", "a")
+GOOD = "t,q,a,run\n" + "".join(f"{i / 100},{np.sin(i)},{np.cos(i)},{i // 50}\n" for i in range(100))
+
+
+@pytest.fixture
+def hil(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hil:
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: object) -> tuple[int, str, str]:
+        status = run([str(word) for word in words])
+        return status, *capfd.readouterr()
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "said"),
+    [
+        (GOOD, ("--where", "run==9"), "no row meets run==9"),
+        (GOOD, ("--where", "run~9"), "write a column"),
+        (GOOD, ("--torque-unit", "Nmm/s"), "unknown unit of torque"),
+        (GOOD, ("--dtheta-dot", "rate"), "no column 'rate'"),
+        (GOOD, ("--dtheta-dot-unit", "rpm"), "are of a column: name it with --dtheta-dot"),
+        (GOOD, ("--motor-torque", "q"), "give either --torque or --motor-torque"),
+        (GOOD.replace(",q,", ",q [mN m],"), ("--torque-unit", "N*m"), "in mN m by its heading"),
+        (GOOD.replace("0.5,", "half,"), (), "'half' is not a number"),
+        (GOOD.replace("0.5,", "0.5,1,"), (), "5 fields, but the header names 4"),
+        (GOOD.replace("0.5,", "0.05,"), (), "row 52: the time goes backwards"),
+        (GOOD.replace(",", ";").replace(".", ",", 1), (), "decimals both ways"),
+        (GOOD + '1,2,3,"' + "x" * 131073 + '"\n', (), "longer than 131072 characters"),
+    ],
+)
+def test_a_bad_table_ends_with_one_sentence_and_status_2(
+    hil: Hil, tmp_path: Path, text: str, words: tuple[str, ...], said: str
+) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    status, out, err = hil("import", "a.csv", "-o", "a.h5", *NAMED, *words)
+    assert (status, out) == (2, "")
+    assert said in err
+    assert len(err.splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv"]
+
+
+def test_the_import_says_what_it_understood(hil: Hil, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("\ufeff" + GOOD.replace(",q,", ",q [mN m],"))
+    status, out, err = hil("import", "a.csv", "-o", "a.h5", *NAMED, "--where", "run==1", "--torque-scale", -2)
+    assert (status, err) == (0, "")
+    assert out == "a.h5: 50 samples over 0.49 s; time in s; torque in mN m; dtheta in rad\n"
+    with Recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_allclose(recording.channel("torque"), -2e-3 * np.sin(np.arange(50, 100)))
+
+
+def test_a_recording_goes_out_as_csv_and_comes_back(hil: Hil, tmp_path: Path, make_recording: Maker) -> None:
+    make_recording("a.h5", samples=200)
+    assert hil("export", "a.h5", "-o", "a.csv") == (0, "a.csv: 200 rows\n", "")
+    status, _, err = hil("export", "a.h5", "-o", "a.csv")
+    assert status == 2
+    assert "--force" in err
+    assert hil("export", "a.h5", "-o", "a.csv", "--force")[0] == 0
+    assert hil("import", "a.csv", "-o", "b.h5")[0] == 0
+    with Recording(tmp_path / "a.h5") as first, Recording(tmp_path / "b.h5") as second:
+        np.testing.assert_array_equal(first.channel("torque"), second.channel("torque"))
+
+
+def test_an_export_to_an_unknown_format_or_of_no_recording_is_refused(
+    hil: Hil, tmp_path: Path, make_recording: Maker
+) -> None:
+    make_recording("a.h5", samples=200)
+    (tmp_path / "b.csv").write_text(GOOD)
+    assert hil("export", "a.h5", "-o", "a.xlsx")[0] == 2
+    status, _, err = hil("export", "b.csv", "-o", "a.csv")
+    assert status == 2
+    assert "is not HDF5" in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "b.csv"]
+
+
+REAL = ("--time", "TIME", "--torque", "TORQUE", "--dtheta", "POSITION", "--dtheta-unit", "rev")
+
+
+@pytest.mark.parametrize(("name", "rows"), [("base_onyx_runin1", 9040), ("split_onyx_12pre1", 8251)])
+def test_a_real_run_is_brought_in_whole(hil: Hil, tmp_path: Path, locked_output: Path, name: str, rows: int) -> None:
+    """The row count is awk's; a plain line through torque and deflection is near SOURCE.md's stiffness."""
+    source = locked_output / f"{name}.csv.gz"
+    status, out, err = hil("import", source, "-o", "a.h5", *REAL, "--where", "test_nr==100")
+    assert (status, err) == (0, "")
+    assert out.startswith(f"a.h5: {rows} samples over 2")
+    with Recording(tmp_path / "a.h5") as recording:
+        time, dtheta, torque = (recording.channel(channel) for channel in ("time", "dtheta", "torque"))
+    assert time[0] == 0.0
+    assert (np.diff(time) == 0.0).mean() > 0.7  # the clock ticks every 15.6 ms, and the import alters nothing
+    steps = np.unique(np.diff(np.unique(dtheta)) * 2**16 / (2.0 * np.pi))
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)  # whole counts of 2^-16 rev
+    slope = np.polyfit(dtheta, torque, 1)[0]
+    assert (240.0 if name.startswith("base") else 190.0) < slope < (300.0 if name.startswith("base") else 225.0)
+
+
+def test_a_real_file_of_several_runs_is_taken_whole_where_its_clock_goes_on(hil: Hil, locked_output: Path) -> None:
+    source = locked_output / "split_onyx_12pre1.csv.gz"
+    status, out, _ = hil("import", source, "-o", "a.h5", *REAL, "--where", "test_nr<=4", "--where", "test_nr>=0")
+    assert status == 0
+    assert out.startswith("a.h5: 8557 samples")

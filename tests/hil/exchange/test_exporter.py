@@ -1,0 +1,89 @@
+"""Recordings into tables and back: nothing may change on the way."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.errors import WrongUse
+from hil.exchange.exporter import export
+from hil.exchange.importer import import_table
+from hil.exchange.row_filter import Condition
+from hil.recording.reader import CHANNELS, Recording
+from hil.recording.writer import Header, PartFile, missing_row, write
+
+
+def recording(tmp_path: Path, rows: int = 300) -> Path:
+    """Every channel, with numbers that no short decimal holds, lost replies and NaN among them."""
+    rng = np.random.default_rng(4)
+    channels = {name: rng.standard_normal(rows) * 10.0 ** rng.integers(-9, 3) for name in CHANNELS if name != "seq"}
+    channels["time"] = 5.0 + np.sort(rng.random(rows))
+    channels["status"] = rng.integers(0, 31, rows).astype(np.float64)
+    channels["torque"][7] = math.nan
+    channels["joint_position"][:] = math.nan
+    write(tmp_path / "a.h5", Header(profile={"kind": "chirp"}), channels)
+    return tmp_path / "a.h5"
+
+
+def samples(path: Path) -> dict[str, list[str]]:
+    with Recording(path) as opened:
+        return {name: [value.hex() for value in opened.channel(name).tolist()] for name in CHANNELS}
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])
+def test_what_is_exported_and_imported_again_is_the_same_to_the_last_bit(tmp_path: Path, name: str) -> None:
+    if name.endswith("parquet"):
+        pytest.importorskip("pyarrow", reason="PARQUET NOT TESTED: pyarrow is missing")
+    source = recording(tmp_path)
+    assert export(source, tmp_path / name) == 300
+    assert import_table(tmp_path / name, tmp_path / "b.h5", {}, []).samples == 300
+    assert samples(tmp_path / "b.h5") == samples(source)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.h5", name, "b.h5"])
+
+
+def test_headings_carry_the_units_and_nan_is_an_empty_cell(tmp_path: Path) -> None:
+    export(recording(tmp_path), tmp_path / "a.csv.gz")
+    with gzip.open(tmp_path / "a.csv.gz", "rt", encoding="utf-8", newline="") as text:
+        rows = list(csv.DictReader(text))
+    assert {"time [s]", "torque [N*m]", "dtheta [rad]", "dtheta_dot [rad/s]", "status [1]"} <= set(rows[0])
+    assert rows[7]["torque [N*m]"] == rows[0]["joint_position [rad]"] == ""
+    assert rows[7]["seq [1]"] == "7"
+
+
+def test_a_recording_that_never_ended_is_exported_as_far_as_it_goes(tmp_path: Path) -> None:
+    with PartFile(tmp_path / "a.h5", Header(profile={"kind": "chirp"}), 100) as part:
+        for seq in range(42):
+            part.append(missing_row(seq))
+    assert export(tmp_path / "a.h5.part", tmp_path / "a.csv") == 42
+
+
+def test_an_export_can_be_imported_in_part(tmp_path: Path) -> None:
+    export(recording(tmp_path), tmp_path / "a.csv")
+    done = import_table(tmp_path / "a.csv", tmp_path / "b.h5", {}, [Condition.parse("seq<100")])
+    assert done.samples == 100
+
+
+def test_a_table_that_is_no_export_must_have_its_columns_named(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time [s],torque [N*m]\n0,1\n")
+    with pytest.raises(WrongUse, match=r"name the columns of .* with --time, --torque and --dtheta; it has time"):
+        import_table(tmp_path / "a.csv", tmp_path / "b.h5", {}, [])
+
+
+def test_an_export_that_cannot_be_written_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = recording(tmp_path)
+    with pytest.raises(WrongUse, match="name the output so"):
+        export(source, tmp_path / "a.xlsx")
+    with pytest.raises(WrongUse, match="cannot be written"):
+        export(source, tmp_path / "none" / "a.csv")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(WrongUse, match="needs pyarrow"):
+        export(source, tmp_path / "a.parquet")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]

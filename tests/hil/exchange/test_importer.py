@@ -1,0 +1,354 @@
+"""Tables into recordings: units, signs, filters, and a sentence with the row for everything that is wrong."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.errors import WrongUse
+from hil.exchange.importer import Column, import_table
+from hil.exchange.row_filter import Condition
+from hil.recording.reader import Recording
+from hil.signals.prepare import prepare
+from hil.stand.file import parse
+
+TABLE = "TIME,POS,TAU,run\n0.5,0.25,10,1\n0.6,0.5,20,1\n0.7,-0.25,30,2\n"
+PLAIN = {"time": Column("TIME", "s"), "torque": Column("TAU", "mN*m"), "dtheta": Column("POS", "rev")}
+
+
+def imported(tmp_path: Path, text: str, where: tuple[str, ...] = (), **columns: Column) -> Recording:
+    source = tmp_path / "a.csv"
+    source.write_bytes(text.encode())
+    import_table(source, tmp_path / "a.h5", PLAIN | columns, [Condition.parse(item) for item in where])
+    return Recording(tmp_path / "a.h5")
+
+
+def test_columns_arrive_in_si_and_time_starts_at_zero(tmp_path: Path) -> None:
+    with imported(tmp_path, TABLE) as recording:
+        np.testing.assert_allclose(recording.channel("time"), [0.0, 0.1, 0.2])
+        np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02, 0.03])
+        np.testing.assert_allclose(recording.channel("dtheta"), np.array([0.5, 1.0, -0.5]) * math.pi)
+        assert np.isnan(recording.channel("dtheta_dot")).all()
+        assert recording.profile == {"kind": "imported", "source": "a.csv", "where": ""}
+
+
+@pytest.mark.parametrize(
+    ("where", "kept"),
+    [
+        (("run==1",), [10.0, 20.0]),
+        (("run != 1",), [30.0]),
+        (("TAU>=20", "TAU<30"), [20.0]),
+        (("POS>0.3",), [20.0]),
+        (("POS<=-0.25",), [30.0]),
+    ],
+)
+def test_only_rows_that_meet_every_condition_are_kept(
+    tmp_path: Path, where: tuple[str, ...], kept: list[float]
+) -> None:
+    with imported(tmp_path, TABLE, where) as recording:
+        np.testing.assert_allclose(recording.channel("torque") * 1e3, kept)
+
+
+def test_a_gzipped_file_with_a_byte_order_mark_and_crlf_reads_the_same(tmp_path: Path) -> None:
+    source = tmp_path / "a.csv.gz"
+    source.write_bytes(gzip.compress(b"\xef\xbb\xbf" + TABLE.replace("\n", "\r\n").encode()))
+    assert import_table(source, tmp_path / "b.h5", PLAIN, []).samples == 3
+
+
+def test_the_unicode_text_of_spreadsheets_reads_the_same(tmp_path: Path) -> None:
+    source = tmp_path / "a.txt"
+    source.write_bytes(TABLE.replace(",", "\t").encode("utf-16"))
+    assert import_table(source, tmp_path / "b.h5", PLAIN, []).samples == 3
+
+
+def test_semicolons_separate_too(tmp_path: Path) -> None:
+    with imported(tmp_path, TABLE.replace(",", ";")) as recording:
+        assert len(recording) == 3
+
+
+def test_semicolons_and_decimal_commas_read_as_points_do(tmp_path: Path) -> None:
+    german = TABLE.replace(",", ";").replace(".", ",").replace("10", "1,000").replace("20", "2e1")
+    with imported(tmp_path, german) as recording:
+        np.testing.assert_allclose(recording.channel("torque"), [0.001, 0.02, 0.03])
+        np.testing.assert_allclose(recording.channel("dtheta"), np.array([0.5, 1.0, -0.5]) * math.pi)
+
+
+def test_a_sign_and_a_scale_are_put_on_a_column(tmp_path: Path) -> None:
+    with imported(tmp_path, TABLE, torque=Column("TAU", "mN*m", -1.0), dtheta=Column("POS", "rev", 0.25)) as recording:
+        np.testing.assert_allclose(recording.channel("torque"), [-0.01, -0.02, -0.03])
+        np.testing.assert_allclose(recording.channel("dtheta"), np.array([0.5, 1.0, -0.5]) * math.pi / 4)
+
+
+@pytest.mark.parametrize("title", ["tau [mNm]", "tau (mN m)", "tau [N*mm]", "tau_mNm", "tau [mN·m]"])
+def test_a_unit_in_the_heading_is_taken(tmp_path: Path, title: str) -> None:
+    name = title.split(" ", maxsplit=1)[0]  # "tau" finds "tau [mNm]"
+    with imported(tmp_path, TABLE.replace("TAU", title), torque=Column(name)) as recording:
+        np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02, 0.03])
+
+
+def test_what_was_understood_of_the_units_is_handed_back(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(TABLE.replace("TAU", "tau [mNm]").replace("POS", "angle_deg"))
+    columns = {"time": Column("TIME"), "torque": Column("tau"), "dtheta": Column("angle_deg")}
+    done = import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [])
+    assert done.units == {"time": "s", "torque": "mNm", "dtheta": "deg"}
+    assert done.samples == 3
+    assert done.duration == pytest.approx(0.2)
+
+
+def test_an_empty_cell_is_a_nan(tmp_path: Path) -> None:
+    with imported(tmp_path, TABLE.replace("0.6,0.5,20", "0.6,0.5,")) as recording:
+        assert np.isnan(recording.channel("torque")).tolist() == [False, True, False]
+
+
+def test_motor_columns_come_to_the_joint_through_the_stands_gear(tmp_path: Path) -> None:
+    source = tmp_path / "a.csv"
+    source.write_text("t,p,q\n0,8.0,0.001\n0.1,8.4,0.002\n")
+    columns = {"time": Column("t", "s"), "motor_torque": Column("q", "N*m"), "motor_position": Column("p", "rad")}
+    stand = parse("[stand]\ngear_ratio = 4.0\n")
+    import_table(source, tmp_path / "a.h5", columns, [], stand=stand)
+    with Recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_allclose(recording.channel("torque"), [0.004, 0.008])
+        np.testing.assert_allclose(recording.channel("dtheta"), [0.0, 0.1])
+        np.testing.assert_allclose(recording.channel("motor_position"), [8.0, 8.4])
+        assert recording.stand_toml == "[stand]\ngear_ratio = 4.0\n"
+
+
+def test_a_torque_cell_at_the_joint_goes_with_the_motors_position(tmp_path: Path) -> None:
+    source = tmp_path / "a.csv"
+    source.write_text("t,p,q\n0,8.0,0.004\n0.1,8.4,0.008\n")
+    columns = {"time": Column("t"), "torque": Column("q"), "motor_position": Column("p")}
+    import_table(source, tmp_path / "a.h5", columns, [], stand=parse("[stand]\ngear_ratio = 4.0\n"))
+    with Recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_allclose(recording.channel("torque"), [0.004, 0.008])
+        np.testing.assert_allclose(recording.channel("dtheta"), [0.0, 0.1])
+
+
+def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp_path: Path) -> None:
+    """Equation (1) in closed form: an imported motor torque gives back the coupling's."""
+    ratio, inertia, damping, kc, bc = 4.0, 2e-6, 1e-5, 0.02, 2e-4
+    time, omega = np.arange(0.0, 4.0, 0.002), 2.0 * math.pi * 3.0
+    angle, rate = 0.2 * np.sin(omega * time), 0.2 * omega * np.cos(omega * time)
+    torque = (kc * angle + bc * rate) / ratio + ratio * (inertia * -(omega**2) * angle + damping * rate)
+    rows = "\n".join(f"{t!r},{p!r},{q!r}" for t, p, q in zip(time, ratio * angle, torque, strict=True))
+    (tmp_path / "a.csv").write_text(f"t,p,q\n{rows}\n".replace("np.float64(", "").replace(")", ""))
+    columns = {"time": Column("t"), "motor_torque": Column("q"), "motor_position": Column("p")}
+    text = f"[stand]\ngear_ratio = {ratio}\nmotor_inertia = {inertia}\nmotor_damping = {damping}\n"
+    import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [], stand=parse(text))
+    with Recording(tmp_path / "a.h5") as recording:
+        signals = prepare(recording, parse(recording.stand_toml).stand)
+    assert signals.torque_from == "motor"
+    columns_of = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    found = np.linalg.lstsq(columns_of, signals.coupling_torque, rcond=None)[0]
+    np.testing.assert_allclose(found, [kc, bc], rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "said"),
+    [
+        (TABLE.replace("TAU", "tau"), (), "no column 'TAU'; it has TIME, POS, tau, run"),
+        (TABLE.replace("run", "TAU"), (), "2 columns named 'TAU'"),
+        (TABLE.replace("20", "twenty"), (), "row 3, column TAU: 'twenty' is not a number"),
+        (TABLE.replace("20", "20 mNm"), (), "row 3, column TAU: '20 mNm' is not a number"),
+        (TABLE.replace("20", "2_0"), (), "row 3, column TAU: '2_0' is not a number"),
+        (TABLE.replace("20", "x" * 500), (), "column TAU: 'x{40}[.]{3}' is not a number"),
+        (TABLE.replace(",", ";").replace("0.5;20", "0,5;20"), (), "both ways, '0.5' in row 2.*'0,5' in row 3"),
+        ("TIME;POS;TAU\n0;1,234;1\n1;2,345;1\n", (), "'1,234' in row 2, column POS, may be a decimal or a thousand"),
+        (TABLE.replace(",", ";").replace("10;", "1.234,5;"), (), "'1.234,5' is not a number"),
+        (TABLE.replace(".", ","), (), "row 2: 6 fields, but the header names 4.*separate the columns with semicolons"),
+        (TABLE + "1.0,2\n", (), "row 5: 2 fields, but the header names 4.*delete it if the file was cut off"),
+        (TABLE + '1.0,"2,3,4\n' + "5,6,7,8\n" * 20000, (), "near row.*longer than 131072 characters.*quotation mark"),
+        (f'TIME,"{"x" * 131073}\n', (), "row 1: a field is longer than 131072 characters"),
+        (TABLE.split("\n", 1)[1], (), "first line holds numbers"),
+        (TABLE.replace("TAU", "TAUS"), (), "did you mean 'TAUS'"),
+        (TABLE.replace("0.7", "0.1"), (), "row 4: the time goes backwards"),
+        (TABLE.replace("0.7", ""), (), "row 4: the time is not a number"),
+        (TABLE, ("run==9",), "no row meets run==9"),
+        (TABLE, ("speed==9",), "no column 'speed'"),
+        (TABLE, ("run=1",), "write a column, one of"),
+        (TABLE, ("run==one",), "write a column, one of"),
+        ("TIME,POS,TAU\n", (), "no rows"),
+        ("", (), "no column"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_said_with_its_row(
+    tmp_path: Path, text: str, where: tuple[str, ...], said: str
+) -> None:
+    with pytest.raises(WrongUse, match=said.replace("'", "'")):
+        imported(tmp_path, text, where)
+    assert not (tmp_path / "a.h5").exists()
+
+
+def test_an_unknown_unit_is_refused_with_the_nearest(tmp_path: Path) -> None:
+    with pytest.raises(WrongUse, match="did you mean 'mN\\*m'"):
+        imported(tmp_path, TABLE, torque=Column("TAU", "mN*M"))
+
+
+@pytest.mark.parametrize(
+    ("title", "unit", "said"),
+    [
+        ("TAU [Nm]", "mN*m", "in Nm by its heading and in mN\\*m by the command"),
+        ("TAU_Nm", "mN*m", "in N\\*m by its heading"),
+        ("TAU [V]", None, "names a unit of torque that is not known: give it with --torque-unit"),
+        ("TAU (filtered)", None, "give it with --torque-unit"),
+    ],
+)
+def test_a_heading_and_an_option_that_differ_are_refused(
+    tmp_path: Path, title: str, unit: str | None, said: str
+) -> None:
+    with pytest.raises(WrongUse, match=said):
+        imported(tmp_path, TABLE.replace("TAU", title), torque=Column(title, unit))
+
+
+def test_a_heading_whose_brackets_hold_no_unit_gives_way_to_the_option(tmp_path: Path) -> None:
+    with imported(tmp_path, TABLE.replace("TAU", "TAU (filtered)"), torque=Column("TAU", "mN*m")) as recording:
+        np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02, 0.03])
+
+
+def swing(degrees: float = 1.0, sign: float = 1.0) -> str:
+    time = np.arange(0.0, 2.0, 0.01)
+    rows = zip(time, np.sin(5 * time) * degrees, 5 * np.cos(5 * time) * sign, np.cos(time), strict=True)
+    return "t,a,r,q\n" + "\n".join(",".join(f"{value:.6f}" for value in row) for row in rows)
+
+
+SWING = {"time": Column("t"), "torque": Column("q"), "dtheta": Column("a"), "dtheta_dot": Column("r")}
+
+
+@pytest.mark.parametrize(("degrees", "sign", "ratio"), [(57.2958, 1.0, "0.017."), (1.0, -1.0, "-1")])
+def test_a_rate_in_other_units_than_its_deflection_is_refused(
+    tmp_path: Path, degrees: float, sign: float, ratio: str
+) -> None:
+    (tmp_path / "a.csv").write_text(swing(degrees, sign))
+    with pytest.raises(WrongUse, match=f"the deflection is {ratio} times.*their units or signs differ"):
+        import_table(tmp_path / "a.csv", tmp_path / "a.h5", SWING, [])
+
+
+def test_a_rate_that_fits_its_deflection_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(swing())
+    assert import_table(tmp_path / "a.csv", tmp_path / "a.h5", SWING, []).samples == 200
+
+
+@pytest.mark.parametrize("scale", [0.0, math.nan, math.inf])
+def test_a_scale_that_leaves_nothing_is_refused(tmp_path: Path, scale: float) -> None:
+    with pytest.raises(WrongUse, match="torque cannot be scaled"):
+        imported(tmp_path, TABLE, torque=Column("TAU", "mN*m", scale))
+
+
+def test_a_motor_torque_for_a_stand_with_a_torque_cell_is_refused(tmp_path: Path) -> None:
+    columns = {"time": Column("TIME"), "motor_torque": Column("TAU"), "motor_position": Column("POS")}
+    (tmp_path / "a.csv").write_text(TABLE)
+    stand = parse('[stand]\ntorque_source = "joint"\n')
+    with pytest.raises(WrongUse, match="name the torque cell's column with --torque"):
+        import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [], stand=stand)
+
+
+@pytest.mark.parametrize(
+    ("unit", "dimension", "si"),
+    [
+        ("kgf*cm", "torque", 0.0980665),
+        ("gf*cm", "torque", 9.80665e-5),
+        ("ozf*in", "torque", 0.00706155),
+        ("deg", "angle", 0.01745329),
+        ("lbf*ft", "torque", 1.3558179),
+        ("N·m", "torque", 1.0),
+        ("N m", "torque", 1.0),
+        ("N*mm", "torque", 1e-3),
+        ("oz-in", "torque", 0.00706155),
+        ("kg*cm", "torque", 0.0980665),
+        ("°", "angle", 0.01745329),
+        ("turns", "angle", 6.28318531),
+        ("rpm", "rate", 0.10471976),
+        ("rad/sec", "rate", 1.0),
+        ("us", "time", 1e-6),
+        ("µs", "time", 1e-6),
+        ("msec", "time", 1e-3),
+    ],
+)
+def test_units_are_what_the_tables_of_physics_say(unit: str, dimension: str, si: float) -> None:
+    from hil.exchange.units import factor
+
+    assert factor(dimension, unit) == pytest.approx(si, rel=1e-6)
+
+
+@pytest.mark.parametrize("channels", [{"torque"}, {"dtheta"}, {"motor_torque"}, {"motor_torque", "motor_position"}])
+def test_half_a_set_of_columns_is_refused(tmp_path: Path, channels: set[str]) -> None:
+    source = tmp_path / "a.csv"
+    source.write_text(TABLE)
+    columns = {"time": Column("TIME", "s")} | {channel: Column("POS", "rad") for channel in channels}
+    with pytest.raises(WrongUse, match="--"):
+        import_table(source, tmp_path / "a.h5", columns, [])
+
+
+@pytest.mark.parametrize("name", ["none.csv", "bad.csv.gz", "latin.csv"])
+def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "bad.csv.gz").write_bytes(b"not gzip")
+    (tmp_path / "latin.csv").write_bytes(b"TIME,POS,TAU\n0,\xe9,1\n")
+    with pytest.raises(WrongUse, match="cannot be read"):
+        import_table(tmp_path / name, tmp_path / "a.h5", PLAIN, [])
+
+
+def test_something_else_than_a_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(WrongUse, match="no such file"):
+        import_table(tmp_path, tmp_path / "a.h5", PLAIN, [])
+
+
+# --- MATLAB and Parquet ----------------------------------------------------------------------------------------------
+
+
+def test_vectors_of_a_matlab_file_are_columns_a_structs_too(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    time = np.array([0.5, 0.6, 0.7])
+    log = {"pos": np.array([[0.25, 0.5, -0.25]]), "tau": np.array([[10.0], [20.0], [30.0]])}
+    savemat(tmp_path / "a.mat", {"t": time, "run": np.array([1, 1, 2]), "log": log, "name": "a run"})
+    columns = {"time": Column("t"), "torque": Column("log.tau", "mN*m"), "dtheta": Column("log.pos", "rev")}
+    import_table(tmp_path / "a.mat", tmp_path / "a.h5", columns, [Condition.parse("run==1")])
+    with Recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02])
+        np.testing.assert_allclose(recording.channel("dtheta"), [0.5 * math.pi, math.pi])
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"MATLAB 7.3 MAT-file", "save it with"), (b"junk" * 64, "not a MAT-file"), (b"", "not a MAT-file")],
+)
+def test_a_matlab_file_that_cannot_be_read_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
+    (tmp_path / "a.mat").write_bytes(content)
+    with pytest.raises(WrongUse, match=said):
+        import_table(tmp_path / "a.mat", tmp_path / "a.h5", PLAIN, [])
+
+
+def test_columns_of_unequal_length_are_refused(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"TIME": np.arange(3.0), "TAU": np.arange(4.0), "POS": np.arange(3.0)})
+    with pytest.raises(WrongUse, match="unequal length \\(TIME 3, TAU 4, POS 3\\)"):
+        import_table(tmp_path / "a.mat", tmp_path / "a.h5", PLAIN, [])
+
+
+def test_a_parquet_file_reads_as_the_same_table_in_csv(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow", reason="PARQUET NOT TESTED: pyarrow is missing")
+    from pyarrow.parquet import write_table
+
+    table = {"TIME": [0.5, 0.6, 0.7], "POS": [0.25, 0.5, None], "TAU": [10, 20, 30], "run": [1, 1, 2], "s": ["a"] * 3}
+    write_table(pyarrow.table(table), tmp_path / "a.parquet")
+    assert import_table(tmp_path / "a.parquet", tmp_path / "a.h5", PLAIN, [Condition.parse("run>0")]).samples == 3
+    with Recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02, 0.03])
+        np.testing.assert_allclose(recording.channel("dtheta") / math.pi, [0.5, 1.0, math.nan])
+    with pytest.raises(WrongUse, match="column 's' does not hold numbers"):
+        import_table(tmp_path / "a.parquet", tmp_path / "b.h5", PLAIN | {"torque": Column("s", "N*m")}, [])
+    (tmp_path / "b.parquet").write_bytes(b"junk")
+    with pytest.raises(WrongUse, match="is not Parquet"):
+        import_table(tmp_path / "b.parquet", tmp_path / "b.h5", PLAIN, [])
+
+
+def test_parquet_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.parquet").write_bytes(b"PAR1")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(WrongUse, match="needs pyarrow: pip install 'hil\\[parquet\\]', or use CSV"):
+        import_table(tmp_path / "a.parquet", tmp_path / "a.h5", PLAIN, [])

@@ -1,0 +1,258 @@
+"""Recordings side by side: what is said of their repeatability, against recordings whose scatter was put in."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from ga.evolution.evolution import PRESETS
+from ga.model.terms import parse as parse_model
+from hil.cli.app import run
+from hil.errors import WrongUse
+from hil.exchange.importer import Column, import_table
+from hil.exchange.row_filter import Condition
+from hil.identification.compare import Comparison, compare, standard_error
+from hil.identification.identify import Search
+from hil.identification.result import Estimate
+from hil.identification.same_stand import check_together
+
+from ..conftest import Maker
+
+SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
+STAND = '[stand]\nname = "finger"\ngear_ratio = 4.0\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n'
+
+
+def stamped(path: Path, hour: float = 0.0, stand: str = "", kind: str = "chirp") -> Path:
+    """The same recording with another time, stand and kind of profile."""
+    minutes = round(60 * hour)
+    with h5py.File(path, "r+") as file:
+        file.attrs["created"] = f"2026-05-04T{10 + minutes // 60:02d}:{minutes % 60:02d}:00+00:00"
+        file.attrs["stand_toml"] = stand
+        file["profile"].attrs["kind"] = kind
+    return path
+
+
+def compared(make: Maker, stiffness: list[float], noise: float = 1e-5, stand: str = "") -> Comparison:
+    paths = [
+        stamped(make(f"r{index}.h5", samples=600, kc=kc, noise=noise, seed=index), hour=float(index), stand=stand)
+        for index, kc in enumerate(stiffness)
+    ]
+    return compare(paths, parse_model("linear"), SEARCH)
+
+
+def test_recordings_of_the_same_coupling_are_said_to_agree(make_recording: Maker) -> None:
+    found = compared(make_recording, [0.02, 0.02, 0.02, 0.02, 0.02])
+    kc, bc = found.parameters
+    assert kc.pooled is not None
+    assert kc.pooled.ci95[0] < 0.02 < kc.pooled.ci95[1]
+    assert (kc.repeats, bc.repeats) == (True, True)
+    assert kc.verdict.startswith(("Kc repeats:", "Kc agrees"))
+    assert found.trustworthy
+
+
+def test_a_scatter_between_recordings_is_found_in_its_size_and_said_in_words(make_recording: Maker) -> None:
+    put_in = np.array([0.0, 3e-4, -4e-4, 5e-4, -2e-4, 1e-4])
+    kc, bc = compared(make_recording, list(0.02 + put_in)).parameters
+    assert kc.pooled is not None
+    assert kc.pooled.between == pytest.approx(np.std(put_in, ddof=1), rel=0.02)
+    assert kc.pooled.within < 0.05 * kc.pooled.between
+    assert kc.repeats is False
+    assert "Kc does not repeat: it differs from recording to recording by 1.6 %" in kc.verdict
+    assert "drifts" not in kc.verdict
+    assert bc.repeats is True
+
+
+def test_an_uncertain_torque_hides_no_difference_and_is_in_the_pooled_interval(make_recording: Maker) -> None:
+    put_in = [0.02, 0.0203, 0.0196, 0.0205, 0.0198, 0.0201]
+    exact = compared(make_recording, put_in)
+    found = compared(make_recording, put_in, stand=STAND.replace("[limits]", "torque_uncertainty = 0.05\n[limits]"))
+    for before, after in zip(exact.parameters, found.parameters, strict=True):
+        assert before.pooled is not None
+        assert after.pooled is not None
+        assert after.pooled.value == pytest.approx(before.pooled.value)
+        assert after.pooled.between == pytest.approx(before.pooled.between, rel=1e-3, abs=1e-12)
+        assert after.pooled.within == pytest.approx(before.pooled.within, rel=1e-3)
+        assert after.repeats == before.repeats
+        low, high = before.pooled.ci95
+        half = math.hypot(0.5 * (high - low), 1.96 * 0.05 * before.pooled.value)
+        assert after.pooled.ci95 == pytest.approx((after.pooled.value - half, after.pooled.value + half), rel=1e-4)
+    assert "scale-in-common" in [finding.code for finding in found.findings]
+    assert "scale-in-common" not in [finding.code for finding in exact.findings]
+
+
+def test_a_drift_is_found_by_the_recordings_own_times(make_recording: Maker) -> None:
+    """2 % an hour was put in."""
+    kc, bc = compared(make_recording, [0.02, 0.0204, 0.0208, 0.0212]).parameters
+    assert kc.drift is not None
+    assert kc.drift.slope == pytest.approx(4e-4, rel=0.02)
+    assert kc.drift.p < 0.01
+    assert "It drifts by +1.9 % an hour" in kc.verdict
+    assert bc.drift is not None
+    assert bc.drift.p > 0.05
+
+
+def test_a_recording_that_cannot_tell_a_parameter_is_left_out_of_it(make_recording: Maker) -> None:
+    def still(channels: dict[str, Any]) -> None:
+        channels["dtheta"][:] = 0.1
+
+    good = [stamped(make_recording(f"{name}.h5", noise=1e-5, seed=seed)) for seed, name in enumerate("ab")]
+    paths = [*good, stamped(make_recording("c.h5", change=still))]
+    found = compare(paths, parse_model("linear"), SEARCH)
+    assert found.parameters[0].told_by == tuple(good)
+    assert found.recordings[2].estimates == {}
+    assert "left-out" in {finding.code for finding in found.findings}
+    assert found.trustworthy
+    alone = compare(paths[1:], parse_model("linear"), SEARCH)
+    assert not alone.trustworthy
+    assert alone.parameters[0].repeats is None
+    assert "1 of 2 recordings tell it" in alone.parameters[0].verdict
+
+
+def test_the_hour_of_an_import_is_not_taken_for_the_hour_of_the_run(make_recording: Maker) -> None:
+    paths = [
+        stamped(
+            make_recording(f"{seed}.h5", kc=0.02 + 1e-4 * seed, noise=1e-5, seed=seed), float(seed), kind="imported"
+        )
+        for seed in range(4)
+    ]
+    found = compare(paths, parse_model("linear"), SEARCH)
+    assert found.parameters[0].drift is None
+    assert [one.created for one in found.recordings] == [None] * 4
+    assert "time-unknown" in {finding.code for finding in found.findings}
+
+
+def test_recordings_that_agree_more_closely_than_their_errors_are_said_to(make_recording: Maker) -> None:
+    """The same noise in each, so that they agree by construction."""
+    paths = [stamped(make_recording(f"{name}.h5", noise=1e-4, seed=5), hour) for hour, name in enumerate("abc")]
+    verdict = compare(paths, parse_model("linear"), SEARCH).parameters[0].verdict
+    assert verdict.startswith("Kc repeats, more closely than the recordings' own errors of")
+
+
+def test_the_real_runs_of_one_actuator_agree(tmp_path: Path, locked_output: Path) -> None:
+    """Two ramps of base_onyx of +-25 to 40 N m, whose friction is a term of its own."""
+    columns = {"time": Column("TIME"), "torque": Column("TORQUE"), "dtheta": Column("POSITION", "rev")}
+    paths = [tmp_path / f"{run}.h5" for run in (100, 101)]
+    for path in paths:
+        where = [Condition.parse(f"test_nr=={path.stem}")]
+        import_table(locked_output / "base_onyx_runin1.csv.gz", path, columns, where)
+    kc = compare(paths, parse_model("linear+offset+coulomb"), SEARCH).parameters[0]
+    assert kc.pooled is not None
+    assert 240.0 < kc.pooled.value < 300.0
+    assert kc.pooled.between_ci95[0] < 0.1 * kc.pooled.value
+
+
+@pytest.mark.parametrize(("half", "error"), [(1.959964, 1.0), (0.0, 2e-8), (math.inf, math.inf)])
+def test_a_standard_error_is_the_intervals_and_never_zero(half: float, error: float) -> None:
+    estimate = Estimate("Kc", "N*m/rad", 20.0, 20.0, (20.0 - half, 20.0 + half), 20.0, 0.0, True, None, (0.0, 99.0))
+    assert standard_error(estimate) == pytest.approx(error)
+    assert standard_error(replace(estimate, exact=0.0, ci95=(0.0, 0.0))) > 0.0
+
+
+# --- what recordings must have in common -----------------------------------------------------------------------------
+
+
+def test_recordings_of_different_stands_are_refused(make_recording: Maker) -> None:
+    first = stamped(make_recording("a.h5"), stand=STAND)
+    second = stamped(make_recording("b.h5"), stand=STAND.replace("finger", "thumb"))
+    with pytest.raises(WrongUse, match=r"b.h5 is of the stand 'thumb' and .*a.h5 of 'finger'"):
+        check_together([first, second])
+
+
+def test_a_stand_that_was_changed_between_two_recordings_is_said(make_recording: Maker) -> None:
+    first = stamped(make_recording("a.h5"), stand=STAND)
+    changed = STAND.replace("4.0", "5.0").replace("0.03", "0.05") + "[sim]\n"
+    second, third = stamped(make_recording("b.h5"), stand=changed), stamped(make_recording("c.h5"))
+    found = check_together([first, second, third])
+    assert [finding.code for finding in found] == ["stand-changed", "stand-unknown"]
+    assert "gear_ratio 5.0 instead of 4.0, limits.torque 0.05 instead of 0.03" in found[0].message
+    assert "c.h5 name(s) no stand" in found[1].message
+
+
+def test_recordings_of_one_stand_or_of_none_have_nothing_said_of_them(make_recording: Maker) -> None:
+    one = [stamped(make_recording(f"{name}.h5"), stand=STAND) for name in "ab"]
+    assert check_together(one) == []
+    assert check_together([stamped(make_recording(f"{name}.h5")) for name in "cd"]) == []
+
+
+def test_the_same_run_twice_is_refused(make_recording: Maker, tmp_path: Path) -> None:
+    path = make_recording("a.h5")
+    (tmp_path / "copy.h5").write_bytes(path.read_bytes())
+    with pytest.raises(WrongUse, match=r"copy.h5 is the same run as"):
+        check_together([path, tmp_path / "copy.h5"])
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+Hil = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def hil(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hil:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def call(*words: object) -> tuple[int, str, str]:
+        status = run([str(word) for word in words])
+        return status, *capfd.readouterr()
+
+    return call
+
+
+def test_the_command_prints_each_recording_what_they_share_and_a_verdict(hil: Hil, make_recording: Maker) -> None:
+    for index, kc in enumerate([0.02, 0.021, 0.0205]):
+        stamped(make_recording(f"r{index}.h5", kc=kc, noise=1e-5, seed=index), hour=index / 2)
+    status, out, err = hil("compare", "r0.h5", "r1.h5", "r2.h5", "--trials", 2, "--picture", "c.png")
+    assert status == 0
+    assert all(name in out for name in ("r0.h5", "r1.h5", "r2.h5", "Kc, mN m/rad", "pooled", "within", "between"))
+    assert "…" not in out  # nothing is cut off at 80 characters
+    assert "Kc does not repeat" in out
+    assert "wrote c.png" in err
+    assert Path("c.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_json_is_one_object_of_numbers_in_si(hil: Hil, make_recording: Maker) -> None:
+    paths = [stamped(make_recording(f"r{i}.h5", noise=1e-5, seed=i), hour=i) for i in range(3)]
+    status, out, _ = hil("compare", *paths, "--trials", 2, "--json")
+    found = json.loads(out)
+    assert status == 0
+    assert found["schema"] == "hil-comparison/1"
+    kc = found["parameters"]["Kc"]
+    assert kc["ci95"][0] < 0.02 < kc["ci95"][1]
+    assert kc["between_ci95"][0] <= kc["between"] <= kc["between_ci95"][1]
+    assert set(kc["drift_per_hour"]) == {"value", "ci95", "p"}
+    assert [one["hours"] for one in found["recordings"]] == [0.0, 1.0, 2.0]
+    assert found["recordings"][0]["parameters"]["Bc"]["unit"] == "N*m*s/rad"
+    assert found["verdict"] == [kc["verdict"], found["parameters"]["Bc"]["verdict"]]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(("a.h5",), "at least two"), (("a.h5", "none.h5"), "cannot be opened"), ((), "Missing argument")],
+)
+def test_what_cannot_be_compared_is_wrong_use(
+    hil: Hil, make_recording: Maker, words: tuple[str, ...], said: str
+) -> None:
+    make_recording("a.h5", samples=100)
+    status, out, err = hil("compare", *words)
+    assert (status, out) == (2, "")
+    assert said in err
+
+
+def test_a_comparison_nothing_can_be_said_of_ends_with_status_1(hil: Hil, make_recording: Maker) -> None:
+    def still(channels: dict[str, Any]) -> None:
+        channels["dtheta"][:] = 0.1
+
+    for name in "ab":
+        make_recording(f"{name}.h5", samples=100, change=still)
+    status, out, err = hil("compare", "a.h5", "b.h5", "--trials", 2, "--json")
+    assert status == 1
+    assert json.loads(out)["parameters"]["Kc"]["value"] is None
+    assert "problem [cannot-compare]: Kc cannot be compared: 0 of 2 recordings tell it" in err

@@ -1,0 +1,80 @@
+"""A recording that does not fit in memory is identified as one that does."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ga.evolution.evolution import PRESETS
+from ga.lad import out_of_core
+from ga.model.terms import parse as parse_model
+from hil.cli.app import run
+from hil.identification import dataset
+from hil.identification.dataset import open_dataset
+from hil.identification.identify import Search, identify
+from hil.identification.model_choice import Choice
+from hil.identification.result import Identification
+from hil.recording.reader import Array
+from hil.signals.prepare import Signals, glimpse
+
+from ..conftest import Maker
+
+
+def identified(paths: list[Path], model: str = "linear+offset+cubic") -> Identification:
+    search = Search("default", PRESETS["default"], trials=3, seed=0, workers=1, bounds={})
+    return identify(paths, parse_model(model), search)
+
+
+@pytest.fixture
+def recordings(make_recording: Maker) -> list[Path]:
+    def spoil(channels: dict[str, Array]) -> None:
+        channels["torque"][40:45] = np.nan
+
+    return [make_recording("a.h5", samples=12_000, noise=2e-4), make_recording("b.h5", noise=2e-4, change=spoil)]
+
+
+def test_on_disk_and_in_memory_give_the_same_answer(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = identified(recordings)
+    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    monkeypatch.setattr(out_of_core, "_SUBSAMPLE", 3000)
+    parts = identified(recordings)
+    assert parts.samples == whole.samples > 13_500
+    assert parts.optimum == pytest.approx(whole.optimum, rel=1e-10)
+    assert parts.fitness == pytest.approx(whole.fitness, rel=1e-6)
+    assert parts.holdout.fitness == pytest.approx(whole.holdout.fitness, rel=1e-9)
+    assert parts.holdout.nrmse == pytest.approx(whole.holdout.nrmse, rel=1e-9)
+    assert [finding.code for finding in parts.findings] == [finding.code for finding in whole.findings]
+    for one, other in zip(parts.estimates, whole.estimates, strict=True):
+        assert one.exact == pytest.approx(other.exact, rel=1e-9)
+        assert one.ci95 == pytest.approx(other.ci95, rel=1e-6)
+        assert one.identifiable == other.identifiable
+
+
+def test_only_a_part_of_what_is_on_disk_is_held_in_memory(
+    recordings: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    seen = []
+
+    def choose(signals: Signals, whole: bool) -> Choice:
+        seen.append((len(signals), whole))
+        return Choice(parse_model("linear").anchored(signals.motion))
+
+    monkeypatch.setattr(dataset, "glimpse", partial(glimpse, parts=2, rows=500))
+    with open_dataset(recordings, choose) as data:
+        assert seen == [(len(data.signals), False)]
+        assert 1500 < len(data.signals) < 2000
+        assert sum(len(torque) for _, torque in data.blocks()) == data.samples > 13_500
+
+
+def test_nothing_is_left_on_disk(
+    recordings: list[Path], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    before = sorted(recordings[0].parent.iterdir())
+    assert run(["identify", str(recordings[0]), "--json"]) == 0
+    assert '"samples": 11' in capfd.readouterr().out
+    assert sorted(recordings[0].parent.iterdir()) == before

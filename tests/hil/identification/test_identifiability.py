@@ -1,0 +1,134 @@
+"""What is said of parameters that a recording cannot tell, and of terms that it neither asks for nor rules out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ga.evolution.evolution import PRESETS
+from ga.model.terms import parse
+from hil.diagnostics import Finding
+from hil.identification.identifiability import rivals
+from hil.identification.identify import Search, identify
+from hil.identification.result import Estimate, Identification
+from hil.identification.stepwise import Rung
+from hil.recording.reader import Array
+
+from ..conftest import Maker
+
+SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
+
+
+def rung(term: str, bc: float, gain: float = -5.0, *, taken: bool = False) -> Rung:
+    return Rung(f"linear+{term}", term, 1e-4, 1e-4, gain, 0.02, bc, taken)
+
+
+def estimate(name: str, exact: float, half: float) -> Estimate:
+    return Estimate(name, "", exact, exact, (exact - half, exact + half), exact, 0.0, True, None, (0.0, 1.0))
+
+
+FOUND = (estimate("Kc", 0.02, 1e-5), estimate("Bc", 2e-4, 1e-6))
+CHOSEN = rung("linear", 2e-4, taken=True)
+
+
+def test_a_term_that_would_move_a_parameter_out_of_its_interval_is_named() -> None:
+    (finding,) = rivals((CHOSEN, rung("skew", 2.1e-4)), FOUND)
+    assert (finding.code, finding.parameter, finding.fatal) == ("model-dependent", "Bc", False)
+    assert "with skew" in finding.message
+    assert "+5.00%" in finding.message
+
+
+def test_a_term_that_moves_nothing_or_has_strong_evidence_against_it_is_not() -> None:
+    assert not rivals((CHOSEN, rung("skew", 2.005e-4), rung("slack", 3e-4, gain=-7.0)), FOUND)
+
+
+def sine(channels: dict[str, Array], frequency: float) -> None:
+    """0.2 rad at one frequency, with 1 mN m of dry friction beside the paper's coupling."""
+    phase = 2.0 * np.pi * frequency * channels["time"]
+    rate = 0.4 * np.pi * frequency * np.cos(phase)
+    channels["dtheta"], channels["dtheta_dot"] = 0.2 * np.sin(phase), rate
+    channels["torque"] = 0.02 * channels["dtheta"] + 2e-4 * rate + 1e-3 * np.sign(rate)
+    channels["torque"] += 1e-4 * np.random.default_rng(1).standard_normal(len(phase))
+
+
+def triangle(channels: dict[str, Array]) -> None:
+    """One speed there and back, 0.8 rad/s, with as much dry friction."""
+    sine(channels, 1.0)
+    rate = 0.8 * np.sign(channels["dtheta_dot"])
+    channels["dtheta"] = 0.4 / np.pi * np.arcsin(channels["dtheta"] / 0.2)
+    channels["torque"] += 0.02 * (channels["dtheta"] - 0.2 * np.sin(2.0 * np.pi * channels["time"]))
+    channels["torque"] += 2e-4 * (rate - channels["dtheta_dot"])
+    channels["dtheta_dot"] = rate
+
+
+def of_damping(found: Identification) -> list[Finding]:
+    return [finding for finding in found.findings if finding.parameter == "Bc"]
+
+
+def test_a_damping_seen_at_one_speed_is_not_told_from_dry_friction(make_recording: Maker) -> None:
+    found = identify([make_recording(change=triangle)], parse("linear"), SEARCH)
+    assert found["Bc"].exact > 4.0 * 2e-4  # friction is in it, and its interval knows nothing of that
+    assert found["Kc"].identifiable
+    assert not found["Bc"].identifiable
+    (said,) = of_damping(found)
+    assert (said.code, said.fatal) == ("not-identifiable", True)
+    assert "from dry friction" in said.message
+    assert "several speeds" in said.message
+
+
+def test_a_sine_is_said_to_have_little_but_one_speed(make_recording: Maker) -> None:
+    path = make_recording(change=lambda channels: sine(channels, 5.0))
+    (said,) = of_damping(identify([path], parse("linear"), SEARCH))
+    assert (said.code, said.fatal) == ("one-speed", False)
+    assert not of_damping(identify([path], parse("linear+coulomb"), SEARCH))
+
+
+def test_several_speeds_have_nothing_said_of_them(make_recording: Maker) -> None:
+    assert not of_damping(identify([make_recording(noise=1e-4)], parse("linear"), SEARCH))
+
+
+def test_a_damping_that_friction_may_be_names_the_friction_and_the_corner(make_recording: Maker) -> None:
+    path = make_recording(samples=20000, change=lambda channels: sine(channels, 0.05))
+    (said,) = of_damping(identify([path], parse("linear+coulomb"), SEARCH))
+    assert (said.code, said.fatal) == ("not-identifiable", True)
+    assert "from Coulomb friction (Fc)" in said.message
+    assert "damping shows only towards" in said.message
+
+
+def test_recordings_that_differ_by_their_units_are_said_to_differ(make_recording: Maker) -> None:
+    paths = [make_recording(f"{seed}.h5", noise=1e-4, seed=seed) for seed in range(2)]
+    paths.append(make_recording("c.h5", kc=20.0, bc=0.2, noise=1e-1, seed=2))
+    found = identify(paths, parse("linear"), SEARCH)
+    for name in ("Kc", "Bc"):
+        assert not found[name].identifiable
+        assert any("the recordings differ" in one.message for one in found.findings if one.parameter == name)
+
+
+def test_no_corner_is_named_where_there_is_none(make_recording: Maker) -> None:
+    def nothing(channels: dict[str, Array]) -> None:
+        channels["torque"] = 1e-4 * np.random.default_rng(0).standard_normal(len(channels["time"]))
+
+    found = identify([make_recording(change=nothing)], parse("linear"), SEARCH)
+    assert any(finding.code == "not-identifiable" for finding in of_damping(found))
+    assert not any("inf" in finding.message for finding in found.findings)
+
+
+def test_a_unit_that_changes_in_the_middle_of_a_recording_is_found(make_recording: Maker) -> None:
+    def change(channels: dict[str, Array]) -> None:
+        channels["torque"][1000:] *= 1e3
+
+    found = identify([make_recording(noise=1e-5, change=change)], parse("linear"), SEARCH)
+    assert not found.trustworthy
+    (said,) = [finding for finding in found.findings if finding.code == "unsteady"]
+    assert said.parameter == "Kc"
+    assert "Kc is 0.02 N m/rad in one quarter of the recording and 20 in another" in said.message
+    steady = identify([make_recording("b.h5", noise=1e-4)], parse("linear"), SEARCH)
+    assert not [finding for finding in steady.findings if finding.code == "unsteady"]
+
+
+def test_friction_that_is_not_there_cannot_be_told_from_zero(make_recording: Maker) -> None:
+    found = identify([make_recording(noise=1e-4)], parse("linear+coulomb"), SEARCH)
+    assert not found["Fc"].identifiable
+    (said,) = [finding for finding in found.findings if finding.parameter == "Fc"]
+    assert (said.code, said.fatal) == ("not-identifiable", False)
+    assert "cannot be told from zero" in said.message
+    assert found["Kc"].identifiable

@@ -1,0 +1,131 @@
+"""Samples that friction holds the joint in are told from those it slides in, and left out of a model with friction.
+
+The recordings are of the simulated stand, whose LuGre friction knows nothing of the models: the joint rests at every
+reversal until the drive has pulled it through twice the friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+from drivers.servo import Quantity
+from ga.model.separable import Problem, fit
+from ga.model.terms import parse as model_of
+from hil.acquisition.excitation import make
+from hil.acquisition.interrupt import StopRequest
+from hil.acquisition.recorder import Recorder, tick_count
+from hil.identification.model_choice import choose
+from hil.recording.reader import Recording
+from hil.recording.writer import Header, PartFile
+from hil.signals.prepare import Signals, prepare
+from hil.stand.file import open_servo, parse
+
+KC, RATE = 17.75e-3, 500.0
+STAND = """
+[stand]
+name = "with friction"
+backend = "sim"
+gear_ratio = 4.0
+motor_inertia = 2e-7
+motor_damping = 1e-7
+torque_source = "joint"
+[limits]
+torque = 0.08
+deflection = 1.0
+velocity = 100.0
+temperature = 80.0
+[sim.coupling]
+coulomb_friction = {friction}
+static_friction_ratio = 1.0
+bristle_stiffness = 20.0
+bristle_damping = 0.0
+[sim.fixture]
+stiffness = 2000.0
+damping = 0.1
+[sim.drive]
+torque_limit = 0.02
+command_delay = 2e-4
+position_gain = 0.015
+position_integral_gain = 0.0
+position_damping_gain = 7e-5
+[sim.sensors]
+motor_counts = 16777216
+joint_encoder = false
+reports_velocity = false
+torque_cell_bandwidth = 20000.0
+torque_cell_offset = 0.0
+torque_cell_drift = 0.0
+torque_cell_lsb = 1e-7
+joint_torque_delay = {skew}
+[sim.link]
+jitter = 0.0
+"""
+
+
+@cache
+def recorded(friction: float, skew: float = 0.0) -> Signals:
+    """Ten seconds of a chirp from 0.2 to 12 Hz."""
+    text = STAND.format(friction=friction, skew=skew)
+    stand = parse(text)
+    profile = make(
+        "chirp", Quantity.POSITION, amplitude=0.376, default_amplitude=0.376, duration=10.0, band=(0.2, 12.0), rate=RATE
+    )
+    servo, truth = open_servo(stand, seed=0, realtime=False)
+    header = Header(profile=profile.attributes() | {"rate": RATE}, stand_toml=text, truth=truth, seed=0)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.h5"
+        try:
+            with PartFile(path, header, tick_count(profile, RATE)) as part:
+                part.finish(Recorder(stand, servo, profile, RATE, part).run(StopRequest()).end_reason)
+        finally:
+            servo.close()
+        with Recording(path) as recording:
+            return prepare(recording, stand.stand)
+
+
+def error(found: Signals, model: str, *, of_all: bool) -> float:
+    """How far Kc, told by the samples that the choice takes or by all of them, is from the truth."""
+    choice = choose(model_of(model), found, straight=False)
+    problem = Problem(choice.model, found.motion, found.torque, *choice.model.bounds(found.motion, found.band[1]))
+    taken = problem if of_all else problem.of(choice.told(found.motion))
+    return abs(float(fit(taken).optimum.genes[0]) / KC - 1.0)
+
+
+@pytest.mark.parametrize(("model", "skew"), [("linear+coulomb", 0.0), ("linear+coulomb+skew", 2e-3)])
+def test_where_friction_holds_the_joint_its_samples_are_left_out(model: str, skew: float) -> None:
+    found = recorded(1e-3, skew)
+    choice = choose(model_of(model), found, straight=False)
+    assert choice.held
+    assert choice.skew == pytest.approx(skew, abs=1e-4)
+    assert 0.85 < choice.told(found.motion).mean() < 0.95
+    assert error(found, model, of_all=False) < 1.5e-3
+    assert error(found, model, of_all=True) > 2e-3
+
+
+def test_where_there_is_next_to_no_friction_all_samples_are_taken() -> None:
+    found = recorded(1e-6)
+    choice = choose(model_of("linear+coulomb"), found, straight=False)
+    assert not choice.held
+    assert choice.told(found.motion).all()
+
+
+def test_the_ladder_leaves_them_out_as_well() -> None:
+    choice = choose(None, recorded(1e-3), straight=False)
+    assert choice.model.name == "linear+coulomb"
+    assert choice.held
+    assert all(abs(rung.Kc / KC - 1.0) < 3e-3 for rung in choice.rungs if rung.taken and rung.term == "coulomb")
+
+
+def test_a_model_without_friction_takes_all_samples() -> None:
+    found = recorded(1e-3)
+    assert choose(model_of("linear+offset"), found, straight=False).told(found.motion).all()
+
+
+def test_noise_that_hides_which_samples_are_slow_leaves_none_out() -> None:
+    noisy = replace(recorded(1e-3), rate_noise=1.0)
+    assert not choose(model_of("linear+coulomb"), noisy, straight=False).held

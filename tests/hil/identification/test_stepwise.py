@@ -1,0 +1,141 @@
+"""The ladder takes the terms that a recording pays for, and no others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ga.model.trajectory import Motion
+from hil.identification import stepwise
+from hil.identification.stepwise import Ladder, climb
+from hil.uncertainty.residual_spectrum import ResidualSpectrum
+
+Array = NDArray[np.float64]
+
+KC, BC = 17.75e-3, 0.19e-3
+SAMPLES, RATE, HIGHEST = 2000, 125.0, 12.0
+
+
+class Moved(NamedTuple):
+    """Time s, deflection rad, rate and acceleration, in closed form."""
+
+    time: Array
+    dtheta: Array
+    rate: Array
+    acceleration: Array
+
+
+def chirp(time: Array, low: float = 0.2, high: float = HIGHEST) -> Moved:
+    sweep = (high - low) / (SAMPLES / RATE)
+    phase, omega = 2.0 * np.pi * (low * time + 0.5 * sweep * time**2), 2.0 * np.pi * (low + sweep * time)
+    return Moved(
+        time,
+        0.35 * np.sin(phase),
+        0.35 * omega * np.cos(phase),
+        0.35 * (2.0 * np.pi * sweep * np.cos(phase) - omega**2 * np.sin(phase)),
+    )
+
+
+TIME = np.arange(SAMPLES) / RATE
+
+
+def linear(moved: Moved) -> Array:
+    return KC * moved.dtheta + BC * moved.rate
+
+
+def with_play(moved: Moved) -> Array:
+    pushed = np.sign(moved.dtheta) * np.maximum(np.abs(moved.dtheta) - 0.015, 0.0)
+    torque = KC * pushed + BC * moved.rate
+    return np.where(pushed * torque > 0.0, torque, 0.0)
+
+
+CASES: dict[str, Callable[[Moved], Array]] = {
+    "linear": linear,
+    "linear+offset": lambda moved: linear(moved) + 5e-4,
+    "linear+offset+drift": lambda moved: linear(moved) + 5e-4 + 5e-5 * moved.time,
+    "linear+coulomb": lambda moved: linear(moved) + 1e-3 * np.sign(moved.rate),
+    "linear+cubic": lambda moved: linear(moved) + 0.05 * moved.dtheta**3,
+    "linear+skew": lambda moved: linear(chirp(moved.time - 2e-3)),
+    "linear+offset+backlash": with_play,
+    "linear+offset+coulomb+skew": lambda moved: (
+        linear(chirp(moved.time - 2e-3)) + 1e-3 * np.sign(chirp(moved.time - 2e-3).rate) + 5e-4
+    ),
+}
+
+
+def climbed(torque: Array, moved: Moved, highest: float = HIGHEST) -> Ladder:
+    motion = Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES), rate_noise=0.02)
+    return climb(motion, torque, highest)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_terms_that_are_there_are_taken_and_no_others(name: str) -> None:
+    moved = chirp(TIME)
+    found = climbed(CASES[name](moved) + 2e-4 * np.random.default_rng(1).standard_normal(SAMPLES), moved)
+    assert found.model.name == name
+    top = [rung for rung in found.rungs if rung.taken][-1]
+    assert top.Kc == pytest.approx(KC, rel=1e-2)
+    assert top.Bc == pytest.approx(BC, rel=3e-2)
+
+
+def test_each_rung_says_what_its_term_gains_and_does_to_stiffness_and_damping() -> None:
+    moved = chirp(TIME)
+    torque = CASES["linear+coulomb"](moved) + 2e-4 * np.random.default_rng(2).standard_normal(SAMPLES)
+    first, second, *others = climbed(torque, moved).rungs
+    assert (first.term, first.taken) == ("linear", True)
+    assert np.isnan(first.gain)
+    assert (second.term, second.taken) == ("coulomb", True)
+    assert second.gain > 1000.0
+    assert second.fitness < 0.5 * first.fitness
+    assert second.held_out < 0.5 * first.held_out
+    assert first.Bc > 1.2 * BC  # friction that is left out lands in the damping
+    assert {rung.term for rung in others} >= {"offset", "cubic", "skew"}
+    assert all(rung.gain < 0.0 and not rung.taken for rung in others)
+
+
+def as_if_white(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
+    ((columns, _),) = blocks
+    return ResidualSpectrum(np.ones(1), np.ones(1), (columns.T @ columns)[None])
+
+
+def test_noise_that_follows_itself_is_less_often_taken_for_a_term_than_its_samples_would_have_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Counted a sample at a time, noise over a tenth of a second looks like news; by its spectrum, less so."""
+    moved = chirp(TIME)
+
+    def taken() -> int:
+        count = 0
+        for seed in range(3):
+            white = np.random.default_rng(seed).standard_normal(SAMPLES + 12)
+            torque = linear(moved) + 2e-4 * np.convolve(white, np.full(13, 0.28), mode="valid")
+            count += len(climbed(torque, moved).model.terms) - 1
+        return count
+
+    allowing = taken()
+    monkeypatch.setattr(stepwise, "measure", as_if_white)
+    assert allowing < taken()
+
+
+def test_a_skew_is_not_told_from_damping_where_the_joint_moves_slowly() -> None:
+    moved = chirp(TIME, 0.02, 0.3)
+    late = chirp(TIME - 5e-3, 0.02, 0.3)
+    torque = linear(late) + 2e-4 * np.random.default_rng(0).standard_normal(SAMPLES)
+    assert "skew" not in climbed(torque, moved, highest=0.3).model.terms
+
+
+def test_what_is_explained_to_the_accuracy_of_the_rate_needs_no_further_term() -> None:
+    """Without noise every error of the rate is significant, and none of them is the stand's."""
+    moved = chirp(TIME)
+    assert climbed(linear(moved) * (1.0 + 1e-5 * np.sin(moved.time)), moved).model.name == "linear"
+
+
+def test_the_model_chosen_is_anchored_to_the_recording() -> None:
+    moved = chirp(TIME + 5.0)
+    model = climbed(linear(moved), moved).model
+    assert model.origin == 5.0
+    assert model.smoothing is not None

@@ -1,0 +1,92 @@
+"""A user's own model, and everything that can be wrong with one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ga.evolution.evolution import PRESETS
+from hil.errors import WrongUse
+from hil.identification.compare import compare
+from hil.identification.identify import Search, identify
+from hil.identification.user_model import load
+
+from ..conftest import Maker
+
+GOOD = """
+from typing import Annotated
+import numpy as np
+
+def joint(time, dtheta, dtheta_dot, *, Kc: Annotated[float, "N*m/rad", 0.0, 0.1],
+          Bc: Annotated[float, "N*m*s/rad", 0.0, 2e-3]):
+    return Kc * dtheta + Bc * dtheta_dot
+"""
+SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "model.py"
+    path.write_text(text, encoding="utf-8")
+    return f"{path}:joint"
+
+
+def test_it_comes_to_what_the_linear_model_comes_to(make_recording: Maker, tmp_path: Path) -> None:
+    path = make_recording(noise=1e-4)
+    own = identify([path], load(written(tmp_path, GOOD)), SEARCH)
+    assert [estimate.unit for estimate in own.estimates] == ["N*m/rad", "N*m*s/rad"]
+    from ga.model.terms import parse
+
+    linear = identify([path], parse("linear"), SEARCH)
+    for one, other in zip(own.estimates, linear.estimates, strict=True):
+        assert one.exact == pytest.approx(other.exact, rel=1e-5)
+        assert one.value == pytest.approx(other.exact, rel=1e-4)
+        assert one.ci95 == pytest.approx(other.ci95, rel=1e-3)
+        assert one.identifiable
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("return Kc", "raise KeyError('x')\n    return Kc"), "raised KeyError"),
+        (("return Kc * dtheta", "return np.nan * dtheta"), "not a number"),
+        (("return Kc * dtheta + Bc * dtheta_dot", "return 1.0"), r"gave \(\) for"),
+        (("return Kc", "dtheta *= 2.0\n    return Kc"), "raised ValueError: .*read-only"),
+        (("return Kc", "raise SystemExit(0)\n    return Kc"), "raised SystemExit"),
+        (("return Kc * dtheta", "return 1j * dtheta"), "gave complex128 and not real numbers"),
+        (("return Kc * dtheta + Bc * dtheta_dot", "return None"), "gave object and not real numbers"),
+        (
+            ("return Kc", "if Kc < 0.04:\n        return np.nan * dtheta\n    return Kc"),
+            "not a number; at Kc = 0.0[0-3]",
+        ),
+        (("import numpy as np", "raise SystemExit(0)"), "raised SystemExit"),
+        (("0.0, 0.1]", "0.1, 0.0]"), "low below high"),
+        (("def joint", "def other"), "has no function joint"),
+        (("import numpy as np", "import nothing_of_that_name"), "raised ModuleNotFoundError"),
+    ],
+)
+def test_what_is_wrong_with_it_is_said_in_a_sentence(
+    make_recording: Maker, tmp_path: Path, change: tuple[str, str], said: str
+) -> None:
+    path = make_recording(noise=1e-4)
+    with pytest.raises(WrongUse, match=said):
+        identify([path], load(written(tmp_path, GOOD.replace(*change))), SEARCH)
+
+
+def test_a_file_that_is_not_there_is_said() -> None:
+    with pytest.raises(WrongUse, match=r"there is no file nowhere\.py"):
+        load("nowhere.py:joint")
+
+
+@pytest.mark.parametrize("unit", ["N*m/rad", "N m/rad", "Nm/rad", "mN*m/rad", "N*m"])
+def test_the_uncertainty_of_the_torque_is_carried_into_what_scales_with_it(tmp_path: Path, unit: str) -> None:
+    own = load(written(tmp_path, GOOD.replace('"N*m/rad"', f'"{unit}"').replace('"N*m*s/rad"', '"s"')))
+    assert [parameter.scales for parameter in own.shape] == [True, False]
+
+
+def test_a_model_without_kc_and_bc_is_identified_and_cannot_be_compared(make_recording: Maker, tmp_path: Path) -> None:
+    own = load(written(tmp_path, GOOD.replace("Kc", "k").replace("Bc", "b")))
+    paths = [make_recording(f"{seed}.h5", noise=1e-4, seed=seed) for seed in range(2)]
+    assert [estimate.name for estimate in identify(paths, own, SEARCH).estimates] == ["k", "b"]
+    with pytest.raises(WrongUse, match="has k, b: name them so"):
+        compare(paths, own, SEARCH)

@@ -1,0 +1,487 @@
+"""The file: what is written is what is read, at every stage, and what is not a recording is refused in a sentence."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording import reader
+from hil.recording import writer as part_module
+from hil.recording.output import Taken, check_part, check_target, give_up, next_free
+from hil.recording.reader import CHANNELS, ROW, SCHEMA, Recording
+from hil.recording.writer import Header, PartFile, finalise, missing_row, write
+
+from ..conftest import Maker
+
+HEADER = Header(
+    profile={"kind": "chirp", "amplitude": 0.006},
+    stand_toml='[stand]\nname = "x"\n',
+    truth={"Kc": 0.01775},
+    seed=5,
+    operator_note="left hand",
+    command_line="hil record",
+)
+
+
+def row(seq: int) -> tuple[float, ...]:
+    return (seq, *(seq + 0.01 * column for column in range(1, len(CHANNELS) - 1)), 8)
+
+
+def recorded(path: Path, rows: int, *, planned: int | None = None) -> PartFile:
+    part = PartFile(path, HEADER, planned or rows, batch=7)
+    for seq in range(rows):
+        part.append(row(seq))
+    part.flush()
+    return part
+
+
+def test_the_schema_in_the_docstring_is_the_schema_of_a_written_file(tmp_path: Path) -> None:
+    part = recorded(tmp_path / "a.h5", 10)
+    part.event(0.5, "stop-requested", "signal 2")
+    path = part.finish("done")
+    text = reader.__doc__ or ""
+    with h5py.File(path) as file:
+        assert set(file) == {"samples", "profile", "events", "truth"}
+        assert set(re.findall(r"^    /(\w+)/", text, re.MULTILINE)) == set(file)
+        attributes = text[text.index("/                attrs:") : text.index("/samples/")]
+        named = set(re.findall(r"\b[a-z_0-9]+\b", re.sub(r"\([^)]*\)", "", attributes.split("attrs:")[1])))
+        assert named == set(file.attrs)
+        assert set(file["samples"]) == set(CHANNELS)
+        for name, (unit, description) in CHANNELS.items():
+            dataset = file["samples"][name]
+            assert (dataset.attrs["unit"], dataset.attrs["description"]) == (unit, description)
+            assert (dataset.shape, dataset.dtype) == ((10,), ROW[name])
+            assert dataset.fletcher32
+            assert dataset.shuffle
+            assert dataset.compression == "gzip"
+        assert set(file["events"]) == {"time", "code", "message"}
+        assert file.attrs["schema"] == SCHEMA
+
+
+@pytest.mark.parametrize("stage", ["live", "final"])
+def test_both_stages_read_the_same(tmp_path: Path, stage: str) -> None:
+    part = recorded(tmp_path / "a.h5", 30, planned=30 if stage == "final" else 50)
+    part.event(0.25, "note", "half way")
+    path = part.finish("done") if stage == "final" else part.path
+    part.close()
+    with Recording(path) as recording:
+        assert len(recording) == 30
+        assert recording.live == (stage == "live")
+        assert recording.complete == (stage == "final")
+        expected = np.array([row(seq) for seq in range(30)], dtype=ROW)
+        for name in CHANNELS:
+            np.testing.assert_array_equal(recording.channel(name), expected[name].astype(float))
+        np.testing.assert_array_equal(np.concatenate([rows for _, rows in recording.rows(block=7)]), expected)
+        assert recording.profile == {"kind": "chirp", "amplitude": 0.006}
+        assert recording.truth() == {"Kc": 0.01775}
+        assert recording.stand_toml == HEADER.stand_toml
+        assert recording.attributes["seed"] == 5
+        assert [(event.time, event.code, event.message) for event in recording.events()] == [(0.25, "note", "half way")]
+        assert recording.verify()
+
+
+def test_a_recording_in_progress_is_legal_hdf5_at_every_row(tmp_path: Path) -> None:
+    part = PartFile(tmp_path / "a.h5", HEADER, 20, batch=1)
+    for seq in range(20):
+        with Recording(part.path) as recording:
+            assert len(recording) == seq
+        part.append(row(seq))
+    part.close()
+
+
+def test_rows_after_a_hole_are_not_taken_for_the_runs(tmp_path: Path) -> None:
+    part = recorded(tmp_path / "a.h5", 5, planned=20)
+    with part.path.open("rb+") as file, h5py.File(part.path) as hdf5:
+        file.seek(hdf5["live"].id.get_offset() + 8 * ROW.itemsize)
+        file.write(np.array([row(8)], dtype=ROW).tobytes())
+    part.close()
+    with Recording(part.path) as recording:
+        assert len(recording) == 5
+
+
+def test_a_killed_recorder_leaves_every_row_it_handed_over(tmp_path: Path) -> None:
+    """SIGKILL runs no cleanup at all: what is in the file then is what the design promises."""
+    path = tmp_path / "a.h5"
+    code = (
+        "import os, signal, sys; from pathlib import Path\n"
+        "from hil.recording.writer import Header, PartFile, missing_row\n"
+        "part = PartFile(Path(sys.argv[1]), Header(profile={'kind': 'x'}), 1000, batch=10)\n"
+        "for seq in range(537): part.append((seq, *[0.5] * (len(missing_row(0)) - 2), 0))\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
+    assert run.returncode == -signal.SIGKILL
+    with Recording(path.with_name("a.h5.part")) as recording:
+        assert len(recording) == 530
+        assert not recording.complete
+
+
+def test_recovering_makes_a_final_file_and_leaves_the_part_alone(tmp_path: Path) -> None:
+    part = recorded(tmp_path / "a.h5", 12, planned=40)
+    part.close()
+    before = part.path.read_bytes()
+    finalise(part.path, tmp_path / "b.h5")
+    assert part.path.read_bytes() == before
+    with Recording(tmp_path / "b.h5") as recording:
+        assert (len(recording), recording.complete, recording.live) == (12, False, False)
+        assert recording.attributes["end_reason"] == "recovered"
+        assert recording.verify()
+
+
+def test_a_changed_sample_does_not_verify(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "a.h5", 12).finish("done")
+    with h5py.File(path, "r+") as file:
+        file["samples"]["torque"][3] += 1e-9
+    with Recording(path) as recording:
+        assert not recording.verify()
+
+
+def test_damaged_samples_are_said_to_be_damaged(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "a.h5", 500).finish("done")
+    with h5py.File(path) as file:
+        at = file["samples"]["torque"].id.get_chunk_info(0).byte_offset
+    with path.open("rb+") as raw:
+        raw.seek(at + 20)
+        raw.write(b"\xff\x00\xff")
+    with Recording(path) as recording, pytest.raises(Untrustworthy, match="damaged"):
+        recording.channel("torque")
+
+
+def test_a_failed_second_stage_leaves_the_part_and_no_half_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = recorded(tmp_path / "a.h5", 12)
+
+    def full(file: int) -> None:
+        del file
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(WrongUse, match="No space left"):
+        part.finish("done")
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["a.h5.part"]
+    with Recording(part.path) as recording:
+        assert len(recording) == 12
+
+
+def test_a_full_disk_is_found_before_anything_moves(tmp_path: Path) -> None:
+    """A real refusal by the kernel: the process may write no file larger than 100 kB."""
+    code = (
+        "import resource, signal, sys; from pathlib import Path\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
+        "from hil.errors import WrongUse\n"
+        "from hil.recording.writer import Header, PartFile\n"
+        "try: PartFile(Path(sys.argv[1]), Header(profile={}), 100_000)\n"
+        "except WrongUse as error: print(error)\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "a.h5")], check=True, capture_output=True, text=True
+    )
+    assert "cannot be written" in run.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_without_room_for_both_stages_is_refused_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """HDF5 ends in a segmentation fault on a disk that fills up under it, so the room is counted beforehand."""
+    rows = 10_000 * ROW.itemsize
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1.5 * rows))
+    with pytest.raises(WrongUse, match=rf"the disk has {1.5 * rows / 1e6:.1f} MB free"):
+        PartFile(tmp_path / "a.h5", HEADER, 10_000)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_filled_up_meanwhile_keeps_the_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    part = recorded(tmp_path / "a.h5", 12)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    with pytest.raises(WrongUse, match="make room"):
+        part.finish("done")
+    assert [item.name for item in tmp_path.iterdir()] == ["a.h5.part"]
+
+
+def test_the_next_free_name_counts_unfinished_recordings_too(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    assert next_free(folder).name == "run1.h5"
+    for name in ("run1.h5", "run7.h5.part", "runner.h5", "run9.csv"):
+        (folder / name).touch()
+    assert next_free(folder).name == "run8.h5"
+
+
+def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
+    (tmp_path / "a.h5").touch()
+    (tmp_path / "b.h5.part").touch()
+    with pytest.raises(WrongUse, match="--force"):
+        check_target(tmp_path / "a.h5", force=False)
+    with pytest.raises(WrongUse, match="--force"):
+        check_part(tmp_path / "b.h5")
+
+
+def test_looking_whether_a_name_is_free_removes_nothing(tmp_path: Path) -> None:
+    for name in ("a.h5", "a.h5.part"):
+        (tmp_path / name).write_text("data")
+    check_target(tmp_path / "a.h5", force=True)
+    assert sorted(item.read_text() for item in tmp_path.iterdir()) == ["data", "data"]
+
+
+def test_what_is_read_is_never_overwritten_whatever_it_is_called(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("data")
+    (tmp_path / "b.csv").symlink_to("a.csv")
+    for name in ("a.csv", "b.csv", "../" + tmp_path.name + "/a.csv"):
+        with pytest.raises(WrongUse, match="what is read"):
+            check_target(tmp_path / name, force=True, inputs=[tmp_path / "a.csv"])
+
+
+def test_a_left_over_part_can_be_given_up_and_a_live_one_cannot(tmp_path: Path) -> None:
+    give_up(tmp_path / "a.h5")  # there is none
+    part = recorded(tmp_path / "a.h5", 5)
+    with pytest.raises(WrongUse, match="is being recorded"):
+        give_up(tmp_path / "a.h5")
+    with Recording(part.path) as recording:
+        assert len(recording) == 5
+    part.close()
+    give_up(tmp_path / "a.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_live_part_of_another_process_is_not_given_up(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from hil.errors import WrongUse\n"
+        "from hil.recording.output import give_up\n"
+        "try: give_up(Path(sys.argv[1]))\n"
+        "except WrongUse as error: print(error)\n"
+    )
+    with recorded(tmp_path / "a.h5", 5) as part:
+        other = subprocess.run(
+            [sys.executable, "-c", code, str(tmp_path / "a.h5")], check=True, capture_output=True, text=True
+        )
+        assert "is being recorded" in other.stdout
+        assert part.path.exists()
+
+
+def test_a_live_part_can_be_watched_with_any_reader(tmp_path: Path) -> None:
+    with recorded(tmp_path / "a.h5", 5) as part, h5py.File(part.path) as file:
+        assert file["live"][3]["seq"] == 3
+
+
+def test_two_recorders_never_share_a_file(tmp_path: Path) -> None:
+    with recorded(tmp_path / "a.h5", 5) as first:
+        with pytest.raises(Taken, match="File exists"):
+            PartFile(tmp_path / "a.h5", HEADER, 5)
+        with Recording(first.path) as recording:
+            assert len(recording) == 5
+
+
+def test_what_took_the_place_of_the_part_is_not_finished_in_its_stead(tmp_path: Path) -> None:
+    with recorded(tmp_path / "a.h5", 12) as part:
+        part.path.unlink()
+        recorded(tmp_path / "b.h5", 3).close()
+        (tmp_path / "b.h5.part").rename(part.path)
+        with pytest.raises(WrongUse, match="somebody has replaced it"):
+            part.finish("done")
+    with Recording(part.path) as recording:
+        assert len(recording) == 3
+
+
+def test_a_part_is_discarded_only_where_it_is_ours(tmp_path: Path) -> None:
+    part = PartFile(tmp_path / "a.h5", HEADER, 5)
+    part.path.unlink()
+    part.path.write_text("somebody else's")
+    part.discard()
+    assert part.path.read_text() == "somebody else's"
+
+
+def test_a_temporary_file_of_somebody_elses_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "a.h5.tmp").write_text("my own data")
+    recorded(tmp_path / "a.h5", 5).finish("done")
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["a.h5", "a.h5.tmp"]
+    assert (tmp_path / "a.h5.tmp").read_text() == "my own data"
+
+
+@pytest.mark.parametrize("planned", [0, 40])
+def test_a_part_without_a_row_is_recovered_as_an_empty_recording(tmp_path: Path, planned: int) -> None:
+    part = PartFile(tmp_path / "a.h5", HEADER, planned)
+    part.close()
+    assert finalise(part.path, tmp_path / "a.h5") == 0
+    with Recording(tmp_path / "a.h5") as recording:
+        assert (len(recording), recording.verify()) == (0, True)
+        assert recording.truth() == {"Kc": 0.01775}
+
+
+@pytest.mark.parametrize("where", ["hil.recording.writer.write_at", "os.fsync"])
+def test_a_disk_that_fails_under_a_run_is_said_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    failed = threading.Event()
+
+    def fail(*words: object) -> int:
+        failed.set()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(len(words)))
+
+    part = recorded(tmp_path / "a.h5", 12, planned=100)
+    monkeypatch.setattr(where, fail)
+    if where == "os.fsync":  # asked for by a thread of its own
+        assert failed.wait(10.0)
+        part._syncer.join()
+    with pytest.raises(Untrustworthy, match="No space left on device"):
+        recorded_more(part, 7)
+    with pytest.raises(Untrustworthy):
+        part.event(0.5, "note", "half way")
+    part.close()
+    monkeypatch.undo()
+    with Recording(part.path) as recording:
+        assert len(recording) == 12
+
+
+def recorded_more(part: PartFile, rows: int) -> None:
+    for seq in range(len(part), len(part) + rows):
+        part.append(row(seq))
+
+
+def test_a_target_without_a_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(WrongUse, match="is not a folder"):
+        check_target(tmp_path / "none" / "a.h5", force=False)
+    with pytest.raises(WrongUse, match="is a folder"):
+        check_target(tmp_path, force=True)
+
+
+def _not_hdf5(path: Path) -> None:
+    path.write_text("time,torque\n")
+
+
+def _empty_file(path: Path) -> None:
+    path.touch()
+
+
+def _foreign(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["x"] = [1.0]
+
+
+def _other_version(path: Path) -> None:
+    recorded(path, 5).finish("done")
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema"] = "hil-recording/2"
+
+
+def _unequal(path: Path) -> None:
+    recorded(path, 5).finish("done")
+    with h5py.File(path, "r+") as file:
+        del file["samples"]["torque"]
+        file["samples"]["torque"] = np.zeros(4)
+
+
+def _lacking(path: Path) -> None:
+    recorded(path, 5).finish("done")
+    with h5py.File(path, "r+") as file:
+        del file["samples"]["dtheta"]
+
+
+def _text_channel(path: Path) -> None:
+    recorded(path, 5).finish("done")
+    with h5py.File(path, "r+") as file:
+        del file["samples"]["dtheta"]
+        file["samples"]["dtheta"] = np.array([b"a"] * 5)
+
+
+def _external(path: Path) -> None:
+    recorded(path, 5).finish("done")
+    secret = path.with_name("secret")
+    secret.write_bytes(b"\x00" * 40)
+    with h5py.File(path, "r+") as file:
+        del file["samples"]["torque"]
+        file["samples"].create_dataset("torque", (5,), "<f8", external=[(str(secret), 0, 40)])
+
+
+def _external_link(path: Path) -> None:
+    recorded(path, 5).finish("done")
+    with h5py.File(path, "r+") as file:
+        del file["samples"]["torque"]
+        file["samples"]["torque"] = h5py.ExternalLink("elsewhere.h5", "/x")
+
+
+def _fifo(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def _nothing(path: Path) -> None:
+    del path
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (_nothing, "No such file"),
+        (_not_hdf5, "is not HDF5"),
+        (_empty_file, "is not HDF5"),
+        (_foreign, "hil import"),
+        (_other_version, "hil-recording/2"),
+        (_unequal, "unequal length"),
+        (_lacking, "lacks dtheta"),
+        (_text_channel, "one column of numbers"),
+        (_external, "another file"),
+        (_external_link, "a link"),
+        (_fifo, "is not a file"),
+    ],
+)
+def test_what_is_no_recording_is_refused_in_a_sentence(
+    tmp_path: Path, spoil: Callable[[Path], None], said: str
+) -> None:
+    path = tmp_path / "a.h5"
+    spoil(path)
+    with pytest.raises(WrongUse, match=said) as refusal:
+        Recording(path)
+    assert str(path) in str(refusal.value)
+    assert len(str(refusal.value).splitlines()) == 1
+
+
+def test_an_imported_recording_has_every_channel(make_recording: Maker) -> None:
+    with Recording(make_recording(samples=100)) as recording:
+        assert len(recording) == 100
+        assert recording.complete
+        assert recording.verify()
+        assert np.isnan(recording.channel("temperature")).all()
+        np.testing.assert_array_equal(recording.channel("seq"), np.arange(100.0))
+
+
+def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="broadcast"):
+        write(tmp_path / "a.h5", HEADER, {"time": np.zeros(3), "torque": np.zeros(4)})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_checkout_that_was_not_installed_records_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def known(name: str) -> str:
+        if name == "hil":
+            raise PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(part_module, "version", known)
+    with Recording(recorded(tmp_path / "a.h5", 5).finish("done")) as recording:
+        software = json.loads(recording.attributes["software"])
+    assert "hil" not in software
+    assert software["numpy"] == np.__version__
+
+
+def test_a_missing_row_holds_its_number_and_nothing_else() -> None:
+    seq, *readings, status = missing_row(4)
+    assert (seq, status) == (4, 0)
+    assert np.isnan(readings).all()

@@ -1,0 +1,142 @@
+"""The report: the numbers people read are the ones that were found, in the unit beside them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from ga.evolution.evolution import PRESETS
+from ga.model.terms import parse
+from hil.errors import WrongUse
+from hil.identification.identify import Search, identify
+from hil.identification.result import Identification
+from hil.report.identification import draw, identification_tables, page_files, write_page
+
+from ..conftest import Maker
+
+
+def found(path: Path, *, trials: int = 3, model: str = "linear") -> Identification:
+    search = Search("default", PRESETS["default"], trials=trials, seed=0, workers=1, bounds={})
+    return identify([path], parse(model), search)
+
+
+def text(result: Identification, width: int) -> str:
+    console = Console(width=width)
+    with console.capture() as drawn:
+        for table in identification_tables(result, width):
+            console.print(table)
+    return drawn.get()
+
+
+@pytest.mark.parametrize(("kc", "factor", "unit"), [(0.02, 1e3, "mN m"), (20.0, 1.0, "N m")])
+def test_a_page_says_value_interval_and_unit_as_they_were_found(
+    make_recording: Maker, tmp_path: Path, kc: float, factor: float, unit: str
+) -> None:
+    """A hand's joint is spoken of in mN m, as in the paper; an arm's is not."""
+    result = found(make_recording(kc=kc, bc=kc / 100.0, noise=kc / 100.0))
+    page = write_page(result, tmp_path / "a.html")[0].read_text()
+    rows = re.findall(r"<tr><td>(\w+)</td><td>(\S+)</td><td>(\S+) to (\S+)</td><td>([^<]+)</td><td>yes</td></tr>", page)
+    assert [(name, said) for name, _, _, _, said in rows] == [("Kc", f"{unit}/rad"), ("Bc", f"{unit} s/rad")]
+    for name, *numbers, _ in rows:
+        estimate = result[name]
+        expected = [estimate.value * factor, estimate.ci95[0] * factor, estimate.ci95[1] * factor]
+        assert [float(number) for number in numbers] == pytest.approx(expected, rel=1e-4)
+    assert float(rows[0][1]) == pytest.approx(kc * factor, rel=0.02)
+
+
+def figure_of(result: Identification, path: Path, monkeypatch: pytest.MonkeyPatch) -> Figure:
+    drawn: list[Figure] = []
+    save = Figure.savefig
+
+    def keep(figure: Figure, *words: Any, **settings: Any) -> None:
+        drawn.append(figure)
+        save(figure, *words, **settings)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    draw(result, path)
+    return drawn[0]
+
+
+def test_the_picture_shows_the_torque_the_model_and_what_is_left(
+    make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = found(make_recording(noise=2e-4))
+    axes = figure_of(result, tmp_path / "a.png", monkeypatch).axes
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    signals = result.signals
+    model = result["Kc"].value * signals.dtheta + result["Bc"].value * signals.dtheta_dot
+    lines = [(panel.get_xlabel(), [np.asarray(line.get_xydata()) for line in panel.get_lines()]) for panel in axes]
+    over_time = [found for label, found in lines if label in {"", "time [s]"}]
+    (loop,) = [found for label, found in lines if label == "deflection [rad]"]
+    for shown, x, y in [
+        (over_time[0][0], signals.time, signals.torque),
+        (over_time[0][1], signals.time, model),
+        (over_time[1][0], signals.time, signals.torque - model),
+        (loop[0], signals.dtheta, signals.torque),
+        (loop[1], signals.dtheta, model),
+    ]:
+        np.testing.assert_allclose(shown, np.column_stack([x, y * 1e3]), atol=1e-12)
+
+
+def test_the_pictures_title_has_the_value_and_half_the_interval(
+    make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = found(make_recording(noise=2e-4))
+    titles = [axes.get_title() for axes in figure_of(result, tmp_path / "a.png", monkeypatch).axes]
+    match = re.fullmatch(r"Kc = (\S+) ± (\S+) mN m/rad,  Bc = (\S+) ± (\S+) mN m s/rad", next(filter(None, titles)))
+    assert match is not None
+    for index, name in enumerate(("Kc", "Bc")):
+        estimate = result[name]
+        half = 0.5e3 * (estimate.ci95[1] - estimate.ci95[0])
+        assert float(match[2 * index + 1]) == pytest.approx(estimate.value * 1e3, rel=1e-3)
+        assert float(match[2 * index + 2]) == pytest.approx(half, rel=0.5)  # one digit is said
+        assert match[2 * index + 2] == f"{half:.1g}"
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.filterwarnings("ignore:invalid value encountered in sqrt")  # of an interval that cannot be told
+def test_a_table_is_whole_on_any_terminal(make_recording: Maker, width: int) -> None:
+    result = found(make_recording(noise=2e-4), model="linear+offset+drift+coulomb+cubic")
+    shown = text(result, width)
+    assert "…" not in shown
+    assert max(len(line.rstrip()) for line in shown.splitlines()) <= width
+    for estimate in result.estimates:
+        assert f"{estimate.value * 1e3:.5g}" in shown
+        assert f"± {estimate.trials_std * 1e3:.0e}" in shown
+    if width == 120:
+        assert f"{result['Kc'].ci95[0] * 1e3:.5g} to {result['Kc'].ci95[1] * 1e3:.5g}" in shown
+
+
+def test_one_trial_has_a_mean_and_no_spread(make_recording: Maker) -> None:
+    shown = text(found(make_recording(noise=2e-4), trials=1), 100)
+    assert "nan" not in shown
+    assert "±" not in shown.replace("mean ± std", "")
+
+
+def test_a_page_is_not_its_own_picture(tmp_path: Path) -> None:
+    assert page_files(tmp_path / "a.html") == (tmp_path / "a.html", tmp_path / "a.png")
+    with pytest.raises(WrongUse, match=r"a\.html"):
+        page_files(tmp_path / "a.png")
+
+
+def test_a_picture_that_cannot_be_drawn_leaves_the_old_one(
+    make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = found(make_recording(noise=2e-4))
+    (tmp_path / "p.png").write_text("the old one")
+
+    def fail(*words: Any, **settings: Any) -> None:
+        Path(words[1]).write_text(f"half of it, {len(settings)}")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    with pytest.raises(WrongUse, match="No space left"):
+        write_page(result, tmp_path / "p.html")
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["a.h5", "p.png"]
+    assert (tmp_path / "p.png").read_text() == "the old one"

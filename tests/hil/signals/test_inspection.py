@@ -1,0 +1,107 @@
+"""What `hil inspect` says of a recording: every threshold from both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import h5py
+import numpy as np
+import pytest
+
+from drivers.servo import Status
+from hil.errors import Untrustworthy
+from hil.recording.reader import Array, Recording
+from hil.signals.inspection import inspect
+from hil.signals.prepare import prepare
+
+from ..conftest import Maker
+
+Change = Callable[[dict[str, Array]], object]
+
+
+def marked(share: float, status: Status) -> Change:
+    """Every so many-th row with that status; what was not answered holds no reading."""
+
+    def change(channels: dict[str, Array]) -> None:
+        rows = len(channels["time"])
+        chosen = np.linspace(50, rows - 50, round(share * rows)).astype(int)
+        channels["status"] = np.zeros(rows)
+        channels["status"][chosen] = float(int(status))
+        if status is Status.NO_REPLY:
+            channels["torque"][chosen] = channels["dtheta"][chosen] = np.nan
+
+    return change
+
+
+def codes(make_recording: Maker, **settings: object) -> dict[str, bool]:
+    """Code of each finding, and whether it is fatal."""
+    return {finding.code: finding.fatal for finding in inspect(make_recording(**settings)).findings}
+
+
+@pytest.mark.parametrize(
+    ("status", "share", "code", "fatal"),
+    [
+        (Status.SATURATED, 0.009, "saturated", None),
+        (Status.SATURATED, 0.011, "saturated", False),
+        (Status.NO_REPLY, 0.019, "many-lost", None),
+        (Status.NO_REPLY, 0.021, "many-lost", False),
+        (Status.LATE, 0.009, "many-late", None),
+        (Status.LATE, 0.011, "many-late", False),
+        (Status.LATE, 0.099, "many-late", False),
+        (Status.LATE, 0.101, "many-late", True),
+    ],
+)
+def test_rows_that_were_not_ordinary_are_told_from_a_share_on(
+    make_recording: Maker, status: Status, share: float, code: str, fatal: bool | None
+) -> None:
+    assert codes(make_recording, change=marked(share, status)).get(code) is fatal
+
+
+@pytest.mark.parametrize(("ratio", "fatal"), [(22.0, None), (18.0, False), (4.5, False), (1.5, True)])
+def test_a_torque_near_its_noise_is_told(make_recording: Maker, ratio: float, fatal: bool | None) -> None:
+    """The ratio in dB is the variance of the torque, noise included, over the noise's."""
+    with Recording(make_recording()) as recording:
+        power = float(np.var(recording.channel("torque")))
+    noise = float(np.sqrt(power / (10.0 ** (ratio / 10.0) - 1.0)))
+    path = make_recording(noise=noise, samples=20_000)
+    assert inspect(path).snr == pytest.approx(ratio, abs=0.5)
+    assert {item.code: item.fatal for item in inspect(path).findings}.get("poor-snr") is fatal
+
+
+@pytest.mark.parametrize(("counts", "fatal"), [(22, None), (18, False), (4, False), (2, True)])
+def test_a_deflection_of_few_counts_is_told(make_recording: Maker, counts: int, fatal: bool | None) -> None:
+    def coarse(channels: dict[str, Array]) -> None:
+        low, high = channels["dtheta"].min(), channels["dtheta"].max()
+        step = (high - low) / counts
+        channels["dtheta"] = np.round((channels["dtheta"] - low) / step) * step
+
+    assert codes(make_recording, noise=1e-5, change=coarse).get("few-counts") is fatal
+
+
+def test_samples_that_were_altered_are_not_measured(make_recording: Maker) -> None:
+    path = make_recording()
+    with h5py.File(path, "r+") as file:
+        file["samples"]["torque"][7] += 1e-9
+    with pytest.raises(Untrustworthy, match="sha256 differs"):
+        inspect(path)
+
+
+@pytest.mark.parametrize(("missing", "dropped"), [(-1, False), (1, True)])
+def test_a_window_may_span_a_gap_of_half_its_width_and_no_more(
+    make_recording: Maker, missing: int, dropped: bool
+) -> None:
+    """A window of 2h periods may reach over half as much again: h-1 rows lost in a row leave it sound, h+1 do not."""
+    with Recording(make_recording()) as recording:
+        half = round(float(prepare(recording, None).time[0]) * 500.0)  # the widest window is not whole before
+    assert half > 3
+
+    def lose(channels: dict[str, Array]) -> None:
+        chosen = slice(1000, 1000 + half + missing)
+        channels["status"] = np.zeros(2000)
+        channels["status"][chosen] = float(int(Status.NO_REPLY))
+        channels["dtheta"][chosen] = channels["torque"][chosen] = np.nan
+
+    with Recording(make_recording(change=lose)) as recording:
+        signals = prepare(recording, None)
+    assert signals.lost == half + missing
+    assert (signals.near_gaps > 0) == dropped

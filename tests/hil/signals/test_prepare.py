@@ -1,0 +1,198 @@
+"""From a file to signals: the rate against closed forms, coarse clocks, gaps, and torque through equation (1)."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from hil.errors import Untrustworthy
+from hil.recording.reader import Array, Recording
+from hil.recording.writer import Header, write
+from hil.signals.prepare import excited_band, prepare, spread_stamps, stream
+from hil.stand.file import StandTable
+
+from ..conftest import Maker
+
+
+def signals_of(path: Path, stand: StandTable | None = None) -> object:
+    with Recording(path) as recording:
+        return prepare(recording, stand)
+
+
+def test_the_excited_band_is_the_one_that_was_driven() -> None:
+    time = np.arange(20000) / 500.0
+    rng = np.random.default_rng(0)
+    dtheta = 0.1 * np.sin(2 * np.pi * 0.5 * time) + 0.05 * np.sin(2 * np.pi * 6.0 * time)
+    low, high = excited_band(time, dtheta + 1e-4 * rng.standard_normal(len(time)))
+    assert low == pytest.approx(0.5, abs=0.1)
+    assert high == pytest.approx(6.0, abs=0.1)
+
+
+def test_a_coarse_clock_is_spread_to_within_its_own_tick() -> None:
+    """A clock of 15.6 ms over rows every 2.3 ms: the true times come back to within one row's spacing."""
+    true = np.arange(5000) * 0.0023
+    time, coarse = spread_stamps(np.floor(true / 0.0156) * 0.0156)
+    assert coarse
+    assert np.all(np.diff(time) > 0.0)
+    assert np.abs(time - true).max() < 0.0156 + 0.0023
+    assert np.std(np.diff(time)) < 0.0004
+
+
+def test_a_fine_clock_is_left_alone() -> None:
+    stamps = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.003, 500))
+    time, coarse = spread_stamps(stamps)
+    assert not coarse
+    np.testing.assert_array_equal(time, stamps)
+
+
+def test_a_repeated_last_stamp_goes_on_at_the_pace_before() -> None:
+    time, _ = spread_stamps(np.array([0.0, 0.0, 0.1, 0.1, 0.2, 0.2]))
+    np.testing.assert_allclose(time, [0.0, 0.05, 0.1, 0.15, 0.2, 0.25])
+
+
+def test_signals_of_a_clean_recording_are_its_closed_form(make_recording: Maker) -> None:
+    """torque = kc*dtheta + bc*rate holds to the gain of the local polynomial."""
+    with Recording(make_recording(kc=0.02, bc=2e-4)) as recording:
+        signals = prepare(recording, None)
+    left = signals.torque - 0.02 * signals.dtheta - 2e-4 * signals.dtheta_dot
+    assert 1900 < len(signals) < 2000  # without those at the ends
+    assert signals.near_gaps == 0
+    assert signals.torque_from == "given"
+    assert np.abs(left).max() < 5e-4 * 2e-4 * np.abs(signals.dtheta_dot).max()
+
+
+def test_rows_with_a_nan_are_dropped_and_counted(make_recording: Maker) -> None:
+    def spoil(channels: dict[str, Array]) -> None:
+        channels["torque"][100:103] = np.nan
+        channels["dtheta"][500] = np.nan
+
+    with Recording(make_recording(change=spoil)) as recording:
+        signals = prepare(recording, None)
+    assert (signals.not_numbers, signals.lost, signals.near_gaps) == (4, 0, 0)
+
+
+def test_a_rate_that_came_with_the_data_is_used_as_it_is(make_recording: Maker) -> None:
+    path = make_recording(change=lambda channels: channels.update(dtheta_dot=np.full(2000, 3.0)))
+    with Recording(path) as recording:
+        signals = prepare(recording, None)
+    assert set(signals.dtheta_dot) == {3.0}
+    assert signals.rate_window == 0.0
+
+
+def test_rows_beside_a_gap_have_no_rate_and_are_left_out(make_recording: Maker) -> None:
+    def cut(channels: dict[str, Array]) -> None:
+        channels["time"][1000:] += 0.5
+
+    with Recording(make_recording(change=cut)) as recording:
+        signals = prepare(recording, None)
+    assert 0 < signals.near_gaps < 100
+    assert len(signals) < 2000 - signals.near_gaps
+    assert not np.any(np.abs(signals.time - 2.25) < 0.25)
+
+
+def test_torque_from_the_motor_is_equation_one(tmp_path: Path) -> None:
+    """Prescribed motion, closed form: sigma_m = Dm*acc + Bm*vel + sigma_c/eta gives sigma_c back at the joint."""
+    eta, inertia, damping, kc, bc = 4.0, 2e-6, 3e-6, 0.02, 2e-4
+    time, omega = np.arange(5000) / 500.0, 2 * np.pi * 3.0
+    dtheta, rate = 0.2 * np.sin(omega * time), 0.2 * omega * np.cos(omega * time)
+    coupling = kc * dtheta + bc * rate
+    motor_torque = inertia * eta * -(omega**2) * dtheta + damping * eta * rate + coupling / eta
+    path = tmp_path / "m.h5"
+    channels = {
+        "time": time,
+        "torque": eta * motor_torque,
+        "dtheta": dtheta,
+        "motor_torque": motor_torque,
+        "motor_position": eta * dtheta,
+    }
+    write(path, Header(profile={"kind": "imported"}), channels)
+    stand = StandTable(gear_ratio=eta, motor_inertia=inertia, motor_damping=damping, torque_source="motor")
+    with Recording(path) as recording:
+        signals = prepare(recording, stand)
+    assert signals.torque_from == "motor"
+    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    found = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0]
+    assert found[0] == pytest.approx(kc, rel=5e-4)
+    assert found[1] == pytest.approx(bc, rel=5e-4)
+
+
+def test_the_drives_own_velocity_is_not_trusted_where_there_is_a_position(tmp_path: Path) -> None:
+    time = np.arange(1000) / 500.0
+    dtheta = 0.1 * np.sin(2 * np.pi * 2.0 * time)
+    channels = {"time": time, "torque": 0.02 * dtheta, "dtheta": dtheta, "dtheta_dot": np.zeros(1000)}
+    path = tmp_path / "v.h5"
+    write(path, Header(profile={"kind": "imported"}), channels | {"motor_position": dtheta})
+    with Recording(path) as recording:
+        assert np.ptp(prepare(recording, None).dtheta_dot) > 2.0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda channels: channels.update(dtheta=np.full(2000, 0.3)), "never changes"),
+        (lambda channels: channels.update(torque=np.full(2000, np.nan)), "0 usable"),
+        (lambda channels: channels["time"].__setitem__(700, 0.0), "goes backwards"),
+        (lambda channels: channels.update(time=np.zeros(2000)), "same time"),
+    ],
+)
+def test_a_recording_from_which_nothing_follows_is_refused(make_recording: Maker, change: object, said: str) -> None:
+    path = make_recording(change=change)
+    with pytest.raises(Untrustworthy, match=said):
+        signals_of(path)
+
+
+@pytest.mark.parametrize("samples", [0, 1, 15])
+def test_an_almost_empty_recording_is_refused(make_recording: Maker, samples: int) -> None:
+    with pytest.raises(Untrustworthy, match="usable sample"):
+        signals_of(make_recording(samples=samples))
+
+
+@pytest.mark.parametrize("source", ["motor", "joint"])
+def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source: Literal["motor", "joint"]) -> None:
+    rng = np.random.default_rng(4)
+    time = np.arange(6000) / 500.0 + 2e-5 * rng.standard_normal(6000)
+    dtheta = 0.2 * np.sin(2 * np.pi * 2.0 * time) + 1e-4 * rng.standard_normal(6000)
+    torque = 0.02 * dtheta + 1e-4 * rng.standard_normal(6000)
+    torque[rng.choice(6000, 60)] = np.nan
+    channels = {
+        "time": time,
+        "torque": torque,
+        "dtheta": dtheta,
+        "motor_torque": torque / 4.0,
+        "motor_position": 4.0 * dtheta,
+    }
+    path = tmp_path / "s.h5"
+    write(path, Header(profile={"kind": "imported"}), channels)
+    stand = StandTable(gear_ratio=4.0, motor_inertia=2e-7, motor_damping=1e-7, torque_source=source)
+    with Recording(path) as recording:
+        whole, parts = prepare(recording, stand), list(stream(recording, stand, block=1700))
+    assert len(parts) == 4
+    for name in ("time", "torque", "dtheta", "dtheta_dot", "dtheta_ddot", "known"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_allclose(joined, getattr(whole, name), rtol=1e-9, atol=1e-12)
+    for name in ("lost", "not_numbers", "near_gaps"):
+        assert sum(getattr(part, name) for part in parts) == getattr(whole, name)
+    assert whole.not_numbers > 50
+
+
+def test_the_window_is_as_narrow_as_the_noise_of_the_deflection_allows(make_recording: Maker) -> None:
+    """What a wide window smooths away is missing in Bc; noise of a hundredth of the rate takes 0.01 % off it."""
+
+    def noisy(channels: dict[str, Array], size: float) -> None:
+        channels["dtheta"] += size * np.random.default_rng(0).standard_normal(len(channels["dtheta"]))
+
+    widths = []
+    for number, size in enumerate((1e-9, 2e-4, 1e-3)):
+        path = make_recording(f"{number}.h5", change=partial(noisy, size=size))
+        with Recording(path) as recording:
+            found = prepare(recording, None)
+        usual = float(np.sqrt(np.mean(found.dtheta_dot**2)))
+        assert found.rate_noise is not None
+        widths.append((found.rate_window, found.rate_noise / usual))
+    assert widths[0][0] < widths[1][0] < widths[2][0]
+    assert widths[0][0] == pytest.approx(13.0 * 2e-3, rel=0.01)
+    assert 0.005 < widths[1][1] <= 0.01

@@ -1,0 +1,50 @@
+"""The local polynomial against polynomials, sines and its own stated gain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.signals.savitzky_golay import DEGREE, gain, kernel, local_polynomial, widest
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.integers(6, 30), st.integers(0, 2**32 - 1))
+def test_it_gives_back_any_polynomial_of_its_degree_on_any_stamps(half: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.7, 1.3, 90)) / 90.0
+    polynomial = np.polynomial.Polynomial(rng.uniform(-1.0, 1.0, DEGREE + 1))
+    value, slope, curvature = local_polynomial(time, polynomial(time), half)
+    np.testing.assert_allclose(value, polynomial(time), atol=1e-8)
+    np.testing.assert_allclose(slope, polynomial.deriv()(time), atol=1e-5)
+    np.testing.assert_allclose(curvature, polynomial.deriv(2)(time), atol=1e-2)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_a_sine_has_the_stated_gain_and_no_phase(order: int) -> None:
+    time, omega = np.arange(4000) / 500.0, 2.0 * np.pi * 20.0
+    found = local_polynomial(time, np.sin(omega * time), 14)[order][100:-100] / omega**order
+    inner = omega * time[100:-100]
+    wave, quadrature = (np.cos(inner), np.sin(inner)) if order == 1 else (np.sin(inner), np.cos(inner))
+    sign = -1.0 if order == 2 else 1.0
+    fit = np.linalg.lstsq(np.column_stack([sign * wave, quadrature]), found, rcond=None)[0]
+    assert fit[0] == pytest.approx(gain(14, order, 20.0 / 500.0), rel=1e-9)
+    assert abs(fit[0] - 1.0) > 1e-4  # or the gain would not be tested
+    assert fit[1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_kernel_is_what_the_fit_does_to_a_single_reading() -> None:
+    time, impulse = np.arange(41, dtype=np.float64), np.zeros(41)
+    impulse[20] = 1.0
+    for order in range(3):
+        weights = local_polynomial(time, impulse, 8)[order][12:29]
+        np.testing.assert_allclose(weights, kernel(8, order)[::-1], atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_window_is_the_widest_within_the_tolerance(order: int) -> None:
+    half = widest(order, 15.0 / 500.0, most=250, tolerance=3e-4)
+    assert abs(gain(half, order, 15.0 / 500.0) - 1.0) <= 3e-4 < abs(gain(half + 1, order, 15.0 / 500.0) - 1.0)
+    assert widest(order, 15.0 / 500.0, most=6, tolerance=3e-4) == 6

@@ -1,0 +1,209 @@
+"""The stand file: every problem at once, each with its key; limits that no option can raise."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from drivers.dynamixel.config import DynamixelConfig, Mode
+from drivers.moteus.config import MoteusConfig
+from drivers.servo import Quantity
+from hil.errors import WrongUse
+from hil.stand.devices import BACKENDS, SENSORS, Device, check_backend
+from hil.stand.file import SIMULATED, load, open_servo, parse
+from sim_backend.parameters import SimParameters
+
+
+def test_the_built_in_stand_is_the_papers_joint() -> None:
+    stand = parse(SIMULATED)
+    servo, truth = open_servo(stand, seed=0, realtime=False)
+    servo.close()
+    assert stand.stand.torque_source == "joint"
+    assert (truth["Kc"], truth["Bc"], truth["gear_ratio"]) == (17.75e-3, 0.19e-3, 4.0)
+    assert (truth["motor_inertia"], truth["motor_damping"]) == (2.0e-7, 1.0e-7)
+
+
+def test_a_file_with_only_a_stand_is_enough_to_import() -> None:
+    stand = parse("[stand]\ngear_ratio = 6.0\n")
+    assert stand.stand.gear_ratio == 6.0
+    with pytest.raises(WrongUse, match="sets no limits"):
+        stand.checked_limits()
+
+
+def test_the_simulator_has_the_motor_the_stand_states_unless_it_is_told_its_own() -> None:
+    text = '[stand]\nbackend = "sim"\ngear_ratio = 6.0\nmotor_inertia = 5e-7\n'
+    _, truth = open_servo(parse(text), seed=0, realtime=False)
+    assert (truth["gear_ratio"], truth["motor_inertia"]) == (6.0, 5e-7)
+    _, truth = open_servo(parse(text + "[sim.motor]\ninertia = 9e-7\n"), seed=0, realtime=False)
+    assert (truth["gear_ratio"], truth["motor_inertia"]) == (6.0, 9e-7)
+
+
+def test_the_simulators_gear_is_the_stands_even_where_it_is_not_stated() -> None:
+    _, truth = open_servo(parse('[stand]\nbackend = "sim"\n'), seed=0, realtime=False)
+    assert truth["gear_ratio"] == 1.0
+
+
+def test_every_problem_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path) -> None:
+    path = tmp_path / "stand.toml"
+    path.write_text(
+        """
+        [stand]
+        gear_ratio = -4.0
+        torque_source = "elbow"
+        colour = "red"
+        [limits]
+        torque = "much"
+        deflection = nan
+        [sim.coupling]
+        stiffness = -1.0
+        sitffness = 2.0
+        [sim.sensors]
+        motor_counts = 2.5
+        [valve]
+        """
+    )
+    with pytest.raises(WrongUse) as refusal:
+        load(path)
+    said = str(refusal.value)
+    for key in (
+        "stand.gear_ratio",
+        "stand.torque_source",
+        "stand.colour: no such key",
+        "limits.torque",
+        "limits.deflection",
+        "limits.velocity: must be given",
+        "sim.coupling.stiffness",
+        "sim.coupling.sitffness: no such key",
+        "sim.sensors.motor_counts",
+        "valve: no such key",
+    ):
+        assert key in said
+    assert "10 problem(s)" in said
+
+
+def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:
+    from dataclasses import fields
+
+    lines = []
+    for table in fields(SimParameters):
+        lines.append(f"[sim.{table.name}]")
+        defaults = getattr(SimParameters(), table.name)
+        for parameter in fields(defaults):
+            value = getattr(defaults, parameter.name)
+            if value is not None:
+                lines.append(f"{parameter.name} = {str(value).lower() if isinstance(value, bool) else value!r}")
+    assert parse("[stand]\n" + "\n".join(lines)).sim == SimParameters()
+    assert len(lines) > 45
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("simm", "did you mean 'sim'"), ("valve", "known are sim"), (None, "names no backend")],
+)
+def test_an_unknown_backend_is_refused_with_the_known_ones(name: str | None, said: str) -> None:
+    with pytest.raises(WrongUse, match=said):
+        check_backend(name)
+
+
+def test_a_backends_own_table_is_checked_with_the_rest_of_the_file() -> None:
+    text = """
+    [stand]
+    gear_ratio = 0.0
+    backend = "dynamixel"
+    [dynamixel]
+    model = "xl333"
+    id = 300
+    bauderate = 57600
+    """
+    with pytest.raises(WrongUse, match=r"5 problem\(s\)") as refusal:
+        parse(text)
+    said = str(refusal.value)
+    for key in ("stand.gear_ratio", "dynamixel.port: must be given", "dynamixel.model = 'xl333'", "dynamixel.id = 300"):
+        assert key in said
+    assert "dynamixel.bauderate: no such key" in said
+
+
+def test_keys_that_do_not_fit_each_other_are_all_named() -> None:
+    table = 'port = "p"\nmodel = "xl430-w250"\nmode = "current"\nwatchdog = 0.01\n'
+    with pytest.raises(WrongUse, match=r"dynamixel\.mode.+no current control; dynamixel\.watchdog"):
+        parse(f"[stand]\n[dynamixel]\n{table}")
+
+
+def test_a_backend_without_its_table_is_refused_with_what_the_table_must_hold() -> None:
+    stand = parse('[stand]\nbackend = "dynamixel"\n')
+    with pytest.raises(WrongUse, match=r"no \[dynamixel\]: add it with at least port, model"):
+        open_servo(stand)
+
+
+def test_only_the_devices_that_a_file_names_are_loaded() -> None:
+    code = (
+        "import sys\n"
+        "from hil.stand.file import SIMULATED, parse\n"
+        "parse(SIMULATED)\n"
+        "print(sorted({'dynamixel_sdk', 'serial', 'can', 'canopen', 'drivers.dynamixel.config'} & set(sys.modules)))\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("device", [*BACKENDS.values(), *SENSORS.values()], ids=[*BACKENDS, *SENSORS])
+def test_a_device_of_the_registry_can_be_loaded_and_forbids_unknown_keys(device: Device) -> None:
+    with pytest.raises(ValidationError) as refusal:
+        TypeAdapter(device.table_class()).validate_python({"no_such_key": 1})
+    assert any(error["loc"] == ("no_such_key",) for error in refusal.value.errors())
+    if device.opener:
+        module, name = device.opener.split(":")
+        assert callable(getattr(import_module(module), name))
+
+
+@pytest.mark.parametrize(
+    ("model", "mode", "quantity", "expected"),
+    [
+        ("xl330-m288", None, Quantity.TORQUE, "current"),
+        ("xl330-m288", None, Quantity.POSITION, "current-based-position"),
+        ("xl330-m288", "extended-position", Quantity.POSITION, "extended-position"),
+        ("xl430-w250", None, Quantity.POSITION, "extended-position"),
+    ],
+)
+def test_the_quantity_chooses_the_mode_of_a_dynamixel(
+    model: str, mode: Mode | None, quantity: Quantity, expected: str
+) -> None:
+    assert DynamixelConfig(port="p", model=model, mode=mode).for_quantity(quantity).mode == expected
+
+
+def test_the_quantity_chooses_the_mode_of_a_moteus_that_leaves_it_open() -> None:
+    table = MoteusConfig(interface="socketcan", channel="can0")
+    for quantity in Quantity:
+        chosen = table.for_quantity(quantity)
+        assert (chosen.mode, chosen.quantity) == (quantity.value, quantity)
+        assert chosen.for_quantity(quantity) == chosen
+    with pytest.raises(ValueError, match="takes no position"):
+        table.for_quantity(Quantity.TORQUE).for_quantity(Quantity.POSITION)
+
+
+@pytest.mark.parametrize(
+    ("table", "quantity", "said"),
+    [
+        ('model = "xl430-w250"', Quantity.TORQUE, "no current control"),
+        ('model = "xl330-m288"\nmode = "current"', Quantity.POSITION, "takes no position"),
+    ],
+)
+def test_a_quantity_the_drive_cannot_take_is_refused_before_its_port_is_opened(
+    table: str, quantity: Quantity, said: str
+) -> None:
+    stand = parse(f'[stand]\nbackend = "dynamixel"\n[dynamixel]\nport = "/dev/none"\n{table}\n')
+    with pytest.raises(WrongUse, match=said):
+        open_servo(stand, quantity=quantity)
+
+
+@pytest.mark.parametrize(("text", "said"), [(b"[stand\n", "not TOML"), (b"\xff\xfe", "cannot be read")])
+def test_what_is_no_toml_is_refused(tmp_path: Path, text: bytes, said: str) -> None:
+    path = tmp_path / "stand.toml"
+    path.write_bytes(text)
+    with pytest.raises(WrongUse, match=said):
+        load(path)

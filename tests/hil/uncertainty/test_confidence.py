@@ -1,0 +1,80 @@
+"""The 95 % interval holds the truth 95 % of the time, for residuals that are white and for ones that are not."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from ga.lad.exact import least_absolute_deviations
+from hil.uncertainty.confidence import Array, Blocks, spread
+
+RUNS = 300
+
+
+def at_once(columns: Array, torque: Array) -> Blocks:
+    return lambda: [(columns, torque)]
+
+
+def coverage(correlation: float, seed: int) -> tuple[float, float]:
+    """The share of runs whose interval holds the truth, and the mean half-width over the estimates' spread."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(2000) / 500.0
+    columns = np.column_stack([np.sin(9 * time) + np.sin(40 * time), 9 * np.cos(9 * time) + 40 * np.cos(40 * time)])
+    truth = np.array([0.018, 2e-4])
+    held, halves, found = [], [], []
+    for _ in range(RUNS):
+        noise = rng.standard_normal(len(time))
+        for index in range(1, len(noise)):
+            noise[index] += correlation * noise[index - 1]
+        torque = columns @ truth + 2e-4 * noise
+        genes = least_absolute_deviations(columns, torque).genes
+        half = spread(at_once(columns, torque), genes).half_width
+        held.append(np.abs(genes - truth) <= half)
+        halves.append(half)
+        found.append(genes)
+    ratio = np.mean(halves, axis=0) / (1.96 * np.std(found, axis=0))
+    return float(np.mean(held)), float(ratio.mean())
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+def test_the_interval_holds_the_truth_as_often_as_it_says(correlation: float) -> None:
+    """600 parameters: the share of a true 95 % lies within 2.7 % at three standard deviations."""
+    share, ratio = coverage(correlation, seed=1)
+    assert 0.92 <= share <= 0.98
+    assert 0.85 <= ratio <= 1.25
+
+
+def test_a_column_of_nothing_cannot_be_told() -> None:
+    rng = np.random.default_rng(0)
+    columns = np.column_stack([rng.standard_normal(500), np.zeros(500)])
+    told = spread(at_once(columns, columns[:, 0] + rng.standard_normal(500)), np.array([1.0, 0.0]))
+    assert np.isfinite(told.half_width).tolist() == [True, False]
+
+
+def test_columns_that_look_alike_have_a_large_inflation() -> None:
+    rng = np.random.default_rng(0)
+    first = rng.standard_normal(500)
+    columns = np.column_stack([first, first + 0.05 * rng.standard_normal(500)])
+    told = spread(at_once(columns, first + rng.standard_normal(500)), np.array([1.0, 0.0]))
+    assert told.inflation.min() > 100.0
+    apart = spread(at_once(rng.standard_normal((500, 2)), rng.standard_normal(500)), np.zeros(2))
+    assert apart.inflation.max() < 1.1
+
+
+def test_residuals_that_are_all_zero_leave_an_interval_of_nothing() -> None:
+    columns = np.random.default_rng(0).standard_normal((500, 2))
+    told = spread(at_once(columns, columns @ [1.0, 2.0]), np.array([1.0, 2.0]))
+    assert np.all(told.half_width < 1e-12)
+
+
+def test_data_in_blocks_give_the_interval_of_data_at_once() -> None:
+    rng = np.random.default_rng(0)
+    columns, truth = rng.standard_normal((5000, 2)), np.array([1.0, 2.0])
+    torque = columns @ truth + rng.standard_normal(5000)
+    whole = spread(at_once(columns, torque), truth)
+    cuts = [0, 1, 17, 1000, 1001, 4200, 5000]
+    parts = spread(lambda: [(columns[a:b], torque[a:b]) for a, b in pairwise(cuts)], truth)
+    np.testing.assert_allclose(parts.half_width, whole.half_width, rtol=1e-9)
+    np.testing.assert_allclose(parts.inflation, whole.inflation, rtol=1e-9)

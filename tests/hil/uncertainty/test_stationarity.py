@@ -1,0 +1,54 @@
+"""Pooled recordings: what lies between them is in the interval, and told apart from what lies within."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ga.evolution.evolution import PRESETS
+from ga.model.terms import parse
+from hil.errors import WrongUse
+from hil.identification.identify import Search, identify
+from hil.identification.result import Identification
+
+from ..conftest import Maker
+
+STIFFNESSES = (0.0196, 0.0204, 0.0199, 0.0203, 0.0198)
+
+
+def identified(paths: list[Path]) -> Identification:
+    search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
+    return identify(paths, parse("linear"), search)
+
+
+def test_what_lies_between_recordings_is_told_and_is_in_the_interval(make_recording: Maker) -> None:
+    paths = [
+        make_recording(f"{seed}.h5", kc=stiffness, noise=1e-4, seed=seed) for seed, stiffness in enumerate(STIFFNESSES)
+    ]
+    apart = identified(paths)["Kc"]
+    assert apart.scatter is not None
+    assert apart.scatter.between == pytest.approx(np.std(STIFFNESSES, ddof=1), rel=0.1)
+    assert apart.scatter.within < 0.1 * apart.scatter.between
+    half = 0.5 * (apart.ci95[1] - apart.ci95[0])
+    # Student's quantile for five recordings, times the standard error of their mean
+    assert half == pytest.approx(2.776 * np.std(STIFFNESSES, ddof=1) / np.sqrt(5.0), rel=0.15)
+
+
+def test_recordings_that_are_alike_have_nothing_between_them(make_recording: Maker) -> None:
+    paths = [make_recording(f"{seed}.h5", noise=1e-4, seed=seed) for seed in range(4)]
+    alike = identified(paths)["Kc"]
+    assert alike.scatter is not None
+    assert alike.scatter.between < 2.0 * alike.scatter.within
+    assert alike.ci95[0] < 0.02 < alike.ci95[1]
+
+
+def test_one_recording_has_no_scatter(make_recording: Maker) -> None:
+    assert identified([make_recording(noise=1e-4)])["Kc"].scatter is None
+
+
+def test_the_same_run_is_not_pooled_with_itself(make_recording: Maker) -> None:
+    path = make_recording(noise=1e-4)
+    with pytest.raises(WrongUse, match="the same run"):
+        identified([path, path])
