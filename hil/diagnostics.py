@@ -1,4 +1,4 @@
-"""What is to be said about a recording or a result: a code for machines, a sentence with the remedy for people."""
+"""Diagnostics: the warnings and errors about a recording, a run or a result, each with a code and a remedy."""
 
 from __future__ import annotations
 
@@ -6,47 +6,56 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """One warning. parameter: the one it touches, None where it touches all. fatal: the result must not be trusted."""
+class Diagnostic:
+    """A warning, or an error: then the result must not be trusted.
+
+    code: a fixed name for scripts. message: what is wrong, what it means for Kc or Bc, and what to do. parameter: the
+    one that is affected, None where all are.
+    """
 
     code: str
     message: str
     parameter: str | None = None
-    fatal: bool = False
+    is_error: bool = False
+
+    @property
+    def severity(self) -> str:
+        """Return "error" or "warning"."""
+        return "error" if self.is_error else "warning"
 
     def as_json(self) -> dict[str, str | None]:
-        """What of it the JSON of every command shows."""
+        """Return the entry for the lists "warnings" and "errors" of every command's JSON."""
         return {"code": self.code, "parameter": self.parameter, "message": self.message}
 
 
-def driven_by_position(*, fatal: bool) -> Finding:
-    """What is to be said of torque read from the motor's side while its drive held positions.
+def driven_by_position(*, is_error: bool) -> Diagnostic:
+    """Return the diagnostic for motor torque that was read while the drive held positions.
 
-    Bc of the simulated joint comes out near zero then. fatal: where a result is judged, and not a run to come.
+    The Bc of the simulated joint comes out near zero then. is_error: for a result; a run to come is only warned of.
     """
-    return Finding(
+    return Diagnostic(
         "motor-side",
         "the torque is the motor's and its drive held positions: between two ticks the drive's own loop moves the "
         "torque, which the readings do not show, and Bc is not the joint's; record with --quantity torque, or with a "
         "torque cell at the joint",
         "Bc",
-        fatal=fatal,
+        is_error=is_error,
     )
 
 
 _MANY_LATE, _MOSTLY_LATE = 0.01, 0.1  # share of ticks that began more than half a period after their time
 
 
-def lateness(late: int, samples: int) -> list[Finding]:
-    """What is to be said of a run of which `late` ticks of `samples` came late; fatal above a tenth."""
+def lateness(late: int, samples: int) -> list[Diagnostic]:
+    """Return the diagnostic for a run with `late` of `samples` ticks late: a warning above 1 %, an error above 10 %."""
     share = late / samples if samples else 0.0
     if share <= _MANY_LATE:
         return []
     return [
-        Finding(
+        Diagnostic(
             "many-late",
             f"{share:.1%} of the ticks came more than half a period late, so the motor was not driven as the profile "
             "says: lower --rate, or free the computer of other work",
-            fatal=share > _MOSTLY_LATE,
+            is_error=share > _MOSTLY_LATE,
         )
     ]

@@ -46,6 +46,6 @@ def compare(
     if picture is not None:
         draw(found, picture)
         say(f"wrote {picture}")
-    tell(found.findings)
+    tell(found.diagnostics)
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)

@@ -97,6 +97,6 @@ def replicate(
             f"{done.evaluations_per_second:.3g} a second, {done.ratio_to_numpy:.0f} times NumPy on one core"
         )
     say(f"wrote {recording} and {picture} (Figure 8)")
-    tell(done.identification.findings)
+    tell(done.identification.diagnostics)
     if interrupted:
         tell_interrupted(kept)

@@ -67,12 +67,12 @@ def design(
     stated = (
         torque_noise is not None or stand is None or opened.stand.backend == "sim" or "[sim.sensors]" in opened.text
     )
-    general = diagnostics.task_findings(task, noise_stated=stated)
+    general = diagnostics.task_diagnostics(task, noise_stated=stated)
     if as_json:
         print_json(diagnostics.as_json(task, judged, general, words))
     else:
         _show(task, judged, words)
-    tell(tuple(general + [finding for one in judged.values() for finding in diagnostics.findings(task, one)]))
+    tell(tuple(general + [diagnostic for one in judged.values() for diagnostic in diagnostics.diagnostics(task, one)]))
 
 
 def _show(task: Task, judged: dict[str, Assessment], stand: str) -> None:

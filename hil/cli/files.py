@@ -27,7 +27,7 @@ def inspect(
     else:
         out_table(inspection_table(seen))
         out("usable" if seen.usable else "not usable")
-    tell(seen.findings)
+    tell(seen.diagnostics)
     if not seen.usable:
         raise typer.Exit(UNTRUSTWORTHY)
 

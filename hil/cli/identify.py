@@ -113,7 +113,7 @@ def identify_and_show(
             found = engine.identify(recordings, model, search, done)
             if fixture is not None:
                 rig = engine.identify([fixture], model, replace(search, checkpoint=None), done)
-                found = without_fixture(replace(found, findings=(*found.findings, *beside)), rig)
+                found = without_fixture(replace(found, diagnostics=(*found.diagnostics, *beside)), rig)
     except Untrustworthy as error:
         if as_json:
             name = "auto" if model is None else model.name
@@ -126,7 +126,7 @@ def identify_and_show(
     if report is not None:
         for path in write_page(found, report):
             say(f"wrote {path}")
-    tell(found.findings)
+    tell(found.diagnostics)
     if found.trials.interrupted:
         tell_interrupted(search.checkpoint)
     if not found.trustworthy:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from drivers.servo import Quantity
     from hil.acquisition.excitation import Profile
     from hil.acquisition.recorder import Outcome
-    from hil.diagnostics import Finding
+    from hil.diagnostics import Diagnostic
     from hil.stand.file import Stand
 
 _FAST_PART = 1e6  # 1/s; from there on a simulated second takes about as long as a real one
@@ -144,7 +144,7 @@ def answer_for(outcome: Outcome) -> None:
         raise typer.Exit(128 + outcome.signal)
     found = lateness(outcome.late, outcome.samples)
     tell(found)
-    if any(finding.fatal for finding in found):
+    if any(diagnostic.is_error for diagnostic in found):
         raise typer.Exit(UNTRUSTWORTHY)
 
 
@@ -163,17 +163,17 @@ def _stand_of(backend: str | None, path: Path | None) -> Stand:
     return parse(SIMULATED)
 
 
-def _foreseen(stand: Stand, profile: Profile) -> list[Finding]:
+def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
     """What is to be said before anything moves.
 
     A simulated stand takes its time where it has a fast part: the steps of the integrator follow that.
     """
     from drivers.servo import Quantity
-    from hil.diagnostics import Finding, driven_by_position
+    from hil.diagnostics import Diagnostic, driven_by_position
 
     found = []
     if stand.stand.torque_source == "motor" and profile.quantity is Quantity.POSITION:
-        found.append(driven_by_position(fatal=False))
+        found.append(driven_by_position(is_error=False))
     if stand.stand.backend != "sim":
         return found
     from sim_backend.plant import constants, fastest_rate
@@ -184,7 +184,7 @@ def _foreseen(stand: Stand, profile: Profile) -> list[Finding]:
             f"a part of the simulated stand moves at {rate / 6283.0:.0f} kHz, so that every simulated second takes "
             f"about {rate:.0e} steps: for less, lower fixture.stiffness or raise the inertias"
         )
-        found.append(Finding("slow-simulation", said))
+        found.append(Diagnostic("slow-simulation", said))
     return found
 
 

@@ -1,4 +1,4 @@
-"""What every command shares of the terminal: its options, JSON, findings, how to go on."""
+"""What every command shares of the terminal: its options, JSON, diagnostics, how to go on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import typer
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hil.diagnostics import Finding
+    from hil.diagnostics import Diagnostic
 
 DONE, UNTRUSTWORTHY, WRONG_USE, STAND_FAILED, LIMIT_REACHED = 0, 1, 2, 3, 4
 INTERRUPTED = 130
@@ -72,10 +72,10 @@ def print_json(table: dict[str, Any]) -> None:
     out(json.dumps(table, indent=2, allow_nan=False, default=str))
 
 
-def tell(findings: Sequence[Finding]) -> None:
-    """Say every finding, with its code."""
-    for finding in findings:
-        say(f"{'problem' if finding.fatal else 'note'} [{finding.code}]: {finding.message}")
+def tell(diagnostics: Sequence[Diagnostic]) -> None:
+    """Say every diagnostic, with its code."""
+    for diagnostic in diagnostics:
+        say(f"{diagnostic.severity} [{diagnostic.code}]: {diagnostic.message}")
 
 
 def tell_interrupted(checkpoint: Path | None) -> NoReturn:

@@ -8,7 +8,7 @@ from typing import Any
 
 from drivers.servo import Quantity
 from hil.acquisition.excitation import Profile
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.experiment_design.assessment import LIMITED, UNITS, Assessment, Task
 from hil.experiment_design.fisher import Parameter
 
@@ -19,12 +19,12 @@ _ONE_SPEED = ("sine", "ramp")  # a triangle has one speed, and a sine too little
 _FEW_SPEEDS = 4.0  # the ratio of a band's ends below which friction and damping look alike
 
 
-def task_findings(task: Task, *, noise_stated: bool) -> list[Finding]:
+def task_diagnostics(task: Task, *, noise_stated: bool) -> list[Diagnostic]:
     """What holds whatever the profile."""
     found = []
     if not noise_stated:
         found.append(
-            Finding(
+            Diagnostic(
                 "noise-assumed",
                 f"the stand file says nothing of its sensors: torque noise {task.readings.white:.3g} N m and a count "
                 f"of {task.readings.angle_lsb:.2g} rad are assumed, and every error grows with the noise; measure it "
@@ -33,7 +33,7 @@ def task_findings(task: Task, *, noise_stated: bool) -> list[Finding]:
         )
     if task.joint.inertia == 0.0 and task.quantity is Quantity.TORQUE:
         found.append(
-            Finding(
+            Diagnostic(
                 "no-inertia",
                 "the stand file gives no motor_inertia: the resonance is not seen, and at it the deflection can be "
                 "many times what is predicted; add it to [stand]",
@@ -41,7 +41,7 @@ def task_findings(task: Task, *, noise_stated: bool) -> list[Finding]:
         )
     if task.readings.motor_side and task.quantity is Quantity.POSITION:
         found.append(
-            Finding(
+            Diagnostic(
                 "motor-side",
                 "between ticks the motor's torque follows the drive's own position loop, which is not predicted: Bc "
                 "can be far from what is said here; use a torque cell, or --quantity torque",
@@ -50,7 +50,7 @@ def task_findings(task: Task, *, noise_stated: bool) -> list[Finding]:
         )
     elif task.readings.motor_side:
         found.append(
-            Finding(
+            Diagnostic(
                 "motor-side",
                 "the motor's torque is held from tick to tick and read before it changes, which is half a tick "
                 f"({500.0 / task.rate:.2g} ms) of skew: the bias of Bc is rough and it scatters more than is said here",
@@ -60,7 +60,7 @@ def task_findings(task: Task, *, noise_stated: bool) -> list[Finding]:
     return found
 
 
-def findings(task: Task, judged: Assessment) -> list[Finding]:
+def diagnostics(task: Task, judged: Assessment) -> list[Diagnostic]:
     """What is to be said of one profile, each beginning with its name."""
     return [
         *_near_limits(judged),
@@ -71,11 +71,11 @@ def findings(task: Task, judged: Assessment) -> list[Finding]:
     ]
 
 
-def _near_limits(judged: Assessment) -> list[Finding]:
+def _near_limits(judged: Assessment) -> list[Diagnostic]:
     if max(judged.strained) <= 1.0 + 1e-9:
         return []
     return [
-        Finding(
+        Diagnostic(
             "near-limit",
             f"{named(judged.profile)}: keeps the limits for this Kc and Bc, and passes that on {judged.limited_by} by "
             f"{max(judged.strained) - 1.0:.0%} where Kc is a quarter more or a fifth less, or Bc half more or a third "
@@ -84,7 +84,7 @@ def _near_limits(judged: Assessment) -> list[Finding]:
     ]
 
 
-def _corner(task: Task, judged: Assessment) -> list[Finding]:
+def _corner(task: Task, judged: Assessment) -> list[Diagnostic]:
     low, high = judged.profile.band
     corner = task.joint.corner
     if judged.profile.kind == "file" or low <= corner <= high or (judged.profile.kind == "prbs" and corner <= high):
@@ -92,7 +92,7 @@ def _corner(task: Task, judged: Assessment) -> list[Finding]:
     where = "above" if corner > high else "below"
     weak, remedy = ("Bc", "widen --band upwards") if corner > high else ("Kc", "widen --band downwards")
     return [
-        Finding(
+        Diagnostic(
             "corner-outside-band",
             f"{named(judged.profile)}: the corner Kc/(2 pi Bc) of {corner:.3g} Hz lies {where} the band, where {weak} "
             f"carries the smaller part of the torque and is told less well; {remedy}, or record for longer",
@@ -101,12 +101,12 @@ def _corner(task: Task, judged: Assessment) -> list[Finding]:
     ]
 
 
-def _speeds(task: Task, judged: Assessment) -> list[Finding]:
+def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
     profile, found = judged.profile, []
     swept = profile.kind in {"chirp", "multisine", "sine"}
     if profile.kind in _ONE_SPEED or (swept and profile.band[1] < _FEW_SPEEDS * profile.band[0]):
         found.append(
-            Finding(
+            Diagnostic(
                 "one-speed",
                 f"{named(profile)}: dry friction and damping look alike at one speed, whatever the model says of "
                 "them; drive at several (--profile chirp or multisine over two octaves)",
@@ -116,7 +116,7 @@ def _speeds(task: Task, judged: Assessment) -> list[Finding]:
     if judged.friction:
         amount = 0.01 * judged.peaks.torque
         found.append(
-            Finding(
+            Diagnostic(
                 "friction-in-damping",
                 f"{named(profile)}: without +coulomb, dry friction of 1 % of the torque ({amount:.2g} N m) passes for "
                 f"{amount * judged.friction / task.joint.damping:+.1%} of Bc",
@@ -126,10 +126,10 @@ def _speeds(task: Task, judged: Assessment) -> list[Finding]:
     return found
 
 
-def _biased(task: Task, judged: Assessment) -> list[Finding]:
+def _biased(task: Task, judged: Assessment) -> list[Diagnostic]:
     remedy = "" if "skew" in task.terms else ", but a term for it may (+skew)"
     return [
-        Finding(
+        Diagnostic(
             "biased",
             f"{named(judged.profile)}: {name} comes out {judged[name].bias / judged[name].rough:+.2%} wrong, "
             f"{abs(judged[name].bias) / judged[name].error:.0f} of its standard errors, through the skew of the "
@@ -141,7 +141,7 @@ def _biased(task: Task, judged: Assessment) -> list[Finding]:
     ]
 
 
-def _not_told(judged: Assessment) -> list[Finding]:
+def _not_told(judged: Assessment) -> list[Diagnostic]:
     found = []
     for parameter in judged.parameters:
         name = parameter.name
@@ -155,7 +155,7 @@ def _not_told(judged: Assessment) -> list[Finding]:
             )
         else:
             continue
-        found.append(Finding("not-told", f"{named(judged.profile)}: {name} {what}: {reason}", name))
+        found.append(Diagnostic("not-told", f"{named(judged.profile)}: {name} {what}: {reason}", name))
     return found
 
 
@@ -180,7 +180,7 @@ def command(judged: Assessment, stand: str, rate: float) -> str:
     return words + (" --quantity position" if profile.quantity is Quantity.POSITION else "")
 
 
-def as_json(task: Task, judged: dict[str, Assessment], general: list[Finding], stand: str) -> dict[str, Any]:
+def as_json(task: Task, judged: dict[str, Assessment], general: list[Diagnostic], stand: str) -> dict[str, Any]:
     """The JSON object of `hil design --json`, SI; an error that is infinite is null. judged: by "given" and "best"."""
     return {
         "schema": SCHEMA,
@@ -192,7 +192,7 @@ def as_json(task: Task, judged: dict[str, Assessment], general: list[Finding], s
         "angle_lsb": task.readings.angle_lsb,
         "skew": task.readings.skew,
         "profiles": {name: _profile(task, one, stand) for name, one in judged.items()},
-        "warnings": [finding.as_json() for finding in general],
+        "warnings": [diagnostic.as_json() for diagnostic in general],
     }
 
 
@@ -213,7 +213,7 @@ def _profile(task: Task, judged: Assessment, stand: str) -> dict[str, Any]:
             for name, unit, peak, limit, share, worst in limits
         },
         "limited_by": judged.limited_by,
-        "warnings": [finding.as_json() for finding in findings(task, judged)],
+        "warnings": [diagnostic.as_json() for diagnostic in diagnostics(task, judged)],
     }
 
 

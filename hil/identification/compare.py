@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification.dataset import torque_uncertainty
 from hil.identification.disk_table import Progress
@@ -75,12 +75,12 @@ class Comparison:
     model: str
     recordings: tuple[Measured, ...]
     parameters: tuple[Repeated, ...]
-    findings: tuple[Finding, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
     @property
     def trustworthy(self) -> bool:
-        """Whether nothing fatal was found."""
-        return not any(finding.fatal for finding in self.findings)
+        """Whether there is no error among the diagnostics."""
+        return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
 
 def compare(
@@ -101,32 +101,34 @@ def compare(
                 f"{' and '.join(COMPARED)} are compared, and model {model.name!r} has {', '.join(names)}: name them so "
                 "in the model"
             )
-    findings = check_together(paths)
+    diagnostics = check_together(paths)
     created, imported = zip(*(_origin(path) for path in paths), strict=True)
     if any(imported):
-        findings.append(
-            Finding("time-unknown", "an imported recording does not say when it was made: no drift is told with it")
+        diagnostics.append(
+            Diagnostic("time-unknown", "an imported recording does not say when it was made: no drift is told with it")
         )
     first = min((moment for moment in created if moment is not None), default=None)
     measured = []
     for index, path in enumerate(paths):
-        found = _identified(path, model, search, findings, _share(progress, index, len(paths)))
+        found = _identified(path, model, search, diagnostics, _share(progress, index, len(paths)))
         hours = (created[index] - first).total_seconds() / _HOUR if created[index] and first else math.nan
         measured.append(
             replace(_measured(path, created[index], hours, model, found), uncertainty=torque_uncertainty(path))
         )
-    findings += _of_scale(measured)
+    diagnostics += _of_scale(measured)
     models = {one.model for one in measured if one.estimates}
     if len(models) > 1:
         said = ", ".join(sorted(models))
-        findings.append(
-            Finding(
+        diagnostics.append(
+            Diagnostic(
                 "models-differ", f"the recordings were fitted with different models ({said}): name one with --model"
             )
         )
     repeated = tuple(_repeated(name, measured) for name in COMPARED)
-    findings += [Finding("cannot-compare", one.verdict, one.name, fatal=True) for one in repeated if one.pooled is None]
-    return Comparison(" or ".join(sorted(models)) or _name(model), tuple(measured), repeated, tuple(findings))
+    diagnostics += [
+        Diagnostic("cannot-compare", one.verdict, one.name, is_error=True) for one in repeated if one.pooled is None
+    ]
+    return Comparison(" or ".join(sorted(models)) or _name(model), tuple(measured), repeated, tuple(diagnostics))
 
 
 def _name(model: Coupling | None) -> str:
@@ -145,12 +147,12 @@ def _origin(path: Path) -> tuple[datetime | None, bool]:
         return (moment if moment.tzinfo else None), False
 
 
-def _of_scale(measured: Sequence[Measured]) -> list[Finding]:
+def _of_scale(measured: Sequence[Measured]) -> list[Diagnostic]:
     common = max(one.uncertainty for one in measured)
     if not common:
         return []
     return [
-        Finding(
+        Diagnostic(
             "scale-in-common",
             f"the torque's scale is uncertain by {common:.2g} of itself, in all recordings alike: that is in the "
             "intervals, and not in what lies within and between the recordings",
@@ -166,15 +168,15 @@ def _share(progress: Progress | None, index: int, count: int) -> Progress | None
 
 
 def _identified(
-    path: Path, model: Coupling | None, search: Search, findings: list[Finding], progress: Progress | None
+    path: Path, model: Coupling | None, search: Search, diagnostics: list[Diagnostic], progress: Progress | None
 ) -> Identification | None:
     try:
         found = identify([path], model, search, progress)
     except Untrustworthy as error:
-        findings.append(Finding("left-out", f"{error}; it is left out"))
+        diagnostics.append(Diagnostic("left-out", f"{error}; it is left out"))
         return None
     # of one recording among several: the comparison's own trust is judged by what is left
-    findings += [Finding(one.code, f"{path}: {one.message}", one.parameter) for one in found.findings]
+    diagnostics += [Diagnostic(one.code, f"{path}: {one.message}", one.parameter) for one in found.diagnostics]
     return found
 
 
@@ -184,7 +186,7 @@ def _measured(
     if found is None:
         return Measured(path, created, hours, _name(model), {}, frozenset())
     estimates = {name: found[name] for name in COMPARED}
-    doubted = {finding.parameter for finding in found.findings if finding.fatal}
+    doubted = {diagnostic.parameter for diagnostic in found.diagnostics if diagnostic.is_error}
     told = {name for name, estimate in estimates.items() if estimate.identifiable and not {name, None} & doubted}
     return Measured(path, created, hours, found.model.name, estimates, frozenset(told))
 

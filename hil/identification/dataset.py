@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnostics import Finding, driven_by_position
+from hil.diagnostics import Diagnostic, driven_by_position
 from hil.errors import Untrustworthy
 from hil.identification.disk_table import Progress, Spool
 from hil.identification.model_choice import Choice
@@ -36,7 +36,7 @@ class Dataset:
     choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones. told: which of the
     signals the model says something about. samples: how many of all that are. whole: whether the signals are all.
     uncertainty: of the torque's scale, relative, one standard deviation. edges: where each recording ends, in samples.
-    findings: what is to be said of them.
+    diagnostics: what is to be said of them.
     """
 
     choice: Choice
@@ -46,7 +46,7 @@ class Dataset:
     whole: bool
     uncertainty: float
     edges: tuple[int, ...]
-    findings: list[Finding]
+    diagnostics: list[Diagnostic]
     _table: Table
 
     def blocks(self, keep: Keep | None = None) -> Iterable[tuple[Array, Array]]:
@@ -71,10 +71,10 @@ def open_dataset(paths: list[Path], choose: Choose, progress: Progress | None = 
     signals = _glimpsed(paths)
     choice = choose(signals, False)
     with Spool(paths[0], rows, len(choice.model.linear), progress) as spool:
-        edges, findings = _spooled(paths, choice, spool, rows, progress)
+        edges, diagnostics = _spooled(paths, choice, spool, rows, progress)
         uncertainty = max(torque_uncertainty(path) for path in paths)
         told = choice.told(signals.motion)
-        yield Dataset(choice, signals, told, spool.rows, False, uncertainty, edges, findings, spool.blocks)
+        yield Dataset(choice, signals, told, spool.rows, False, uncertainty, edges, diagnostics, spool.blocks)
 
 
 def table(columns: Array, torque: Array) -> Table:
@@ -108,63 +108,63 @@ def torque_uncertainty(path: Path) -> float:
     return 0.0 if stand is None else stand.torque_uncertainty
 
 
-def recording_findings(recording: Recording, signals: Signals) -> list[Finding]:
+def recording_diagnostics(recording: Recording, signals: Signals) -> list[Diagnostic]:
     """What any use of a recording must say of it: that it did not end, what was dropped, what was mended."""
     found = []
     if not recording.complete:
         why = str(recording.attributes.get("end_reason", "")) or "it never ended"
         found.append(
-            Finding("unfinished", f"{recording.path} is not a whole run ({why}): its {len(recording)} rows are used")
+            Diagnostic("unfinished", f"{recording.path} is not a whole run ({why}): its {len(recording)} rows are used")
         )
     if signals.lost:
         lost = f"{signals.lost} of {len(recording)} replies were lost and are left out: hil doctor shows how often"
-        found.append(Finding("lost-samples", lost))
+        found.append(Diagnostic("lost-samples", lost))
     if signals.not_numbers:
         found.append(
-            Finding(
+            Diagnostic(
                 "not-a-number",
                 f"{signals.not_numbers} of {len(recording)} rows hold a NaN and are left out: hil export shows which",
             )
         )
     if signals.near_gaps:
         gaps = f"{signals.near_gaps} rows lie beside a gap, where no rate can be told: record without a pause"
-        found.append(Finding("near-gaps", gaps))
+        found.append(Diagnostic("near-gaps", gaps))
     if signals.coarse_clock:
         found.append(
-            Finding(
+            Diagnostic(
                 "coarse-clock",
                 "several rows share a time stamp: they were spread evenly up to the next stamp; a finer clock tells Bc "
                 "better",
             )
         )
     if signals.torque_from == "motor" and recording.profile.get("quantity") == "position":
-        found.append(driven_by_position(fatal=True))
+        found.append(driven_by_position(is_error=True))
     return found
 
 
 def _in_memory(paths: list[Path], choose: Choose) -> Dataset:
-    parts, findings = [], []
+    parts, diagnostics = [], []
     for path in paths:
         with Recording(path) as recording:
             if not recording.verify():
                 raise Untrustworthy(f"{path}: the samples are not the ones that were written (sha256 differs)")
             parts.append(prepare(recording, stand_of(recording)))
-            findings += recording_findings(recording, parts[-1]) + assess(recording, parts[-1]).findings()
+            diagnostics += recording_diagnostics(recording, parts[-1]) + assess(recording, parts[-1]).diagnostics()
     signals = joined(parts)
     choice = choose(signals, True)
     told, motion = choice.told(signals.motion), signals.motion
     columns, torque = choice.model.columns(motion)[told], choice.model.target(motion, signals.torque)[told]
     uncertainty = max(torque_uncertainty(path) for path in paths)
     edges = tuple(np.cumsum(told)[np.cumsum([len(part) for part in parts]) - 1].tolist())
-    findings += _slow(len(told) - len(torque), len(told))
-    return Dataset(choice, signals, told, len(torque), True, uncertainty, edges, findings, table(columns, torque))
+    diagnostics += _slow(len(told) - len(torque), len(told))
+    return Dataset(choice, signals, told, len(torque), True, uncertainty, edges, diagnostics, table(columns, torque))
 
 
-def _slow(left_out: int, samples: int) -> list[Finding]:
+def _slow(left_out: int, samples: int) -> list[Diagnostic]:
     if not left_out:
         return []
     text = f"{left_out} of {samples} samples, so slow that friction may hold the joint, are left out: drive faster"
-    return [Finding("slow-samples", text)]
+    return [Diagnostic("slow-samples", text)]
 
 
 def _glimpsed(paths: list[Path]) -> Signals:
@@ -177,9 +177,9 @@ def _glimpsed(paths: list[Path]) -> Signals:
 
 def _spooled(
     paths: list[Path], choice: Choice, spool: Spool, rows: int, progress: Progress | None
-) -> tuple[tuple[int, ...], list[Finding]]:
+) -> tuple[tuple[int, ...], list[Diagnostic]]:
     """Write all columns and torque to the spool; where each recording ends in it, and what is to be said of them."""
-    edges, findings, read = [], [], 0
+    edges, diagnostics, read = [], [], 0
     for path in paths:
         with Recording(path) as recording:
             counts = []
@@ -191,5 +191,5 @@ def _spooled(
                 if progress is not None:
                     progress("reading", min(1.0, read / rows))
             edges.append(spool.rows)
-            findings += recording_findings(recording, joined(counts))
-    return tuple(edges), findings + _slow(read - spool.rows, read)
+            diagnostics += recording_diagnostics(recording, joined(counts))
+    return tuple(edges), diagnostics + _slow(read - spool.rows, read)

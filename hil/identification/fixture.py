@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification.compare import standard_error
 from hil.identification.dataset import torque_uncertainty
@@ -20,7 +20,7 @@ _NORMAL = 1.96
 _CORRECTED = ("Kc", "Bc")
 
 
-def check_rig(recordings: list[Path], rig: Path, model: Coupling | None) -> list[Finding]:
+def check_rig(recordings: list[Path], rig: Path, model: Coupling | None) -> list[Diagnostic]:
     """What is to be said of an empty-rig recording beside those of the joint.
 
     Raises WrongUse where it is of another stand or one of them, and for a model without Kc and Bc.
@@ -37,11 +37,11 @@ def check_rig(recordings: list[Path], rig: Path, model: Coupling | None) -> list
 def without_fixture(found: Identification, fixture: Identification) -> Identification:
     """Kc and Bc of the joint alone, with the errors of both recordings in their intervals.
 
-    What there is to say of the fixture's recording is in the findings, and so is a parameter that cannot be told any
+    What there is to say of the fixture's recording is in the diagnostics, and so is a parameter that cannot be told any
     more. Raises Untrustworthy where the fixture is softer than the joint, or its own recording does not tell Kc.
     """
     if not fixture["Kc"].identifiable:
-        why = next((one.message for one in fixture.findings if one.fatal), "it is not told from noise")
+        why = next((one.message for one in fixture.diagnostics if one.is_error), "it is not told from noise")
         raise Untrustworthy(f"{fixture.recordings[0]} cannot tell the stiffness of the fixture: {why}")
     signals = found.signals
     one = len(found.recordings) == 1 and len(signals) >= found.samples
@@ -62,31 +62,31 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
     return replace(
         found,
         estimates=estimates,
-        findings=(*found.findings, *_of_fixture(fixture), *lost),
+        diagnostics=(*found.diagnostics, *_of_fixture(fixture), *lost),
         fixture=Fixture(fixture.recordings[0], fixture.model.name, tuple(fixture[name] for name in _CORRECTED)),
     )
 
 
-def _of_fixture(fixture: Identification) -> list[Finding]:
+def _of_fixture(fixture: Identification) -> list[Diagnostic]:
     """What was found of the fixture; a damping of it that cannot be told is in the intervals and ends nothing."""
     return [
-        Finding(
+        Diagnostic(
             one.code,
             f"{fixture.recordings[0]}, the fixture: {one.message}",
             one.parameter,
-            fatal=one.fatal and (one.code, one.parameter) != ("not-identifiable", "Bc"),
+            is_error=one.is_error and (one.code, one.parameter) != ("not-identifiable", "Bc"),
         )
-        for one in fixture.findings
+        for one in fixture.diagnostics
     ]
 
 
-def _lost(estimate: Estimate) -> Finding:
-    return Finding(
+def _lost(estimate: Estimate) -> Diagnostic:
+    return Diagnostic(
         "not-identifiable",
         f"{estimate.name} of the joint cannot be told from what the fixture gives: without it, the 95 % interval is as "
         "wide as the value; stiffen the fixture, or record both for longer and over a wider band",
         estimate.name,
-        fatal=True,
+        is_error=True,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.trials.trials import Trials
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Holdout
 from hil.identification.stepwise import Rung
@@ -113,35 +113,35 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
     return tuple(found)
 
 
-def judge(evidence: Evidence) -> list[Finding]:
+def judge(evidence: Evidence) -> list[Diagnostic]:
     """What is to be said of the result."""
     found = _interruption(evidence.trials)
     for at, name in enumerate(evidence.names):
         found += _of_parameter(evidence, at, name)
     if evidence.holdout.nrmse > _UNEXPLAINED:
         found.append(
-            Finding(
+            Diagnostic(
                 "unexplained",
                 f"model {evidence.model.name!r} leaves {evidence.holdout.nrmse:.0%} of the torque's spread in blocks "
                 "it was not fitted to: torque and deflection have little to do with each other; check units, signs and "
                 "that both are of the same joint",
-                fatal=True,
+                is_error=True,
             )
         )
     # the exact optimum knows no bounds: at one, the gap is the bound's and not the search's
     at_bounds = any(evidence.at_bound(at) for at in range(len(evidence.names)))
     if evidence.gap > _OPTIMISER_GAP and not at_bounds and not evidence.trials.interrupted:
         found.append(
-            Finding(
+            Diagnostic(
                 "not-converged",
                 f"the search ended {evidence.gap:.2g} above the exact optimum: give it more --generations",
-                fatal=True,
+                is_error=True,
             )
         )
     return found
 
 
-def rivals(rungs: tuple[Rung, ...], found: tuple[Estimate, ...]) -> list[Finding]:
+def rivals(rungs: tuple[Rung, ...], found: tuple[Estimate, ...]) -> list[Diagnostic]:
     """The terms that were not taken, yet would move Kc or Bc out of its interval: they are not ruled out."""
     told = []
     for rung in rungs:
@@ -149,7 +149,7 @@ def rivals(rungs: tuple[Rung, ...], found: tuple[Estimate, ...]) -> list[Finding
             value = {"Kc": rung.Kc, "Bc": rung.Bc}[estimate.name]
             if rung.gain > _STRONGLY_AGAINST and not estimate.ci95[0] <= value <= estimate.ci95[1]:
                 told.append(
-                    Finding(
+                    Diagnostic(
                         "model-dependent",
                         f"with {rung.term}, which this recording neither asks for nor rules out, {estimate.name} would "
                         f"be {value / estimate.exact - 1.0:+.2%} from here, outside its interval: a wider band or a "
@@ -160,11 +160,11 @@ def rivals(rungs: tuple[Rung, ...], found: tuple[Estimate, ...]) -> list[Finding
     return told
 
 
-def _interruption(trials: Trials) -> list[Finding]:
+def _interruption(trials: Trials) -> list[Diagnostic]:
     if not trials.interrupted:
         return []
     return [
-        Finding(
+        Diagnostic(
             "interrupted",
             f"the search was cut short with {int(trials.finished.sum())} of {len(trials.finished)} trials at their "
             "end: the best is the best so far, mean and deviation are over all of them as they stood",
@@ -172,33 +172,33 @@ def _interruption(trials: Trials) -> list[Finding]:
     ]
 
 
-def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Finding]:
-    found, fatal = [], name in _COUPLING
+def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
+    found, is_error = [], name in _COUPLING
     end = evidence.at_bound(at)
     if end is not None:
         found.append(
-            Finding(
+            Diagnostic(
                 "at-bound",
                 f"{name} lies at the {end} end of its bounds: the answer is the bound's, not the data's; "
                 f"widen it with --bounds {name}=LOW:HIGH",
                 name,
-                fatal=fatal,
+                is_error=is_error,
             )
         )
     if not evidence.told(at):
-        found.append(Finding("not-identifiable", _why_not(evidence, at), name, fatal=fatal))
+        found.append(Diagnostic("not-identifiable", _why_not(evidence, at), name, is_error=is_error))
     elif (name == "Kc" and evidence.values[at] <= 0.0) or (name == "Bc" and evidence.values[at] < 0.0):
         found.append(
-            Finding(
+            Diagnostic(
                 "implausible",
                 f"{name} is negative, which no coupling is: {_IMPLAUSIBLE[name]}",
                 name,
-                fatal=True,
+                is_error=True,
             )
         )
     elif name == "Bc" and evidence.friction_alike > _ONE_SPEED:
         found.append(
-            Finding(
+            Diagnostic(
                 "one-speed",
                 f"Bc would hold most of any dry friction, which the model has no term for and which looks like damping "
                 f"at one speed: {_SEVERAL_SPEEDS}, and try --model auto",

@@ -20,7 +20,7 @@ from ga.model.terms import Parameter
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_shapes
 from ga.trials.trials import Trials, run_trials
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification.dataset import Dataset, Table, open_dataset, table
 from hil.identification.disk_table import Progress
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 _FOLDS = 10  # blocks in time; every fifth is held out
 _TRIALS, _SHAPE_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
-_UNMOVED = ("few-counts", "poor-snr")  # what is said of a recording in which nothing moved, where it is fatal
+_UNMOVED = ("few-counts", "poor-snr")  # errors of a recording in which nothing moved
 _COUNTED = 1 << 18  # samples looked at a time
 
 
@@ -84,7 +84,7 @@ def identify(
 
     Ctrl-C while it searches ends the search only: what came of it is returned, with the trials marked as interrupted.
     Raises WrongUse, and Untrustworthy where the recordings cannot be used at all; what is doubtful but usable is in
-    the findings.
+    the diagnostics.
     """
     began = time.perf_counter()
     together = check_together(paths)
@@ -115,7 +115,7 @@ def identify(
             high=found.high,
             gap=found.optimum.relative_gap(fitness),
             holdout=holdout,
-            unmoved=next((one.message for one in data.findings if one.fatal and one.code in _UNMOVED), ""),
+            unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
         )
         judged = estimates(evidence)
         return Identification(
@@ -133,9 +133,9 @@ def identify(
             seconds=time.perf_counter() - began,
             search_seconds=found.seconds,
             holdout=holdout,
-            findings=tuple(
+            diagnostics=tuple(
                 together
-                + data.findings
+                + data.diagnostics
                 + _of_parts(data, found, parameters)
                 + judge(evidence)
                 + rivals(data.choice.rungs, judged)
@@ -144,7 +144,7 @@ def identify(
         )
 
 
-def _of_parts(data: Dataset, found: _Found, parameters: tuple[Parameter, ...]) -> list[Finding]:
+def _of_parts(data: Dataset, found: _Found, parameters: tuple[Parameter, ...]) -> list[Diagnostic]:
     """What parts of the recordings say against the whole; a recording that does not fit in memory is not gone through
     once more for it.
     """

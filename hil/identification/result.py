@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ga.trials.trials import Trials
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
 from hil.identification.stepwise import Rung
 from hil.signals.prepare import Signals
@@ -76,7 +76,7 @@ class Identification:
     seconds: float
     search_seconds: float
     holdout: Holdout
-    findings: tuple[Finding, ...]
+    diagnostics: tuple[Diagnostic, ...]
     signals: Signals
     fixture: Fixture | None = None
 
@@ -85,5 +85,5 @@ class Identification:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether nothing fatal was found."""
-        return not any(finding.fatal for finding in self.findings)
+        """Whether there is no error among the diagnostics."""
+        return not any(diagnostic.is_error for diagnostic in self.diagnostics)

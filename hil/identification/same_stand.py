@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.recording.reader import Recording
 from hil.stand.file import parse
 
 
-def check_together(paths: Sequence[Path]) -> list[Finding]:
+def check_together(paths: Sequence[Path]) -> list[Diagnostic]:
     """What is to be said of the stands of recordings that are pooled or compared.
 
     Raises WrongUse where two are of stands with different names, or are the same run.
@@ -30,10 +30,10 @@ def check_together(paths: Sequence[Path]) -> list[Finding]:
                 stands.append((path, _facts(recording)))
             else:
                 unknown.append(str(path))
-    found = [finding for path, facts in stands[1:] for finding in _compared(*stands[0], path, facts)]
+    found = [diagnostic for path, facts in stands[1:] for diagnostic in _compared(*stands[0], path, facts)]
     if stands and unknown:
         found.append(
-            Finding(
+            Diagnostic(
                 "stand-unknown",
                 f"{', '.join(unknown)} name(s) no stand, unlike {stands[0][0]}: make sure that it is the same one",
             )
@@ -50,7 +50,7 @@ def _facts(recording: Recording) -> dict[str, Any]:
     return facts
 
 
-def _compared(first: Path, known: dict[str, Any], path: Path, facts: dict[str, Any]) -> list[Finding]:
+def _compared(first: Path, known: dict[str, Any], path: Path, facts: dict[str, Any]) -> list[Diagnostic]:
     if facts["name"] != known["name"]:
         raise WrongUse(
             f"{path} is of the stand {facts['name']!r} and {first} of {known['name']!r}: take recordings of one stand"
@@ -62,4 +62,4 @@ def _compared(first: Path, known: dict[str, Any], path: Path, facts: dict[str, A
     ]
     if not changed:
         return []
-    return [Finding("stand-changed", f"{path} was made with {', '.join(changed)} in {first}: is it the same stand?")]
+    return [Diagnostic("stand-changed", f"{path} was made with {', '.join(changed)} in {first}: is it the same stand?")]

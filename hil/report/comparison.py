@@ -24,7 +24,7 @@ def as_json(found: Comparison) -> dict[str, Any]:
         "recordings": [_recording(one) for one in found.recordings],
         "parameters": {one.name: _parameter(one) for one in found.parameters},
         "verdict": [one.verdict for one in found.parameters],
-        "warnings": [finding.as_json() for finding in found.findings],
+        "warnings": [diagnostic.as_json() for diagnostic in found.diagnostics],
     }
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.recording.output import replacing
 
@@ -58,7 +58,7 @@ def as_json(found: Identification) -> dict[str, Any]:
         "evaluations": found.trials.evaluations,
         "seconds": found.seconds,
         "holdout": {"fitness": _number(found.holdout.fitness), "nrmse": _number(found.holdout.nrmse)},
-        "warnings": [finding.as_json() for finding in found.findings],
+        "warnings": [diagnostic.as_json() for diagnostic in found.diagnostics],
         "ladder": [_rung(rung) for rung in found.rungs],
         "fixture": None if found.fixture is None else _fixture(found.fixture),
     }
@@ -85,7 +85,7 @@ def unusable_json(recordings: Sequence[Path], model: str, preset: str, seed: int
             name: {"value": None, "unit": unit, "ci95": [None, None], "identifiable": False}
             for name, unit in units.items()
         },
-        "warnings": [Finding("unusable", reason, name).as_json() for name in units],
+        "warnings": [Diagnostic("unusable", reason, name).as_json() for name in units],
     }
 
 
@@ -257,14 +257,14 @@ def inspection_table(seen: Inspection) -> Table:
 
 def inspection_json(seen: Inspection) -> dict[str, Any]:
     """The JSON object of `hil inspect --json`, SI units."""
-    plain = {name: getattr(seen, name) for name in seen.__slots__ if name not in {"path", "findings"}}
+    plain = {name: getattr(seen, name) for name in seen.__slots__ if name not in {"path", "diagnostics"}}
     plain["snr"] = _number(seen.snr)
     return {
         "schema": "hil-inspection/1",
         "recording": str(seen.path),
         "usable": seen.usable,
         **plain,
-        "warnings": [finding.as_json() for finding in seen.findings],
+        "warnings": [diagnostic.as_json() for diagnostic in seen.diagnostics],
     }
 
 
@@ -336,7 +336,7 @@ def write_page(found: Identification, path: Path) -> list[Path]:
         for factor, unit in [people_unit(estimate.unit, milli=_milli(found))]
     )
     names = html.escape(", ".join(str(recording) for recording in found.recordings))
-    said = "".join(f"<li>{html.escape(finding.message)}</li>" for finding in found.findings)
+    said = "".join(f"<li>{html.escape(diagnostic.message)}</li>" for diagnostic in found.diagnostics)
     lines = "".join(f"<p>{html.escape(line)}</p>" for line in identification_lines(found))
     data = base64.b64encode(picture.read_bytes()).decode()
     page = (

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.servo import Status
-from hil.diagnostics import Finding, lateness
+from hil.diagnostics import Diagnostic, lateness
 from hil.errors import Untrustworthy
-from hil.identification.dataset import recording_findings, stand_of
+from hil.identification.dataset import recording_diagnostics, stand_of
 from hil.recording.reader import Recording
 from hil.signals.prepare import prepare
 from hil.signals.quality import assess
@@ -49,12 +49,12 @@ class Inspection:
     band: tuple[float, float]
     rate_window: float
     torque_from: str
-    findings: tuple[Finding, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
     @property
     def usable(self) -> bool:
-        """Whether nothing fatal was found."""
-        return not any(finding.fatal for finding in self.findings)
+        """Whether there is no error among the diagnostics."""
+        return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
 
 def inspect(path: Path) -> Inspection:
@@ -92,7 +92,7 @@ def inspect(path: Path) -> Inspection:
             band=signals.band,
             rate_window=signals.rate_window,
             torque_from=signals.torque_from,
-            findings=tuple(
-                recording_findings(recording, signals) + quality.findings() + lateness(late, len(recording))
+            diagnostics=tuple(
+                recording_diagnostics(recording, signals) + quality.diagnostics() + lateness(late, len(recording))
             ),
         )

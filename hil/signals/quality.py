@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.servo import Status
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.recording.reader import Recording
 from hil.signals.prepare import Signals
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
@@ -37,33 +37,33 @@ class Quality:
     torque_noise: float
     snr: float
 
-    def findings(self) -> list[Finding]:
+    def diagnostics(self) -> list[Diagnostic]:
         """What is to be said of it."""
         counts, lost = self.deflection / self.deflection_lsb, self.lost / self.samples
         saturated, found = self.saturated / self.samples, []
         if lost > _MANY_LOST:
-            found.append(Finding("many-lost", f"{lost:.1%} of the replies were lost: check cable and baud rate"))
+            found.append(Diagnostic("many-lost", f"{lost:.1%} of the replies were lost: check cable and baud rate"))
         if saturated > _MANY_SATURATED:
             found.append(
-                Finding(
+                Diagnostic(
                     "saturated",
                     f"the torque limit acted in {saturated:.1%} of the rows: lower --amplitude",
                 )
             )
         if counts < _FEW_COUNTS:
             found.append(
-                Finding(
+                Diagnostic(
                     "few-counts",
                     f"the deflection spans {counts:.0f} counts of the encoder: raise --amplitude",
-                    fatal=counts < 3.0,
+                    is_error=counts < 3.0,
                 )
             )
         if self.snr < _POOR_SNR:
             found.append(
-                Finding(
+                Diagnostic(
                     "poor-snr",
                     f"the torque stands only {self.snr:.0f} dB above its noise: raise --amplitude",
-                    fatal=self.snr < 3.0,
+                    is_error=self.snr < 3.0,
                 )
             )
         return found

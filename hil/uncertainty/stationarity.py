@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.lad.out_of_core import reduce
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.identification.dataset import Table
 from hil.uncertainty.confidence import spread
 
@@ -17,7 +17,7 @@ _DIFFERENT = 3.0  # times, between two parts that tell it
 _TOLD = 0.2  # half the width of a part's interval, as a part of its value, up to which the part tells Kc
 
 
-def unsteady(blocks: Table, edges: tuple[int, ...], at: int) -> list[Finding]:
+def unsteady(blocks: Table, edges: tuple[int, ...], at: int) -> list[Diagnostic]:
     """What is to be said where parts of a recording differ in Kc, the parameter at that place, by a multiple.
 
     blocks: the linear problem that the neighbourhood of the solution looks like; edges: where each recording ends.
@@ -29,12 +29,12 @@ def unsteady(blocks: Table, edges: tuple[int, ...], at: int) -> list[Finding]:
         told = [value for value in values if value is not None]
         if told and max(told) > _DIFFERENT * min(told):
             found.append(
-                Finding(
+                Diagnostic(
                     "unsteady",
                     f"Kc is {min(told):.3g} N m/rad in one quarter of the recording and {max(told):.3g} in another: a "
                     "unit changed, a cable slipped or came loose; look at it with --report, and import or record again",
                     "Kc",
-                    fatal=True,
+                    is_error=True,
                 )
             )
     return found

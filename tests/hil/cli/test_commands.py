@@ -230,7 +230,7 @@ def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
     recorded = hil("record", "--stand", "stand.toml", *words)
     assert recorded.status == 0
     assert [warning["code"] for warning in recorded.json["warnings"]] == ["motor-side"] * warned
-    assert ("note [motor-side]" in recorded.err) == warned
+    assert ("warning [motor-side]" in recorded.err) == warned
     found = hil("identify", "a.h5", "--trials", "2", "--json")
     said = [warning for warning in found.json["warnings"] if warning["code"] == "motor-side"]
     assert found.status == (1 if warned else 0)

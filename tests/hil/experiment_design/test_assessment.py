@@ -19,7 +19,7 @@ from hil.acquisition.run import run
 from hil.cli.app import run as hil
 from hil.errors import WrongUse
 from hil.experiment_design.assessment import Assessment, Task, assess, rounded, task_of
-from hil.experiment_design.diagnostics import findings, task_findings
+from hil.experiment_design.diagnostics import diagnostics, task_diagnostics
 from hil.experiment_design.response import respond
 from hil.experiment_design.search import best
 from hil.identification.dataset import stand_of
@@ -127,7 +127,7 @@ def test_the_table_names_both_profiles_their_errors_and_what_limits_them(capfd: 
 
 
 def codes(asked: Task, made: Assessment) -> dict[str, str | None]:
-    return {finding.code: finding.parameter for finding in findings(asked, made)}
+    return {diagnostic.code: diagnostic.parameter for diagnostic in diagnostics(asked, made)}
 
 
 def test_a_band_above_the_corner_is_said_to_tell_less_of_the_stiffness() -> None:
@@ -205,7 +205,7 @@ def test_a_stand_that_is_not_simulated_needs_rough_values_and_says_what_it_assum
 @pytest.mark.parametrize(("quantity", "words"), [("torque", "half a tick (2 ms)"), ("position", "--quantity torque")])
 def test_torque_from_the_motors_side_is_said_to_be_predicted_less_well(quantity: str, words: str) -> None:
     asked = task(text=SIMULATED.replace('"joint"', '"motor"'), quantity=quantity)
-    (found,) = task_findings(asked, noise_stated=True)
+    (found,) = task_diagnostics(asked, noise_stated=True)
     assert found.code == "motor-side"
     assert words in found.message
 

@@ -84,8 +84,8 @@ def test_an_uncertain_torque_hides_no_difference_and_is_in_the_pooled_interval(m
         low, high = before.pooled.ci95
         half = math.hypot(0.5 * (high - low), 1.96 * 0.05 * before.pooled.value)
         assert after.pooled.ci95 == pytest.approx((after.pooled.value - half, after.pooled.value + half), rel=1e-4)
-    assert "scale-in-common" in [finding.code for finding in found.findings]
-    assert "scale-in-common" not in [finding.code for finding in exact.findings]
+    assert "scale-in-common" in [diagnostic.code for diagnostic in found.diagnostics]
+    assert "scale-in-common" not in [diagnostic.code for diagnostic in exact.diagnostics]
 
 
 def test_a_drift_is_found_by_the_recordings_own_times(make_recording: Maker) -> None:
@@ -108,7 +108,7 @@ def test_a_recording_that_cannot_tell_a_parameter_is_left_out_of_it(make_recordi
     found = compare(paths, parse_model("linear"), SEARCH)
     assert found.parameters[0].told_by == tuple(good)
     assert found.recordings[2].estimates == {}
-    assert "left-out" in {finding.code for finding in found.findings}
+    assert "left-out" in {diagnostic.code for diagnostic in found.diagnostics}
     assert found.trustworthy
     alone = compare(paths[1:], parse_model("linear"), SEARCH)
     assert not alone.trustworthy
@@ -126,7 +126,7 @@ def test_the_hour_of_an_import_is_not_taken_for_the_hour_of_the_run(make_recordi
     found = compare(paths, parse_model("linear"), SEARCH)
     assert found.parameters[0].drift is None
     assert [one.created for one in found.recordings] == [None] * 4
-    assert "time-unknown" in {finding.code for finding in found.findings}
+    assert "time-unknown" in {diagnostic.code for diagnostic in found.diagnostics}
 
 
 def test_recordings_that_agree_more_closely_than_their_errors_are_said_to(make_recording: Maker) -> None:
@@ -171,7 +171,7 @@ def test_a_stand_that_was_changed_between_two_recordings_is_said(make_recording:
     changed = STAND.replace("4.0", "5.0").replace("0.03", "0.05") + "[sim]\n"
     second, third = stamped(make_recording("b.h5"), stand=changed), stamped(make_recording("c.h5"))
     found = check_together([first, second, third])
-    assert [finding.code for finding in found] == ["stand-changed", "stand-unknown"]
+    assert [diagnostic.code for diagnostic in found] == ["stand-changed", "stand-unknown"]
     assert "gear_ratio 5.0 instead of 4.0, limits.torque 0.05 instead of 0.03" in found[0].message
     assert "c.h5 name(s) no stand" in found[1].message
 
@@ -255,4 +255,4 @@ def test_a_comparison_nothing_can_be_said_of_ends_with_status_1(hil: Hil, make_r
     status, out, err = hil("compare", "a.h5", "b.h5", "--trials", 2, "--json")
     assert status == 1
     assert json.loads(out)["parameters"]["Kc"]["value"] is None
-    assert "problem [cannot-compare]: Kc cannot be compared: 0 of 2 recordings tell it" in err
+    assert "error [cannot-compare]: Kc cannot be compared: 0 of 2 recordings tell it" in err

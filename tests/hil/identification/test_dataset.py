@@ -46,7 +46,9 @@ def test_on_disk_and_in_memory_give_the_same_answer(recordings: list[Path], monk
     assert parts.fitness == pytest.approx(whole.fitness, rel=1e-6)
     assert parts.holdout.fitness == pytest.approx(whole.holdout.fitness, rel=1e-9)
     assert parts.holdout.nrmse == pytest.approx(whole.holdout.nrmse, rel=1e-9)
-    assert [finding.code for finding in parts.findings] == [finding.code for finding in whole.findings]
+    assert [diagnostic.code for diagnostic in parts.diagnostics] == [
+        diagnostic.code for diagnostic in whole.diagnostics
+    ]
     for one, other in zip(parts.estimates, whole.estimates, strict=True):
         assert one.exact == pytest.approx(other.exact, rel=1e-9)
         assert one.ci95 == pytest.approx(other.ci95, rel=1e-6)

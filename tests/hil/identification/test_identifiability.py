@@ -6,7 +6,7 @@ import numpy as np
 
 from ga.evolution.evolution import PRESETS
 from ga.model.terms import parse
-from hil.diagnostics import Finding
+from hil.diagnostics import Diagnostic
 from hil.identification.identifiability import rivals
 from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification
@@ -31,10 +31,10 @@ CHOSEN = rung("linear", 2e-4, taken=True)
 
 
 def test_a_term_that_would_move_a_parameter_out_of_its_interval_is_named() -> None:
-    (finding,) = rivals((CHOSEN, rung("skew", 2.1e-4)), FOUND)
-    assert (finding.code, finding.parameter, finding.fatal) == ("model-dependent", "Bc", False)
-    assert "with skew" in finding.message
-    assert "+5.00%" in finding.message
+    (diagnostic,) = rivals((CHOSEN, rung("skew", 2.1e-4)), FOUND)
+    assert (diagnostic.code, diagnostic.parameter, diagnostic.is_error) == ("model-dependent", "Bc", False)
+    assert "with skew" in diagnostic.message
+    assert "+5.00%" in diagnostic.message
 
 
 def test_a_term_that_moves_nothing_or_has_strong_evidence_against_it_is_not() -> None:
@@ -60,8 +60,8 @@ def triangle(channels: dict[str, Array]) -> None:
     channels["dtheta_dot"] = rate
 
 
-def of_damping(found: Identification) -> list[Finding]:
-    return [finding for finding in found.findings if finding.parameter == "Bc"]
+def of_damping(found: Identification) -> list[Diagnostic]:
+    return [diagnostic for diagnostic in found.diagnostics if diagnostic.parameter == "Bc"]
 
 
 def test_a_damping_seen_at_one_speed_is_not_told_from_dry_friction(make_recording: Maker) -> None:
@@ -70,7 +70,7 @@ def test_a_damping_seen_at_one_speed_is_not_told_from_dry_friction(make_recordin
     assert found["Kc"].identifiable
     assert not found["Bc"].identifiable
     (said,) = of_damping(found)
-    assert (said.code, said.fatal) == ("not-identifiable", True)
+    assert (said.code, said.is_error) == ("not-identifiable", True)
     assert "from dry friction" in said.message
     assert "several speeds" in said.message
 
@@ -78,7 +78,7 @@ def test_a_damping_seen_at_one_speed_is_not_told_from_dry_friction(make_recordin
 def test_a_sine_is_said_to_have_little_but_one_speed(make_recording: Maker) -> None:
     path = make_recording(change=lambda channels: sine(channels, 5.0))
     (said,) = of_damping(identify([path], parse("linear"), SEARCH))
-    assert (said.code, said.fatal) == ("one-speed", False)
+    assert (said.code, said.is_error) == ("one-speed", False)
     assert not of_damping(identify([path], parse("linear+coulomb"), SEARCH))
 
 
@@ -89,7 +89,7 @@ def test_several_speeds_have_nothing_said_of_them(make_recording: Maker) -> None
 def test_a_damping_that_friction_may_be_names_the_friction_and_the_corner(make_recording: Maker) -> None:
     path = make_recording(samples=20000, change=lambda channels: sine(channels, 0.05))
     (said,) = of_damping(identify([path], parse("linear+coulomb"), SEARCH))
-    assert (said.code, said.fatal) == ("not-identifiable", True)
+    assert (said.code, said.is_error) == ("not-identifiable", True)
     assert "from Coulomb friction (Fc)" in said.message
     assert "damping shows only towards" in said.message
 
@@ -100,7 +100,7 @@ def test_recordings_that_differ_by_their_units_are_said_to_differ(make_recording
     found = identify(paths, parse("linear"), SEARCH)
     for name in ("Kc", "Bc"):
         assert not found[name].identifiable
-        assert any("the recordings differ" in one.message for one in found.findings if one.parameter == name)
+        assert any("the recordings differ" in one.message for one in found.diagnostics if one.parameter == name)
 
 
 def test_no_corner_is_named_where_there_is_none(make_recording: Maker) -> None:
@@ -108,8 +108,8 @@ def test_no_corner_is_named_where_there_is_none(make_recording: Maker) -> None:
         channels["torque"] = 1e-4 * np.random.default_rng(0).standard_normal(len(channels["time"]))
 
     found = identify([make_recording(change=nothing)], parse("linear"), SEARCH)
-    assert any(finding.code == "not-identifiable" for finding in of_damping(found))
-    assert not any("inf" in finding.message for finding in found.findings)
+    assert any(diagnostic.code == "not-identifiable" for diagnostic in of_damping(found))
+    assert not any("inf" in diagnostic.message for diagnostic in found.diagnostics)
 
 
 def test_a_unit_that_changes_in_the_middle_of_a_recording_is_found(make_recording: Maker) -> None:
@@ -118,17 +118,17 @@ def test_a_unit_that_changes_in_the_middle_of_a_recording_is_found(make_recordin
 
     found = identify([make_recording(noise=1e-5, change=change)], parse("linear"), SEARCH)
     assert not found.trustworthy
-    (said,) = [finding for finding in found.findings if finding.code == "unsteady"]
+    (said,) = [diagnostic for diagnostic in found.diagnostics if diagnostic.code == "unsteady"]
     assert said.parameter == "Kc"
     assert "Kc is 0.02 N m/rad in one quarter of the recording and 20 in another" in said.message
     steady = identify([make_recording("b.h5", noise=1e-4)], parse("linear"), SEARCH)
-    assert not [finding for finding in steady.findings if finding.code == "unsteady"]
+    assert not [diagnostic for diagnostic in steady.diagnostics if diagnostic.code == "unsteady"]
 
 
 def test_friction_that_is_not_there_cannot_be_told_from_zero(make_recording: Maker) -> None:
     found = identify([make_recording(noise=1e-4)], parse("linear+coulomb"), SEARCH)
     assert not found["Fc"].identifiable
-    (said,) = [finding for finding in found.findings if finding.parameter == "Fc"]
-    assert (said.code, said.fatal) == ("not-identifiable", False)
+    (said,) = [diagnostic for diagnostic in found.diagnostics if diagnostic.parameter == "Fc"]
+    assert (said.code, said.is_error) == ("not-identifiable", False)
     assert "cannot be told from zero" in said.message
     assert found["Kc"].identifiable

@@ -34,12 +34,12 @@ def marked(share: float, status: Status) -> Change:
 
 
 def codes(make_recording: Maker, **settings: object) -> dict[str, bool]:
-    """Code of each finding, and whether it is fatal."""
-    return {finding.code: finding.fatal for finding in inspect(make_recording(**settings)).findings}
+    """Code of each diagnostic, and whether it is an error."""
+    return {diagnostic.code: diagnostic.is_error for diagnostic in inspect(make_recording(**settings)).diagnostics}
 
 
 @pytest.mark.parametrize(
-    ("status", "share", "code", "fatal"),
+    ("status", "share", "code", "is_error"),
     [
         (Status.SATURATED, 0.009, "saturated", None),
         (Status.SATURATED, 0.011, "saturated", False),
@@ -52,30 +52,30 @@ def codes(make_recording: Maker, **settings: object) -> dict[str, bool]:
     ],
 )
 def test_rows_that_were_not_ordinary_are_told_from_a_share_on(
-    make_recording: Maker, status: Status, share: float, code: str, fatal: bool | None
+    make_recording: Maker, status: Status, share: float, code: str, is_error: bool | None
 ) -> None:
-    assert codes(make_recording, change=marked(share, status)).get(code) is fatal
+    assert codes(make_recording, change=marked(share, status)).get(code) is is_error
 
 
-@pytest.mark.parametrize(("ratio", "fatal"), [(22.0, None), (18.0, False), (4.5, False), (1.5, True)])
-def test_a_torque_near_its_noise_is_told(make_recording: Maker, ratio: float, fatal: bool | None) -> None:
+@pytest.mark.parametrize(("ratio", "is_error"), [(22.0, None), (18.0, False), (4.5, False), (1.5, True)])
+def test_a_torque_near_its_noise_is_told(make_recording: Maker, ratio: float, is_error: bool | None) -> None:
     """The ratio in dB is the variance of the torque, noise included, over the noise's."""
     with Recording(make_recording()) as recording:
         power = float(np.var(recording.channel("torque")))
     noise = float(np.sqrt(power / (10.0 ** (ratio / 10.0) - 1.0)))
     path = make_recording(noise=noise, samples=20_000)
     assert inspect(path).snr == pytest.approx(ratio, abs=0.5)
-    assert {item.code: item.fatal for item in inspect(path).findings}.get("poor-snr") is fatal
+    assert {item.code: item.is_error for item in inspect(path).diagnostics}.get("poor-snr") is is_error
 
 
-@pytest.mark.parametrize(("counts", "fatal"), [(22, None), (18, False), (4, False), (2, True)])
-def test_a_deflection_of_few_counts_is_told(make_recording: Maker, counts: int, fatal: bool | None) -> None:
+@pytest.mark.parametrize(("counts", "is_error"), [(22, None), (18, False), (4, False), (2, True)])
+def test_a_deflection_of_few_counts_is_told(make_recording: Maker, counts: int, is_error: bool | None) -> None:
     def coarse(channels: dict[str, Array]) -> None:
         low, high = channels["dtheta"].min(), channels["dtheta"].max()
         step = (high - low) / counts
         channels["dtheta"] = np.round((channels["dtheta"] - low) / step) * step
 
-    assert codes(make_recording, noise=1e-5, change=coarse).get("few-counts") is fatal
+    assert codes(make_recording, noise=1e-5, change=coarse).get("few-counts") is is_error
 
 
 def test_samples_that_were_altered_are_not_measured(make_recording: Maker) -> None:
