@@ -26,13 +26,13 @@ REPEATS = 15
 
 
 def serve(link: str, baudrate: int, ready: Event, done: Event) -> None:
-    from sim_backend.wire.dynamixel.bus import Bus, Timing
-    from sim_backend.wire.dynamixel.device import Device
+    from sim_backend.wire.dynamixel.bus import DynamixelBus, DynamixelTiming
+    from sim_backend.wire.dynamixel.device import DynamixelDevice
     from sim_backend.wire.uart.pty_line import PtyLine
 
-    bus = Bus([], timing=Timing(usb_latency=USB_LATENCY))
+    bus = DynamixelBus([], timing=DynamixelTiming(usb_latency=USB_LATENCY))
     with PtyLine(Path(link), bus) as line:
-        bus.devices.append(Device("xl330-m288", baudrate=baudrate, now=line.now()))
+        bus.devices.append(DynamixelDevice("xl330-m288", baudrate=baudrate, now=line.now()))
         ready.set()
         done.wait()
 

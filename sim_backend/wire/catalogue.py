@@ -53,7 +53,7 @@ class Emulator:
         return made
 
 
-_CAN_TIMING = "sim_backend.wire.canbus.bus:Timing"
+_CAN_TIMING = "sim_backend.wire.canbus.bus:CanTiming"
 
 EMULATORS: Mapping[str, Emulator] = MappingProxyType(
     {

@@ -36,26 +36,21 @@ from hil.stand.file import load, open_servo
 from hil.stand.servo import StandServo
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo, VirtualClock
-from sim_backend.wire.canbus.bus import Bus as CanBus
-from sim_backend.wire.canbus.bus import Node
-from sim_backend.wire.canbus.bus import Timing as CanTiming
-from sim_backend.wire.canbus.loopback import Loopback as CanLoopback
-from sim_backend.wire.cia402.device import Device as Cia402Device
-from sim_backend.wire.commander.emulator import Board, new_board
-from sim_backend.wire.commander.emulator import Timing as FocTiming
+from sim_backend.wire.canbus.bus import CanBus, CanNode, CanTiming
+from sim_backend.wire.canbus.loopback import CanLoopback
+from sim_backend.wire.cia402.device import Cia402Device
+from sim_backend.wire.commander.emulator import CommanderBoard, CommanderTiming, new_board
 from sim_backend.wire.commander.emulator import serve as serve_foc
-from sim_backend.wire.dynamixel.bus import Bus, Timing
-from sim_backend.wire.dynamixel.device import Device
+from sim_backend.wire.dynamixel.bus import DynamixelBus, DynamixelTiming
+from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.mx_device import MxDevice
 from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
-from sim_backend.wire.loadcell.emulator import SCALE
-from sim_backend.wire.loadcell.emulator import Board as CellBoard
-from sim_backend.wire.loadcell.emulator import LoadCell as Cell
-from sim_backend.wire.mit.device import Device as MitDevice
-from sim_backend.wire.moteus.device import Device as MoteusDevice
-from sim_backend.wire.odrive.device import Device as OdriveDevice
-from sim_backend.wire.uart.loopback import Loopback as SerialLoopback
+from sim_backend.wire.loadcell.emulator import SCALE, EmulatedLoadCell, LoadCellBoard
+from sim_backend.wire.mit.device import MitDevice
+from sim_backend.wire.moteus.device import MoteusDevice
+from sim_backend.wire.odrive.device import OdriveDevice
+from sim_backend.wire.uart.loopback import SerialLoopback
 
 
 @pytest.fixture(autouse=True)
@@ -69,7 +64,7 @@ def nothing_is_left_behind() -> Iterator[None]:
 class Loopback(SerialPort):
     """The line to an emulated bus in virtual time: a wait for bytes is what makes time pass."""
 
-    def __init__(self, bus: Bus, clock: VirtualClock, baudrate: int = 1_000_000) -> None:
+    def __init__(self, bus: DynamixelBus, clock: VirtualClock, baudrate: int = 1_000_000) -> None:
         super().__init__("loopback", baudrate, clock)
         self.bus = bus
         self.sent = bytearray()
@@ -129,7 +124,7 @@ class Loopback(SerialPort):
 class Rig:
     """A bus of emulated servos and what is needed to open one of them, in virtual time."""
 
-    bus: Bus
+    bus: DynamixelBus
     clock: VirtualClock
     port: Loopback
     config: DynamixelConfig
@@ -150,11 +145,11 @@ class Rig:
 
 def new_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
     clock = VirtualClock()
-    bus: Bus
+    bus: DynamixelBus
     if model in MX_MODELS:
-        bus = Bus([MxDevice(model, baudrate=baudrate, **device)], timing=Timing(), protocol=1)
+        bus = DynamixelBus([MxDevice(model, baudrate=baudrate, **device)], timing=DynamixelTiming(), protocol=1)
     else:
-        bus = Bus([Device(model, baudrate=baudrate, **device)], timing=Timing())
+        bus = DynamixelBus([DynamixelDevice(model, baudrate=baudrate, **device)], timing=DynamixelTiming())
     watchdog = 0.0 if model in MX_MODELS else 0.1
     config = DynamixelConfig(port="loopback", model=model, baudrate=baudrate, watchdog=watchdog)  # type: ignore[arg-type]  # a Literal
     return Rig(bus, clock, Loopback(bus, clock, baudrate), config)
@@ -183,7 +178,7 @@ class CanRig:
         self.wire.advance()
 
 
-def can_rig(adapter: Callable[..., Servo], config: Any, nodes: list[Node], bitrate: float = 1e6) -> CanRig:
+def can_rig(adapter: Callable[..., Servo], config: Any, nodes: list[CanNode], bitrate: float = 1e6) -> CanRig:
     clock = VirtualClock()
     bus = CanBus(nodes, timing=CanTiming(bitrate=bitrate))
     return CanRig(bus, clock, adapter, config, CanLoopback(bus, clock))
@@ -248,7 +243,7 @@ def limits() -> Limits:
 class FocRig:
     """An emulated SimpleFOC board and what is needed to open its motor, in virtual time."""
 
-    board: Board
+    board: CommanderBoard
     clock: VirtualClock
     port: SerialLoopback
     config: CommanderConfig
@@ -263,13 +258,13 @@ class FocRig:
 
 def new_foc(baudrate: int = 1_000_000, **board: Any) -> FocRig:
     clock = VirtualClock()
-    made = new_board(baudrate=baudrate, timing=FocTiming(), **board)
+    made = new_board(baudrate=baudrate, timing=CommanderTiming(), **board)
     config = CommanderConfig("loopback", torque_constant=0.0145, watchdog=0.0, baudrate=baudrate)
     return FocRig(made, clock, SerialLoopback(made, clock, baudrate), config)
 
 
 def with_loadcell(rig: FocRig) -> Servo:
-    port = SerialLoopback(Cell(CellBoard(), rig.board), rig.clock, 115200)
+    port = SerialLoopback(EmulatedLoadCell(LoadCellBoard(), rig.board), rig.clock, 115200)
     return StandServo(rig.open(), 0.1, LoadCell(LoadCellConfig("loopback", SCALE), clock=rig.clock, port=port))
 
 
@@ -294,7 +289,7 @@ def closed_after(servo: Servo, limits: Limits) -> Iterator[tuple[Servo, Limits]]
 
 
 def on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
-    with serve(path / "ttyDXL", "xl330-m288", timing=Timing()) as line:
+    with serve(path / "ttyDXL", "xl330-m288", timing=DynamixelTiming()) as line:
         servo = DynamixelServo(
             DynamixelConfig(port=str(line.link), model="xl330-m288", reply_timeout=0.3, watchdog=1.0)
         )
@@ -314,7 +309,7 @@ def on_a_stand(path: Path) -> Iterator[tuple[Servo, Limits]]:
 
 
 def foc_on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
-    with serve_foc(path / "ttyFOC", new_board(timing=FocTiming(), now=time.monotonic())) as line:
+    with serve_foc(path / "ttyFOC", new_board(timing=CommanderTiming(), now=time.monotonic())) as line:
         config = CommanderConfig(str(line.link), torque_constant=0.0145, watchdog=0.0, reply_timeout=0.3)
         yield from closed_after(CommanderServo(config), SIM_LIMITS)
 

@@ -22,12 +22,12 @@ from hil.doctor.checks import Examination
 from hil.doctor.examine import examine
 from hil.stand.file import Stand, parse
 from sim_backend.parameters import CouplingParameters
-from sim_backend.wire.dynamixel.bus import Timing
-from sim_backend.wire.dynamixel.device import Device
+from sim_backend.wire.dynamixel.bus import DynamixelTiming
+from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
-from sim_backend.wire.dynamixel.faults import DropReplies, Unplug
 from sim_backend.wire.dynamixel.motor import behind
 from sim_backend.wire.dynamixel.tables import MODELS
+from sim_backend.wire.faults import DropReplies, Unplug
 
 STAND = """
 [stand]
@@ -100,7 +100,9 @@ def test_nothing_moves_unless_it_was_asked_for(make_rig: Callable[..., Any], exa
 def test_a_joint_that_is_not_locked_is_found_out(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
     free = behind(MODELS["xl330-m288"], CouplingParameters(stiffness=1e-5, damping=1e-6, coulomb_friction=0.0))
-    rig.bus.devices[0] = Device("xl330-m288", parameters=replace(free, motor=replace(free.motor, inertia=3e-4)))
+    rig.bus.devices[0] = DynamixelDevice(
+        "xl330-m288", parameters=replace(free, motor=replace(free.motor, inertia=3e-4))
+    )
     found = examine_rig(rig)
     assert verdicts(found)["lock"] == "problem"
     assert "lock the joint" in message(found, "lock")
@@ -156,7 +158,7 @@ def test_a_latched_fault_is_told_with_its_remedy(make_rig: Callable[..., Any], e
 
 def test_a_link_that_loses_many_replies_is_a_problem(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
-    rig.bus.inject(DropReplies(after=20, count=40))
+    rig.bus.faults.inject(DropReplies(after=20, count=40))
     found = examine_rig(rig, move=False)
     assert verdicts(found)["bus"] == "problem"
     assert "40 lost" in message(found, "bus")
@@ -196,7 +198,7 @@ def test_an_order_to_stop_in_the_middle_of_the_move_leaves_the_torque_off(
 
 def test_servos_are_found_at_other_baud_rates_and_ids(make_rig: Callable[..., Any]) -> None:
     rig = make_rig(baudrate=57600, ident=7)
-    rig.bus.devices.append(Device("xm430-w350", 9, baudrate=57600))
+    rig.bus.devices.append(DynamixelDevice("xm430-w350", 9, baudrate=57600))
     config = DynamixelConfig(port="loopback", model="xl330-m288")
     assert search(config, rig.clock, rig.port) == [
         "a xl330-m288 answers with id 7 at 57600 baud",
@@ -221,7 +223,7 @@ def test_the_command_gives_one_json_object(tmp_path: Path, capfd: pytest.Capture
     stand = tmp_path / "stand.toml"
     link = tmp_path / "ttyDXL"
     stand.write_text(STAND.format(port=link) + "reply_timeout = 0.3\nwatchdog = 1.0\n")
-    with serve(link, "xl330-m288", timing=Timing()):
+    with serve(link, "xl330-m288", timing=DynamixelTiming()):
         assert run(["doctor", str(stand), "--json"]) == 0
     told = json.loads(capfd.readouterr().out)
     assert (told["schema"], told["ok"], told["drive"]["model"]) == ("hil-doctor/1", True, "xl330-m288")
@@ -242,7 +244,7 @@ def test_a_drive_that_dies_in_the_middle_is_a_problem_and_no_traceback(
     make_rig: Callable[..., Any], examine_rig: Examine
 ) -> None:
     rig = make_rig()
-    rig.bus.inject(Unplug(after=50))
+    rig.bus.faults.inject(Unplug(after=50))
     found = examine_rig(rig)
     assert verdicts(found)["drive"] == "problem"
     assert rig.port.opened == 0

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
-from sim_backend.wire.canbus.faults import BusOff, DropRequests, Fault, Reboots, Unplug, spoiled
 from sim_backend.wire.canbus.frames import BUS_OFF, PROTOCOL_ERROR, CanFrame, duration, error_frame
+from sim_backend.wire.faults import BusOff, CanFault, Reboots, Unplug, WireFaults
 
 
-class Node(Protocol):
+class CanNode(Protocol):
     """An emulated drive. Times are s on the bus's clock."""
 
     def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
@@ -39,7 +39,7 @@ class Node(Protocol):
         ...
 
 
-class Delivery(NamedTuple):
+class CanDelivery(NamedTuple):
     """A frame that reaches the host, and when, s."""
 
     at: float
@@ -47,7 +47,7 @@ class Delivery(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class CanTiming:
     """How long the bus takes. Bit rates in bit/s; turnaround: s from a request to its answer in the drive; latency: s
     that the host's adapter holds a frame back.
     """
@@ -58,42 +58,26 @@ class Timing:
     latency: float = 1e-4
 
 
-class Bus:
+class CanBus:
     """The bus with its drives. timing: None where everything happens at once."""
 
-    def __init__(self, nodes: Iterable[Node], *, timing: Timing | None = None) -> None:
-        self.nodes: list[Node] = list(nodes)
+    def __init__(self, nodes: Iterable[CanNode], *, timing: CanTiming | None = None) -> None:
+        self.nodes: list[CanNode] = list(nodes)
         self.unplugged = False
         self.off = False
         """Whether the host's controller has left the bus."""
         self._timing = timing
         self._free = 0.0
         self._last = 0.0
-        self._replies = 0
-        self._requests = 0
-        self._faults: list[tuple[int, Fault]] = []
-
-    def inject(self, fault: Fault) -> None:
-        """Let `fault` happen, counted from now."""
-        seen = self._requests if isinstance(fault, DropRequests) else self._replies
-        self._faults.append((seen + fault.after, fault))
-
-    def clear_faults(self) -> None:
-        """Let nothing of what was injected happen any more."""
-        self._faults.clear()
-
-    @property
-    def replies(self) -> int:
-        """Replies sent so far."""
-        return self._replies
+        self.faults = WireFaults[CanFault]()
 
     def due(self) -> float:
         """When a drive next sends something unasked, s."""
         return min((node.due() for node in self.nodes), default=math.inf)
 
-    def advance(self, now: float) -> list[Delivery]:
+    def advance(self, now: float) -> list[CanDelivery]:
         """Carry every drive to `now`; what arrived unasked in between."""
-        out: list[Delivery] = []
+        out: list[CanDelivery] = []
         while self.due() <= now:
             at = self.due()
             for node in self.nodes:
@@ -103,12 +87,11 @@ class Bus:
             node.advance(now)
         return out
 
-    def receive(self, frame: CanFrame, now: float) -> list[Delivery]:
+    def receive(self, frame: CanFrame, now: float) -> list[CanDelivery]:
         """What `frame`, given to the host's adapter at `now`, makes the drives send, and what they sent before it."""
         arrival = self._occupy(frame, now)
         out = self.advance(arrival)
-        self._requests += 1
-        if self.off or self._hit(DropRequests, self._requests):
+        if self.faults.loses_request() or self.off:
             return out
         answers = [answer for node in self.nodes for answer in [node.hear(frame, arrival)] if answer]
         if not answers:
@@ -119,46 +102,43 @@ class Bus:
             out += self._together(frames, ready)
         return sorted(out, key=lambda delivery: delivery.at)
 
-    def _together(self, frames: list[CanFrame], now: float) -> list[Delivery]:
+    def _together(self, frames: list[CanFrame], now: float) -> list[CanDelivery]:
         """Frames that drives begin to send at the same moment: the lower identifier goes first."""
-        out: list[Delivery] = []
+        out: list[CanDelivery] = []
         for ident in sorted({frame.ident for frame in frames}):
             same = {frame for frame in frames if frame.ident == ident}
             reply = same.pop()
             if same:
-                out.append(Delivery(self._occupy(reply, now), error_frame(PROTOCOL_ERROR)))
+                out.append(CanDelivery(self._occupy(reply, now), error_frame(PROTOCOL_ERROR)))
             else:
                 out += self._answered(reply, now)
         return out
 
-    def _answered(self, frame: CanFrame, now: float) -> list[Delivery]:
+    def _answered(self, frame: CanFrame, now: float) -> list[CanDelivery]:
         """A reply at the host, spoiled as planned."""
         at = self._occupy(frame, now)
-        self._replies += 1
-        if self._hit(Unplug, self._replies):
-            self.unplugged = True
-        if self._hit(BusOff, self._replies):
-            self.off = True
-            return [Delivery(at, error_frame(BUS_OFF))]
-        if self._hit(Reboots, self._replies):
-            for node in self.nodes:
-                node.reboot(now)
-            return []
-        arriving = [(at + self._latency, frame)]
-        for first, fault in self._faults:
-            if not isinstance(fault, DropRequests) and first < self._replies <= first + fault.count:
-                arriving = [piece for when, part in arriving for piece in spoiled(fault, part, when)]
-        return [delivery for when, part in arriving for delivery in self._delivered(when, part)]
+        match self.faults.interrupts_reply():
+            case Unplug():
+                self.unplugged = True
+            case BusOff():
+                self.off = True
+                return [CanDelivery(at, error_frame(BUS_OFF))]
+            case Reboots():
+                for node in self.nodes:
+                    node.reboot(now)
+                return []
+        arriving = self.faults.arriving(frame.data, at + self._latency)
+        return [delivery for when, data in arriving for delivery in self._delivered(when, replace(frame, data=data))]
 
-    def _sent(self, frame: CanFrame, now: float) -> list[Delivery]:
+    def _sent(self, frame: CanFrame, now: float) -> list[CanDelivery]:
         return self._delivered(self._occupy(frame, now) + self._latency, frame)
 
-    def _delivered(self, at: float, frame: CanFrame) -> list[Delivery]:
+    def _delivered(self, at: float, frame: CanFrame) -> list[CanDelivery]:
         """The frame at the host; none overtakes another in the adapter, so one held up holds up what is behind it."""
         if self.unplugged or self.off:
             return []
         self._last = max(self._last, at)
-        return [Delivery(self._last, frame)]
+        return [CanDelivery(self._last, frame)]
 
     @property
     def _latency(self) -> float:
@@ -171,6 +151,3 @@ class Bus:
         begin = max(now, self._free)
         self._free = begin + duration(frame, self._timing.bitrate, self._timing.data_bitrate)
         return self._free
-
-    def _hit(self, kind: type[Fault], number: int) -> bool:
-        return any(isinstance(f, kind) and first < number <= first + f.count for first, f in self._faults)

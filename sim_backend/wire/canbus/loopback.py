@@ -11,13 +11,13 @@ from sim_backend.wire.canbus.frames import CanFrame
 
 if TYPE_CHECKING:
     from sim_backend.servo import VirtualClock
-    from sim_backend.wire.canbus.bus import Bus, Delivery
+    from sim_backend.wire.canbus.bus import CanBus, CanDelivery
 
 
-class Loopback(can.BusABC):
+class CanLoopback(can.BusABC):
     """What a program in the same process opens to speak with the drives of `bus`. sent: every frame, in order."""
 
-    def __init__(self, bus: Bus, clock: VirtualClock) -> None:
+    def __init__(self, bus: CanBus, clock: VirtualClock) -> None:
         super().__init__(channel="loopback")
         self.bus = bus
         self.sent: list[can.Message] = []
@@ -67,7 +67,7 @@ class Loopback(can.BusABC):
         if self.closed or self.bus.unplugged:
             raise can.CanOperationError("the adapter is gone")
 
-    def _plan(self, deliveries: list[Delivery]) -> None:
+    def _plan(self, deliveries: list[CanDelivery]) -> None:
         for at, frame in deliveries:
             self._count += 1
             heapq.heappush(self._due, (at, self._count, frame))

@@ -18,7 +18,7 @@ from sim_backend.wire.canbus.slcan import SlcanLine
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from sim_backend.wire.canbus.bus import Bus, Delivery
+    from sim_backend.wire.canbus.bus import CanBus, CanDelivery
 
 _IDLE = 0.02
 """s between two looks at whether it is to stop."""
@@ -54,7 +54,7 @@ class Served(Protocol):
 class CanServer:
     """Serves `bus` on the python-can bus `channel` of `interface`. Raises can.CanError where that cannot be opened."""
 
-    def __init__(self, interface: str, channel: str, bus: Bus) -> None:
+    def __init__(self, interface: str, channel: str, bus: CanBus) -> None:
         self.lock = threading.Lock()
         self._bus = bus
         options = {"hop_limit": 0} if interface == "udp_multicast" else {}
@@ -99,13 +99,13 @@ class CanServer:
             while self._due and self._due[0][0] <= self.now():
                 self._wire.send(_said(heapq.heappop(self._due)[2]))
 
-    def _plan(self, deliveries: list[Delivery]) -> None:
+    def _plan(self, deliveries: list[CanDelivery]) -> None:
         for at, frame in deliveries:
             self._count += 1
             heapq.heappush(self._due, (at, self._count, frame))
 
 
-def served(bus: Bus, interface: str, channel: str | Path) -> Served:
+def served(bus: CanBus, interface: str, channel: str | Path) -> Served:
     """`bus` where a client can reach it: at `channel`, a link to a pty, where `interface` is slcan; otherwise on the
     python-can bus of that name.
     """

@@ -17,7 +17,7 @@ from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.uart.pty_line import PtyLine
 
 if TYPE_CHECKING:
-    from sim_backend.wire.canbus.bus import Bus, Delivery
+    from sim_backend.wire.canbus.bus import CanBus, CanDelivery
 
 OK, BELL = b"\r", b"\a"
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000, 83_300)
@@ -30,7 +30,7 @@ _IDLE = 0.02
 class Adapter:
     """Text in, text out. bitrate: bit/s that the bus runs at; None: whatever the client sets is right."""
 
-    def __init__(self, bus: Bus, *, bitrate: int | None = None) -> None:
+    def __init__(self, bus: CanBus, *, bitrate: int | None = None) -> None:
         self._bus = bus
         self._bitrate = bitrate
         self._set: int | None = None
@@ -106,7 +106,7 @@ class Adapter:
             return [(now, taken)]  # nobody on the bus understands it
         return [(now, taken), *self._texts(self._bus.receive(frame, now))]
 
-    def _texts(self, deliveries: list[Delivery]) -> list[tuple[float, bytes]]:
+    def _texts(self, deliveries: list[CanDelivery]) -> list[tuple[float, bytes]]:
         """Frames as text; an adapter of this kind tells of errors only where it is asked for its flags."""
         return [(at, _text(frame)) for at, frame in deliveries if self._open and not frame.error]
 
@@ -114,7 +114,7 @@ class Adapter:
 class SlcanLine(PtyLine):
     """Serves `bus` through an adapter at `link`, a symlink to a pty. See `PtyLine`."""
 
-    def __init__(self, link: Path, bus: Bus, *, bitrate: int | None = None) -> None:
+    def __init__(self, link: Path, bus: CanBus, *, bitrate: int | None = None) -> None:
         self._adapter = Adapter(bus, bitrate=bitrate)
         super().__init__(link, self._adapter, any_baudrate=True)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from sim_backend.wire.canbus.motor import Law, Motor, behind
 from sim_backend.wire.canopen.dictionary import BAD_SIGNATURE, RANGE, Abort, Dictionary, eds
 from sim_backend.wire.canopen.node import CanopenNode
-from sim_backend.wire.cia402.machine import Machine, State
+from sim_backend.wire.cia402.machine import Cia402Machine, Cia402State
 from sim_backend.wire.cia402.tables import GROUPS, MODELS, SCALE, TORQUE_CONSTANT, entries
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ _REGISTER = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0x8: 0x10}
 """Bits of the error register by the first digit of the error code; bit 0 is always set."""
 
 
-class Device:
+class Cia402Device:
     """Drive `model` (of `MODELS`) with node id `ident`. Times are s on the bus's clock."""
 
     def __init__(
@@ -45,7 +45,7 @@ class Device:
         self.model = MODELS[model]
         self.kind = model
         self.motor = Motor(parameters or behind(SCALE, TORQUE_CONSTANT, 0.6))
-        self.machine = Machine()
+        self.machine = Cia402Machine()
         self.objects = Dictionary(entries(model, ident), GROUPS)
         identity: dict[tuple[int, int], int | str] = {
             (0x1008, 0): self.model.name,
@@ -87,7 +87,7 @@ class Device:
         self.node.advance(now)
         hot = self.objects.entries.get((0x3201, 4))
         too_hot = hot is not None and self.motor.temperature * 10.0 > self.objects.get(0x3201, 4)
-        if too_hot and self.machine.state is not State.FAULT:
+        if too_hot and self.machine.state is not Cia402State.FAULT:
             self.fail(OVERTEMPERATURE)
         self._control()
 
@@ -127,7 +127,11 @@ class Device:
 
     def connection_lost(self, code: int, _now: float) -> None:
         """Nobody watches any more."""
-        live = self.machine.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.SWITCHED_ON}
+        live = self.machine.state in {
+            Cia402State.OPERATION_ENABLED,
+            Cia402State.QUICK_STOP_ACTIVE,
+            Cia402State.SWITCHED_ON,
+        }
         if code:
             self.fail(code)
         elif live:
@@ -138,7 +142,7 @@ class Device:
         """Begin anew."""
         self.motor.run(now - self._powered)
         self.motor.disable()
-        self.machine = Machine()
+        self.machine = Cia402Machine()
         self._zero = self.motor.position
         self.objects.put(0x1001, 0, 0)
         self.objects.put(0x1003, 0, 0)
@@ -160,10 +164,10 @@ class Device:
     def _control(self) -> None:
         """Hand the motor what state, set-point and limits make of it."""
         state = self.machine.state
-        if state is State.QUICK_STOP_ACTIVE:
+        if state is Cia402State.QUICK_STOP_ACTIVE:
             self.motor.follow(Law(kd=1e-3, ceiling=self._ceiling()))
             return
-        if state is not State.OPERATION_ENABLED:
+        if state is not Cia402State.OPERATION_ENABLED:
             if self.motor.enabled:
                 self.motor.disable()
             return

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.canbus.bus import Bus, Timing
+from sim_backend.wire.canbus.bus import CanBus, CanTiming
 from sim_backend.wire.canbus.serve import Served, served
-from sim_backend.wire.cia402.device import Device
+from sim_backend.wire.cia402.device import Cia402Device
 from sim_backend.wire.cia402.tables import MODELS
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def serve(
     *,
     interface: str = "slcan",
     parameters: SimParameters | None = None,
-    timing: Timing | None = None,
+    timing: CanTiming | None = None,
 ) -> Served:
     """Drives of one model, each with a plant of its own, on a CAN bus.
 
@@ -42,5 +42,5 @@ def serve(
     for place, ident in enumerate(idents):
         if not 1 <= ident <= 127:
             raise ValueError(f"node id {ident} is not 1 to 127")
-        nodes.append(Device(model, ident, parameters=parameters, now=now, serial=0x62004411 + place))
-    return served(Bus(nodes, timing=timing), interface, channel)
+        nodes.append(Cia402Device(model, ident, parameters=parameters, now=now, serial=0x62004411 + place))
+    return served(CanBus(nodes, timing=timing), interface, channel)

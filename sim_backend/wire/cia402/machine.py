@@ -11,7 +11,7 @@ from enum import IntEnum
 SWITCHING = 1e-3
 
 
-class State(IntEnum):
+class Cia402State(IntEnum):
     """The states, by the bits of the statusword that say so."""
 
     NOT_READY = 0x00
@@ -27,14 +27,14 @@ class State(IntEnum):
 _VOLTAGE = 0x10
 _REMOTE = 0x200
 _LIMITING = 0x800
-_WITH_VOLTAGE = {State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
+_WITH_VOLTAGE = {Cia402State.SWITCHED_ON, Cia402State.OPERATION_ENABLED, Cia402State.QUICK_STOP_ACTIVE}
 
 
-class Machine:
+class Cia402Machine:
     """One drive's state. quick_stop_holds: whether it stays in QUICK_STOP_ACTIVE (option codes 5 to 8)."""
 
     def __init__(self) -> None:
-        self.state = State.SWITCH_ON_DISABLED
+        self.state = Cia402State.SWITCH_ON_DISABLED
         self.limiting = False
         self.quick_stop_holds = True
         self.ignores_controlword = False
@@ -64,20 +64,20 @@ class Machine:
     def fail(self) -> None:
         """Latch a fault."""
         self._switching = math.inf
-        self.state = State.FAULT
+        self.state = Cia402State.FAULT
 
     def quick_stop(self) -> None:
         """Transition 11, then 12 where it does not hold."""
-        if self.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}:
-            self.state = State.QUICK_STOP_ACTIVE if self.quick_stop_holds else State.SWITCH_ON_DISABLED
-        elif self.state in {State.READY_TO_SWITCH_ON, State.SWITCHED_ON}:
-            self.state = State.SWITCH_ON_DISABLED
+        if self.state in {Cia402State.OPERATION_ENABLED, Cia402State.QUICK_STOP_ACTIVE}:
+            self.state = Cia402State.QUICK_STOP_ACTIVE if self.quick_stop_holds else Cia402State.SWITCH_ON_DISABLED
+        elif self.state in {Cia402State.READY_TO_SWITCH_ON, Cia402State.SWITCHED_ON}:
+            self.state = Cia402State.SWITCH_ON_DISABLED
         self._switching = math.inf
 
     def disable_voltage(self) -> None:
         """Transitions 7, 9, 10 and 12."""
-        if self.state not in {State.FAULT, State.FAULT_REACTION, State.NOT_READY}:
-            self.state = State.SWITCH_ON_DISABLED
+        if self.state not in {Cia402State.FAULT, Cia402State.FAULT_REACTION, Cia402State.NOT_READY}:
+            self.state = Cia402State.SWITCH_ON_DISABLED
         self._switching = math.inf
 
     def command(self, word: int, now: float) -> bool:
@@ -86,28 +86,28 @@ class Machine:
         self._controlword = word
         if self.ignores_controlword:
             return False
-        if rising and self.state == State.FAULT:
+        if rising and self.state == Cia402State.FAULT:
             if self.can_reset:
-                self.state = State.SWITCH_ON_DISABLED
+                self.state = Cia402State.SWITCH_ON_DISABLED
             return self.can_reset
         self._follow(word, now)
         return False
 
     def _follow(self, word: int, now: float) -> None:
         """What a controlword's low bits ask for; `now` infinite where the power stage has come on by now."""
-        if self.state in {State.FAULT, State.FAULT_REACTION, State.NOT_READY}:
+        if self.state in {Cia402State.FAULT, Cia402State.FAULT_REACTION, Cia402State.NOT_READY}:
             return
         if not word & 0x02:
             self.disable_voltage()
         elif not word & 0x04:
             self.quick_stop()
-        elif self.state == State.QUICK_STOP_ACTIVE:
+        elif self.state == Cia402State.QUICK_STOP_ACTIVE:
             if word & 0x0F == 0x0F:
-                self.state = State.OPERATION_ENABLED
+                self.state = Cia402State.OPERATION_ENABLED
         elif not word & 0x01:
-            self.state = State.READY_TO_SWITCH_ON
+            self.state = Cia402State.READY_TO_SWITCH_ON
             self._switching = math.inf
-        elif self.state == State.READY_TO_SWITCH_ON and math.isfinite(now):
+        elif self.state == Cia402State.READY_TO_SWITCH_ON and math.isfinite(now):
             self._switching = min(self._switching, now + SWITCHING)
-        elif self.state in {State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED}:
-            self.state = State.OPERATION_ENABLED if word & 0x08 else State.SWITCHED_ON
+        elif self.state in {Cia402State.READY_TO_SWITCH_ON, Cia402State.SWITCHED_ON, Cia402State.OPERATION_ENABLED}:
+            self.state = Cia402State.OPERATION_ENABLED if word & 0x08 else Cia402State.SWITCHED_ON

@@ -23,7 +23,7 @@ SCALE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class Cia402Model:
     """One drive. name, vendor, product, revision: its identity. speed: of its speed limit's object."""
 
     name: str
@@ -37,10 +37,12 @@ class Model:
     quick_stop_holds: bool = True
 
 
-MODELS: Mapping[str, Model] = {
-    "epos4": Model("EPOS4 Module 24/1.5", 0xFB, 0x60500000, 0x01700000, 10, (0x6071, 0), (0x3001, 2), (0x6080, 0)),
-    "epos2": Model("EPOS2", 0xFB, 0x62200000, 0x21260000, -3, (0x2030, 0), (0x6410, 2), (0x6410, 4)),
-    "generic": Model("CiA 402 drive", 0x2E3, 0x00000402, 0x00010000, 10, (0x6071, 0), None, (0x6080, 0)),
+MODELS: Mapping[str, Cia402Model] = {
+    "epos4": Cia402Model(
+        "EPOS4 Module 24/1.5", 0xFB, 0x60500000, 0x01700000, 10, (0x6071, 0), (0x3001, 2), (0x6080, 0)
+    ),
+    "epos2": Cia402Model("EPOS2", 0xFB, 0x62200000, 0x21260000, -3, (0x2030, 0), (0x6410, 2), (0x6410, 4)),
+    "generic": Cia402Model("CiA 402 drive", 0x2E3, 0x00000402, 0x00010000, 10, (0x6071, 0), None, (0x6080, 0)),
 }
 
 _COMMON: list[tuple[int, int, str, int, str, int | str, bool]] = [

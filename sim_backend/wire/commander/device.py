@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sim_backend.wire.commander.motor import Motor
+from sim_backend.wire.commander.motor import CommanderMotor
 
 BUFFER = 20
 """Characters of a command; a longer one is thrown away at that length, and what follows is read as another."""
@@ -24,7 +24,7 @@ _PIDS = {"Q": "PID curr q| ", "D": "PID curr d| ", "V": "PID vel| ", "A": "PID a
 _TERMS = {"P": "P: ", "I": "I: ", "D": "D: ", "R": "ramp: ", "L": "limit: ", "F": "Tf: "}
 _WATCHED = ("target", "Vq", "Vd", "Cq", "Cd", "vel", "angle")
 _LIMITS = {"U": "volt: ", "C": "curr: ", "V": "vel: "}
-_PLAIN = {"R": "R phase: ", "I": "L phase: ", "K": "Motor KV: "}
+_PLAIN = {"R": "R phase: ", "I": "L phase: ", "K": "CommanderMotor KV: "}
 _BOOT = ("Monitor enabled!", "Init", "Enable driver.", "Align sensor.", "sensor dir: CW", "PP check: OK!", "Ready.")
 
 
@@ -35,10 +35,10 @@ def number(text: str) -> float:
         return float(np.float32(found[0])) if found else 0.0
 
 
-class Device:
+class CommanderDevice:
     """The board after its start. letter: under which its program added the motor. version: of the library, (2, 4)."""
 
-    def __init__(self, motor: Motor, letter: str = "M", version: tuple[int, int] = (2, 4)) -> None:
+    def __init__(self, motor: CommanderMotor, letter: str = "M", version: tuple[int, int] = (2, 4)) -> None:
         self.motor = motor
         self.letter = letter
         motor.clamps = version >= (2, 4)

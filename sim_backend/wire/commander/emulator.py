@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sim_backend.parameters import SimParameters
-from sim_backend.wire.commander.device import Device
-from sim_backend.wire.commander.motor import Motor
-from sim_backend.wire.dynamixel.faults import DropRequests, Fault, Reboots, Unplug, spoiled
+from sim_backend.wire.commander.device import CommanderDevice
+from sim_backend.wire.commander.motor import CommanderMotor
+from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 from sim_backend.wire.loadcell.emulator import of
 from sim_backend.wire.loadcell.emulator import serve as serve_cell
 from sim_backend.wire.uart.pty_line import PtyLine
@@ -23,7 +23,7 @@ WATCHDOG = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class CommanderTiming:
     """How long things take, s. usb_latency: that the adapter holds bytes back. loop: of the program, which reads
     commands between two turns of the current loop. boot: from a reset to the first command that it hears.
     """
@@ -33,7 +33,7 @@ class Timing:
     boot: float = 3.0
 
 
-class Board:
+class CommanderBoard:
     """A board as bytes with times. timing: None, where everything but a boot happens at once.
 
     watchdog: s; 0: none, as in the library's examples. Times are those of whoever calls.
@@ -41,10 +41,10 @@ class Board:
 
     def __init__(
         self,
-        device: Device,
+        device: CommanderDevice,
         *,
         baudrate: int = 1_000_000,
-        timing: Timing | None = None,
+        timing: CommanderTiming | None = None,
         watchdog: float = 0.0,
         now: float = 0.0,
     ) -> None:
@@ -57,21 +57,17 @@ class Board:
         self._heard = now
         self._awake = now
         self._free = now
-        self._replies = 0
-        self._faults: list[tuple[int, Fault]] = []
+        self.faults = WireFaults[SerialFault]()
+        """Each command is a request, each printed line a reply."""
         self._misheard: list[tuple[str, str]] = []
         self.streams = 0.0
         """s between two lines of `motor.monitor()` in the program's loop; 0: it is not there."""
         self._streamed = now
 
     @property
-    def motor(self) -> Motor:
+    def motor(self) -> CommanderMotor:
         """What turns."""
         return self.device.motor
-
-    def inject(self, fault: Fault) -> None:
-        """Let `fault` happen, counted in replies from now (each command has one)."""
-        self._faults.append((self._replies + fault.after, fault))
 
     def mishear(self, said: str, heard: str) -> None:
         """Let the board once hear `heard` where `said` was sent."""
@@ -86,7 +82,7 @@ class Board:
         """Take its power away for a moment."""
         self.advance(now)
         self.motor.disable()
-        self._awake = now + (self._timing or Timing()).boot
+        self._awake = now + (self._timing or CommanderTiming()).boot
 
     def advance(self, now: float) -> None:
         """Let time pass for it."""
@@ -135,30 +131,21 @@ class Board:
 
     def _obey(self, end: str, at: float) -> str:
         self.advance(at)
-        if self._fault(DropRequests) is not None:
-            self._replies += 1
+        if self.faults.loses_request():
             self.device.forget()
         return self.device.type(end)
 
     def _reply(self, line: bytes, at: float) -> list[tuple[float, bytes]]:
-        fault = self._fault(None)
-        self._replies += 1
-        if isinstance(fault, Unplug):
-            self.unplugged = True
-            return []
-        if isinstance(fault, Reboots):
-            self.reboot(at)
-            return [(self._awake - 0.1, self.device.greeting.encode())]
+        match self.faults.interrupts_reply():
+            case Unplug():
+                self.unplugged = True
+                return []
+            case Reboots():
+                self.reboot(at)
+                return [(self._awake - 0.1, self.device.greeting.encode())]
         loop, latency = (self._timing.loop, self._timing.usb_latency) if self._timing else (0.0, 0.0)
         self._free = max(self._free, at + loop) + self._duration(len(line))
-        return spoiled(fault, line, self._free + latency) if fault is not None else [(self._free + latency, line)]
-
-    def _fault(self, kind: type | None) -> Fault | None:
-        for begin, fault in self._faults:
-            wanted = isinstance(fault, kind) if kind else not isinstance(fault, DropRequests)
-            if wanted and begin <= self._replies < begin + fault.count:
-                return fault
-        return None
+        return self.faults.arriving(line, self._free + latency)
 
     def _duration(self, size: int) -> float:
         return 10.0 * size / self._baudrate if self._timing else 0.0
@@ -184,7 +171,7 @@ class Pair:
 class _Locked:
     """The joint of a board that another thread is at."""
 
-    def __init__(self, board: Board, lock: threading.Lock) -> None:
+    def __init__(self, board: CommanderBoard, lock: threading.Lock) -> None:
         self._board = board
         self._lock = lock
 
@@ -198,17 +185,17 @@ def new_board(
     *,
     firmware: str = "2.4",
     baudrate: int = 1_000_000,
-    timing: Timing | None = None,
+    timing: CommanderTiming | None = None,
     now: float = 0.0,
-) -> Board:
+) -> CommanderBoard:
     """A board with the plant of `parameters` (None: the paper's joint behind its gear). firmware: see FIRMWARES."""
     version = (2, 3) if firmware == "2.3" else (2, 4)
     watchdog = WATCHDOG if firmware.endswith("watchdog") else 0.0
-    device = Device(Motor(parameters or SimParameters()), version=version)
-    return Board(device, baudrate=baudrate, timing=timing, watchdog=watchdog, now=now)
+    device = CommanderDevice(CommanderMotor(parameters or SimParameters()), version=version)
+    return CommanderBoard(device, baudrate=baudrate, timing=timing, watchdog=watchdog, now=now)
 
 
-def serve(link: Path, board: Board) -> PtyLine:
+def serve(link: Path, board: CommanderBoard) -> PtyLine:
     """`board`, made with `now=time.monotonic()`, at `link`, a symlink to a pty: `with serve(...) as line:`."""
     return PtyLine(link, board)
 
@@ -237,7 +224,11 @@ def emulate(
         raise ValueError(f"baud rate {baudrate}: it must be above 0")
     parameters = parameters or SimParameters()
     board = new_board(
-        parameters, firmware=firmware, baudrate=baudrate, timing=None if instant else Timing(), now=time.monotonic()
+        parameters,
+        firmware=firmware,
+        baudrate=baudrate,
+        timing=None if instant else CommanderTiming(),
+        now=time.monotonic(),
     )
     line = serve(link, board)
     if model == "motor":

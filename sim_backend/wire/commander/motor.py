@@ -21,7 +21,7 @@ BANDWIDTH = 2.0 * math.pi * 10.0
 """rad/s of the angle loop."""
 
 
-class Motor:
+class CommanderMotor:
     """Plant and motion control. Times are s since it was made; everything is at the motor shaft."""
 
     def __init__(self, parameters: SimParameters) -> None:

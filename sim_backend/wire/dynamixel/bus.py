@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
-from sim_backend.wire.dynamixel.faults import DropRequests, Fault, Reboots, Unplug, spoiled
 from sim_backend.wire.dynamixel.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status
 from sim_backend.wire.dynamixel.mx_frames import MxFramer, mx_bulk_reads, mx_status, mx_sync_writes
+from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 
 
 class Reply(NamedTuple):
@@ -24,13 +24,13 @@ class Reply(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class DynamixelTiming:
     """How long the line takes. usb_latency: s that the adapter holds received bytes back."""
 
     usb_latency: float = 1e-3
 
 
-class Peer(Protocol):
+class DynamixelPeer(Protocol):
     """A servo as the line sees it; `sim_backend.wire.dynamixel.device` explains the methods."""
 
     @property
@@ -65,10 +65,12 @@ class Peer(Protocol):
     def alerted(self, error: int) -> int: ...  # noqa: D102
 
 
-class Bus:
+class DynamixelBus:
     """The line with its servos, which all speak one protocol. timing: None where everything happens at once."""
 
-    def __init__(self, devices: Iterable[Peer], *, timing: Timing | None = None, protocol: int = 2) -> None:
+    def __init__(
+        self, devices: Iterable[DynamixelPeer], *, timing: DynamixelTiming | None = None, protocol: int = 2
+    ) -> None:
         self.devices: list[Any] = list(devices)  # whoever looks at them knows of what kind they are
         self.unplugged = False
         self._timing = timing
@@ -76,18 +78,7 @@ class Bus:
         self._framer = Framer() if protocol == 2 else MxFramer()
         self._status = status if protocol == 2 else mx_status
         self._free = 0.0
-        self._replies = 0
-        self._requests = 0
-        self._faults: list[tuple[int, Fault]] = []
-
-    def inject(self, fault: Fault) -> None:
-        """Let `fault` happen, counted from now."""
-        seen = self._requests if isinstance(fault, DropRequests) else self._replies
-        self._faults.append((seen + fault.after, fault))
-
-    def clear_faults(self) -> None:
-        """Let nothing of what was injected happen any more."""
-        self._faults.clear()
+        self.faults = WireFaults[SerialFault]()
 
     def advance(self, now: float) -> None:
         """Carry every servo to `now`, s."""
@@ -103,8 +94,7 @@ class Bus:
         begin = max(now, self._free)
         for frame, used in self._framer.feed(data):
             arrival = begin + self._duration(used, baudrate)
-            self._requests += 1
-            if not self._hit(DropRequests, self._requests):
+            if not self.faults.loses_request():
                 out += self._execute(frame, arrival, baudrate)
         self._free = max(self._free, begin + self._duration(len(data), baudrate))
         return out
@@ -132,7 +122,7 @@ class Bus:
             return []
         return self._timed([(d, self._status(d.id, *a)) for d, a in answers if a is not None], now)
 
-    def _addressed(self, frame: Frame, awake: list[Peer], now: float) -> list[Reply]:
+    def _addressed(self, frame: Frame, awake: list[DynamixelPeer], now: float) -> list[Reply]:
         """One id; a servo that has it as its shadow id does what it is told and says nothing."""
         for device in awake:
             if device.id != frame.id and device.shadow == frame.id:
@@ -142,7 +132,7 @@ class Bus:
         packets = [self._status(frame.id, *answer) for answer in answers if answer is not None]
         return self._timed([(named[0], _collided(packets))], now) if packets else []
 
-    def _together(self, frame: Frame, present: dict[int, Peer], now: float) -> list[Reply]:
+    def _together(self, frame: Frame, present: dict[int, DynamixelPeer], now: float) -> list[Reply]:
         """The instructions that speak to several servos at once."""
         p = frame.parameters
         if frame.instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
@@ -165,7 +155,7 @@ class Bus:
                 packets.append((device, status(ident, device.alerted(error), data)))
         return self._timed(packets, now)
 
-    def _mx_together(self, frame: Frame, present: dict[int, Peer], now: float) -> list[Reply]:
+    def _mx_together(self, frame: Frame, present: dict[int, DynamixelPeer], now: float) -> list[Reply]:
         """The same of protocol 1.0: Sync Write, and Bulk Read, in which each waits for the one before it."""
         if frame.instruction == Instruction.SYNC_WRITE:
             for ident, address, data in mx_sync_writes(frame.parameters):
@@ -180,7 +170,7 @@ class Bus:
             packets.append((device, mx_status(ident, device.alerted(error), data)))
         return self._timed(packets, now)
 
-    def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, Peer], now: float) -> list[Reply]:
+    def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, DynamixelPeer], now: float) -> list[Reply]:
         """One status packet that the servos write one after the other; it is not stuffed."""
         length = 1 + sum(size + 4 for _, _, size in wanted)
         out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([Instruction.STATUS])
@@ -195,7 +185,7 @@ class Bus:
             out += crc(out).to_bytes(2, "little")
         return [] if first is None else self._timed([(first, out)], now)
 
-    def _timed(self, packets: list[tuple[Peer, bytes]], now: float) -> list[Reply]:
+    def _timed(self, packets: list[tuple[DynamixelPeer, bytes]], now: float) -> list[Reply]:
         """The packets at the host, one behind the other, spoiled as planned."""
         out: list[Reply] = []
         at = now
@@ -203,26 +193,20 @@ class Bus:
             if self._timing is not None:
                 at += device.return_delay + 10.0 * len(data) / device.baudrate
             held = self._timing.usb_latency if self._timing is not None else 0.0
-            self._replies += 1
-            out += self._spoil(data, at, at + held)
+            out += self._delivered(data, at, at + held)
         self._free = max(self._free, at)
         return sorted(out, key=lambda reply: reply.at)
 
-    def _spoil(self, data: bytes, now: float, at: float) -> list[Reply]:
-        if self._hit(Unplug, self._replies):
-            self.unplugged = True
-        if self._hit(Reboots, self._replies):
-            for device in self.devices:
-                device.reboot(now)
-            return []
-        arriving = [(at, data)]
-        for first, fault in self._faults:
-            if not isinstance(fault, DropRequests) and first < self._replies <= first + fault.count:
-                arriving = [piece for when, part in arriving for piece in spoiled(fault, part, when)]
-        return [] if self.unplugged else [Reply(when, part) for when, part in arriving]
-
-    def _hit(self, kind: type[Fault], number: int) -> bool:
-        return any(isinstance(f, kind) and first < number <= first + f.count for first, f in self._faults)
+    def _delivered(self, data: bytes, now: float, at: float) -> list[Reply]:
+        """A packet sent at `now`, at the host at `at`, with the faults that were injected."""
+        match self.faults.interrupts_reply():
+            case Unplug():
+                self.unplugged = True
+            case Reboots():
+                for device in self.devices:
+                    device.reboot(now)
+                return []
+        return [] if self.unplugged else [Reply(*piece) for piece in self.faults.arriving(data, at)]
 
 
 def _collided(packets: list[bytes]) -> bytes:

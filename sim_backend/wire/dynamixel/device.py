@@ -11,7 +11,7 @@ import math
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel.frames import BROADCAST, Error, Frame, Instruction
-from sim_backend.wire.dynamixel.motor import COUNT, Goals, Motor, behind
+from sim_backend.wire.dynamixel.motor import COUNT, DynamixelMotor, Goals, behind
 from sim_backend.wire.dynamixel.registers import Registers
 from sim_backend.wire.dynamixel.tables import BAUD, CURRENT, CURRENT_POSITION, MODELS, POSITION, RPM
 
@@ -27,7 +27,7 @@ VOLTAGE, OVERHEAT, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
 _PWM_LSB = 1.0 / 885.0
 
 
-class Device:
+class DynamixelDevice:
     """A servo of `model` (a key of `dynamixel_tables.MODELS`) with the plant of `parameters` behind its horn.
 
     Times are s on the bus's clock, `now` when it is powered. Raises KeyError for a model that is not in the table.
@@ -49,7 +49,7 @@ class Device:
         self.registers.put("baud_rate", BAUD.index(baudrate))
         if firmware is not None:
             self.registers.put("firmware_version", firmware)
-        self.motor = Motor(self.model, parameters or behind(self.model))
+        self.motor = DynamixelMotor(self.model, parameters or behind(self.model))
         self._firmware = self.registers.get("firmware_version")
         self._powered = now
         self._booted = now

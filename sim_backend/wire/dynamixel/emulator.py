@@ -6,8 +6,8 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.dynamixel.bus import Bus, Timing
-from sim_backend.wire.dynamixel.device import Device
+from sim_backend.wire.dynamixel.bus import DynamixelBus, DynamixelTiming
+from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.mx_device import MxDevice
 from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_MODELS
 from sim_backend.wire.dynamixel.tables import BAUD, MODELS
@@ -30,7 +30,7 @@ def serve(
     *,
     baudrate: int = 1_000_000,
     parameters: SimParameters | None = None,
-    timing: Timing | None = None,
+    timing: DynamixelTiming | None = None,
 ) -> PtyLine:
     """Servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
 
@@ -42,9 +42,9 @@ def serve(
     now = time.monotonic()
     if model in MX_MODELS:
         old = [MxDevice(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
-        return PtyLine(link, Bus(old, timing=timing, protocol=1))
-    devices = [Device(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
-    return PtyLine(link, Bus(devices, timing=timing))
+        return PtyLine(link, DynamixelBus(old, timing=timing, protocol=1))
+    devices = [DynamixelDevice(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
+    return PtyLine(link, DynamixelBus(devices, timing=timing))
 
 
 def emulate(
@@ -72,4 +72,6 @@ def emulate(
         volts, amperes, torque = (MODELS | MX_MODELS)[model].stall
         motor = replace(parameters.motor, torque_constant=torque / amperes, winding_resistance=volts / amperes)
         parameters = replace(parameters, motor=motor)
-    return serve(link, model, idents, baudrate=baudrate, parameters=parameters, timing=None if instant else Timing())
+    return serve(
+        link, model, idents, baudrate=baudrate, parameters=parameters, timing=None if instant else DynamixelTiming()
+    )

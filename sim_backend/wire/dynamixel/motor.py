@@ -16,7 +16,7 @@ from sim_backend.integrator import TIME, integrate, start
 from sim_backend.machine_code import packed
 from sim_backend.parameters import CouplingParameters, LinkParameters, MotorParameters, SimParameters
 from sim_backend.plant import HOUSING, MOTOR, MOTOR_RATE, TORQUE, VELOCITY, Constants, constants, coupling_torque
-from sim_backend.wire.dynamixel.tables import CURRENT, CURRENT_POSITION, POSITION, PWM, SPEED, Model
+from sim_backend.wire.dynamixel.tables import CURRENT, CURRENT_POSITION, POSITION, PWM, SPEED, DynamixelModel
 
 BEAT = 1e-3
 COUNT = 2.0 * math.pi / 4096.0
@@ -25,7 +25,7 @@ BANDWIDTH = 2.0 * math.pi * 10.0
 """rad/s of the position loop."""
 
 
-def behind(model: Model, coupling: CouplingParameters | None = None) -> SimParameters:
+def behind(model: DynamixelModel, coupling: CouplingParameters | None = None) -> SimParameters:
     """A plant for a servo that drives the joint directly: eta is 1, and motor and gearbox are the servo's own.
 
     coupling: the cable, the paper's joint where None. The inertia at the horn is the default motor's at its joint, so
@@ -58,10 +58,10 @@ class Goals:
     duty: float = 0.0
 
 
-class Motor:
+class DynamixelMotor:
     """Plant and regulators of one servo. Times are s since it was made; everything is at the horn."""
 
-    def __init__(self, model: Model, parameters: SimParameters) -> None:
+    def __init__(self, model: DynamixelModel, parameters: SimParameters) -> None:
         self._plant = constants(parameters)
         self._packed = packed(self._plant, Constants._fields)
         self._path = start(self._plant)

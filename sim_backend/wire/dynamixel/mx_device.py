@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel.frames import BROADCAST, Frame, Instruction
-from sim_backend.wire.dynamixel.motor import COUNT, Goals, Motor, behind
+from sim_backend.wire.dynamixel.motor import COUNT, DynamixelMotor, Goals, behind
 from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_EEPROM_END, MX_MODELS, MX_RPM
 from sim_backend.wire.dynamixel.tables import CURRENT, CURRENT_POSITION, SPEED
 
@@ -49,7 +49,7 @@ class MxDevice:
         self._items = {item.address: item for item in self.model.items}
         self._named = {item.name: item for item in self.model.items}
         self._memory = bytearray(max(item.address + item.size for item in self.model.items))
-        self.motor = Motor(self.model, parameters or behind(self.model))
+        self.motor = DynamixelMotor(self.model, parameters or behind(self.model))
         self.errors = 0
         """Hardware errors that hold: bits of the error byte."""
         self.ignores_torque_off = False

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel.frames import Error
-from sim_backend.wire.dynamixel.tables import BAUD, MODES, POSITION, Model
+from sim_backend.wire.dynamixel.tables import BAUD, MODES, POSITION, DynamixelModel
 
 if TYPE_CHECKING:
     from sim_backend.wire.dynamixel.tables import Item
@@ -22,7 +22,7 @@ GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 class Registers:
     """One servo's control table. Values are whole counts, signed where the item is."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: DynamixelModel) -> None:
         self._model = model
         self._items = {item.address: item for item in model.items}
         self._names = {item.name: item for item in model.items}

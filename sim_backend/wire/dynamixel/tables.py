@@ -33,7 +33,7 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class DynamixelModel:
     """A servo as its page describes it.
 
     current_lsb: A a count, 0 where it measures none. stall: V, A, N m at stall. speed: rad/s without load.
@@ -152,19 +152,19 @@ _PORTS = tuple(Item(56 + i, 1, f"external_port_mode_{i + 1}", 3, 0, 3) for i in 
 )
 
 
-def _x430(number: int, stall: tuple[float, float, float], rpm: float, velocity: int) -> Model:
+def _x430(number: int, stall: tuple[float, float, float], rpm: float, velocity: int) -> DynamixelModel:
     items = _table(_BIG, {"velocity_limit": (velocity, 0, 1023)})
-    return Model(number, 2.69e-3, stall, rpm * RPM / 0.229, 45, 8, _BIG, items)
+    return DynamixelModel(number, 2.69e-3, stall, rpm * RPM / 0.229, 45, 8, _BIG, items)
 
 
-def _x540(number: int, stall: tuple[float, float, float], rpm: float, velocity: int) -> Model:
+def _x540(number: int, stall: tuple[float, float, float], rpm: float, velocity: int) -> DynamixelModel:
     changes = {"velocity_limit": (velocity, 0, 1023), "current_limit": (2047, 0, 2047)}
-    return Model(number, 2.69e-3, stall, rpm * RPM / 0.229, 45, 8, _BIG, _table(_BIG, changes, extra=_PORTS))
+    return DynamixelModel(number, 2.69e-3, stall, rpm * RPM / 0.229, 45, 8, _BIG, _table(_BIG, changes, extra=_PORTS))
 
 
 def _x330(
     number: int, stall: tuple[float, float, float], rpm: float, velocity: int, *, current: int, shutdown: int
-) -> Model:
+) -> DynamixelModel:
     high = stall[0] > 6.0
     low_voltage, high_voltage = (55, 140) if high else (31, 70)
     changes = {
@@ -182,10 +182,10 @@ def _x330(
         "position_p_gain": (400, 0, 16383),
     }
     extra = (Item(62, 1, "pwm_slope", 255 if high else 140, 1, 255),)
-    return Model(number, 1e-3, stall, rpm * RPM / 0.229, 46, 7, _SMALL, _table(_SMALL, changes, extra=extra))
+    return DynamixelModel(number, 1e-3, stall, rpm * RPM / 0.229, 46, 7, _SMALL, _table(_SMALL, changes, extra=extra))
 
 
-def _xl430() -> Model:
+def _xl430() -> DynamixelModel:
     changes = {
         "temperature_limit": (72, 0, 100),
         "max_voltage_limit": (140, 60, 140),
@@ -197,7 +197,9 @@ def _xl430() -> Model:
     }
     load = Item(126, 2, "present_load", low=-1000, writable=False)
     without = ("current_limit", "goal_current", "present_current")
-    return Model(1060, 0.0, (11.1, 1.3, 1.4), 57 * RPM / 0.229, 45, 8, _BIG, _table(_BIG, changes, without, (load,)))
+    return DynamixelModel(
+        1060, 0.0, (11.1, 1.3, 1.4), 57 * RPM / 0.229, 45, 8, _BIG, _table(_BIG, changes, without, (load,))
+    )
 
 
 MODELS = {

@@ -19,18 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim_backend.parameters import SensorParameters, SimParameters
-from sim_backend.wire.dynamixel.faults import (
-    CorruptReplies,
-    DelayReplies,
-    DropReplies,
-    DuplicateReplies,
-    Fault,
-    NoiseBefore,
-    Reboots,
-    TruncateReplies,
-    Unplug,
-    spoiled,
-)
+from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 from sim_backend.wire.loadcell.joint_torque import AtRest, Felt
 from sim_backend.wire.uart.pty_line import PtyLine
 
@@ -43,11 +32,10 @@ SCALE = 1e-7
 """N m a count, unless a stand says otherwise."""
 _BOOT = 1.0  # s; the board's own start, before the converter settles
 _LOOK = 1e-3  # s between two looks at the line
-_KINDS = (CorruptReplies, DelayReplies, DropReplies, DuplicateReplies, NoiseBefore, TruncateReplies)
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class LoadCellBoard:
     """How the board is built and programmed.
 
     rate: conversions a second. scale: N m a count. tare: counts without torque. form: "micros,raw" or "value".
@@ -69,25 +57,27 @@ class Board:
     usb_latency: float | None = 1e-3
 
 
-class LoadCell:
+class EmulatedLoadCell:
     """The cell as bytes with times; it talks without being asked. micros: of its clock when it is made at `now` s."""
 
     def __init__(
-        self, board: Board | None = None, joint: Felt | None = None, *, now: float = 0.0, micros: int = 0, seed: int = 0
+        self,
+        board: LoadCellBoard | None = None,
+        joint: Felt | None = None,
+        *,
+        now: float = 0.0,
+        micros: int = 0,
+        seed: int = 0,
     ) -> None:
-        self.board = board or Board()
+        self.board = board or LoadCellBoard()
         self.unplugged = False
         self._joint = joint or AtRest()
         self._made = now
         self._powered = now - micros * 1e-6
         self._rng = np.random.default_rng(seed)
         self._next = now + SETTLING / self.board.rate
-        self._printed = 0
-        self._faults: list[tuple[int, Fault]] = []
-
-    def inject(self, fault: Fault) -> None:
-        """Let `fault` happen, counted in lines from now."""
-        self._faults.append((self._printed + fault.after, fault))
+        self.faults = WireFaults[SerialFault]()
+        """Each printed line is a reply."""
 
     def advance(self, now: float) -> None:
         """Nothing: it lives in `receive`."""
@@ -99,21 +89,20 @@ class LoadCell:
             taken = self._next
             self._next += 1.0 / self.board.rate
             line = self._line(taken)
-            self._printed += 1
-            fault = next((f for at, f in self._faults if at < self._printed <= at + f.count), None)
-            if isinstance(fault, Unplug):
-                self.unplugged = True
-                break
-            if isinstance(fault, Reboots):
-                self._powered = taken + _BOOT
-                self._next = self._powered + SETTLING / self.board.rate
-                break
+            match self.faults.interrupts_reply():
+                case Unplug():
+                    self.unplugged = True
+                    break
+                case Reboots():
+                    self._powered = taken + _BOOT
+                    self._next = self._powered + SETTLING / self.board.rate
+                    break
             arrives = taken
             if self.board.usb_latency is not None:
                 arrives += 10.0 * len(line) / self.board.baudrate + self.board.usb_latency
             if baudrate is not None and baudrate != self.board.baudrate:
                 line = _misread(line, self.board.baudrate / max(1, baudrate))
-            out += spoiled(fault, line, arrives) if isinstance(fault, _KINDS) else [(arrives, line)]
+            out += self.faults.arriving(line, arrives)
         return out
 
     def _line(self, taken: float) -> bytes:
@@ -136,10 +125,10 @@ def _misread(line: bytes, ratio: float) -> bytes:
     return bytes(0x80 | (byte * 37 & 0x7F) for byte in line)[: max(1, round(len(line) / max(1.0, ratio)))]
 
 
-def of(sensors: SensorParameters) -> Board:
+def of(sensors: SensorParameters) -> LoadCellBoard:
     """A board with the torque cell of [sim.sensors]: its noise, offset and drift, and a count no coarser than its."""
     return replace(
-        Board(),
+        LoadCellBoard(),
         scale=min(SCALE, sensors.torque_cell_lsb),
         noise=sensors.torque_cell_noise,
         offset=sensors.torque_cell_offset,
@@ -147,12 +136,12 @@ def of(sensors: SensorParameters) -> Board:
     )
 
 
-def serve(link: Path, board: Board | None = None, joint: Felt | None = None) -> PtyLine:
+def serve(link: Path, board: LoadCellBoard | None = None, joint: Felt | None = None) -> PtyLine:
     """A cell at `link`, a symlink to a pty. `with serve(...):` prints from a thread, `.serve()` from this one.
 
     joint: what it feels, on the clock of `time.monotonic`; None: a joint at rest.
     """
-    return PtyLine(link, LoadCell(board, joint, now=time.monotonic()), beat=_LOOK)
+    return PtyLine(link, EmulatedLoadCell(board, joint, now=time.monotonic()), beat=_LOOK)
 
 
 def emulate(

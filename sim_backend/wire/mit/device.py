@@ -32,7 +32,7 @@ LOST_COMMUNICATION = 13
 _AK_HOTTEST = 100.0
 
 
-class Device:
+class MitDevice:
     """A motor of `model` (a key of `mit_tables.MODELS`). Times are s on the bus's clock.
 
     reply_id: the identifier of its replies; None: its own for an AK, 0 for a Damiao, as delivered.

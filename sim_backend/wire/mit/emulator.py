@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.canbus.bus import Bus, Timing
+from sim_backend.wire.canbus.bus import CanBus, CanTiming
 from sim_backend.wire.canbus.serve import Served, served
-from sim_backend.wire.mit.device import Device
+from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.mit.tables import MODELS
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def serve(
     *,
     interface: str = "slcan",
     parameters: SimParameters | None = None,
-    timing: Timing | None = None,
+    timing: CanTiming | None = None,
 ) -> Served:
     """Motors of one model, each with a plant of its own, on a CAN bus.
 
@@ -40,5 +40,5 @@ def serve(
     if model not in KNOWN:
         raise ValueError(f"no emulated motor is called {model!r}; there are {', '.join(KNOWN)}")
     now = time.monotonic()
-    nodes = [Device(model, ident, parameters=parameters, now=now) for ident in idents]
-    return served(Bus(nodes, timing=timing), interface, channel)
+    nodes = [MitDevice(model, ident, parameters=parameters, now=now) for ident in idents]
+    return served(CanBus(nodes, timing=timing), interface, channel)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class MitModel:
     """A motor. span: position rad, velocity rad/s, torque N m that fill the counts; gear: reduction ratio.
 
     scale: the paper's joint with torques as large as suit it. torque_constant N m/A and resistance Ohm, at the output.
@@ -27,20 +27,20 @@ class Model:
 
 
 MODELS = {
-    "ak10-9": Model(False, (12.5, 50.0, 65.0), 9.0, 600.0, 1.4, 0.1),
-    "ak60-6": Model(False, (12.5, 50.0, 15.0), 6.0, 150.0, 0.4, 0.2),
-    "ak70-10": Model(False, (12.5, 50.0, 25.0), 10.0, 250.0, 0.9, 0.3),
-    "ak80-6": Model(False, (12.5, 76.0, 12.0), 6.0, 120.0, 0.5, 0.2),
-    "ak80-9": Model(False, (12.5, 50.0, 18.0), 9.0, 180.0, 0.8, 0.2),
-    "ak80-64": Model(False, (12.5, 8.0, 144.0), 80.0, 1400.0, 8.0, 0.4),
-    "dm-j3507": Model(True, (12.566, 50.0, 5.0), 7.0, 50.0, 0.5, 0.9),
-    "dm-j4310": Model(True, (12.5, 30.0, 10.0), 10.0, 100.0, 0.945, 0.85),
-    "dm-j4310-48v": Model(True, (12.5, 50.0, 10.0), 10.0, 100.0, 0.945, 0.85),
-    "dm-j4340": Model(True, (12.5, 10.0, 28.0), 40.0, 280.0, 3.78, 0.85),
-    "dm-j6006": Model(True, (12.5, 45.0, 20.0), 6.0, 200.0, 0.9, 0.3),
-    "dm-j8006": Model(True, (12.5, 45.0, 40.0), 6.0, 400.0, 1.2, 0.2),
-    "dm-j8009": Model(True, (12.5, 45.0, 54.0), 9.0, 540.0, 1.8, 0.2),
-    "dm-h3510": Model(True, (12.5, 280.0, 1.0), 1.0, 10.0, 0.06, 0.5),
+    "ak10-9": MitModel(False, (12.5, 50.0, 65.0), 9.0, 600.0, 1.4, 0.1),
+    "ak60-6": MitModel(False, (12.5, 50.0, 15.0), 6.0, 150.0, 0.4, 0.2),
+    "ak70-10": MitModel(False, (12.5, 50.0, 25.0), 10.0, 250.0, 0.9, 0.3),
+    "ak80-6": MitModel(False, (12.5, 76.0, 12.0), 6.0, 120.0, 0.5, 0.2),
+    "ak80-9": MitModel(False, (12.5, 50.0, 18.0), 9.0, 180.0, 0.8, 0.2),
+    "ak80-64": MitModel(False, (12.5, 8.0, 144.0), 80.0, 1400.0, 8.0, 0.4),
+    "dm-j3507": MitModel(True, (12.566, 50.0, 5.0), 7.0, 50.0, 0.5, 0.9),
+    "dm-j4310": MitModel(True, (12.5, 30.0, 10.0), 10.0, 100.0, 0.945, 0.85),
+    "dm-j4310-48v": MitModel(True, (12.5, 50.0, 10.0), 10.0, 100.0, 0.945, 0.85),
+    "dm-j4340": MitModel(True, (12.5, 10.0, 28.0), 40.0, 280.0, 3.78, 0.85),
+    "dm-j6006": MitModel(True, (12.5, 45.0, 20.0), 6.0, 200.0, 0.9, 0.3),
+    "dm-j8006": MitModel(True, (12.5, 45.0, 40.0), 6.0, 400.0, 1.2, 0.2),
+    "dm-j8009": MitModel(True, (12.5, 45.0, 54.0), 9.0, 540.0, 1.8, 0.2),
+    "dm-h3510": MitModel(True, (12.5, 280.0, 1.0), 1.0, 10.0, 0.06, 0.5),
 }
 """By the name used in stand files."""
 
@@ -57,7 +57,7 @@ class Item:
     high: float = math.inf
 
 
-def registers(model: Model, ident: int, reply_id: int) -> dict[int, Item]:
+def registers(model: MitModel, ident: int, reply_id: int) -> dict[int, Item]:
     """The registers of a Damiao by their numbers."""
     position, velocity, torque = model.span
     rows = {

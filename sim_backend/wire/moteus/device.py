@@ -44,7 +44,7 @@ DRIVER_FAULT, OVER_TEMPERATURE, OUTSIDE_LIMIT = 33, 38, 39
 _LONGEST_REPLY = 64
 
 
-class Device:
+class MoteusDevice:
     """A controller with id `ident`. Times are s on the bus's clock. firmware: major, minor, micro."""
 
     def __init__(

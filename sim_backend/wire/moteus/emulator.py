@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.canbus.bus import Bus, Timing
+from sim_backend.wire.canbus.bus import CanBus, CanTiming
 from sim_backend.wire.canbus.serve import Served, served
-from sim_backend.wire.moteus.device import Device
+from sim_backend.wire.moteus.device import MoteusDevice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,7 +26,7 @@ def serve(
     *,
     interface: str = "slcan",
     parameters: SimParameters | None = None,
-    timing: Timing | None = None,
+    timing: CanTiming | None = None,
 ) -> Served:
     """Controllers, each with a plant of its own, on a CAN FD bus.
 
@@ -40,5 +40,7 @@ def serve(
         raise ValueError(f"no emulated controller is called {model!r}; there is {', '.join(KNOWN)}")
     now = time.monotonic()
     return served(
-        Bus([Device(ident, parameters=parameters, now=now) for ident in idents], timing=timing), interface, channel
+        CanBus([MoteusDevice(ident, parameters=parameters, now=now) for ident in idents], timing=timing),
+        interface,
+        channel,
     )

@@ -41,7 +41,7 @@ DRIVER_FAULT = {"0.5": 0x40, "0.6": 0x20}
 _FLOATS = struct.Struct("<ff")
 
 
-class Device:
+class OdriveDevice:
     """An axis with node id `ident` and firmware `firmware`, 0.5.6 or 0.6.x. Times are s on the bus's clock."""
 
     def __init__(

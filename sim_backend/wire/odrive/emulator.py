@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.canbus.bus import Bus, Timing
+from sim_backend.wire.canbus.bus import CanBus, CanTiming
 from sim_backend.wire.canbus.serve import Served, served
-from sim_backend.wire.odrive.device import Device
+from sim_backend.wire.odrive.device import OdriveDevice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,7 +26,7 @@ def serve(
     *,
     interface: str = "slcan",
     parameters: SimParameters | None = None,
-    timing: Timing | None = None,
+    timing: CanTiming | None = None,
 ) -> Served:
     """Axes of one firmware, each with a plant of its own, on a CAN bus.
 
@@ -40,5 +40,5 @@ def serve(
     if firmware not in KNOWN:
         raise ValueError(f"no emulated ODrive has firmware {firmware}; there are {', '.join(KNOWN)}")
     now = time.monotonic()
-    nodes = [Device(ident, firmware=firmware, parameters=parameters, now=now) for ident in idents]
-    return served(Bus(nodes, timing=timing), interface, channel)
+    nodes = [OdriveDevice(ident, firmware=firmware, parameters=parameters, now=now) for ident in idents]
+    return served(CanBus(nodes, timing=timing), interface, channel)

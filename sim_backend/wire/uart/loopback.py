@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from drivers.servo import Clock
-    from sim_backend.wire.uart.pty_line import Peer
+    from sim_backend.wire.uart.pty_line import SerialPeer
 
 _POLL = 2e-3  # s that a read waits
 
 
-class Loopback:
+class SerialLoopback:
     """What an adapter needs of a port, with `peer` behind it. baudrate: bit/s that the host set."""
 
-    def __init__(self, peer: Peer, clock: Clock, baudrate: int | None = None) -> None:
+    def __init__(self, peer: SerialPeer, clock: Clock, baudrate: int | None = None) -> None:
         self.sent = bytearray()
         self.closed = False
         self._peer = peer

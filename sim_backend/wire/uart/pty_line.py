@@ -27,7 +27,7 @@ _SPIN = 1.5e-4
 """s before a reply is due that are waited out awake: a sleeping process wakes up late by about as much."""
 
 
-class Peer(Protocol):
+class SerialPeer(Protocol):
     """An emulator: bytes in, bytes out, with times in s."""
 
     unplugged: bool
@@ -49,7 +49,7 @@ class PtyLine:
     peer takes it. Raises FileExistsError where `link` is something other than a symlink.
     """
 
-    def __init__(self, link: Path, peer: Peer, *, any_baudrate: bool = False, beat: float = _IDLE) -> None:
+    def __init__(self, link: Path, peer: SerialPeer, *, any_baudrate: bool = False, beat: float = _IDLE) -> None:
         self.link = link
         self.lock = threading.Lock()
         self._peer = peer

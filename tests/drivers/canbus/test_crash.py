@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from sim_backend.wire.canbus.bus import Bus
+from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.slcan import SlcanLine
-from sim_backend.wire.cia402.device import Device as Cia402Device
-from sim_backend.wire.mit.device import Device as MitDevice
-from sim_backend.wire.moteus.device import Device as MoteusDevice
+from sim_backend.wire.cia402.device import Cia402Device
+from sim_backend.wire.mit.device import MitDevice
+from sim_backend.wire.moteus.device import MoteusDevice
 
 CRASHES = """
 import os, signal, sys
@@ -40,7 +40,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 @pytest.mark.parametrize("kind", ["moteus", "mit", "cia402"])
 def test_a_killed_program_leaves_no_torque_once_the_watchdog_has_run_out(tmp_path: Path, kind: str) -> None:
-    bus = Bus([])
+    bus = CanBus([])
     with SlcanLine(tmp_path / "ttyCAN", bus) as line:
         now = line.now()
         device: Any

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.servo import Command, DeviceFault, DriverError, Limits, Quantity
-from sim_backend.wire.canbus.bus import Delivery
+from sim_backend.wire.canbus.bus import CanDelivery
 from sim_backend.wire.canbus.frames import CanFrame
 
 LIMITS = Limits(torque=0.4, velocity=60.0, temperature=85.0, position=(-3.0, 3.0))
@@ -39,8 +39,8 @@ def test_whatever_arrives_only_named_errors_come_out_and_the_torque_goes_off(
     servo.arm(LIMITS)
     receive = rig.bus.receive
 
-    def spoil(frame: CanFrame, now: float) -> list[Delivery]:
-        return [Delivery(at, mangled(reply, rng)) for at, reply in receive(frame, now)]
+    def spoil(frame: CanFrame, now: float) -> list[CanDelivery]:
+        return [CanDelivery(at, mangled(reply, rng)) for at, reply in receive(frame, now)]
 
     for _ in range(400):
         rig.bus.receive = spoil

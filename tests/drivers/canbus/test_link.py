@@ -15,9 +15,9 @@ from drivers.odrive.config import OdriveConfig
 from drivers.odrive.servo import OdriveServo
 from drivers.servo import BadReply, Command, DriverError, LinkLost, NoReply
 from sim_backend.servo import VirtualClock
-from sim_backend.wire.canbus.bus import Bus
+from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame, duration
-from sim_backend.wire.canbus.loopback import Loopback
+from sim_backend.wire.canbus.loopback import CanLoopback
 from sim_backend.wire.odrive.emulator import serve
 
 
@@ -55,7 +55,7 @@ def test_nothing_is_read_from_configuration_files(monkeypatch: pytest.MonkeyPatc
         seen.update(options)
         raise can.CanInitializationError("enough")
 
-    monkeypatch.setattr(can, "Bus", note)
+    monkeypatch.setattr(can, "CanBus", note)
     monkeypatch.setattr("drivers.canbus.link._check_free", lambda _: None)
     for interface in ("socketcan", "slcan", "pcan", "virtual", "udp_multicast", "kvaser"):
         for data_bitrate in (0, 5_000_000):
@@ -81,7 +81,7 @@ def test_a_missing_interface_or_permission_says_what_to_do(monkeypatch: pytest.M
         def refuse(*_: Any, code: int = number, **__: Any) -> None:
             raise can.CanInitializationError("refused") from OSError(code, "refused")
 
-        monkeypatch.setattr(can, "Bus", refuse)
+        monkeypatch.setattr(can, "CanBus", refuse)
         with pytest.raises(DriverError, match=words):
             open_interface(BusConfig("socketcan", "can0", 1_000_000))
 
@@ -148,8 +148,8 @@ def test_lengths_on_the_wire_are_those_of_the_standard() -> None:
 
 
 def test_the_loopback_tells_of_a_pulled_adapter_as_python_can_does() -> None:
-    bus = Bus([])
-    wire = Loopback(bus, VirtualClock())
+    bus = CanBus([])
+    wire = CanLoopback(bus, VirtualClock())
     bus.unplugged = True
     with pytest.raises(can.CanOperationError):
         wire.send(frame(1))

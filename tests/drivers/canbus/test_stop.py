@@ -10,7 +10,7 @@ import can
 import pytest
 
 from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity
-from sim_backend.wire.canbus.faults import DropReplies, DuplicateReplies
+from sim_backend.wire.faults import DropReplies, DuplicateReplies
 
 LIMITS = Limits(torque=0.4, velocity=60.0, temperature=85.0, position=(-3.0, 3.0))
 PUSH = Command(Quantity.TORQUE, 0.2)
@@ -32,7 +32,7 @@ def test_torque_off_does_not_wait_for_what_a_drive_still_owes(
     pushing: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig, servo = pushing
-    rig.bus.inject(DropReplies(count=1000))
+    rig.bus.faults.inject(DropReplies(count=1000))
     for _ in range(3):
         rig.wait(2e-3)
         with contextlib.suppress(NoReply, BadReply):
@@ -71,7 +71,7 @@ def test_a_drive_that_is_refused_when_it_is_opened_is_left_without_torque(
     before.arm(LIMITS)
     before.exchange(PUSH)
     assert rig.device.motor.enabled
-    rig.bus.inject(DuplicateReplies())
+    rig.bus.faults.inject(DuplicateReplies())
     with pytest.raises(BadReply, match="answers twice"):
         rig.open()
     assert not rig.device.motor.enabled

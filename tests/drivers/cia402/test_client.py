@@ -15,16 +15,16 @@ import pytest
 from canopen.objectdictionary import export_od, import_od
 from canopen.profiles.p402 import BaseNode402
 
-from sim_backend.wire.canbus.bus import Bus
+from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.serve import CanServer
-from sim_backend.wire.cia402.device import FOLLOWING_ERROR, Device
+from sim_backend.wire.cia402.device import FOLLOWING_ERROR, Cia402Device
 from sim_backend.wire.cia402.emulator import serve
-from sim_backend.wire.cia402.machine import State
+from sim_backend.wire.cia402.machine import Cia402State
 
 MODELS = ["epos4", "epos2", "generic"]
 
 
-def dictionary(device: Device, ident: int = 1) -> Any:
+def dictionary(device: Cia402Device, ident: int = 1) -> Any:
     file = io.StringIO(device.eds)
     file.name = "drive.eds"
     return import_od(file, node_id=ident)
@@ -41,26 +41,26 @@ def says(sdo: Any, state: int) -> bool:
 
 
 @pytest.fixture
-def bus() -> Bus:
-    return Bus([])
+def bus() -> CanBus:
+    return CanBus([])
 
 
 @pytest.fixture
-def network(bus: Bus) -> Iterator[Any]:
+def network(bus: CanBus) -> Iterator[Any]:
     with CanServer("virtual", "cia402 clients", bus) as server:
-        bus.nodes += [Device("epos4", 1, now=server.now()), Device("epos2", 2, now=server.now())]
+        bus.nodes += [Cia402Device("epos4", 1, now=server.now()), Cia402Device("epos2", 2, now=server.now())]
         net = canopen.Network()
         net.NOTIFIER_CYCLE = 0.02
         net.connect(interface="virtual", channel="cia402 clients", ignore_config=True)
         for ident, model in ((1, "epos4"), (2, "epos2")):
-            net.add_node(ident, dictionary(Device(model, ident), ident))
+            net.add_node(ident, dictionary(Cia402Device(model, ident), ident))
         yield net
         net.disconnect()
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_the_electronic_data_sheet_is_read_by_canopen_and_survives_being_written_again(model: str) -> None:
-    device = Device(model)
+    device = Cia402Device(model)
     found = dictionary(device)
     assert {(v.index, v.subindex) for v in _variables(found)} == set(device.objects.entries)
     for variable in _variables(found):
@@ -136,7 +136,7 @@ def test_pdos_are_mapped_sent_on_sync_and_taken(network: Any, bus: Any) -> None:
     node.rpdo[1].transmit()
     network.sync.transmit()
     assert node.tpdo[1].wait_for_reception(1.0) is not None
-    assert node.tpdo[1][0x6041].raw & 0x6F == State.READY_TO_SWITCH_ON
+    assert node.tpdo[1][0x6041].raw & 0x6F == Cia402State.READY_TO_SWITCH_ON
     assert device.objects.get(0x6071) == -70
 
 
@@ -167,7 +167,7 @@ def test_the_librarys_own_drive_profile_enables_it(network: Any, bus: Any) -> No
     node.setup_402_state_machine()
     node.nmt.state = "OPERATIONAL"
     node.state = "OPERATION ENABLED"
-    assert bus.nodes[0].machine.state is State.OPERATION_ENABLED
+    assert bus.nodes[0].machine.state is Cia402State.OPERATION_ENABLED
     node.state = "SWITCH ON DISABLED"
     assert not bus.nodes[0].motor.enabled
 
@@ -201,7 +201,7 @@ def test_a_reset_boots_and_brings_back_what_was_stored(network: Any, bus: Any) -
 def test_a_heartbeat_that_stays_away_is_a_latched_fault_on_time() -> None:
     from sim_backend.wire.canbus.frames import CanFrame
 
-    device = Device()
+    device = Cia402Device()
     device.objects.write(0x1016, 1, struct.pack("<I", 0x7F << 16 | 100))
     device.advance(5.0)  # nothing is watched before the first beat
     device.hear(CanFrame(0x77F, b"\x05"), 5.0)
@@ -210,14 +210,15 @@ def test_a_heartbeat_that_stays_away_is_a_latched_fault_on_time() -> None:
     assert device.due() == pytest.approx(5.1)
     (emcy,) = device.speak(device.due())
     assert struct.unpack_from("<HB", emcy.data) == (0x8130, 0x11)
-    assert device.machine.state is State.FAULT
+    assert device.machine.state is Cia402State.FAULT
 
 
 @pytest.mark.parametrize(
-    ("option", "state"), [(6, State.QUICK_STOP_ACTIVE), (2, State.SWITCH_ON_DISABLED), (0, State.SWITCH_ON_DISABLED)]
+    ("option", "state"),
+    [(6, Cia402State.QUICK_STOP_ACTIVE), (2, Cia402State.SWITCH_ON_DISABLED), (0, Cia402State.SWITCH_ON_DISABLED)],
 )
-def test_a_quick_stop_ends_as_its_option_code_says(option: int, state: State) -> None:
-    device = Device()
+def test_a_quick_stop_ends_as_its_option_code_says(option: int, state: Cia402State) -> None:
+    device = Cia402Device()
     device.objects.put(0x6060, 0, 10)
     device.objects.put(0x605A, 0, option)
     for number, word in enumerate((0x06, 0x0F), 1):
@@ -226,7 +227,7 @@ def test_a_quick_stop_ends_as_its_option_code_says(option: int, state: State) ->
     assert device.motor.enabled
     device.objects.write(0x6040, 0, struct.pack("<H", 0x02))
     assert device.machine.state is state
-    assert device.motor.enabled == (state is State.QUICK_STOP_ACTIVE)
+    assert device.motor.enabled == (state is Cia402State.QUICK_STOP_ACTIVE)
 
 
 def test_several_drives_answer_on_a_serial_adapter(tmp_path: Path) -> None:
@@ -243,7 +244,7 @@ def test_several_drives_answer_on_a_serial_adapter(tmp_path: Path) -> None:
         net.scanner.search(8)
         until(lambda: sorted(net.scanner.nodes) == [1, 5])
         for ident in (1, 5):
-            net.add_node(ident, dictionary(Device("generic", ident), ident))
+            net.add_node(ident, dictionary(Cia402Device("generic", ident), ident))
             assert net[ident].sdo[0x1018][4].raw == 0x62004411 + (ident == 5)
         net.disconnect()
 

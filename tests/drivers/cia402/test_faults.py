@@ -13,20 +13,20 @@ import pytest
 from drivers.cia402.profiles import NOT_ENABLED, RESTARTED
 from drivers.cia402.scan import search
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity
-from sim_backend.wire.canbus.faults import (
+from sim_backend.wire.canopen.node import HEARTBEAT_LOST, PRE_OPERATIONAL
+from sim_backend.wire.cia402.device import FOLLOWING_ERROR, OVERCURRENT, OVERTEMPERATURE, Cia402Device
+from sim_backend.wire.cia402.machine import Cia402State
+from sim_backend.wire.faults import (
     BusOff,
     DelayReplies,
     DropReplies,
     DropRequests,
     DuplicateReplies,
-    Fault,
     Reboots,
     TruncateReplies,
     Unplug,
+    WireFault,
 )
-from sim_backend.wire.canopen.node import HEARTBEAT_LOST, PRE_OPERATIONAL
-from sim_backend.wire.cia402.device import FOLLOWING_ERROR, OVERCURRENT, OVERTEMPERATURE, Device
-from sim_backend.wire.cia402.machine import State
 
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.04, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
@@ -79,14 +79,14 @@ def test_nobody_at_that_id_is_no_reply_that_says_what_to_look_at(make_cia402: Ma
 
 def test_two_drives_at_one_id_are_told_from_one(make_cia402: Make) -> None:
     rig = make_cia402()
-    rig.bus.nodes.append(Device("epos4", 1, serial=0x62004412))
+    rig.bus.nodes.append(Cia402Device("epos4", 1, serial=0x62004412))
     with pytest.raises((NoReply, BadReply), match="two drives with that node id"):
         rig.open()
 
 
 def test_an_answer_that_comes_twice_is_two_drives(make_cia402: Make) -> None:
     rig = make_cia402()
-    rig.bus.inject(DuplicateReplies(count=5))
+    rig.bus.faults.inject(DuplicateReplies(count=5))
     with pytest.raises(BadReply, match="answers twice"):
         rig.open()
 
@@ -131,7 +131,7 @@ def test_a_drive_that_is_refused_when_it_is_opened_is_left_without_torque(make_c
 
 def test_a_search_names_every_node_and_touches_nothing(make_cia402: Make) -> None:
     rig = make_cia402()
-    rig.bus.nodes.append(Device("epos2", 9))
+    rig.bus.nodes.append(Cia402Device("epos2", 9))
     before = [dict(node.objects.values) for node in rig.bus.nodes]
     assert search(rig.config, rig.clock, rig.wire) == [
         "EPOS4 Module 24/1.5 (profile CiA 402) answers with node id 1",
@@ -197,10 +197,10 @@ def test_a_power_stage_that_does_not_come_on_says_what_to_look_at(make_cia402: M
 def test_a_frame_lost_at_any_point_of_the_arming_leaves_no_torque(make_cia402: Make) -> None:
     rig = make_cia402()
     rig.open().arm(LIMITS)
-    for place in range(0, rig.bus.replies, 7):
+    for place in range(0, rig.bus.faults.replies, 7):
         for fault in (DropReplies(after=place), DropRequests(after=place)):
             rig = make_cia402()
-            rig.bus.inject(fault)
+            rig.bus.faults.inject(fault)
             try:
                 servo = rig.open()
                 servo.arm(LIMITS)
@@ -219,7 +219,7 @@ def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only
     rig = make_cia402()
     servo = armed(rig)
     rig.wait(2e-3)
-    rig.bus.inject(DropReplies())
+    rig.bus.faults.inject(DropReplies())
     begin = rig.clock.now()
     with pytest.raises(NoReply):
         servo.exchange(PUSH)
@@ -231,7 +231,7 @@ def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only
 def test_a_truncated_reply_is_a_gap_and_the_next_one_is_good(make_cia402: Make, keep: int) -> None:
     rig = make_cia402()
     servo = armed(rig)
-    rig.bus.inject(TruncateReplies(keep=keep))
+    rig.bus.faults.inject(TruncateReplies(keep=keep))
     with pytest.raises((BadReply, NoReply)):
         servo.exchange(PUSH)
     assert servo.exchange(PUSH).motor_torque > 0.0
@@ -242,7 +242,7 @@ def test_a_late_reply_is_never_taken_for_the_next_answer(make_cia402: Make) -> N
         rig = make_cia402()
         servo = armed(rig)
         made = numbered(rig)
-        rig.bus.inject(DelayReplies(seconds=float(late)))
+        rig.bus.faults.inject(DelayReplies(seconds=float(late)))
         for _ in range(15):
             rig.wait(2e-3)
             try:
@@ -262,7 +262,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_old_and_torque_off_works(m
         servo = armed(rig)
         made = numbered(rig)
         for kind in rng.choice(np.array(kinds), size=4):
-            rig.bus.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
+            rig.bus.faults.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
         for _ in range(60):
             rig.wait(2e-3)
             try:
@@ -271,7 +271,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_old_and_torque_off_works(m
                 continue
             accepted += 1
             assert made[number(sample)] >= sample.t
-        rig.bus.clear_faults()
+        rig.bus.faults.clear()
         servo.disarm()
         assert not rig.device.motor.enabled
     assert accepted > 350
@@ -326,7 +326,7 @@ def test_a_node_that_somebody_else_stops_is_a_fault_and_is_started_again(make_ci
 def test_a_drive_that_reboots_in_the_run_is_a_fault_and_can_be_armed_again(make_cia402: Make, model: str) -> None:
     rig = make_cia402(model)
     servo = armed(rig)
-    rig.bus.inject(Reboots())
+    rig.bus.faults.inject(Reboots())
     with pytest.raises(DeviceFault, match="restarted") as caught:
         ask_through_gaps(rig, servo, 400)
     assert caught.value.code == RESTARTED
@@ -343,7 +343,7 @@ def test_a_drive_that_reboots_while_it_is_disarmed_is_read_again_though_the_firs
     servo = rig.open()
     rig.device.reboot(rig.clock.now())
     rig.wait(0.6)
-    rig.bus.inject(DropReplies(after=6, count=4))
+    rig.bus.faults.inject(DropReplies(after=6, count=4))
     samples = 0
     for _ in range(20):
         rig.wait(2e-3)
@@ -354,10 +354,10 @@ def test_a_drive_that_reboots_while_it_is_disarmed_is_read_again_though_the_firs
 
 
 @pytest.mark.parametrize("fault", [BusOff(), Unplug()])
-def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_cia402: Make, fault: Fault) -> None:
+def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_cia402: Make, fault: WireFault) -> None:
     rig = make_cia402()
     servo = armed(rig)
-    rig.bus.inject(fault)
+    rig.bus.faults.inject(fault)
     with pytest.raises(LinkLost, match="cut the"):
         ask_through_gaps(rig, servo, 3)
     with pytest.raises(DriverError, match="cut the drive's power"):
@@ -401,7 +401,7 @@ def test_a_torque_off_that_is_not_done_is_said_loudly(make_cia402: Make) -> None
 def test_torque_off_gets_through_though_frames_are_lost(make_cia402: Make, lost: int) -> None:
     rig = make_cia402()
     servo = armed(rig)
-    rig.bus.inject(DropRequests(count=lost))
+    rig.bus.faults.inject(DropRequests(count=lost))
     servo.disarm()
     assert not rig.device.motor.enabled
 
@@ -411,7 +411,7 @@ def test_torque_off_gets_through_though_the_node_takes_no_pdo(make_cia402: Make)
     servo = armed(rig)
     rig.device.node.state = PRE_OPERATIONAL
     servo.disarm()
-    assert rig.device.machine.state is State.SWITCH_ON_DISABLED
+    assert rig.device.machine.state is Cia402State.SWITCH_ON_DISABLED
 
 
 def test_a_client_that_stays_away_after_torque_off_leaves_no_fault_behind(make_cia402: Make) -> None:
@@ -419,5 +419,5 @@ def test_a_client_that_stays_away_after_torque_off_leaves_no_fault_behind(make_c
     servo = armed(rig)
     servo.disarm()
     rig.wait(5.0)
-    assert rig.device.machine.state is State.SWITCH_ON_DISABLED
+    assert rig.device.machine.state is Cia402State.SWITCH_ON_DISABLED
     servo.exchange(Command.rest())

@@ -17,7 +17,7 @@ from drivers.cia402.states import State, state_of
 from drivers.servo import Command, DriverError, Limits, Quantity, Status, UnsafeCommand
 from hil.stand.file import load, open_servo
 from sim_backend.wire.catalogue import make
-from sim_backend.wire.cia402.machine import State as DeviceState
+from sim_backend.wire.cia402.machine import Cia402State
 
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.04, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
@@ -135,7 +135,7 @@ def test_limits_are_written_into_an_epos4_and_put_back(make_cia402: Make) -> Non
     assert get(0x3201, 4) == 800
     assert (get(0x6060), get(0x6007)) == (10, 2)
     assert get(0x1016, 1) == 127 << 16 | 100
-    assert rig.device.machine.state is DeviceState.OPERATION_ENABLED
+    assert rig.device.machine.state is Cia402State.OPERATION_ENABLED
     assert rig.device.motor.torque == 0.0
     servo.close()
     assert (get(0x3001, 2), get(0x6080), get(0x3201, 4)) == (4500, 50_000_000, 1000)
@@ -323,10 +323,10 @@ def test_a_stand_file_and_the_emulate_command_are_all_it_takes(tmp_path: Path) -
 
 
 def test_a_second_drive_on_the_bus_is_left_alone(make_cia402: Make) -> None:
-    from sim_backend.wire.cia402.device import Device
+    from sim_backend.wire.cia402.device import Cia402Device
 
     rig = make_cia402()
-    other = Device("epos2", 2)
+    other = Cia402Device("epos2", 2)
     rig.bus.nodes.append(other)
     servo = rig.open()
     servo.arm(LIMITS)
@@ -334,5 +334,5 @@ def test_a_second_drive_on_the_bus_is_left_alone(make_cia402: Make) -> None:
         rig.wait(2e-3)
         servo.exchange(torque(0.01))
     servo.close()
-    assert other.machine.state is DeviceState.SWITCH_ON_DISABLED
-    assert other.objects.values == Device("epos2", 2).objects.values
+    assert other.machine.state is Cia402State.SWITCH_ON_DISABLED
+    assert other.objects.values == Cia402Device("epos2", 2).objects.values

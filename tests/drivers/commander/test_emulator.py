@@ -5,18 +5,18 @@ from __future__ import annotations
 import pytest
 
 from sim_backend.parameters import CouplingParameters, SimParameters
-from sim_backend.wire.commander.device import MACHINE, NOTHING, ON_REQUEST, Device
-from sim_backend.wire.commander.motor import Motor
+from sim_backend.wire.commander.device import MACHINE, NOTHING, ON_REQUEST, CommanderDevice
+from sim_backend.wire.commander.motor import CommanderMotor
 
 FRIENDLY = ["Motion:torque", "Torque: foc curr", "Target: 0.400"]
 
 
 @pytest.fixture
-def device() -> Device:
-    return Device(Motor(SimParameters()))
+def device() -> CommanderDevice:
+    return CommanderDevice(CommanderMotor(SimParameters()))
 
 
-def typed(device: Device, text: str) -> str:
+def typed(device: CommanderDevice, text: str) -> str:
     return "".join(device.type(character) for character in text + "\n")
 
 
@@ -39,7 +39,7 @@ def typed(device: Device, text: str) -> str:
     ],
 )
 def test_the_documentations_commands_are_answered_in_each_mode(
-    device: Device, verbose: int | None, replies: list[str]
+    device: CommanderDevice, verbose: int | None, replies: list[str]
 ) -> None:
     if verbose is not None:
         typed(device, f"@{verbose}")
@@ -47,7 +47,7 @@ def test_the_documentations_commands_are_answered_in_each_mode(
     assert [typed(device, command) for command in commands] == [f"{reply}\r\n" for reply in replies]
 
 
-def test_all_states_come_in_one_line_with_the_digits_that_were_asked_for(device: Device) -> None:
+def test_all_states_come_in_one_line_with_the_digits_that_were_asked_for(device: CommanderDevice) -> None:
     typed(device, "@1")
     typed(device, "M0.5")
     assert typed(device, "MMG7").split(";")[0] == "0.500"
@@ -57,7 +57,7 @@ def test_all_states_come_in_one_line_with_the_digits_that_were_asked_for(device:
     assert typed(device, "MMG8") == "err\r\n"
 
 
-def test_a_quiet_board_still_obeys_and_an_unknown_letter_is_not_answered(device: Device) -> None:
+def test_a_quiet_board_still_obeys_and_an_unknown_letter_is_not_answered(device: CommanderDevice) -> None:
     typed(device, f"@{NOTHING}")
     assert typed(device, "M0.25") == ""
     assert device.motor.target == 0.25
@@ -67,12 +67,12 @@ def test_a_quiet_board_still_obeys_and_an_unknown_letter_is_not_answered(device:
     assert typed(device, "MX") == "err\r\n"
 
 
-def test_a_command_longer_than_the_buffer_is_cut_as_the_library_cuts_it(device: Device) -> None:
+def test_a_command_longer_than_the_buffer_is_cut_as_the_library_cuts_it(device: CommanderDevice) -> None:
     typed(device, "@1")
     assert typed(device, "M0." + "0" * 17 + "M1") == "1.000\r\n"
 
 
-def test_a_number_is_read_as_far_as_it_is_one(device: Device) -> None:
+def test_a_number_is_read_as_far_as_it_is_one(device: CommanderDevice) -> None:
     typed(device, "@1")
     assert [typed(device, text).strip() for text in ("M0.5x", "M-.5", "M+1e-1", "M--1")] == [
         "0.500",
@@ -85,15 +85,15 @@ def test_a_number_is_read_as_far_as_it_is_one(device: Device) -> None:
 @pytest.mark.parametrize(("mode", "target"), [(1, 4.0), (2, 0.5)])
 def test_velocity_and_angle_mode_reach_their_targets(mode: int, target: float) -> None:
     loose = CouplingParameters(stiffness=1e-6, damping=0.0, coulomb_friction=0.0)
-    motor = Motor(SimParameters(coupling=loose))
-    device = Device(motor)
+    motor = CommanderMotor(SimParameters(coupling=loose))
+    device = CommanderDevice(motor)
     typed(device, f"MC{mode}")
     typed(device, f"M{target}")
     motor.run(1.0)
     assert (motor.velocity if mode == 1 else motor.angle) == pytest.approx(target, rel=0.01)
 
 
-def test_a_disabled_motor_repeats_its_last_current_and_carries_none(device: Device) -> None:
+def test_a_disabled_motor_repeats_its_last_current_and_carries_none(device: CommanderDevice) -> None:
     motor = device.motor
     typed(device, "M0.2")
     motor.run(0.05)
@@ -107,7 +107,7 @@ def test_a_disabled_motor_repeats_its_last_current_and_carries_none(device: Devi
 def test_the_current_limit_bounds_a_torque_target_since_library_2_4_only(
     version: tuple[int, int], carried: float
 ) -> None:
-    device = Device(Motor(SimParameters()), version=version)
+    device = CommanderDevice(CommanderMotor(SimParameters()), version=version)
     for command in ("MLC0.1", "M0.3"):
         typed(device, command)
     device.motor.run(0.02)

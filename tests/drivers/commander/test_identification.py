@@ -24,9 +24,8 @@ from hil.recording.writer import Header, PartFile
 from hil.stand.file import parse
 from hil.stand.servo import StandServo
 from sim_backend.parameters import CouplingParameters, FixtureParameters, SimParameters
-from sim_backend.wire.loadcell.emulator import SCALE, SETTLING, Board
-from sim_backend.wire.loadcell.emulator import LoadCell as Cell
-from sim_backend.wire.uart.loopback import Loopback
+from sim_backend.wire.loadcell.emulator import SCALE, SETTLING, EmulatedLoadCell, LoadCellBoard
+from sim_backend.wire.uart.loopback import SerialLoopback
 
 STAND = """
 [stand]
@@ -99,9 +98,9 @@ def test_a_chirp_through_a_simplefoc_board_gives_stiffness_and_damping_back(
     held_to_theory(chirped(rig.open(), "motor", (0.1, 10.0), tmp_path / "run.h5"), CURRENT)
 
 
-def with_cell(rig: Any, board: Board) -> Servo:
+def with_cell(rig: Any, board: LoadCellBoard) -> Servo:
     servo = rig.open()
-    port = Loopback(Cell(board, rig.board, now=rig.clock.now()), rig.clock, board.baudrate)
+    port = SerialLoopback(EmulatedLoadCell(board, rig.board, now=rig.clock.now()), rig.clock, board.baudrate)
     config = LoadCellConfig(port="loopback", scale=SCALE, baudrate=board.baudrate)
     return StandServo(servo, 0.0, LoadCell(config, clock=rig.clock, port=port))
 
@@ -109,7 +108,7 @@ def with_cell(rig: Any, board: Board) -> Servo:
 def test_a_fast_torque_cell_at_the_joint_gives_stiffness_and_damping_back(
     make_foc: Callable[..., Any], tmp_path: Path
 ) -> None:
-    servo = with_cell(make_foc(parameters=PLANT), Board(rate=1000.0, baudrate=921_600))
+    servo = with_cell(make_foc(parameters=PLANT), LoadCellBoard(rate=1000.0, baudrate=921_600))
     held_to_theory(chirped(servo, "joint", (0.1, 10.0), tmp_path / "run.h5"), SCALE, period=1e-3)
 
 
@@ -117,7 +116,7 @@ def test_a_slow_torque_cell_gives_the_stiffness_back_and_no_damping(
     make_foc: Callable[..., Any], tmp_path: Path
 ) -> None:
     """80 readings a second, each the mean over 50 ms: of a sine at 1 Hz sinc(0.05) is left, 0.4 % too little."""
-    highest, board = 1.0, Board()
+    highest, board = 1.0, LoadCellBoard()
     servo = with_cell(make_foc(parameters=PLANT), board)
     found = chirped(servo, "joint", (0.1, highest), tmp_path / "run.h5")
     kc = next(estimate.value for estimate in found.estimates if estimate.name == "Kc")

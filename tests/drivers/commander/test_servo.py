@@ -30,8 +30,8 @@ from drivers.servo import (
 )
 from sim_backend.servo import VirtualClock
 from sim_backend.wire.commander.device import number
-from sim_backend.wire.commander.emulator import WATCHDOG, Timing, new_board, serve
-from sim_backend.wire.dynamixel.faults import (
+from sim_backend.wire.commander.emulator import WATCHDOG, CommanderTiming, new_board, serve
+from sim_backend.wire.faults import (
     CorruptReplies,
     DelayReplies,
     DropReplies,
@@ -42,8 +42,8 @@ from sim_backend.wire.dynamixel.faults import (
     TruncateReplies,
     Unplug,
 )
-from sim_backend.wire.loadcell.emulator import LoadCell as Cell
-from sim_backend.wire.uart.loopback import Loopback
+from sim_backend.wire.loadcell.emulator import EmulatedLoadCell
+from sim_backend.wire.uart.loopback import SerialLoopback
 
 Rig = Any
 Make = Callable[..., Rig]
@@ -134,7 +134,7 @@ def test_a_tick_is_one_round_trip_of_the_length_it_is_reckoned_with(foc: Rig) ->
     servo.exchange(PUSH)
     assert bytes(foc.port.sent).split(b"\n")[1:] == [b"MMG7", b"ME", b""]
     wire = 10.0 * (len(foc.port.sent) + 90) / 1_000_000
-    assert foc.clock.now() - before < wire + Timing().usb_latency + 3 * Timing().loop + 2e-3
+    assert foc.clock.now() - before < wire + CommanderTiming().usb_latency + 3 * CommanderTiming().loop + 2e-3
 
 
 @pytest.mark.parametrize("current", [0.0, 1e-5, 0.137, -0.137, 12.34567, -39.9999])
@@ -170,7 +170,7 @@ def test_what_is_not_seven_whole_numbers_is_no_state(text: str) -> None:
 )
 def test_a_lost_or_damaged_reply_is_one_gap_and_what_follows_is_fresh(foc: Rig, fault: Any) -> None:
     servo = armed(foc)
-    foc.board.inject(fault)
+    foc.board.faults.inject(fault)
     gaps = 0
     for step in range(40):
         foc.wait(4e-3)
@@ -191,7 +191,7 @@ def test_a_lost_or_damaged_reply_is_one_gap_and_what_follows_is_fresh(foc: Rig, 
 )
 def test_junk_and_doubled_lines_cost_nothing(foc: Rig, fault: Any) -> None:
     servo = armed(foc)
-    foc.board.inject(fault)
+    foc.board.faults.inject(fault)
     for _ in range(10):
         foc.wait(4e-3)
         assert servo.exchange(PUSH).motor_position >= 0.0
@@ -210,7 +210,7 @@ def test_a_digit_lost_on_the_way_to_the_board_is_put_right_within_the_tick(foc: 
 
 def test_an_old_reply_is_not_taken_for_the_answer_to_the_same_set_point(foc: Rig) -> None:
     servo = armed(foc)
-    foc.board.inject(DelayReplies(after=0, count=3, seconds=0.010))
+    foc.board.faults.inject(DelayReplies(after=0, count=3, seconds=0.010))
     with pytest.raises((NoReply, BadReply)):
         servo.exchange(PUSH)
     begin = foc.clock.now()
@@ -219,7 +219,7 @@ def test_an_old_reply_is_not_taken_for_the_answer_to_the_same_set_point(foc: Rig
 
 def test_silence_is_no_reply_within_its_deadline(foc: Rig) -> None:
     servo = armed(foc)
-    foc.board.inject(DropReplies(count=1000))
+    foc.board.faults.inject(DropReplies(count=1000))
     before = foc.clock.now()
     with pytest.raises(NoReply):
         servo.exchange(PUSH)
@@ -228,7 +228,7 @@ def test_silence_is_no_reply_within_its_deadline(foc: Rig) -> None:
 
 def test_a_pulled_cable_is_a_lost_link_and_disarming_says_that_it_is_not_confirmed(foc: Rig) -> None:
     servo = armed(foc)
-    foc.board.inject(Unplug())
+    foc.board.faults.inject(Unplug())
     with pytest.raises(LinkLost, match="cut the power"):
         drive_on(foc, servo, 2)
     with pytest.raises(LinkLost, match="not confirmed"):
@@ -239,7 +239,7 @@ def test_a_pulled_cable_is_a_lost_link_and_disarming_says_that_it_is_not_confirm
 @pytest.mark.parametrize("after", [0, 1, 2])
 def test_a_board_that_restarts_is_a_fault_and_its_motor_is_switched_off_again(foc: Rig, after: int) -> None:
     servo = armed(foc)
-    foc.board.inject(Reboots(after=after))
+    foc.board.faults.inject(Reboots(after=after))
     with pytest.raises(DeviceFault) as caught:
         drive_on(foc, servo, 1000)
     assert caught.value.code == RESTARTED
@@ -278,7 +278,7 @@ def test_a_motor_that_its_boards_watchdog_stopped_is_a_fault(make_foc: Make) -> 
 def test_a_board_that_is_still_booting_is_waited_for(foc: Rig) -> None:
     foc.board.reboot(0.0)
     servo = foc.open()
-    assert foc.clock.now() > Timing().boot
+    assert foc.clock.now() > CommanderTiming().boot
     assert off(foc)
     assert servo.exchange(Command.rest()).motor_torque == 0.0
 
@@ -295,12 +295,12 @@ def test_a_motor_that_somebody_left_on_is_off_once_it_is_opened(foc: Rig) -> Non
 
 def test_the_wrong_baud_rate_and_silence_are_told_apart(make_foc: Make) -> None:
     rig = make_foc(baudrate=115200)
-    rig.port = Loopback(rig.board, rig.clock, 1_000_000)
+    rig.port = SerialLoopback(rig.board, rig.clock, 1_000_000)
     with pytest.raises(BadReply, match="no Commander"):
         rig.open(baudrate=1_000_000)
     assert rig.port.closed
     silent = make_foc()
-    silent.board.inject(DropReplies(count=10_000))
+    silent.board.faults.inject(DropReplies(count=10_000))
     with pytest.raises(NoReply, match="nothing answers on loopback at 1000000 baud"):
         silent.open()
     assert off(silent)
@@ -308,7 +308,7 @@ def test_the_wrong_baud_rate_and_silence_are_told_apart(make_foc: Make) -> None:
 
 def test_another_device_at_the_port_is_told_by_what_it_says(foc: Rig) -> None:
     clock = VirtualClock()
-    foc.clock, foc.port = clock, Loopback(Cell(), clock)
+    foc.clock, foc.port = clock, SerialLoopback(EmulatedLoadCell(), clock)
     with pytest.raises(BadReply, match=r"no Commander of SimpleFOC 2.2 or later \('\d+,84000'\)"):
         foc.open()
 
@@ -376,7 +376,7 @@ def test_the_torque_is_off_after_close_and_after_an_exception_whatever_the_line_
     for fault in (DropReplies(count=1000), CorruptReplies(count=1000), DropRequests(count=2)):
         rig = make_foc()
         servo = armed(rig)
-        rig.board.inject(fault)
+        rig.board.faults.inject(fault)
         with contextlib.suppress(DriverError):
             servo.exchange(PUSH)
         servo.close()
@@ -385,7 +385,7 @@ def test_the_torque_is_off_after_close_and_after_an_exception_whatever_the_line_
 
 def test_a_torque_off_that_is_not_confirmed_is_said_and_may_be_asked_again(foc: Rig) -> None:
     servo = armed(foc)
-    foc.board.inject(DropReplies(count=18))
+    foc.board.faults.inject(DropReplies(count=18))
     with pytest.raises(DriverError, match="not confirmed"):
         servo.disarm()
     servo.disarm()
@@ -405,7 +405,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_killed_program_leaves_no_current_once_the_boards_watchdog_has_run_out(tmp_path: Path) -> None:
-    board = new_board(firmware="2.4-watchdog", timing=Timing(), now=time.monotonic())
+    board = new_board(firmware="2.4-watchdog", timing=CommanderTiming(), now=time.monotonic())
     board.watchdog = 1.0
     with serve(tmp_path / "tty", board) as line:
         root = Path(__file__).parents[3]

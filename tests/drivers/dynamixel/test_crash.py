@@ -7,8 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from sim_backend.wire.dynamixel.bus import Bus
-from sim_backend.wire.dynamixel.device import Device
+from sim_backend.wire.dynamixel.bus import DynamixelBus
+from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.uart.pty_line import PtyLine
 
 CRASHES = """
@@ -25,9 +25,9 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_killed_program_leaves_no_current_once_the_watchdog_has_run_out(tmp_path: Path) -> None:
-    bus = Bus([])
+    bus = DynamixelBus([])
     with PtyLine(tmp_path / "tty", bus) as line:
-        bus.devices.append(Device("xl330-m288", now=line.now()))
+        bus.devices.append(DynamixelDevice("xl330-m288", now=line.now()))
         root = Path(__file__).parents[3]
         done = subprocess.run([sys.executable, "-c", CRASHES, str(line.link)], cwd=root, check=False, timeout=60)
         assert done.returncode == -signal.SIGKILL

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sim_backend.wire.dynamixel.bus import Bus, Timing
-from sim_backend.wire.dynamixel.device import Device
+from sim_backend.wire.dynamixel.bus import DynamixelBus, DynamixelTiming
+from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.frames import Error, packet, status
 from sim_backend.wire.dynamixel.motor import COUNT
@@ -18,12 +18,12 @@ TORQUE_ENABLE, WATCHDOG = 64, 98
 GOAL_CURRENT, GOAL_VELOCITY, GOAL_POSITION, GOAL_PWM = (102, 2), (104, 4), (116, 4), (100, 2)
 
 
-def put(device: Device, where: tuple[int, int], value: int) -> Error:
+def put(device: DynamixelDevice, where: tuple[int, int], value: int) -> Error:
     return device.write(where[0], value.to_bytes(where[1], "little", signed=True))
 
 
-def running(mode: int, model: str = "xl330-m288") -> Device:
-    device = Device(model)
+def running(mode: int, model: str = "xl330-m288") -> DynamixelDevice:
+    device = DynamixelDevice(model)
     assert device.write(11, bytes([mode])) == Error.NONE
     device.write(TORQUE_ENABLE, b"\x01")
     return device
@@ -31,7 +31,7 @@ def running(mode: int, model: str = "xl330-m288") -> Device:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_every_register_of_every_model_answers_and_begins_within_its_range(model: str) -> None:
-    device = Device(model)
+    device = DynamixelDevice(model)
     for item in MODELS[model].items:
         error, data = device.read(item.address, item.size, 0.1)
         assert (error, len(data)) == (Error.NONE, item.size)
@@ -40,7 +40,7 @@ def test_every_register_of_every_model_answers_and_begins_within_its_range(model
 
 
 def test_addresses_nobody_defined_are_refused() -> None:
-    device = Device("xl330-m288")
+    device = DynamixelDevice("xl330-m288")
     assert device.read(72, 1, 0.0)[0] == Error.ACCESS
     assert device.read(228, 1, 0.0)[0] == Error.ACCESS
     assert device.write(72, b"\x01") == Error.ACCESS
@@ -64,7 +64,7 @@ def test_the_watchdog_goes_through_the_eight_steps_of_the_manuals_example() -> N
 
 
 def test_the_watchdog_sleeps_while_the_torque_is_off_and_is_fed_by_talk_with_others() -> None:
-    bus = Bus([Device("xl330-m288", 1), Device("xl330-m288", 2)])
+    bus = DynamixelBus([DynamixelDevice("xl330-m288", 1), DynamixelDevice("xl330-m288", 2)])
     first = bus.devices[0]
     first.write(WATCHDOG, b"\x01")
     bus.advance(1.0)
@@ -110,14 +110,14 @@ def test_a_goal_outside_the_position_limits_is_refused_in_position_mode_only() -
 
 
 def test_a_change_of_mode_resets_the_goals_to_the_limits() -> None:
-    device = Device("xl330-m288")
+    device = DynamixelDevice("xl330-m288")
     device.write(11, b"\x00")
     assert device.registers.get("goal_current") == 1750
     assert device.registers.get("goal_pwm") == 885
 
 
 def test_the_drive_mode_turns_the_servo_round() -> None:
-    device = Device("xl330-m288")
+    device = DynamixelDevice("xl330-m288")
     device.write(10, b"\x01")
     device.write(11, b"\x00")
     device.write(TORQUE_ENABLE, b"\x01")
@@ -130,32 +130,32 @@ def test_the_drive_mode_turns_the_servo_round() -> None:
 def test_a_damaged_request_is_answered_with_the_error_for_it() -> None:
     request = bytearray(packet(1, b"\x02\x84\x00\x04\x00"))
     request[-1] ^= 1
-    (reply,) = Bus([Device("xl330-m288")]).receive(bytes(request), 0.0)
+    (reply,) = DynamixelBus([DynamixelDevice("xl330-m288")]).receive(bytes(request), 0.0)
     assert reply.data == status(1, Error.CRC)
 
 
 def test_what_it_does_not_know_is_an_instruction_error() -> None:
-    bus = Bus([Device("xl330-m288")])
+    bus = DynamixelBus([DynamixelDevice("xl330-m288")])
     for instruction in (0x05, 0x7F):  # an Action without Reg Write; none at all
         (reply,) = bus.receive(packet(1, bytes([instruction])), 0.0)
         assert reply.data == status(1, Error.INSTRUCTION)
 
 
 def test_a_shadow_id_obeys_and_is_silent() -> None:
-    bus = Bus([Device("xl330-m288", 1)])
+    bus = DynamixelBus([DynamixelDevice("xl330-m288", 1)])
     bus.devices[0].write(12, b"\x05")
     assert bus.receive(packet(5, b"\x03\x41\x00\x01"), 0.0) == []
     assert bus.devices[0].registers.get("led") == 1
 
 
 def test_timing_is_the_sum_of_its_parts() -> None:
-    bus = Bus([Device("xl330-m288")], timing=Timing(usb_latency=1e-3))
+    bus = DynamixelBus([DynamixelDevice("xl330-m288")], timing=DynamixelTiming(usb_latency=1e-3))
     (reply,) = bus.receive(packet(1, b"\x02\x84\x00\x04\x00"), 2.0, 1_000_000)
     assert reply.at == pytest.approx(2.0 + (14 + 15) * 10e-6 + 500e-6 + 1e-3, abs=1e-9)
 
 
 def test_time_runs_on_the_ticks_of_the_servo_and_wraps() -> None:
-    device = Device("xl330-m288", now=5.0)
+    device = DynamixelDevice("xl330-m288", now=5.0)
     for now in (5.0, 5.0401, 5.0 + 32.768, 5.0 + 40.0):
         device.advance(now)
         _, data = device.read(120, 2, now)

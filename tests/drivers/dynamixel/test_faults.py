@@ -28,19 +28,19 @@ from drivers.servo import (
     Quantity,
 )
 from drivers.uart.port import POLL
-from sim_backend.wire.dynamixel.bus import Bus, Reply
-from sim_backend.wire.dynamixel.device import OVERHEAT, OVERLOAD, VOLTAGE, Device
-from sim_backend.wire.dynamixel.faults import (
+from sim_backend.wire.dynamixel.bus import DynamixelBus, Reply
+from sim_backend.wire.dynamixel.device import OVERHEAT, OVERLOAD, VOLTAGE, DynamixelDevice
+from sim_backend.wire.faults import (
     CorruptReplies,
     DelayReplies,
     DropReplies,
     DropRequests,
     DuplicateReplies,
-    Fault,
     NoiseBefore,
     Reboots,
     TruncateReplies,
     Unplug,
+    WireFault,
 )
 from sim_backend.wire.uart.pty_line import PtyLine
 
@@ -93,9 +93,9 @@ def test_a_port_without_permission_says_which_group_to_join(monkeypatch: pytest.
 
 
 def test_a_port_that_another_program_holds_is_refused(tmp_path: Path) -> None:
-    bus = Bus([])
+    bus = DynamixelBus([])
     with PtyLine(tmp_path / "tty", bus) as line:
-        bus.devices.append(Device("xl330-m288", now=line.now()))
+        bus.devices.append(DynamixelDevice("xl330-m288", now=line.now()))
         first = DynamixelServo(config(line.link, reply_timeout=0.3, watchdog=1.0))
         with pytest.raises(DriverError, match="another program has it open"):
             DynamixelServo(config(line.link))
@@ -120,7 +120,7 @@ def test_the_wrong_model_is_an_error_that_names_both(make_rig: Make) -> None:
 
 @pytest.mark.parametrize("other", ["xm430-w210", "xl330-m288"])
 def test_two_servos_at_one_id_are_told_from_one(rig: Rig, other: str) -> None:
-    rig.bus.devices.append(Device(other, now=0.0))
+    rig.bus.devices.append(DynamixelDevice(other, now=0.0))
     rig.bus.devices[1].registers.put("homing_offset", 1234)
     with pytest.raises(BadReply, match="two servos with that id"):
         rig.open()
@@ -176,10 +176,10 @@ def test_a_register_that_refuses_stops_the_arming_with_the_torque_off(rig: Rig, 
 def test_a_reply_lost_at_any_point_of_the_arming_leaves_the_torque_off(make_rig: Make, limits: Limits) -> None:
     rig = make_rig()
     rig.open().arm(limits)
-    replies = rig.bus._replies
+    replies = rig.bus.faults.replies
     for number in range(replies):
         rig = make_rig()
-        rig.bus.inject(DropReplies(after=number))
+        rig.bus.faults.inject(DropReplies(after=number))
         try:
             servo = rig.open()
             servo.arm(limits)
@@ -200,7 +200,7 @@ def test_a_torque_limit_below_one_count_is_refused(rig: Rig) -> None:
 
 def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only_that(rig: Rig, limits: Limits) -> None:
     servo = armed(rig, limits)
-    rig.bus.inject(DropReplies())
+    rig.bus.faults.inject(DropReplies())
     begin = rig.clock.now()
     with pytest.raises(NoReply):
         servo.exchange(PUSH)
@@ -212,9 +212,9 @@ def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only
     "fault",
     [CorruptReplies(), TruncateReplies(keep=20), TruncateReplies(keep=37), TruncateReplies(keep=5)],
 )
-def test_a_damaged_reply_is_a_gap_and_the_next_one_is_good(rig: Rig, limits: Limits, fault: Fault) -> None:
+def test_a_damaged_reply_is_a_gap_and_the_next_one_is_good(rig: Rig, limits: Limits, fault: WireFault) -> None:
     servo = armed(rig, limits)
-    rig.bus.inject(fault)
+    rig.bus.faults.inject(fault)
     with pytest.raises((BadReply, NoReply)):
         servo.exchange(PUSH)
     assert servo.exchange(PUSH).motor_position == rig.device.registers.get("present_position") * POSITION_LSB
@@ -232,15 +232,15 @@ def test_a_request_that_arrives_damaged_is_a_gap_and_not_the_end(rig: Rig, limit
 
 def test_noise_before_a_reply_is_passed_over(rig: Rig, limits: Limits) -> None:
     servo = armed(rig, limits)
-    rig.bus.inject(NoiseBefore(noise=b"\x00\x55\xff\xff\xfd\x13\x37"))
+    rig.bus.faults.inject(NoiseBefore(noise=b"\x00\x55\xff\xff\xfd\x13\x37"))
     assert servo.exchange(PUSH).motor_torque > 0.0
 
 
 def test_a_late_reply_is_never_taken_for_the_next_answer(rig: Rig, limits: Limits) -> None:
     for late in np.arange(0.0075, 0.06, 0.0005):
-        rig.bus.clear_faults()
+        rig.bus.faults.clear()
         servo = armed(rig, limits)
-        rig.bus.inject(DelayReplies(seconds=float(late)))
+        rig.bus.faults.inject(DelayReplies(seconds=float(late)))
         for _ in range(30):
             rig.wait(2e-3)
             try:
@@ -261,7 +261,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_wrong_and_torque_off_works
         rig = make_rig()
         servo = armed(rig, limits)
         for kind in rng.choice(np.array(kinds), size=4):
-            rig.bus.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
+            rig.bus.faults.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
         for _ in range(80):
             rig.wait(2e-3)
             try:
@@ -270,7 +270,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_wrong_and_torque_off_works
                 continue
             accepted += 1
             assert sample.motor_position == rig.device.registers.get("present_position") * POSITION_LSB
-        rig.bus.clear_faults()
+        rig.bus.faults.clear()
         servo.disarm()
         assert not rig.device.torque_on
     assert accepted > 700
@@ -358,7 +358,7 @@ def test_overheating_turns_the_torque_off_and_says_so(rig: Rig, limits: Limits) 
 @pytest.mark.parametrize("mute", [False, True])
 def test_a_servo_that_reboots_in_the_run_is_a_fault(rig: Rig, limits: Limits, mute: bool) -> None:
     servo = armed(rig, limits)
-    rig.bus.inject(Reboots())
+    rig.bus.faults.inject(Reboots())
     with pytest.raises(NoReply):
         servo.exchange(PUSH)
     if mute:  # it is back before the host asks again
@@ -424,14 +424,14 @@ def test_a_torque_off_that_is_not_done_is_said_loudly(rig: Rig, limits: Limits) 
 @pytest.mark.parametrize("lost", [1, 2])
 def test_torque_off_gets_through_though_replies_are_lost(rig: Rig, limits: Limits, lost: int) -> None:
     servo = armed(rig, limits)
-    rig.bus.inject(DropReplies(count=lost))
+    rig.bus.faults.inject(DropReplies(count=lost))
     servo.disarm()
     assert not rig.device.torque_on
 
 
 def test_a_pulled_cable_is_a_lost_link_and_close_is_harmless(rig: Rig, limits: Limits) -> None:
     servo = armed(rig, limits)
-    rig.bus.inject(Unplug())
+    rig.bus.faults.inject(Unplug())
     with pytest.raises((LinkLost, NoReply)):
         servo.exchange(PUSH)
     with pytest.raises(LinkLost):
@@ -445,13 +445,13 @@ def test_a_pulled_cable_is_a_lost_link_and_close_is_harmless(rig: Rig, limits: L
 
 
 def test_a_pulled_cable_is_a_lost_link_on_a_real_port(tmp_path: Path, limits: Limits) -> None:
-    bus = Bus([])
+    bus = DynamixelBus([])
     with PtyLine(tmp_path / "tty", bus) as line:
-        bus.devices.append(Device("xl330-m288", now=line.now()))
+        bus.devices.append(DynamixelDevice("xl330-m288", now=line.now()))
         servo = DynamixelServo(config(line.link, reply_timeout=0.3, watchdog=1.0))
         servo.arm(limits)
         with line.lock:
-            bus.inject(Unplug())
+            bus.faults.inject(Unplug())
         with pytest.raises(LinkLost):
             ask_through_gaps(servo, 3)
         servo.close()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_backend.wire.dynamixel.bus import Bus
-from sim_backend.wire.dynamixel.device import Device
+from sim_backend.wire.dynamixel.bus import DynamixelBus
+from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.frames import Frame, Framer, Instruction, packet, status
 
 PING_1 = "FF FF FD 00 01 03 00 01 19 4E"
@@ -73,9 +73,9 @@ def test_every_status_packet_of_the_manual_is_written_alike(ident: int, paramete
     assert status(ident, 0, octets(parameters)) == octets(printed)
 
 
-def three_servos() -> Bus:
+def three_servos() -> DynamixelBus:
     """The servos of the manual's Fast Sync Read example, turned to where its positions are."""
-    bus = Bus([Device("xc330-t288", ident) for ident in (3, 7, 4)])
+    bus = DynamixelBus([DynamixelDevice("xc330-t288", ident) for ident in (3, 7, 4)])
     for device, position in zip(bus.devices, (166, 2079, 1023), strict=True):
         device.registers.put("homing_offset", position)
     return bus

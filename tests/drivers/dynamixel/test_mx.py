@@ -26,13 +26,13 @@ from hil.recording.writer import Header, PartFile
 from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import CouplingParameters, FixtureParameters
-from sim_backend.wire.dynamixel.bus import Bus
-from sim_backend.wire.dynamixel.faults import CorruptReplies, DelayReplies, DropReplies, Reboots, TruncateReplies
+from sim_backend.wire.dynamixel.bus import DynamixelBus
 from sim_backend.wire.dynamixel.motor import COUNT, behind
 from sim_backend.wire.dynamixel.mx_device import MX_ANGLE, MX_CHECKSUM, MX_HEAT, MX_INSTRUCTION, MX_OVERLOAD, MX_RANGE
 from sim_backend.wire.dynamixel.mx_device import MxDevice as Device
 from sim_backend.wire.dynamixel.mx_frames import MxFramer, mx_status
 from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
+from sim_backend.wire.faults import CorruptReplies, DelayReplies, DropReplies, Reboots, TruncateReplies
 from sim_backend.wire.uart.pty_line import PtyLine
 
 Make = Callable[..., Any]
@@ -82,14 +82,14 @@ def soft(model: str = "mx-64", stiffness: float = 0.05) -> Device:
     ],
 )
 def test_the_emulator_answers_the_manuals_packets(request_: str, reply: str) -> None:
-    bus = Bus([Device("mx-64")], protocol=1)
+    bus = DynamixelBus([Device("mx-64")], protocol=1)
     replies = bus.receive(bytes.fromhex(request_), 0.1)
     assert b"".join(data for _, data in replies) == bytes.fromhex(reply)
 
 
 def test_the_manuals_sync_write_reaches_the_servo_it_names() -> None:
     device = Device("mx-106", 1)
-    bus = Bus([device], protocol=1)
+    bus = DynamixelBus([device], protocol=1)
     bus.receive(bytes.fromhex("ff ff fe 0e 83 1e 04 00 10 00 50 01 01 20 02 60 03 67"), 0.1)
     assert (device.get("goal_position"), device.get("moving_speed")) == (0x220, 0x360)
 
@@ -163,9 +163,9 @@ def test_heat_takes_the_torque_limit_to_zero_and_is_told_while_it_lasts() -> Non
 
 
 @pytest.fixture
-def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Bus]]:
+def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, DynamixelBus]]:
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 100)  # ms; patience on a busy machine
-    bus = Bus([], protocol=1)
+    bus = DynamixelBus([], protocol=1)
     with PtyLine(tmp_path / "ttyDXL", bus) as served:
         bus.devices += [Device("mx-64", 1, now=served.now()), Device("mx-106", 2, now=served.now())]
         port = PortHandler(str(served.link))
@@ -176,7 +176,7 @@ def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any,
             port.closePort()
 
 
-def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, Bus]) -> None:
+def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, DynamixelBus]) -> None:
     port, bus = line
     assert PACKETS.ping(port, 1) == (310, COMM_SUCCESS, 0)
     assert PACKETS.ping(port, 2) == (320, COMM_SUCCESS, 0)
@@ -193,14 +193,14 @@ def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, Bus]) -> No
 
 
 def test_bulk_read_is_answered_in_its_order() -> None:
-    bus = Bus([Device("mx-64", 1), Device("mx-64", 2)], protocol=1)
+    bus = DynamixelBus([Device("mx-64", 1), Device("mx-64", 2)], protocol=1)
     replies = bus.receive(bytes.fromhex("ff ff fe 09 92 00 02 01 1e 02 02 24 1d"), 0.1)  # the manual's
     assert [data[2] for _, data in replies] == [1, 2]
     assert {len(data) for _, data in replies} == {8}
 
 
 def test_an_unknown_instruction_and_a_damaged_one_are_told_apart() -> None:
-    bus = Bus([Device("mx-64")], protocol=1)
+    bus = DynamixelBus([Device("mx-64")], protocol=1)
     (unknown,) = bus.receive(bytes.fromhex("ff ff 01 02 77 85"), 0.1)
     (damaged,) = bus.receive(bytes.fromhex("ff ff 01 02 77 84"), 0.2)
     assert (unknown.data[4], damaged.data[4]) == (MX_INSTRUCTION, MX_CHECKSUM)
@@ -311,7 +311,7 @@ def test_a_servo_that_restarts_is_a_fault(make_rig: Make) -> None:
     rig = make_rig("mx-64")
     servo = rig.open()
     servo.arm(LIMITS)
-    rig.bus.inject(Reboots(after=2))
+    rig.bus.faults.inject(Reboots(after=2))
     with pytest.raises(DeviceFault) as fault:
         drive_on(rig, servo)
     assert fault.value.code == RESTARTED
@@ -325,7 +325,7 @@ def test_what_goes_wrong_on_the_line_is_a_gap_and_never_another_value(make_rig: 
     servo = rig.open()
     servo.arm(LIMITS)
     drive(rig, servo, torque(0.2), ticks=50)
-    rig.bus.inject(kind(after=3, count=2))
+    rig.bus.faults.inject(kind(after=3, count=2))
     gaps = 0
     for _ in range(12):
         rig.wait(2e-3)

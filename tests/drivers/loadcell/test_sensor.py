@@ -18,7 +18,7 @@ from drivers.loadcell.sensor import LoadCell
 from drivers.servo import BadReply, DriverError, LinkLost, MonotonicClock, NoReply
 from drivers.uart.lines import TextLines
 from sim_backend.servo import VirtualClock
-from sim_backend.wire.dynamixel.faults import (
+from sim_backend.wire.faults import (
     CorruptReplies,
     DelayReplies,
     DropReplies,
@@ -28,9 +28,8 @@ from sim_backend.wire.dynamixel.faults import (
     TruncateReplies,
     Unplug,
 )
-from sim_backend.wire.loadcell.emulator import SCALE, SETTLING, Board, serve
-from sim_backend.wire.loadcell.emulator import LoadCell as Emulated
-from sim_backend.wire.uart.loopback import Loopback
+from sim_backend.wire.loadcell.emulator import SCALE, SETTLING, EmulatedLoadCell, LoadCellBoard, serve
+from sim_backend.wire.uart.loopback import SerialLoopback
 
 SIGNS: tuple[Literal[1, -1], ...] = (1, -1)
 CONFIG = LoadCellConfig(port="loopback", scale=SCALE)
@@ -47,11 +46,11 @@ class Joint:
 
 
 class Rig:
-    def __init__(self, board: Board | None = None, config: LoadCellConfig = CONFIG, **cell: Any) -> None:
+    def __init__(self, board: LoadCellBoard | None = None, config: LoadCellConfig = CONFIG, **cell: Any) -> None:
         self.clock = VirtualClock()
         self.joint = Joint()
-        self.emulated = Emulated(board, self.joint, **cell)
-        self.port = Loopback(self.emulated, self.clock, config.baudrate)
+        self.emulated = EmulatedLoadCell(board, self.joint, **cell)
+        self.port = SerialLoopback(self.emulated, self.clock, config.baudrate)
         self.config = config
 
     def open(self) -> LoadCell:
@@ -78,9 +77,9 @@ def watch(rig: Rig, cell: LoadCell, seconds: float, period: float = 2e-3) -> lis
 
 
 @pytest.mark.parametrize("sign", SIGNS)
-@pytest.mark.parametrize("board", [Board(), Board(checksum=True), Board(form="value")])
+@pytest.mark.parametrize("board", [LoadCellBoard(), LoadCellBoard(checksum=True), LoadCellBoard(form="value")])
 def test_a_torque_comes_out_in_newton_metres_with_the_joints_sign_and_without_the_tare(
-    board: Board, sign: Literal[1, -1]
+    board: LoadCellBoard, sign: Literal[1, -1]
 ) -> None:
     config = replace(CONFIG, sign=sign, format="value" if board.form == "value" else "micros,raw")
     rig = Rig(board, config)
@@ -99,10 +98,10 @@ def test_asked_more_often_than_it_reads_it_repeats_the_last_with_its_time() -> N
 
 @pytest.mark.parametrize("clock", [1.0, 1.003, 0.997])
 def test_a_reading_has_the_time_the_board_took_it_though_its_clock_is_off_and_lines_come_late(clock: float) -> None:
-    rig = Rig(Board(clock=clock), micros=(1 << 32) - 7_000_000)  # which wraps after 7 s
+    rig = Rig(LoadCellBoard(clock=clock), micros=(1 << 32) - 7_000_000)  # which wraps after 7 s
     cell = rig.open()
     rig.joint.torque = lambda t: 1e-3 * t
-    rig.emulated.inject(DelayReplies(after=300, count=20, seconds=0.03))
+    rig.emulated.faults.inject(DelayReplies(after=300, count=20, seconds=0.03))
     rows = watch(rig, cell, 10.0)[800:]
     # what it shows is the mean over the conversions it settles in, so it is older by half of that than its line
     taken = [torque / 1e-3 + 0.5 * SETTLING / 80 for _, _, torque in rows]
@@ -121,9 +120,9 @@ def test_a_delay_that_is_known_is_taken_off() -> None:
 
 
 def test_a_zero_that_has_drifted_from_the_tables_is_refused_with_the_new_one() -> None:
-    near = Rig(Board(offset=0.9e-3), replace(CONFIG, tare=84_000.0))
+    near = Rig(LoadCellBoard(offset=0.9e-3), replace(CONFIG, tare=84_000.0))
     assert near.open().tare == 84_000.0
-    far = Rig(Board(offset=1.1e-3), replace(CONFIG, tare=84_000.0))
+    far = Rig(LoadCellBoard(offset=1.1e-3), replace(CONFIG, tare=84_000.0))
     with pytest.raises(DriverError, match=r"joint_sensor.tare = 95000"):
         far.open()
     assert far.port.closed
@@ -131,7 +130,7 @@ def test_a_zero_that_has_drifted_from_the_tables_is_refused_with_the_new_one() -
 
 def test_a_zero_that_moves_while_it_is_taken_is_refused() -> None:
     with pytest.raises(DriverError, match="will not stand still"):
-        Rig(Board(drift=0.05)).open()
+        Rig(LoadCellBoard(drift=0.05)).open()
 
 
 # -- the line -------------------------------------------------------------------------------------------------------
@@ -149,24 +148,24 @@ def test_a_zero_that_moves_while_it_is_taken_is_refused() -> None:
     ],
 )
 def test_what_is_damaged_on_the_way_is_a_gap_and_never_a_torque(fault: Any) -> None:
-    rig = Rig(Board(checksum=True))
+    rig = Rig(LoadCellBoard(checksum=True))
     cell = rig.open()
-    rig.emulated.inject(fault)
+    rig.emulated.faults.inject(fault)
     rows = watch(rig, cell, 0.5)
     assert {round(torque, 9) for *_, torque in rows} == {0.0}
     assert rows[-1][0] - rows[-1][1] < 0.02
 
 
 def test_damage_alone_is_a_bad_reply_and_silence_repeats_the_last_reading() -> None:
-    rig = Rig(Board(checksum=True))
+    rig = Rig(LoadCellBoard(checksum=True))
     cell = rig.open()
-    rig.emulated.inject(CorruptReplies(count=8))
+    rig.emulated.faults.inject(CorruptReplies(count=8))
     rig.wait(0.09)
     with pytest.raises(BadReply, match="the reading is dropped"):
         cell.read()
     rig.wait(0.1)
     cell.read()
-    rig.emulated.inject(DropReplies(count=1000))
+    rig.emulated.faults.inject(DropReplies(count=1000))
     rig.wait(0.05)
     first = cell.read()
     rig.wait(1.0)
@@ -177,7 +176,7 @@ def test_damage_alone_is_a_bad_reply_and_silence_repeats_the_last_reading() -> N
 def test_a_board_that_restarts_is_a_gap_and_its_readings_go_on_with_true_times(micros: int) -> None:
     rig = Rig(micros=micros)
     cell = rig.open()
-    rig.emulated.inject(Reboots(after=5))
+    rig.emulated.faults.inject(Reboots(after=5))
     seen = []
     for _ in range(1000):
         rig.wait(2e-3)
@@ -205,7 +204,7 @@ def test_a_cell_beyond_its_range_is_a_gap_that_says_so() -> None:
 def test_a_pulled_cable_is_a_lost_link_and_closing_is_harmless() -> None:
     rig = Rig()
     cell = rig.open()
-    rig.emulated.inject(Unplug())
+    rig.emulated.faults.inject(Unplug())
     rig.wait(0.1)
     cell.read()
     with pytest.raises(LinkLost, match="gone"):
@@ -224,7 +223,7 @@ def test_a_wrong_baud_rate_is_told_from_a_silent_cell() -> None:
     with pytest.raises(BadReply, match="57600 baud"):
         rig.open()
     silent = Rig()
-    silent.emulated.inject(DropReplies(count=10_000))
+    silent.emulated.faults.inject(DropReplies(count=10_000))
     with pytest.raises(NoReply, match="0 readings"):
         silent.open()
     assert silent.port.closed
@@ -232,13 +231,13 @@ def test_a_wrong_baud_rate_is_told_from_a_silent_cell() -> None:
 
 def test_another_format_and_another_device_are_not_taken_for_a_cell() -> None:
     with pytest.raises(BadReply, match="micros,raw"):
-        Rig(Board(form="value")).open()
+        Rig(LoadCellBoard(form="value")).open()
     with pytest.raises(BadReply, match="is no number"):
         Rig(config=replace(CONFIG, format="value")).open()
 
 
 def test_a_line_whose_beginning_was_missed_is_not_part_of_the_zero() -> None:
-    rig = Rig(Board(form="value", offset=0.1), replace(CONFIG, format="value"))
+    rig = Rig(LoadCellBoard(form="value", offset=0.1), replace(CONFIG, format="value"))
     rig.wait(SETTLING / 80 + 1e-3 + 5e-4)  # in the middle of the first line
     assert rig.open().tare == pytest.approx(1e6)
 
@@ -257,7 +256,7 @@ def test_a_port_that_cannot_be_opened_says_what_to_do(tmp_path: Path, monkeypatc
 
 
 def test_a_cell_on_a_pty_is_read_and_a_second_program_is_kept_off(tmp_path: Path) -> None:
-    with serve(tmp_path / "ttyCELL", Board(rate=500.0)) as line:
+    with serve(tmp_path / "ttyCELL", LoadCellBoard(rate=500.0)) as line:
         config = replace(CONFIG, port=str(line.link))
         cell = LoadCell(config, clock=MonotonicClock())
         with pytest.raises(DriverError, match="another program has it open"):

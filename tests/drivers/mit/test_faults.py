@@ -11,18 +11,18 @@ import pytest
 
 from drivers.mit.frames import RESTARTED
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity
-from sim_backend.wire.canbus.faults import (
+from sim_backend.wire.faults import (
     BusOff,
     DelayReplies,
     DropReplies,
     DropRequests,
     DuplicateReplies,
-    Fault,
     Reboots,
     TruncateReplies,
     Unplug,
+    WireFault,
 )
-from sim_backend.wire.mit.device import LOST_COMMUNICATION, OVER_CURRENT, TOO_HOT, Device
+from sim_backend.wire.mit.device import LOST_COMMUNICATION, OVER_CURRENT, TOO_HOT, MitDevice
 
 Make = Callable[..., Any]
 LIMITS = Limits(torque=2.0, velocity=20.0, temperature=85.0, position=(-3.0, 3.0))
@@ -98,7 +98,7 @@ def test_ranges_that_somebody_changed_can_be_said_in_the_stand_file(make_mit: Ma
 @pytest.mark.parametrize("model", MOTORS)
 def test_two_motors_at_one_id_are_told_from_one(make_mit: Make, model: str) -> None:
     rig = make_mit(model)
-    rig.bus.nodes.append(Device(model))
+    rig.bus.nodes.append(MitDevice(model))
     rig.bus.nodes[1]._zero = 1.0
     with pytest.raises(BadReply, match="two motors with that id"):
         rig.open()
@@ -106,7 +106,7 @@ def test_two_motors_at_one_id_are_told_from_one(make_mit: Make, model: str) -> N
 
 def test_an_answer_that_comes_twice_is_two_motors(make_mit: Make) -> None:
     rig = make_mit()
-    rig.bus.inject(DuplicateReplies())
+    rig.bus.faults.inject(DuplicateReplies())
     with pytest.raises(BadReply, match="answers twice"):
         rig.open()
 
@@ -144,10 +144,10 @@ def test_a_register_that_is_refused_stops_the_arming_with_the_torque_off(make_mi
 def test_a_frame_lost_at_any_point_of_the_arming_leaves_no_torque(make_mit: Make, model: str) -> None:
     rig = make_mit(model)
     rig.open().arm(LIMITS)
-    for number in range(rig.bus.replies):
+    for number in range(rig.bus.faults.replies):
         for fault in (DropReplies(after=number), DropRequests(after=number)):
             rig = make_mit(model)
-            rig.bus.inject(fault)
+            rig.bus.faults.inject(fault)
             try:
                 servo = rig.open()
                 servo.arm(LIMITS)
@@ -161,7 +161,7 @@ def test_a_frame_lost_at_any_point_of_the_arming_leaves_no_torque(make_mit: Make
 def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only_that(make_mit: Make) -> None:
     rig = make_mit()
     servo = armed(rig)
-    rig.bus.inject(DropReplies())
+    rig.bus.faults.inject(DropReplies())
     begin = rig.clock.now()
     with pytest.raises(NoReply):
         servo.exchange(PUSH)
@@ -173,7 +173,7 @@ def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only
 def test_a_truncated_reply_is_a_gap_and_the_next_one_is_good(make_mit: Make, keep: int) -> None:
     rig = make_mit()
     servo = armed(rig)
-    rig.bus.inject(TruncateReplies(keep=keep))
+    rig.bus.faults.inject(TruncateReplies(keep=keep))
     with pytest.raises((BadReply, NoReply)):
         servo.exchange(PUSH)
     assert servo.exchange(PUSH).motor_torque > 0.0
@@ -193,7 +193,7 @@ def test_a_late_reply_is_never_taken_for_the_next_answer(make_mit: Make, model: 
         rig = make_mit(model)
         servo = armed(rig)
         made = numbered(rig)
-        rig.bus.inject(DelayReplies(seconds=float(late)))
+        rig.bus.faults.inject(DelayReplies(seconds=float(late)))
         for _ in range(20):
             rig.wait(2e-3)
             try:
@@ -209,7 +209,7 @@ def test_replies_later_than_anyone_waits_for_are_noticed_after_few_samples(make_
     rig = make_mit()
     servo = armed(rig, watchdog=1.0)
     made = numbered(rig)
-    rig.bus.inject(DelayReplies(seconds=late, count=5))
+    rig.bus.faults.inject(DelayReplies(seconds=late, count=5))
     old, said = 0, ""
     for _ in range(40):
         rig.wait(2e-3)
@@ -226,7 +226,7 @@ def test_replies_later_than_anyone_waits_for_are_noticed_after_few_samples(make_
 def test_a_second_motor_that_comes_onto_the_bus_in_the_run_is_noticed(make_mit: Make) -> None:
     rig = make_mit()
     servo = armed(rig)
-    rig.bus.inject(DuplicateReplies(count=50))
+    rig.bus.faults.inject(DuplicateReplies(count=50))
     rig.wait(2e-3)
     servo.exchange(PUSH)
     rig.wait(2e-3)
@@ -243,7 +243,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_old_and_torque_off_works(m
         servo = armed(rig)
         made = numbered(rig)
         for kind in rng.choice(np.array(kinds), size=4):
-            rig.bus.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
+            rig.bus.faults.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
         for _ in range(60):
             rig.wait(2e-3)
             try:
@@ -252,7 +252,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_old_and_torque_off_works(m
                 continue
             accepted += 1
             assert when_made(made, servo, sample.motor_position) >= sample.t
-        rig.bus.clear_faults()
+        rig.bus.faults.clear()
         servo.disarm()
         assert not rig.device.motor.enabled
     assert accepted > 400
@@ -275,7 +275,7 @@ def test_an_error_in_the_run_is_a_fault_with_its_code_and_the_torque_is_off(make
 def test_a_motor_that_reboots_in_the_run_is_a_fault(make_mit: Make, model: str) -> None:
     rig = make_mit(model)
     servo = armed(rig)
-    rig.bus.inject(Reboots())
+    rig.bus.faults.inject(Reboots())
     with pytest.raises(DeviceFault, match="restarted") as caught:
         ask_through_gaps(rig, servo)
     assert caught.value.code == RESTARTED
@@ -284,10 +284,10 @@ def test_a_motor_that_reboots_in_the_run_is_a_fault(make_mit: Make, model: str) 
 
 
 @pytest.mark.parametrize("fault", [BusOff(), Unplug()])
-def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_mit: Make, fault: Fault) -> None:
+def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_mit: Make, fault: WireFault) -> None:
     rig = make_mit()
     servo = armed(rig)
-    rig.bus.inject(fault)
+    rig.bus.faults.inject(fault)
     with pytest.raises(LinkLost, match="cut the"):
         ask_through_gaps(rig, servo, 3)
     with pytest.raises(DriverError, match="cut the motor's power"):
@@ -326,6 +326,6 @@ def test_a_torque_off_that_is_not_done_is_said_loudly(make_mit: Make) -> None:
 def test_torque_off_gets_through_though_frames_are_lost(make_mit: Make, model: str, lost: int) -> None:
     rig = make_mit(model)
     servo = armed(rig)
-    rig.bus.inject(DropRequests(count=lost))
+    rig.bus.faults.inject(DropRequests(count=lost))
     servo.disarm()
     assert not rig.device.motor.enabled

@@ -14,9 +14,9 @@ from pydantic import TypeAdapter, ValidationError
 from drivers.mit.config import MitConfig
 from drivers.mit.frames import Codec, models
 from drivers.servo import Command, DriverError, Limits, Quantity, Status, UnsafeCommand
-from sim_backend.wire.canbus.bus import Bus
+from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.mit.device import Device
+from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.mit.emulator import KNOWN, serve
 from sim_backend.wire.mit.tables import MODELS
 
@@ -84,7 +84,7 @@ def test_a_reply_is_unpacked_as_the_manual_says() -> None:
 def test_every_count_of_torque_survives_both_codecs(model: str) -> None:
     spec = models()[model]
     codec = Codec(spec.family, spec.position, spec.velocity, spec.torque)
-    device = Device(model)
+    device = MitDevice(model)
     device.hear(CanFrame(1, ENTER), 0.0)
     for value in np.linspace(-0.9, 0.9, 7) * spec.torque:
         device.hear(CanFrame(1, codec.command(codec.torque_counts(float(value)))), 0.0)
@@ -93,7 +93,7 @@ def test_every_count_of_torque_survives_both_codecs(model: str) -> None:
 
 def test_zero_torque_is_half_a_count_since_zero_lies_between_two() -> None:
     codec = Codec("damiao", 12.5, 30.0, 10.0)
-    device = Device("dm-j4310")
+    device = MitDevice("dm-j4310")
     device.hear(CanFrame(1, ENTER), 0.0)
     device.hear(CanFrame(1, codec.command(codec.torque_counts(0.0))), 0.0)
     assert device.motor.demand == pytest.approx(0.5 * codec.torque_lsb)
@@ -200,7 +200,7 @@ def test_no_frame_leaves_for_a_set_point_that_is_no_number(make_mit: Make, value
 
 def test_two_damiaos_on_one_bus_are_told_apart_by_their_id(make_mit: Make) -> None:
     rig = make_mit()
-    rig.bus.nodes.append(Device("dm-j4310", 2))
+    rig.bus.nodes.append(MitDevice("dm-j4310", 2))
     rig.bus.nodes[1]._zero = 1.0
     first, second = rig.open(), rig.open(id=2)
     assert first.exchange(Command.rest()).motor_position == pytest.approx(0.0, abs=1e-3)
@@ -208,7 +208,7 @@ def test_two_damiaos_on_one_bus_are_told_apart_by_their_id(make_mit: Make) -> No
 
 
 def test_an_emulated_damiao_has_every_register_and_its_other_modes() -> None:
-    device = Device("dm-j4310", 5, reply_id=0x15)
+    device = MitDevice("dm-j4310", 5, reply_id=0x15)
     for number in [*range(37), *range(50, 57), *range(59, 66), 80, 81]:
         (reply,) = device.hear(CanFrame(0x7FF, bytes([5, 0, 0x33, number, 0, 0, 0, 0])), 0.0)
         assert (reply.ident, reply.data[:4]) == (0x15, bytes([5, 0, 0x33, number]))
@@ -223,7 +223,7 @@ def test_an_emulated_damiao_has_every_register_and_its_other_modes() -> None:
 def test_serving_names_what_is_not_known() -> None:
     with pytest.raises(ValueError, match="there are ak10-9"):
         serve("nowhere", "ak1", interface="virtual")
-    assert Bus([Device("ak80-9")]).due() == math.inf
+    assert CanBus([MitDevice("ak80-9")]).due() == math.inf
 
 
 def test_the_page_on_it_shows_the_counts_that_are_used() -> None:

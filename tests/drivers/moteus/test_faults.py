@@ -11,16 +11,16 @@ import pytest
 
 from drivers.moteus.frames import RESTARTED, WATCHDOG
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity
-from sim_backend.wire.canbus.faults import (
+from sim_backend.wire.faults import (
     BusOff,
     DelayReplies,
     DropReplies,
     DropRequests,
     DuplicateReplies,
-    Fault,
     Reboots,
     TruncateReplies,
     Unplug,
+    WireFault,
 )
 from sim_backend.wire.moteus.device import (
     DRIVER_FAULT,
@@ -30,7 +30,7 @@ from sim_backend.wire.moteus.device import (
     POSITION,
     STOPPED,
     TIMEOUT,
-    Device,
+    MoteusDevice,
 )
 
 Make = Callable[..., Any]
@@ -58,7 +58,7 @@ def numbered(rig: Any) -> list[float]:
     """Make each reply's position a number of its own; the time each was made, by that number."""
     made: list[float] = []
 
-    class Numbered(Device):
+    class Numbered(MoteusDevice):
         @property
         def turns(self) -> float:
             made.append(rig.clock.now())
@@ -77,14 +77,14 @@ def test_nobody_at_that_id_is_no_reply_that_says_what_to_look_at(make_moteus: Ma
 
 def test_two_controllers_at_one_id_are_told_from_one(make_moteus: Make) -> None:
     rig = make_moteus()
-    rig.bus.nodes.append(Device(serial=(1, 2, 3)))
+    rig.bus.nodes.append(MoteusDevice(serial=(1, 2, 3)))
     with pytest.raises(BadReply, match="two controllers with that id"):
         rig.open()
 
 
 def test_an_answer_that_comes_twice_is_two_controllers(make_moteus: Make) -> None:
     rig = make_moteus()
-    rig.bus.inject(DuplicateReplies())
+    rig.bus.faults.inject(DuplicateReplies())
     with pytest.raises(BadReply, match="answers twice"):
         rig.open()
 
@@ -144,10 +144,10 @@ def test_a_limit_that_is_refused_stops_the_arming(make_moteus: Make) -> None:
 def test_a_frame_lost_at_any_point_of_the_arming_leaves_no_torque(make_moteus: Make) -> None:
     rig = make_moteus()
     rig.open().arm(LIMITS)
-    for number in range(0, rig.bus.replies, 2):
+    for number in range(0, rig.bus.faults.replies, 2):
         for fault in (DropReplies(after=number), DropRequests(after=number)):
             rig = make_moteus()
-            rig.bus.inject(fault)
+            rig.bus.faults.inject(fault)
             try:
                 servo = rig.open()
                 servo.arm(LIMITS)
@@ -161,7 +161,7 @@ def test_a_frame_lost_at_any_point_of_the_arming_leaves_no_torque(make_moteus: M
 def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only_that(make_moteus: Make) -> None:
     rig = make_moteus()
     servo = armed(rig)
-    rig.bus.inject(DropReplies())
+    rig.bus.faults.inject(DropReplies())
     begin = rig.clock.now()
     with pytest.raises(NoReply):
         servo.exchange(PUSH)
@@ -173,7 +173,7 @@ def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only
 def test_a_truncated_reply_is_a_gap_and_the_next_one_is_good(make_moteus: Make, keep: int) -> None:
     rig = make_moteus()
     servo = armed(rig)
-    rig.bus.inject(TruncateReplies(keep=keep))
+    rig.bus.faults.inject(TruncateReplies(keep=keep))
     with pytest.raises((BadReply, NoReply)):
         servo.exchange(PUSH)
     assert servo.exchange(PUSH).motor_torque > 0.0
@@ -184,7 +184,7 @@ def test_a_late_reply_is_never_taken_for_the_next_answer_however_late(make_moteu
         rig = make_moteus()
         servo = armed(rig, watchdog=1.0)
         made = numbered(rig)
-        rig.bus.inject(DelayReplies(seconds=float(late), count=3))
+        rig.bus.faults.inject(DelayReplies(seconds=float(late), count=3))
         for _ in range(30):
             rig.wait(2e-3)
             try:
@@ -204,7 +204,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_old_and_a_stop_works(make_
         servo = armed(rig, watchdog=1.0)
         made = numbered(rig)
         for kind in rng.choice(np.array(kinds), size=4):
-            rig.bus.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
+            rig.bus.faults.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
         for _ in range(60):
             rig.wait(2e-3)
             try:
@@ -213,7 +213,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_old_and_a_stop_works(make_
                 continue
             accepted += 1
             assert made[round(sample.motor_position / (2.0 * np.pi))] >= sample.t - 2.5e-3
-        rig.bus.clear_faults()
+        rig.bus.faults.clear()
         servo.disarm()
         assert rig.device.mode == STOPPED
     assert accepted > 400
@@ -235,7 +235,7 @@ def test_a_fault_in_the_run_has_its_code_and_the_torque_is_off(make_moteus: Make
 def test_a_controller_that_reboots_in_the_run_is_a_fault(make_moteus: Make) -> None:
     rig = make_moteus()
     servo = armed(rig)
-    rig.bus.inject(Reboots())
+    rig.bus.faults.inject(Reboots())
     with pytest.raises(DeviceFault, match="restarted") as caught:
         ask_through_gaps(rig, servo)
     assert caught.value.code == RESTARTED
@@ -244,10 +244,10 @@ def test_a_controller_that_reboots_in_the_run_is_a_fault(make_moteus: Make) -> N
 
 
 @pytest.mark.parametrize("fault", [BusOff(), Unplug()])
-def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_moteus: Make, fault: Fault) -> None:
+def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_moteus: Make, fault: WireFault) -> None:
     rig = make_moteus()
     servo = armed(rig)
-    rig.bus.inject(fault)
+    rig.bus.faults.inject(fault)
     with pytest.raises(LinkLost, match="cut the"):
         ask_through_gaps(rig, servo, 3)
     with pytest.raises(DriverError, match="cut the controller's power"):
@@ -284,6 +284,6 @@ def test_a_stop_that_is_not_done_is_said_loudly(make_moteus: Make) -> None:
 def test_a_stop_gets_through_though_frames_are_lost(make_moteus: Make, lost: int) -> None:
     rig = make_moteus()
     servo = armed(rig)
-    rig.bus.inject(DropRequests(count=lost))
+    rig.bus.faults.inject(DropRequests(count=lost))
     servo.disarm()
     assert rig.device.mode == STOPPED

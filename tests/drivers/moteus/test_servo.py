@@ -14,7 +14,7 @@ from drivers.moteus.config import MoteusConfig
 from drivers.moteus.frames import FLOAT, INT8, INT16, INT32, answers, filled, read, registers, write
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Status, UnsafeCommand
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.moteus.device import COUNTS, POSITION, STOPPED, TORQUE_LSB, Device
+from sim_backend.wire.moteus.device import COUNTS, POSITION, STOPPED, TORQUE_LSB, MoteusDevice
 from sim_backend.wire.moteus.emulator import serve
 from sim_backend.wire.moteus.frames import Read, Reader, Write
 from sim_backend.wire.moteus.registers import UNITS
@@ -27,7 +27,7 @@ def torque(value: float) -> Command:
     return Command(Quantity.TORQUE, value)
 
 
-def to(device: Device, hexadecimal: str, ident: int = 0x8001) -> str:
+def to(device: MoteusDevice, hexadecimal: str, ident: int = 0x8001) -> str:
     replies = device.hear(CanFrame(ident, bytes.fromhex(hexadecimal), extended=True, fd=True, fast=True), 0.1)
     return "".join(reply.data.hex() for reply in replies)
 
@@ -62,7 +62,7 @@ def test_the_manuals_example_is_understood_and_its_answer_decoded() -> None:
 
 
 def test_the_manuals_example_makes_the_emulator_answer_in_its_form() -> None:
-    device = Device()
+    device = MoteusDevice()
     for _ in range(3):
         answer = to(device, "01000a07206000200150ff140400130d")
     assert answer.startswith("2404000a00")
@@ -87,7 +87,7 @@ def test_both_sides_know_what_a_count_is_worth() -> None:
 
 @pytest.mark.parametrize("kind", [INT8, INT16, INT32, FLOAT])
 def test_every_resolution_survives_both_codecs(kind: int) -> None:
-    device = Device()
+    device = MoteusDevice()
     device._offset = -0.123 * 2.0 * math.pi
     scale = registers()["position"].scales[kind] if kind != FLOAT else 1e-7
     answer = to(device, filled([read("position", kind)]).hex())

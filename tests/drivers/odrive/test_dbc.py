@@ -9,7 +9,7 @@ import pytest
 
 from drivers.odrive.messages import Codec, Layout, messages
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.odrive.device import Device
+from sim_backend.wire.odrive.device import OdriveDevice
 
 cantools = pytest.importorskip("cantools")
 pytest.importorskip("odrive_can", reason="the package that ships the DBC files")
@@ -50,7 +50,7 @@ def test_what_the_adapter_sends_is_what_the_vendor_describes(layout: Layout) -> 
 
 @pytest.mark.parametrize(("layout", "firmware"), [("0.5", "0.5.6"), ("0.6", "0.6.10")])
 def test_what_the_emulator_answers_can_be_read_with_the_vendors_description(layout: str, firmware: str) -> None:
-    device = Device(NODE, firmware=firmware)
+    device = OdriveDevice(NODE, firmware=firmware)
     known = database(layout)
     for ours, (theirs, values) in SETS.items():
         message = known[theirs]

@@ -14,18 +14,18 @@ import pytest
 
 from drivers.odrive.messages import RESTARTED
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity
-from sim_backend.wire.canbus.faults import (
+from sim_backend.wire.faults import (
     BusOff,
     DelayReplies,
     DropReplies,
     DropRequests,
     DuplicateReplies,
-    Fault,
     Reboots,
     TruncateReplies,
     Unplug,
+    WireFault,
 )
-from sim_backend.wire.odrive.device import DRIVER_FAULT, IDLE, OVERHEAT, OVERSPEED, WATCHDOG, Device
+from sim_backend.wire.odrive.device import DRIVER_FAULT, IDLE, OVERHEAT, OVERSPEED, WATCHDOG, OdriveDevice
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 
 Make = Callable[..., Any]
@@ -76,7 +76,7 @@ def test_nobody_at_that_id_is_no_reply_that_says_what_to_look_at(make_odrive: Ma
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_two_axes_at_one_id_are_told_from_one(make_odrive: Make, firmware: str) -> None:
     rig = make_odrive(firmware)
-    rig.bus.nodes.append(Device(0, firmware=firmware))
+    rig.bus.nodes.append(OdriveDevice(0, firmware=firmware))
     rig.bus.nodes[1]._offset = 1.0
     with pytest.raises((NoReply, BadReply), match="two drives with that node id"):
         rig.open()
@@ -84,7 +84,7 @@ def test_two_axes_at_one_id_are_told_from_one(make_odrive: Make, firmware: str) 
 
 def test_an_answer_that_comes_twice_is_two_axes(make_odrive: Make) -> None:
     rig = make_odrive()
-    rig.bus.inject(DuplicateReplies())
+    rig.bus.faults.inject(DuplicateReplies())
     with pytest.raises(BadReply, match="answers twice"):
         rig.open()
 
@@ -139,10 +139,10 @@ def test_a_frame_lost_at_any_point_of_the_arming_leaves_no_torque(make_odrive: M
     path.write_text(json.dumps(flat_endpoints("0.6.10")), encoding="utf-8")
     rig = make_odrive()
     rig.open(endpoints=str(path)).arm(LIMITS)
-    for number in range(0, rig.bus.replies, 3):
+    for number in range(0, rig.bus.faults.replies, 3):
         for fault in (DropReplies(after=number), DropRequests(after=number)):
             rig = make_odrive()
-            rig.bus.inject(fault)
+            rig.bus.faults.inject(fault)
             try:
                 servo = rig.open(endpoints=str(path))
                 servo.arm(LIMITS)
@@ -161,7 +161,7 @@ def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only
     servo = armed(rig)
     rig.device._estimates = 1e9  # what it sends unasked would do as well
     rig.wait(2e-3)
-    rig.bus.inject(DropReplies())
+    rig.bus.faults.inject(DropReplies())
     begin = rig.clock.now()
     with pytest.raises(NoReply):
         servo.exchange(PUSH)
@@ -173,7 +173,7 @@ def test_silence_becomes_no_reply_within_its_deadline_and_one_lost_reply_is_only
 def test_a_truncated_reply_is_a_gap_and_the_next_one_is_good(make_odrive: Make, keep: int) -> None:
     rig = make_odrive()
     servo = armed(rig)
-    rig.bus.inject(TruncateReplies(keep=keep))
+    rig.bus.faults.inject(TruncateReplies(keep=keep))
     with pytest.raises((BadReply, NoReply)):
         servo.exchange(PUSH)
     assert servo.exchange(PUSH).motor_torque > 0.0
@@ -184,7 +184,7 @@ def test_a_late_reply_is_never_taken_for_the_next_answer(make_odrive: Make) -> N
         rig = make_odrive()
         servo = armed(rig)
         made = numbered(rig.device, rig)
-        rig.bus.inject(DelayReplies(seconds=float(late)))
+        rig.bus.faults.inject(DelayReplies(seconds=float(late)))
         for _ in range(20):
             rig.wait(2e-3)
             try:
@@ -201,7 +201,7 @@ def test_replies_later_than_anyone_waits_for_are_noticed_after_few_samples(make_
     rig = make_odrive()
     servo = armed(rig)
     made = numbered(rig.device, rig)
-    rig.bus.inject(DelayReplies(seconds=late, count=10))
+    rig.bus.faults.inject(DelayReplies(seconds=late, count=10))
     old, said = 0, ""
     for _ in range(40):
         rig.wait(2e-3)
@@ -218,7 +218,7 @@ def test_replies_later_than_anyone_waits_for_are_noticed_after_few_samples(make_
 def test_a_second_axis_that_comes_onto_the_bus_in_the_run_is_noticed(make_odrive: Make) -> None:
     rig = make_odrive()
     servo = armed(rig)
-    rig.bus.inject(DuplicateReplies(count=50))
+    rig.bus.faults.inject(DuplicateReplies(count=50))
     rig.wait(2e-3)
     servo.exchange(PUSH)
     rig.wait(2e-3)
@@ -244,7 +244,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_old_and_idle_works(make_od
         servo = armed(rig)
         made = numbered(rig.device, rig)
         for kind in rng.choice(np.array(kinds), size=4):
-            rig.bus.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
+            rig.bus.faults.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
         for _ in range(60):
             rig.wait(2e-3)
             try:
@@ -253,7 +253,7 @@ def test_whatever_happens_to_the_replies_no_sample_is_old_and_idle_works(make_od
                 continue
             accepted += 1
             assert made[round(sample.motor_position / (2.0 * np.pi))] >= sample.t - 1e-3
-        rig.bus.clear_faults()
+        rig.bus.faults.clear()
         servo.disarm()
         assert rig.device.state == IDLE
     assert accepted > 400
@@ -285,7 +285,7 @@ def test_overheating_turns_the_torque_off_and_says_so(make_odrive: Make) -> None
 def test_an_axis_that_reboots_in_the_run_is_a_fault(make_odrive: Make, firmware: str) -> None:
     rig = make_odrive(firmware)
     servo = armed(rig)
-    rig.bus.inject(Reboots())
+    rig.bus.faults.inject(Reboots())
     with pytest.raises(DeviceFault, match="restarted") as caught:
         ask_through_gaps(rig, servo, 400)
     assert caught.value.code == RESTARTED
@@ -294,10 +294,10 @@ def test_an_axis_that_reboots_in_the_run_is_a_fault(make_odrive: Make, firmware:
 
 
 @pytest.mark.parametrize("fault", [BusOff(), Unplug()])
-def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_odrive: Make, fault: Fault) -> None:
+def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_odrive: Make, fault: WireFault) -> None:
     rig = make_odrive()
     servo = armed(rig)
-    rig.bus.inject(fault)
+    rig.bus.faults.inject(fault)
     with pytest.raises(LinkLost, match="cut the"):
         ask_through_gaps(rig, servo, 3)
     with pytest.raises(DriverError, match="cut the drive's power"):
@@ -337,6 +337,6 @@ def test_an_idle_that_is_not_done_is_said_loudly(make_odrive: Make) -> None:
 def test_torque_off_gets_through_though_frames_are_lost(make_odrive: Make, lost: int) -> None:
     rig = make_odrive()
     servo = armed(rig)
-    rig.bus.inject(DropRequests(count=lost))
+    rig.bus.faults.inject(DropRequests(count=lost))
     servo.disarm()
     assert rig.device.state == IDLE

@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from drivers.odrive.config import OdriveConfig
 from drivers.servo import Command, DriverError, Limits, Quantity, Status, UnsafeCommand
-from sim_backend.wire.odrive.device import CLOSED_LOOP, IDLE, Device
+from sim_backend.wire.odrive.device import CLOSED_LOOP, IDLE, OdriveDevice
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 
 Make = Callable[..., Any]
@@ -54,7 +54,7 @@ def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at
 
 def test_frames_are_those_of_the_vendors_examples() -> None:
     """can_simple.py: node 0; id 0x07, <I 8> for closed loop; id 0x0E torque; heartbeat <IBBB>, estimates <ff>."""
-    device = Device(0, now=0.0)
+    device = OdriveDevice(0, now=0.0)
     (encoder,) = device.hear(_frame(0x09, remote=True), 0.1)
     assert struct.unpack("<ff", encoder.data) == (0.0, 0.0)
     assert device.hear(_frame(0x07, struct.pack("<I", 8)), 0.1) == []
