@@ -24,7 +24,7 @@ _PIDS = {"Q": "PID curr q| ", "D": "PID curr d| ", "V": "PID vel| ", "A": "PID a
 _TERMS = {"P": "P: ", "I": "I: ", "D": "D: ", "R": "ramp: ", "L": "limit: ", "F": "Tf: "}
 _WATCHED = ("target", "Vq", "Vd", "Cq", "Cd", "vel", "angle")
 _LIMITS = {"U": "volt: ", "C": "curr: ", "V": "vel: "}
-_PLAIN = {"R": "R phase: ", "I": "L phase: ", "K": "CommanderMotor KV: "}
+_PLAIN = {"R": "R phase: ", "I": "L phase: ", "K": "Motor KV: "}
 _BOOT = ("Monitor enabled!", "Init", "Enable driver.", "Align sensor.", "sensor dir: CW", "PP check: OK!", "Ready.")
 
 

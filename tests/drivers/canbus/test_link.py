@@ -55,7 +55,7 @@ def test_nothing_is_read_from_configuration_files(monkeypatch: pytest.MonkeyPatc
         seen.update(options)
         raise can.CanInitializationError("enough")
 
-    monkeypatch.setattr(can, "CanBus", note)
+    monkeypatch.setattr(can, "Bus", note)
     monkeypatch.setattr("drivers.canbus.link._check_free", lambda _: None)
     for interface in ("socketcan", "slcan", "pcan", "virtual", "udp_multicast", "kvaser"):
         for data_bitrate in (0, 5_000_000):
@@ -81,7 +81,7 @@ def test_a_missing_interface_or_permission_says_what_to_do(monkeypatch: pytest.M
         def refuse(*_: Any, code: int = number, **__: Any) -> None:
             raise can.CanInitializationError("refused") from OSError(code, "refused")
 
-        monkeypatch.setattr(can, "CanBus", refuse)
+        monkeypatch.setattr(can, "Bus", refuse)
         with pytest.raises(DriverError, match=words):
             open_interface(BusConfig("socketcan", "can0", 1_000_000))
 

@@ -96,7 +96,7 @@ def test_a_drive_behind_a_serial_adapter_runs_and_a_pulled_plug_is_a_lost_link(l
     assert sample.motor_torque > 0.0
     servo.disarm()
     with served.lock:
-        assert bus.nodes[0].state == IDLE  # type: ignore[attr-defined]  # it is a OdriveDevice
+        assert bus.nodes[0].state == IDLE  # type: ignore[attr-defined]  # an OdriveDevice
         bus.faults.inject(Unplug())
     with pytest.raises(LinkLost):
         rest_three_times(servo)

@@ -28,8 +28,15 @@ from hil.stand.file import parse
 from sim_backend.parameters import CouplingParameters, FixtureParameters
 from sim_backend.wire.dynamixel.bus import DynamixelBus
 from sim_backend.wire.dynamixel.motor import COUNT, behind
-from sim_backend.wire.dynamixel.mx_device import MX_ANGLE, MX_CHECKSUM, MX_HEAT, MX_INSTRUCTION, MX_OVERLOAD, MX_RANGE
-from sim_backend.wire.dynamixel.mx_device import MxDevice as Device
+from sim_backend.wire.dynamixel.mx_device import (
+    MX_ANGLE,
+    MX_CHECKSUM,
+    MX_HEAT,
+    MX_INSTRUCTION,
+    MX_OVERLOAD,
+    MX_RANGE,
+    MxDevice,
+)
 from sim_backend.wire.dynamixel.mx_frames import MxFramer, mx_status
 from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
 from sim_backend.wire.faults import CorruptReplies, DelayReplies, DropReplies, Reboots, TruncateReplies
@@ -60,10 +67,10 @@ def drive_on(rig: Any, servo: Any) -> None:
             servo.exchange(torque(0.05))
 
 
-def soft(model: str = "mx-64", stiffness: float = 0.05) -> Device:
+def soft(model: str = "mx-64", stiffness: float = 0.05) -> MxDevice:
     """A servo on a cable so soft that it turns far."""
     coupling = CouplingParameters(stiffness=stiffness, damping=2e-3, coulomb_friction=0.0)
-    return Device(model, parameters=behind(MX_MODELS[model], coupling))
+    return MxDevice(model, parameters=behind(MX_MODELS[model], coupling))
 
 
 # --- the emulator -----------------------------------------------------------------------------------------------------
@@ -82,13 +89,13 @@ def soft(model: str = "mx-64", stiffness: float = 0.05) -> Device:
     ],
 )
 def test_the_emulator_answers_the_manuals_packets(request_: str, reply: str) -> None:
-    bus = DynamixelBus([Device("mx-64")], protocol=1)
+    bus = DynamixelBus([MxDevice("mx-64")], protocol=1)
     replies = bus.receive(bytes.fromhex(request_), 0.1)
     assert b"".join(data for _, data in replies) == bytes.fromhex(reply)
 
 
 def test_the_manuals_sync_write_reaches_the_servo_it_names() -> None:
-    device = Device("mx-106", 1)
+    device = MxDevice("mx-106", 1)
     bus = DynamixelBus([device], protocol=1)
     bus.receive(bytes.fromhex("ff ff fe 0e 83 1e 04 00 10 00 50 01 01 20 02 60 03 67"), 0.1)
     assert (device.get("goal_position"), device.get("moving_speed")) == (0x220, 0x360)
@@ -119,7 +126,7 @@ def test_a_status_packet_has_the_manuals_checksum() -> None:
 
 @pytest.mark.parametrize("model", MX_MODELS)
 def test_every_register_answers_and_begins_within_its_range(model: str) -> None:
-    device = Device(model)
+    device = MxDevice(model)
     for item in MX_MODELS[model].items:
         error, data = device.read(item.address, item.size, 0.1)
         assert (error, len(data)) == (0, item.size)
@@ -139,11 +146,11 @@ def test_every_register_answers_and_begins_within_its_range(model: str) -> None:
     ],
 )
 def test_a_write_keeps_to_the_rules_of_the_table(address: int, data: bytes, error: int) -> None:
-    assert Device("mx-64").write(address, data) == error
+    assert MxDevice("mx-64").write(address, data) == error
 
 
 def test_a_locked_eeprom_takes_nothing_until_the_power_was_off() -> None:
-    device = Device("mx-64")
+    device = MxDevice("mx-64")
     device.write(47, b"\x01")
     assert device.write(5, b"\x00") == MX_RANGE
     device.reboot(1.0)
@@ -151,7 +158,7 @@ def test_a_locked_eeprom_takes_nothing_until_the_power_was_off() -> None:
 
 
 def test_heat_takes_the_torque_limit_to_zero_and_is_told_while_it_lasts() -> None:
-    device = Device("mx-64")
+    device = MxDevice("mx-64")
     device.motor.warm_to(90.0)
     device.advance(0.1)
     assert device.alerted(0) == MX_HEAT
@@ -167,7 +174,7 @@ def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any,
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 100)  # ms; patience on a busy machine
     bus = DynamixelBus([], protocol=1)
     with PtyLine(tmp_path / "ttyDXL", bus) as served:
-        bus.devices += [Device("mx-64", 1, now=served.now()), Device("mx-106", 2, now=served.now())]
+        bus.devices += [MxDevice("mx-64", 1, now=served.now()), MxDevice("mx-106", 2, now=served.now())]
         port = PortHandler(str(served.link))
         port.openPort()
         try:
@@ -193,14 +200,14 @@ def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, DynamixelBu
 
 
 def test_bulk_read_is_answered_in_its_order() -> None:
-    bus = DynamixelBus([Device("mx-64", 1), Device("mx-64", 2)], protocol=1)
+    bus = DynamixelBus([MxDevice("mx-64", 1), MxDevice("mx-64", 2)], protocol=1)
     replies = bus.receive(bytes.fromhex("ff ff fe 09 92 00 02 01 1e 02 02 24 1d"), 0.1)  # the manual's
     assert [data[2] for _, data in replies] == [1, 2]
     assert {len(data) for _, data in replies} == {8}
 
 
 def test_an_unknown_instruction_and_a_damaged_one_are_told_apart() -> None:
-    bus = DynamixelBus([Device("mx-64")], protocol=1)
+    bus = DynamixelBus([MxDevice("mx-64")], protocol=1)
     (unknown,) = bus.receive(bytes.fromhex("ff ff 01 02 77 85"), 0.1)
     (damaged,) = bus.receive(bytes.fromhex("ff ff 01 02 77 84"), 0.2)
     assert (unknown.data[4], damaged.data[4]) == (MX_INSTRUCTION, MX_CHECKSUM)
@@ -388,7 +395,7 @@ def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(make_rig: Mak
     kc, bc, kt, rate = 1.0, 0.02, 6.0 / 4.1, 400.0
     coupling = CouplingParameters(stiffness=kc, damping=bc, coulomb_friction=0.0)
     rig = make_rig("mx-64")
-    rig.bus.devices[0] = Device("mx-64", parameters=behind(MX_MODELS["mx-64"], coupling))
+    rig.bus.devices[0] = MxDevice("mx-64", parameters=behind(MX_MODELS["mx-64"], coupling))
     profile = excitation.make(
         "chirp", Quantity.TORQUE, amplitude=0.6, default_amplitude=0.6, duration=10.0, band=(0.1, 10.0), rate=rate
     )
