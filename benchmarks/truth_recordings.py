@@ -29,7 +29,8 @@ from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.recording.writer import Header, PartFile, write
-from hil.stand.file import open_servo, parse
+from hil.stand.file import parse
+from hil.stand.opening import open_servo
 
 OUTLIER = 20e-3  # N m
 

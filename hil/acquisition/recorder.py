@@ -23,6 +23,7 @@ from hil.acquisition.setpoints import SetPoints
 from hil.errors import WrongUse
 from hil.recording.writer import PartFile, Row
 from hil.stand.file import Stand
+from hil.stand.transmission import Transmission, Zero
 
 _REST_SAMPLES = 16  # averaged for the zero of the deflection
 _REST_TRIES = 100
@@ -34,15 +35,6 @@ _OFF_TRIES, _OFF_PAUSE = 20, 0.05  # times that the torque-off is asked for, s b
 
 class _StopAsked(Exception):
     """A request to stop came before anything was driven."""
-
-
-@dataclass(frozen=True, slots=True)
-class Zero:
-    """Where the axis rests before anything is commanded: motor and joint, rad; joint 0 where it has no sensor."""
-
-    motor: float
-    joint: float
-    has_joint: bool
 
 
 @dataclass(slots=True)
@@ -73,8 +65,10 @@ class Recorder:
 
     def __init__(self, stand: Stand, servo: Servo, profile: Profile, rate: float, part: PartFile) -> None:
         limits = stand.checked_limits()
-        self._stand = stand.stand
-        self._motor_limits = stand.motor_limits
+        self._torque_source = stand.stand.torque_source
+        self._transmission = Transmission.of(stand.stand)
+        self._limits = limits
+        self._has_joint = False
         self._servo = servo
         self._profile = profile
         self._rate = rate
@@ -113,7 +107,7 @@ class Recorder:
                 _heed(stop)
                 set_points.extend(self._profile.at(times))
             zero = self._find_zero(stop)
-            limits = self._motor_limits(zero.motor)
+            limits = self._transmission.motor_limits(self._limits, zero.motor)
             with _quiet_collector():
                 _heed(stop)
                 try:
@@ -138,11 +132,13 @@ class Recorder:
         joint = _mean(sample.joint_position for sample in found)
         if not math.isfinite(motor):
             raise BadReply("the drive reports no position: a deflection cannot be recorded")
-        zero = Zero(motor, joint if math.isfinite(joint) else 0.0, math.isfinite(joint))
+        self._has_joint = math.isfinite(joint)
+        zero = Zero(motor, joint if self._has_joint else 0.0)
         seen = [self._at_joint(sample, zero) for sample in found]
         if not any(math.isfinite(at_joint.torque) for at_joint in seen):
-            source = self._stand.torque_source
-            raise BadReply(f"the stand file says torque_source = {source!r}, but no torque is reported there")
+            raise BadReply(
+                f"the stand file says torque_source = {self._torque_source!r}, but no torque is reported there"
+            )
         self._guard.check_start(found, seen)
         return zero
 
@@ -194,7 +190,7 @@ class Recorder:
 
     def _tick(self, seq: int, due: float, set_point: float, zero: Zero) -> None:
         try:
-            sample = self._servo.exchange(self._command(set_point, zero))
+            sample = self._servo.exchange(self._transmission.command(self._profile.quantity, set_point, zero))
         except (NoReply, BadReply) as error:
             status = Status.BAD_REPLY if isinstance(error, BadReply) else Status.NO_REPLY
             sample = Sample.missing(self._start + due, status)
@@ -207,19 +203,13 @@ class Recorder:
         self._guard.check(sample, at_joint)
 
     def _at_joint(self, sample: Sample, zero: Zero) -> AtJoint:
-        ratio = self._stand.gear_ratio
-        joint = sample.joint_position if zero.has_joint else 0.0
+        way = self._transmission
+        from_cell = self._torque_source == "joint"
         return AtJoint(
-            torque=sample.joint_torque if self._stand.torque_source == "joint" else sample.motor_torque * ratio,
-            dtheta=(sample.motor_position - zero.motor) / ratio - (joint - zero.joint),
-            dtheta_dot=sample.motor_velocity / ratio,
+            torque=sample.joint_torque if from_cell else way.torque(sample.motor_torque),
+            dtheta=way.deflection(sample.motor_position, sample.joint_position if self._has_joint else 0.0, zero),
+            dtheta_dot=way.rate(sample.motor_velocity),
         )
-
-    def _command(self, set_point: float, zero: Zero) -> Command:
-        ratio = self._stand.gear_ratio
-        if self._profile.quantity is Quantity.TORQUE:
-            return Command(Quantity.TORQUE, set_point / ratio)
-        return Command(Quantity.POSITION, zero.motor + set_point * ratio)
 
     def _row(self, seq: int, due: float, set_point: float, sample: Sample, at_joint: AtJoint) -> Row:
         sent = sample.t - self._start

@@ -14,7 +14,8 @@ from hil.errors import WrongUse
 from hil.recording.output import Taken, check_part, check_target, give_up, next_free
 from hil.recording.writer import Header, PartFile
 from hil.stand.devices import check_backend
-from hil.stand.file import Stand, open_servo
+from hil.stand.file import Stand
+from hil.stand.opening import open_servo
 
 _FOLDER = Path("recordings")
 

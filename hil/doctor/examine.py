@@ -19,7 +19,9 @@ from hil.doctor.jog import Movement, move_a_little
 from hil.doctor.link_test import judge_readings, listen, manageable
 from hil.doctor.stop_path import exercise_stop, fall_silent
 from hil.stand.devices import check_backend, found_by_search
-from hil.stand.file import Stand, open_servo
+from hil.stand.file import Stand
+from hil.stand.opening import open_servo
+from hil.stand.transmission import Transmission
 
 _SMALL = 1.0 / 20.0  # of a limit
 _OFF_TRIES, _OFF_PAUSE = 20, 0.05  # times that the torque-off is asked for, s between two
@@ -40,7 +42,7 @@ def examine(
         with _connected(found, stand, quantity) as servo:
             samples = [] if servo is None else listen(found, servo, rate, stop)
             if servo is not None and samples and not stop.count and judge_readings(found, stand, samples):
-                limits = stand.motor_limits(samples[-1].motor_position)
+                limits = Transmission.of(stand.stand).motor_limits(stand.checked_limits(), samples[-1].motor_position)
                 exercise_stop(found, servo, limits, quantity)
                 if move and not stop.count:
                     _move(found, stand, servo, (quantity, amplitude, rate), stop)

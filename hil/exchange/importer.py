@@ -18,6 +18,7 @@ from hil.exchange.row_filter import Condition
 from hil.recording.reader import CHANNELS
 from hil.recording.writer import Header, write
 from hil.stand.file import Stand
+from hil.stand.transmission import Transmission, Zero
 
 Array = NDArray[np.float64]
 
@@ -162,11 +163,13 @@ def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:
 def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> None:
     """Let the time begin at zero, and bring what is of the motor to the joint."""
     channels["time"] = channels["time"] - channels["time"][0]
-    if stand is not None and "motor_torque" in channels:
-        channels["torque"] = stand.stand.gear_ratio * channels["motor_torque"]
-    if stand is not None and "motor_position" in channels:
+    way = None if stand is None else Transmission.of(stand.stand)
+    if way is not None and "motor_torque" in channels:
+        channels["torque"] = way.torque(channels["motor_torque"])
+    if way is not None and "motor_position" in channels:
         position = channels["motor_position"]
-        channels["dtheta"] = (position - position[np.isfinite(position)][:1].sum()) / stand.stand.gear_ratio
+        rest = float(position[np.isfinite(position)][:1].sum())
+        channels["dtheta"] = way.deflection(position, 0.0, Zero(rest))
     if "dtheta_dot" in channels:
         _check_rate(source, channels["time"], channels["dtheta"], channels["dtheta_dot"])
 

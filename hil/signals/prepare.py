@@ -22,6 +22,7 @@ from hil.recording.reader import Recording
 from hil.signals.joint_time import is_fresh, looked_up
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
 from hil.stand.file import StandTable
+from hil.stand.transmission import Transmission
 
 Array = NDArray[np.float64]
 
@@ -345,12 +346,11 @@ def _within(row: NDArray[np.int64], rows: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def _at_joint(torque: Array, rate: Array, acceleration: Array, source: _Source) -> tuple[Array, Array]:
-    """Equation (1), times the gear ratio: the torque (n,) N m at the joint, and what the motor itself takes of it."""
-    stand = source.stand
-    if not source.motor_side or stand is None:
+    """Return the torque (n,) N m at the joint, and the motor's own part of it, by equation (1)."""
+    if not source.motor_side or source.stand is None:
         return torque, np.zeros_like(torque)
-    ratio = stand.gear_ratio
-    return ratio * torque, ratio**2 * (stand.motor_inertia * acceleration + stand.motor_damping * rate)
+    way = Transmission.of(source.stand)
+    return way.torque(torque), way.motor_share(rate, acceleration)
 
 
 def _refuse_hopeless(recording: Recording, usable: _Usable) -> None:

@@ -1,7 +1,6 @@
-"""The stand: what `stand.toml` says of the motor, the gear, the limits, and the servo that is opened from it.
+"""The stand file, stand.toml: its tables and how it is read and checked. Nothing is opened here.
 
-People speak of the joint and a servo speaks of the motor shaft. `Stand` holds the joint's side; the recorder and
-`motor_limits` do the conversion with the gear ratio.
+Angles and torques of `Stand` are at the joint; `hil.stand.transmission` brings them to the motor shaft.
 """
 
 from __future__ import annotations
@@ -10,14 +9,12 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
-from drivers.servo import Limits, MonotonicClock, Quantity, Servo
 from hil.errors import WrongUse
-from hil.stand.devices import BACKENDS, SENSORS, check_backend, check_sensor, open_backend, open_sensor
-from hil.stand.servo import StandServo
+from hil.stand.devices import BACKENDS, SENSORS, check_sensor
 from sim_backend.parameters import SimParameters
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -101,17 +98,6 @@ class Stand:
             raise WrongUse("the stand file sets no limits: add [limits] with torque, deflection and velocity")
         return self.limits
 
-    def motor_limits(self, zero: float) -> Limits:
-        """The limits at the motor shaft, for a joint at rest at motor position `zero` rad."""
-        limits, ratio = self.checked_limits(), self.stand.gear_ratio
-        reach = limits.deflection * ratio
-        return Limits(
-            torque=limits.torque / ratio,
-            velocity=limits.velocity * ratio,
-            temperature=limits.temperature,
-            position=(zero - reach, zero + reach),
-        )
-
 
 SIMULATED = """\
 [stand]
@@ -188,43 +174,3 @@ def _problem(item: Any) -> str:
     if item["type"] == "value_error":  # several keys that do not fit each other; the message names them
         return f"{key}: {item['ctx']['error']}"
     return f"{key} = {item['input']!r}: {item['msg']}"
-
-
-def open_servo(
-    stand: Stand, *, quantity: Quantity = Quantity.TORQUE, seed: int = 0, realtime: bool = False
-) -> tuple[Servo, Mapping[str, float]]:
-    """The stand's servo, closed by whoever asked for it, and the truth where it is simulated ({} otherwise).
-
-    Its joint sensor, where the stand has one, is part of it, and so is the stand's zero. quantity: what will be
-    commanded, which chooses a drive's mode. seed: of everything random in a simulated servo. realtime: simulate in wall
-    time. Raises WrongUse, DriverError.
-    """
-    name = check_backend(stand.stand.backend)
-    truth: Mapping[str, float] = {}
-    if name == "sim":
-        from sim_backend.servo import SimServo, VirtualClock
-
-        clock = MonotonicClock() if realtime else VirtualClock()
-        simulated = SimServo(stand.simulated(), seed=seed, clock=clock)
-        servo, truth = cast("Servo", simulated), simulated.truth()
-    else:
-        servo = open_backend(name, _table_of(stand, name), quantity)
-    if stand.sensor is None and not stand.stand.zero:
-        return servo, truth
-    try:
-        sensor = None if stand.sensor is None else open_sensor(*stand.sensor, servo.clock)
-    except BaseException:
-        servo.close()
-        raise
-    return StandServo(servo, stand.stand.zero, sensor), truth
-
-
-def _table_of(stand: Stand, name: str) -> Any:
-    """The backend's own table. Raises WrongUse where the file has none, with the keys that it must have."""
-    if name in stand.devices:
-        return stand.devices[name]
-    try:
-        return TypeAdapter(BACKENDS[name].table_class()).validate_python({})
-    except ValidationError as error:
-        keys = ", ".join(str(item["loc"][0]) for item in error.errors())
-        raise WrongUse(f"the stand file has no [{name}]: add it with at least {keys}") from None

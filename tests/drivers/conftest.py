@@ -32,8 +32,10 @@ from drivers.odrive.servo import OdriveServo
 from drivers.servo import Limits, Servo
 from drivers.uart.port import POLL
 from hil.doctor.stop_path import answered
-from hil.stand.file import load, open_servo
+from hil.stand.file import load
+from hil.stand.opening import open_servo
 from hil.stand.servo import StandServo
+from hil.stand.transmission import Transmission
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo, VirtualClock
 from sim_backend.wire.canbus.bus import CanBus, CanNode, CanTiming
@@ -305,7 +307,7 @@ def on_a_stand(path: Path) -> Iterator[tuple[Servo, Limits]]:
     except BaseException:
         servo.close()
         raise
-    yield from closed_after(servo, stand.motor_limits(zero))
+    yield from closed_after(servo, Transmission.of(stand.stand).motor_limits(stand.checked_limits(), zero))
 
 
 def foc_on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:

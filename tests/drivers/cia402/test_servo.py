@@ -15,7 +15,8 @@ from drivers.cia402.config import Cia402Config
 from drivers.cia402.profiles import profile_names
 from drivers.cia402.states import State, state_of
 from drivers.servo import Command, DriverError, Limits, Quantity, Status, UnsafeCommand
-from hil.stand.file import load, open_servo
+from hil.stand.file import load
+from hil.stand.opening import open_servo
 from sim_backend.wire.catalogue import make
 from sim_backend.wire.cia402.machine import Cia402State
 

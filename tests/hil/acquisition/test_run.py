@@ -273,7 +273,7 @@ def test_recorders_that_look_for_a_name_at_once_take_different_ones(
 # --- lateness --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late", [(5, 1, "problem"), (20, 0, "note"), (150, 0, "")])
+@pytest.mark.parametrize("late", [(5, 1, "error"), (20, 0, "warning"), (150, 0, "")])
 def test_a_run_whose_ticks_come_late_is_not_taken_for_a_good_one(
     spring: SpringServo,
     monkeypatch: pytest.MonkeyPatch,

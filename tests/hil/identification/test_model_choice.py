@@ -23,7 +23,8 @@ from hil.identification.model_choice import choose
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, PartFile
 from hil.signals.prepare import Signals, prepare
-from hil.stand.file import open_servo, parse
+from hil.stand.file import parse
+from hil.stand.opening import open_servo
 
 KC, RATE = 17.75e-3, 500.0
 STAND = """

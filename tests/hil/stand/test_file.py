@@ -15,7 +15,8 @@ from drivers.moteus.config import MoteusConfig
 from drivers.servo import Quantity
 from hil.errors import WrongUse
 from hil.stand.devices import BACKENDS, SENSORS, Device, check_backend
-from hil.stand.file import SIMULATED, load, open_servo, parse
+from hil.stand.file import SIMULATED, load, parse
+from hil.stand.opening import open_servo
 from sim_backend.parameters import SimParameters
 
 

@@ -11,7 +11,9 @@ import pytest
 from drivers.servo import Command, LinkLost, NoReply, Quantity, Servo, UnsafeCommand
 from hil.cli.app import run
 from hil.recording.reader import Recording
-from hil.stand.file import open_servo, parse
+from hil.stand.file import parse
+from hil.stand.opening import open_servo
+from hil.stand.transmission import Transmission
 
 STAND = """
 [stand]
@@ -68,7 +70,7 @@ def test_a_recording_that_ends_is_a_lost_link_and_disarmed_it_stands_still(recor
     assert servo.exchange(Command.rest()).motor_position == first.motor_position
     with pytest.raises(UnsafeCommand):
         servo.exchange(Command(Quantity.TORQUE, 1e-3))
-    servo.arm(stand.motor_limits(0.0))
+    servo.arm(Transmission.of(stand.stand).motor_limits(stand.checked_limits(), 0.0))
     with pytest.raises(LinkLost, match="ends here"):
         play(servo, 2000)
     servo.close()

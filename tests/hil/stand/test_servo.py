@@ -20,7 +20,8 @@ from hil.recording.reader import CHANNELS, Array, Recording
 from hil.recording.writer import Header, write
 from hil.signals.prepare import prepare
 from hil.stand.devices import Device
-from hil.stand.file import open_servo, parse
+from hil.stand.file import parse
+from hil.stand.opening import open_servo
 from hil.stand.servo import SILENCE, StandServo
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo, VirtualClock

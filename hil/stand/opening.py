@@ -1,0 +1,54 @@
+"""Open the servo of a stand, with its joint sensor and its zero."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+from pydantic import TypeAdapter, ValidationError
+
+from drivers.servo import MonotonicClock, Quantity, Servo
+from hil.errors import WrongUse
+from hil.stand.devices import BACKENDS, check_backend, open_backend, open_sensor
+from hil.stand.file import Stand
+from hil.stand.servo import StandServo
+
+
+def open_servo(
+    stand: Stand, *, quantity: Quantity = Quantity.TORQUE, seed: int = 0, realtime: bool = False
+) -> tuple[Servo, Mapping[str, float]]:
+    """The stand's servo, closed by whoever asked for it, and the truth where it is simulated ({} otherwise).
+
+    Its joint sensor, where the stand has one, is part of it, and so is the stand's zero. quantity: what will be
+    commanded, which chooses a drive's mode. seed: of everything random in a simulated servo. realtime: simulate in wall
+    time. Raises WrongUse, DriverError.
+    """
+    name = check_backend(stand.stand.backend)
+    truth: Mapping[str, float] = {}
+    if name == "sim":
+        from sim_backend.servo import SimServo, VirtualClock
+
+        clock = MonotonicClock() if realtime else VirtualClock()
+        simulated = SimServo(stand.simulated(), seed=seed, clock=clock)
+        servo, truth = cast("Servo", simulated), simulated.truth()
+    else:
+        servo = open_backend(name, _table_of(stand, name), quantity)
+    if stand.sensor is None and not stand.stand.zero:
+        return servo, truth
+    try:
+        sensor = None if stand.sensor is None else open_sensor(*stand.sensor, servo.clock)
+    except BaseException:
+        servo.close()
+        raise
+    return StandServo(servo, stand.stand.zero, sensor), truth
+
+
+def _table_of(stand: Stand, name: str) -> Any:
+    """The backend's own table. Raises WrongUse where the file has none, with the keys that it must have."""
+    if name in stand.devices:
+        return stand.devices[name]
+    try:
+        return TypeAdapter(BACKENDS[name].table_class()).validate_python({})
+    except ValidationError as error:
+        keys = ", ".join(str(item["loc"][0]) for item in error.errors())
+        raise WrongUse(f"the stand file has no [{name}]: add it with at least {keys}") from None
