@@ -1,62 +1,136 @@
-"""How this package compiles its hot functions: once, cached on disk, free of the interpreter lock.
+"""Compile the hot functions (numba): once, cached in the user's cache folder, without the interpreter lock.
 
 No fast-math: a NaN stays a NaN, and sums keep the order they are written in, so a seed gives the same bits on every
-machine.
+machine. Division follows IEEE 754 and raises nothing.
+
+numba renews a function's machine code when the function's own file changes, but not when a function or a constant of
+another file does that was compiled into it. So the cache folder's name holds a hash of the contents of all sources
+the machine code can come from: code of a changed, renamed or moved module is never found again.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
+import shutil
+import tempfile
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar, cast
 
 import numba
+from numba.misc import appdirs
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_OPTIONS: Final[dict[str, Any]] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-_LEAN: Final[dict[str, Any]] = {"_nrt": False}
-
-
-def forget_stale(package: Path) -> None:
-    """Drop the machine code of a package's folder that is older than any of its sources.
-
-    numba renews the code of a function when its own file changes, not when a function of another file does that was
-    compiled into it.
-    """
-    newest = max(source.stat().st_mtime_ns for source in package.rglob("*.py"))
-    for index in package.rglob("__pycache__/*.nbi"):
-        try:
-            if index.stat().st_mtime_ns < newest:
-                index.unlink()
-        except OSError:  # another process was faster, or the folder is read-only and numba keeps its cache elsewhere
-            continue
-
-
-forget_stale(Path(__file__).parent)
+_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_numba: Any = numba.config  # set from the environment by name, unseen by a type checker
+_appdirs: Any = appdirs
+KEPT: Final = 20
+"""Folders of machine code kept for each package, the last used first."""
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """The same function as machine code, compiled at its first call (numba)."""
-    return cast("Callable[P, R]", numba.njit(**_options(function))(function))
+    """Return `function` compiled at its first call, as `numba.njit` does."""
+    return _compiled(function)
 
 
-def lean(function: Callable[P, R]) -> Callable[P, R]:
-    """The same for a function of an inner loop that allocates nothing, inlined into its caller.
+def compiled_no_refcount(function: Callable[P, R]) -> Callable[P, R]:
+    """Return `function` compiled without reference counting; it may not allocate.
 
-    The references of arrays are not counted: atomic counting costs ten times what such a function computes.
+    Atomic counting of an array's references costs ten times what such a function of an inner loop computes. One whose
+    name begins with an underscore can be called from compiled functions only (from Python it would crash): it gets no
+    entry from Python, which is half of its compilation.
     """
-    return cast("Callable[P, R]", numba.njit(**_options(function), **_LEAN, forceinline=True)(function))
+    return _compiled(function, **_no_refcount(function))
 
 
-def lean_apart(function: Callable[P, R]) -> Callable[P, R]:
-    """As `lean`, but called: for what is large, or seldom done."""
-    return cast("Callable[P, R]", numba.njit(**_options(function), **_LEAN)(function))
+def compiled_inline(function: Callable[P, R]) -> Callable[P, R]:
+    """Return `function` compiled as `compiled_no_refcount` does, and always inlined into its caller."""
+    return _compiled(function, **_no_refcount(function), forceinline=True)
 
 
-def _options(function: Callable[P, R]) -> dict[str, Any]:
-    # what only compiled functions call needs no entry from Python, which is half of its compilation
-    return {**_OPTIONS, "no_cpython_wrapper": function.__name__.startswith("_")}
+def _no_refcount(function: Callable[P, R]) -> dict[str, bool]:
+    return {"_nrt": False, "no_cpython_wrapper": function.__name__.startswith("_")}
+
+
+def _compiled(function: Callable[P, R], **options: bool) -> Callable[P, R]:
+    folder = cache_folder(_package(Path(function.__code__.co_filename)))
+    every: dict[str, Any] = _OPTIONS | options | {"cache": folder is not None}
+    with _numba_caching_in(folder):
+        return cast("Callable[P, R]", numba.njit(**every)(function))
+
+
+@contextmanager
+def _numba_caching_in(folder: Path | None) -> Iterator[None]:
+    # numba reads its setting when a function is decorated; the user's own functions keep the user's setting
+    before = _numba.CACHE_DIR
+    _numba.CACHE_DIR = before if folder is None else str(folder)
+    try:
+        yield
+    finally:
+        _numba.CACHE_DIR = before
+
+
+def _package(source: Path) -> Path:
+    """Return the top folder of the package that a source file belongs to, or the file itself if it is in none."""
+    top = source
+    while (top.parent / "__init__.py").exists():
+        top = top.parent
+    return top
+
+
+@cache
+def cache_folder(package: Path) -> Path | None:
+    """Return the folder for the machine code of a package's (or a single file's) present sources.
+
+    It lies where `NUMBA_CACHE_DIR` says, else in the user's cache folder, else in the package's `__pycache__`: the
+    first that can be written. None if none can, or if the sources cannot be read: then nothing is cached.
+    """
+    try:
+        name = f"{package.stem}-{_digest(package, Path(__file__).parent)}"
+    except OSError:
+        return None
+    asked = [Path(_numba.CACHE_DIR)] if _numba.CACHE_DIR else []
+    user = Path(_appdirs.user_cache_dir("hil", appauthor=False)) / "machine-code"
+    for base in [*asked, user, package / "__pycache__"]:
+        if _used(base / name):
+            _prune(base, package.stem)
+            return base / name
+    return None
+
+
+def _digest(*packages: Path) -> str:
+    """Return a hash of the names and contents of all sources of packages or single files, and of numba's version."""
+    state = hashlib.blake2b(numba.__version__.encode(), digest_size=10)
+    for package in packages:
+        for source in sorted(package.rglob("*.py")) if package.is_dir() else [package]:
+            state.update(f"{source.relative_to(package.parent)}:{source.stat().st_size}:".encode())
+            state.update(source.read_bytes())
+    return state.hexdigest()
+
+
+def _used(folder: Path) -> bool:
+    """Make a cache folder, or note that it is in use; False if it cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+        os.utime(folder)
+    except OSError:
+        return False
+    return True
+
+
+def _prune(base: Path, package: str) -> None:
+    """Delete all but the last used folders of a package's machine code."""
+    try:
+        by_use = sorted(base.glob(f"{package}-*"), key=lambda folder: folder.stat().st_mtime_ns, reverse=True)
+    except OSError:  # another process prunes at the same time
+        return
+    for folder in by_use[KEPT:]:
+        shutil.rmtree(folder, ignore_errors=True)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import lean_apart
+from ga.compiled import compiled_no_refcount
 from ga.fitness.dense import RESOLUTION
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def within(start: Start, bounds: Bounds) -> Start | None:
     return start if inside and bool(np.all(2.0 * extent <= bounds.high - bounds.low)) else None
 
 
-@lean_apart
+@compiled_no_refcount
 def locate(columns: Matrix, torque: Vector, work: _Work) -> float:
     """Fill in centre and coordinates; returns the reach, 0 where there is none."""
     n, p = columns.shape
@@ -115,7 +115,7 @@ def locate(columns: Matrix, torque: Vector, work: _Work) -> float:
     return max(_ERRORS * error + moved, least)  # type: ignore[no-any-return]  # float in numba
 
 
-@lean_apart
+@compiled_no_refcount
 def _equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
     """The normal equations of the residuals at the centre, each row weighted by one over its residual's size.
 
@@ -146,7 +146,7 @@ def _equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> t
     return total, power, near
 
 
-@lean_apart
+@compiled_no_refcount
 def _two_equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
     """The same for two columns, in registers: thrice as fast."""
     total = power = aa = ab = bb = ta = tb = 0.0
@@ -164,7 +164,7 @@ def _two_equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) 
     return total, power, near
 
 
-@lean_apart
+@compiled_no_refcount
 def _factor(work: _Work, count: int) -> bool:
     """The triangle whose square is gram / count, and its inverse; False where a column is a combination of others."""
     gram, forward, backward = work.gram, work.forward, work.backward
@@ -191,7 +191,7 @@ def _factor(work: _Work, count: int) -> bool:
     return True
 
 
-@lean_apart
+@compiled_no_refcount
 def _solve(work: _Work) -> bool:
     """Solve the normal equations by elimination in place; False where a column is a combination of others."""
     gram, pull, step = work.gram, work.pull, work.step

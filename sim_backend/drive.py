@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from drivers.servo import Command, Limits, Quantity
+from ga.compiled import compiled
 from sim_backend.integrator import TIME, Path, integrate, recall, start
-from sim_backend.machine_code import compiled, packed
 from sim_backend.plant import (
     CELL,
     JOINT,
@@ -26,6 +26,7 @@ from sim_backend.plant import (
     Vector,
     constants,
     coupling_torque,
+    packed,
 )
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.machine_code import compiled
+from ga.compiled import compiled
 from sim_backend.plant import STATES, Constants, Vector, at_rest, derivatives
 
 RELATIVE = 1e-8

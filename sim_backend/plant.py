@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.machine_code import compiled
+from ga.compiled import compiled
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
@@ -47,7 +47,7 @@ STATES = 11
 class Constants(NamedTuple):
     """The plant's parameters as the equations want them (units as in `parameters`; rates in 1/s).
 
-    The compiled functions take the same names as a record (`machine_code.packed`).
+    The compiled functions take the same names as a record (`packed`).
     """
 
     gear_ratio: float
@@ -117,6 +117,11 @@ def constants(parameters: SimParameters) -> Constants:
         housing_resistance=float(motor.housing_thermal_resistance),
         ambient=float(motor.ambient_temperature),
     )
+
+
+def packed(values: tuple[float, ...], names: tuple[str, ...]) -> NDArray[np.void]:
+    """Return named numbers as one record, shape (1,), which numba takes over in a tenth of a named tuple's time."""
+    return np.array([values], dtype=[(name, np.float64) for name in names])
 
 
 def fastest_rate(c: Constants) -> float:

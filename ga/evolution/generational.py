@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import lean_apart
+from ga.compiled import compiled_no_refcount
 from ga.evolution.generator import load, store, uniform
 from ga.evolution.operators import (
     REDRAWS,
@@ -41,7 +41,7 @@ def family_of(p: int) -> Family:
     return Family(np.empty((p + 2 + 5 * p, p)), np.empty(p + 2 + 5 * p), np.empty(p))
 
 
-@lean_apart
+@compiled_no_refcount
 def generational(  # noqa: PLR0917 - the compiled loops take their parts by position
     samples: Samples | None,
     tree: Tree | None,
@@ -76,14 +76,14 @@ def generational(  # noqa: PLR0917 - the compiled loops take their parts by posi
             break
 
 
-@lean_apart
+@compiled_no_refcount
 def draw_parents(population: Population) -> None:
     """Put p + 2 different chromosomes, each as likely as any, in front of the population's order."""
     count = population.genes.shape[1] + 2
     store(sample_distinct(population.order, count, load(population.generator)), population.generator)
 
 
-@lean_apart
+@compiled_no_refcount
 def breed(rules: Rules, population: Population, parents: Order, centre: Genes, children: NDArray[np.float64]) -> None:
     """Fill children (count, p) by ensemble crossover and mutation, within the bounds. centre: (p,), overwritten."""
     words = load(population.generator)
@@ -102,7 +102,7 @@ def breed(rules: Rules, population: Population, parents: Order, centre: Genes, c
     store(words, population.generator)
 
 
-@lean_apart
+@compiled_no_refcount
 def survive(population: Population, places: Order, genes: NDArray[np.float64], errors: NDArray[np.float64]) -> None:
     """Put the best of the family into the parents' places, the best first; errors is used up."""
     for i in range(places.size):

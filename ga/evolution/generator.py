@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import lean
+from ga.compiled import compiled_inline
 
 State: TypeAlias = NDArray[np.uint64]
 Words: TypeAlias = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
@@ -31,19 +31,19 @@ def seeded(seed: int, trial: int) -> State:
     return np.random.SeedSequence(seed, spawn_key=(trial,)).generate_state(4, np.uint64).astype(np.uint64, copy=False)
 
 
-@lean
+@compiled_inline
 def load(state: State) -> Words:
     """The words of a state (4,)."""
     return state[0], state[1], state[2], state[3]
 
 
-@lean
+@compiled_inline
 def store(words: Words, state: State) -> None:
     """Set a state (4,) to the words."""
     state[0], state[1], state[2], state[3] = words
 
 
-@lean
+@compiled_inline
 def draw(words: Words) -> tuple[np.uint64, Words]:
     """The next 64 random bits, and the words after them."""
     a, b, c, d = words
@@ -59,14 +59,14 @@ def draw(words: Words) -> tuple[np.uint64, Words]:
     return bits, (a, b, c, d)
 
 
-@lean
+@compiled_inline
 def uniform(words: Words) -> tuple[float, Words]:
     """A number in [0, 1), a multiple of 2^-53."""
     bits, words = draw(words)
     return float(bits >> _11) * _TO_UNIT, words
 
 
-@lean
+@compiled_inline
 def below(words: Words, count: int) -> tuple[int, Words]:
     """A whole number in 0 ... count - 1, for counts far below 2^32 (no rejection: the bias is count / 2^32)."""
     bits, words = draw(words)

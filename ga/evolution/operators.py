@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import lean
+from ga.compiled import compiled_inline
 from ga.evolution.generator import Words, below, uniform
 
 Genes: TypeAlias = NDArray[np.float64]
@@ -24,14 +24,14 @@ REDRAWS = 20
 """How often a child outside the bounds is drawn anew before its genes are set on the bound."""
 
 
-@lean
+@compiled_inline
 def copy(source: Genes, target: Genes) -> None:
     """Set target to source, gene by gene: a slice assignment takes two seconds to compile."""
     for k in range(target.size):
         target[k] = source[k]
 
 
-@lean
+@compiled_inline
 def sample_distinct(order: Order, count: int, words: Words) -> Words:
     """Draw `count` different chromosomes, each with the same probability, into the front of `order`."""
     for i in range(count):
@@ -40,7 +40,7 @@ def sample_distinct(order: Order, count: int, words: Words) -> Words:
     return words
 
 
-@lean
+@compiled_inline
 def tournament(fitness: NDArray[np.float64], order: Order, size: int, larger: bool, words: Words) -> tuple[int, Words]:
     """The winner, a row of the population, of `size` different chromosomes drawn at random.
 
@@ -57,7 +57,7 @@ def tournament(fitness: NDArray[np.float64], order: Order, size: int, larger: bo
     return winner, words
 
 
-@lean
+@compiled_inline
 def crossover_share(first_error: float, second_error: float, inverse: bool) -> float:
     """The first parent's share of the child in equation 6: f1/(f1 + f2), or with 1/f for f where `inverse`."""
     total = first_error + second_error
@@ -66,14 +66,14 @@ def crossover_share(first_error: float, second_error: float, inverse: bool) -> f
     return (second_error if inverse else first_error) / total
 
 
-@lean
+@compiled_inline
 def arithmetic_crossover(first: Genes, second: Genes, share: float, child: Genes) -> None:
     """Equation 6: each gene of the child is the weighted mean of its parents' genes."""
     for k in range(child.size):
         child[k] = second[k] + share * (first[k] - second[k])
 
 
-@lean
+@compiled_inline
 def mutate(child: Genes, low: Genes, high: Genes, words: Words) -> tuple[int, Words]:
     """The paper, "Mutation": one gene, chosen at random, is redrawn uniformly in its bounds. Returns which."""
     k, words = below(words, child.size)
@@ -82,7 +82,7 @@ def mutate(child: Genes, low: Genes, high: Genes, words: Words) -> tuple[int, Wo
     return k, words
 
 
-@lean
+@compiled_inline
 def weighted_centre(genes: Genes, fitness: NDArray[np.float64], parents: Order, inverse: bool, centre: Genes) -> None:
     """Equation 6 for any number of parents: their mean, weighted by the error or by its inverse."""
     total = 0.0
@@ -98,7 +98,7 @@ def weighted_centre(genes: Genes, fitness: NDArray[np.float64], parents: Order, 
         centre[k] /= total
 
 
-@lean
+@compiled_inline
 def ensemble_crossover(genes: Genes, parents: Order, reach: float, child: Genes, words: Words) -> Words:
     """Move the child from the parents' weighted centre, spread as the parents are (Kobayashi 2009, REX).
 
@@ -122,7 +122,7 @@ def ensemble_crossover(genes: Genes, parents: Order, reach: float, child: Genes,
     return words
 
 
-@lean
+@compiled_inline
 def is_inside(child: Genes, low: Genes, high: Genes) -> bool:
     """Whether every gene is within its bounds."""
     for k in range(child.size):  # noqa: SIM110 - numba compiles no generator expression
@@ -131,7 +131,7 @@ def is_inside(child: Genes, low: Genes, high: Genes) -> bool:
     return True
 
 
-@lean
+@compiled_inline
 def clamp(child: Genes, low: Genes, high: Genes) -> None:
     """Set every gene that is out of bounds on the bound it passed."""
     for k in range(child.size):

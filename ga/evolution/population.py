@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import lean, lean_apart
+from ga.compiled import compiled_inline, compiled_no_refcount
 from ga.evolution.generator import State, load, store, uniform
 from ga.evolution.operators import REDRAWS, Genes, Order, clamp, copy, is_inside
 from ga.fitness.engine import Samples, Tree, exact_error
@@ -88,7 +88,7 @@ def unrecorded() -> Record:
     return Record(np.full(1, -1), np.empty(0))
 
 
-@lean_apart
+@compiled_no_refcount
 def due_after(record: Record, population: Population) -> int:
     """The first entry of the record that is of a generation yet to come."""
     due = 0
@@ -97,7 +97,7 @@ def due_after(record: Record, population: Population) -> int:
     return due
 
 
-@lean
+@compiled_inline
 def recorded(record: Record, due: int, population: Population) -> int:
     """Record the best fitness if this generation is due; the next entry that is."""
     if population.progress[0] == record.generation[due]:
@@ -106,7 +106,7 @@ def recorded(record: Record, due: int, population: Population) -> int:
     return due
 
 
-@lean_apart
+@compiled_no_refcount
 def populate(
     samples: Samples | None, tree: Tree | None, rules: Rules, start: Start | None, population: Population
 ) -> None:
@@ -121,7 +121,7 @@ def populate(
     population.progress[1] = population.fitness.size
 
 
-@lean_apart
+@compiled_no_refcount
 def scatter(rules: Rules, population: Population) -> None:
     """The paper, "Initial Population": every gene uniform at random in its bounds."""
     words = load(population.generator)
@@ -132,7 +132,7 @@ def scatter(rules: Rules, population: Population) -> None:
     store(words, population.generator)
 
 
-@lean_apart
+@compiled_no_refcount
 def scatter_around(rules: Rules, start: Start, population: Population) -> None:
     """Draw every chromosome uniformly in the start's cube, and within the bounds."""
     words = load(population.generator)
@@ -153,7 +153,7 @@ def scatter_around(rules: Rules, start: Start, population: Population) -> None:
     store(words, population.generator)
 
 
-@lean
+@compiled_inline
 def remember(population: Population, child: Genes, error: float) -> None:
     """Keep the best chromosome ever: some readings of the paper let the population lose it."""
     if error < population.best_fitness[0]:
@@ -161,7 +161,7 @@ def remember(population: Population, child: Genes, error: float) -> None:
         copy(child, population.best)
 
 
-@lean
+@compiled_inline
 def has_settled(rules: Rules, population: Population) -> bool:
     """Whether the fitness of the population spreads over no more than the tolerance."""
     if rules.tolerance < 0.0:

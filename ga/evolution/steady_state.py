@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import lean, lean_apart
+from ga.compiled import compiled_inline, compiled_no_refcount
 from ga.evolution.generator import Words, below, load, store, uniform
 from ga.evolution.operators import Genes, arithmetic_crossover, copy, crossover_share, mutate, tournament
 from ga.evolution.population import (
@@ -41,7 +41,7 @@ def tangents_of(p: int) -> Tangents:
     return np.zeros((2 * p, 2 * p + 1))
 
 
-@lean_apart
+@compiled_no_refcount
 def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by position
     samples: Samples | None,
     tree: Tree | None,
@@ -92,7 +92,7 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
         fitness[worst] = exact_error(samples, tree, genes[worst])
 
 
-@lean
+@compiled_inline
 def _worst_two(fitness: NDArray[np.float64]) -> tuple[int, float]:
     """The row of the largest error, the first of equals, and the largest error of the others."""
     worst, second = 0, -np.inf
@@ -104,7 +104,7 @@ def _worst_two(fitness: NDArray[np.float64]) -> tuple[int, float]:
     return worst, second
 
 
-@lean
+@compiled_inline
 def _place(rules: Rules, population: Population, worst: int, words: Words) -> tuple[int, Words]:
     """The row that the child takes."""
     place = worst
@@ -115,7 +115,7 @@ def _place(rules: Rules, population: Population, worst: int, words: Words) -> tu
     return place, words
 
 
-@lean
+@compiled_inline
 def _is_hopeless(tangents: Tangents, gene: int, centre: Genes, child: Genes, limit: float) -> bool:
     """Whether the tangent on the child's side of the centre, for the gene redrawn, puts it above the limit."""
     p = child.size
@@ -128,7 +128,7 @@ def _is_hopeless(tangents: Tangents, gene: int, centre: Genes, child: Genes, lim
     return bool(bound - ROUNDING * extent > limit)
 
 
-@lean_apart
+@compiled_no_refcount
 def _learn(  # noqa: PLR0917 - the compiled loops take their parts by position
     samples: Samples | None,
     tree: Tree | None,

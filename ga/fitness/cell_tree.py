@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled, lean, lean_apart
+from ga.compiled import compiled, compiled_inline, compiled_no_refcount
 from ga.fitness.dense import ROUNDING, check, resolution
 
 if TYPE_CHECKING:
@@ -221,7 +221,7 @@ def fill(columns: Matrix, torque: Vector, origin: Vector, backward: Matrix, rows
         rows[i, 0], rows[i, p + 1] = residual, speed
 
 
-@lean
+@compiled_inline
 def tree_error(tree: Tree, genes: Vector, limit: float) -> float:
     """Equation 5 for one chromosome (p,), N m; infinite where that it exceeds the limit was seen on the way down."""
     node = _node_of(tree, genes, limit)
@@ -235,7 +235,7 @@ def tree_error(tree: Tree, genes: Vector, limit: float) -> float:
     return float((error + _leaf_error(tree, node)) / tree.length)
 
 
-@lean
+@compiled_inline
 def _leaf_error(tree: Tree, node: int) -> float:
     """The sum of the absolute residuals of a leaf's rows, eight side by side."""
     lane, left, p = tree.total, tree.left, tree.place.size
@@ -263,18 +263,18 @@ def _leaf_error(tree: Tree, node: int) -> float:
     return total
 
 
-@lean
+@compiled_inline
 def _blocks(tree: Tree, node: int) -> int:
     return (tree.nodes[node, _COUNT] + _LANES - 1) // _LANES  # type: ignore[no-any-return]  # int in numba
 
 
-@lean
+@compiled_inline
 def _is_on_the_way(tree: Tree, node: int) -> bool:
     """Whether a box is yet to be split. The root is where chromosomes out of bounds end."""
     return node > 0 and tree.nodes[node, _KIND] == _INNER
 
 
-@lean_apart
+@compiled_no_refcount
 def tree_tangent(tree: Tree, genes: Vector, limit: float, slope: Vector) -> float:
     """A plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
 
@@ -293,7 +293,7 @@ def tree_tangent(tree: Tree, genes: Vector, limit: float, slope: Vector) -> floa
     return float(height / tree.length)
 
 
-@lean_apart
+@compiled_no_refcount
 def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
     """Add to n times the slope (p,) what the rows do that the box has not decided."""
     p = slope.size
@@ -313,7 +313,7 @@ def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
                 slope[k] -= np.sign(residual) * tree.rows[row, k + 1]
 
 
-@lean_apart
+@compiled_no_refcount
 def _list_error(tree: Tree, node: int) -> float:
     """The sum of the absolute residuals of the rows that a box without a leaf has not decided."""
     total = carry = 0.0
@@ -323,12 +323,12 @@ def _list_error(tree: Tree, node: int) -> float:
     return total + carry
 
 
-@lean
+@compiled_inline
 def _row(tree: Tree, start: int, i: int) -> int:
     return i if start < 0 else tree.undecided[start + i]
 
 
-@lean
+@compiled_inline
 def _residual(row: Vector, place: Vector) -> float:
     residual = row[0]
     for k in range(place.size):
@@ -336,7 +336,7 @@ def _residual(row: Vector, place: Vector) -> float:
     return float(residual)
 
 
-@lean
+@compiled_inline
 def _add(total: float, carry: float, term: float) -> tuple[float, float]:
     """Add a term; what rounding takes from the total goes to the carry (Neumaier 1974)."""
     raised = total + term
@@ -344,7 +344,7 @@ def _add(total: float, carry: float, term: float) -> tuple[float, float]:
     return raised, carry + lost
 
 
-@lean
+@compiled_inline
 def _node_of(tree: Tree, genes: Vector, limit: float) -> int:
     """The leaf of a chromosome, grown if need be; the root where it is out of bounds. Sets place, genes - origin.
 
@@ -372,7 +372,7 @@ def _node_of(tree: Tree, genes: Vector, limit: float) -> int:
     return _descend(tree, limit)
 
 
-@lean
+@compiled_inline
 def _holds(tree: Tree, node: int) -> bool:
     shift = tree.nodes[node, _SHIFT]
     for k in range(tree.at.size):  # noqa: SIM110 - numba compiles no generator expression
@@ -381,7 +381,7 @@ def _holds(tree: Tree, node: int) -> bool:
     return True
 
 
-@lean_apart
+@compiled_no_refcount
 def _descend(tree: Tree, limit: float) -> int:
     node: int = np.int64(0)  # type: ignore[assignment]  # with a plain 0 all below is compiled for that constant too
     if tree.nodes[0, _COUNT] <= _LEAF:
@@ -398,7 +398,7 @@ def _descend(tree: Tree, limit: float) -> int:
     return node
 
 
-@lean
+@compiled_inline
 def _settled_exceed(tree: Tree, node: int, limit: float) -> bool:
     """Whether the rows whose sign a box knows make an error above the limit, the others left out."""
     bound = extent = tree.sums[node, 0]
@@ -409,7 +409,7 @@ def _settled_exceed(tree: Tree, node: int, limit: float) -> bool:
     return node > 0 and bound - ROUNDING * extent > limit * tree.length
 
 
-@lean
+@compiled_inline
 def _code(tree: Tree, node: int) -> int:
     """Which of the parent's parts the place is in."""
     shift = tree.nodes[node, _SHIFT] - _STEP
@@ -419,7 +419,7 @@ def _code(tree: Tree, node: int) -> int:
     return code
 
 
-@lean_apart
+@compiled_no_refcount
 def _slot(tree: Tree, node: int, code: int) -> int:
     """The place in the table of a node's child, or the free one where it belongs."""
     key = (np.uint64(node) * np.uint64(0x9E3779B97F4A7C15)) ^ (np.uint64(code) * np.uint64(0xC2B2AE3D27D4EB4F))
@@ -432,12 +432,12 @@ def _slot(tree: Tree, node: int, code: int) -> int:
     return slot  # type: ignore[return-value]  # int in numba
 
 
-@lean_apart
+@compiled_no_refcount
 def _child(tree: Tree, node: int) -> int:
     return np.int64(tree.table[_slot(tree, node, _code(tree, node))])  # type: ignore[return-value]  # int in numba
 
 
-@lean_apart
+@compiled_no_refcount
 def _split(tree: Tree, node: int) -> int:
     """Grow the part of a box that the place is in; the root, all else forgotten, where there is no room."""
     count, p = tree.nodes[node, _COUNT], tree.at.size
@@ -471,7 +471,7 @@ def _split(tree: Tree, node: int) -> int:
     return child  # type: ignore[no-any-return]  # int in numba
 
 
-@lean_apart
+@compiled_no_refcount
 def _forget(tree: Tree) -> None:
     tree.used[_USED_NODES] = 1
     tree.used[_USED_UNDECIDED] = tree.used[_USED_LEAVES] = 0
@@ -481,7 +481,7 @@ def _forget(tree: Tree) -> None:
         tree.recent[i] = -1
 
 
-@lean_apart
+@compiled_no_refcount
 def _settle(tree: Tree, node: int, child: int) -> int:
     """Sum up the parent's rows that have one sign throughout the child, list the others; returns how many those are."""
     p = tree.at.size
@@ -511,7 +511,7 @@ def _settle(tree: Tree, node: int, child: int) -> int:
     return left
 
 
-@lean_apart
+@compiled_no_refcount
 def _copy_leaf(tree: Tree, node: int) -> None:
     """Copy a leaf's rows side by side, in blocks of eight, filled up with rows of nothing."""
     p, count, listed = tree.at.size, tree.nodes[node, _COUNT], tree.nodes[node, _START]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ga.compiled import lean_apart
+from ga.compiled import compiled_no_refcount
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -131,7 +131,7 @@ def resolution(torque: NDArray[np.float64]) -> float:
     return max(RESOLUTION * float(np.mean(np.abs(torque))), 1e-300)
 
 
-@lean_apart
+@compiled_no_refcount
 def settle_any(  # noqa: PLR0917 - compiled functions take their parts by position
     columns: NDArray[np.float64],
     torque: NDArray[np.float64],
@@ -171,7 +171,7 @@ def settle_any(  # noqa: PLR0917 - compiled functions take their parts by positi
     return count
 
 
-@lean_apart
+@compiled_no_refcount
 def settle_two(  # noqa: PLR0917 - compiled functions take their parts by position
     columns: NDArray[np.float64],
     torque: NDArray[np.float64],
@@ -202,7 +202,7 @@ def settle_two(  # noqa: PLR0917 - compiled functions take their parts by positi
     return count
 
 
-@lean_apart
+@compiled_no_refcount
 def fill(
     columns: NDArray[np.float64],
     torque: NDArray[np.float64],
@@ -219,7 +219,7 @@ def fill(
         blocks[i // LANES, 0, i % LANES] = residual
 
 
-@lean_apart
+@compiled_no_refcount
 def dense_error(samples: Samples, genes: NDArray[np.float64], limit: float) -> float:
     """Equation 5 for one chromosome (p,), N m; infinite, perhaps, where it exceeds the limit."""
     for k in range(genes.size):
@@ -232,7 +232,7 @@ def dense_error(samples: Samples, genes: NDArray[np.float64], limit: float) -> f
     return _plain_error(samples, genes)
 
 
-@lean_apart
+@compiled_no_refcount
 def _open_error(samples: Samples) -> float:
     """The sum of the absolute residuals of the rows that are looked at."""
     # plain indices and scalars: an iterated block or an indexed gene in the inner loop keeps it from the vector units
@@ -257,7 +257,7 @@ def _open_error(samples: Samples) -> float:
     return _folded(total)
 
 
-@lean_apart
+@compiled_no_refcount
 def _settled(samples: Samples) -> float:
     error: float = samples.settled[0]
     for k in range(samples.place.size):
@@ -265,7 +265,7 @@ def _settled(samples: Samples) -> float:
     return error
 
 
-@lean_apart
+@compiled_no_refcount
 def _folded(total: NDArray[np.float64]) -> float:
     """The sum of 128 numbers, which it overwrites."""
     width = LANES // 2
@@ -279,7 +279,7 @@ def _folded(total: NDArray[np.float64]) -> float:
     return error
 
 
-@lean_apart
+@compiled_no_refcount
 def _is_near(samples: Samples) -> bool:
     for k in range(samples.place.size):
         along = 0.0
@@ -290,7 +290,7 @@ def _is_near(samples: Samples) -> bool:
     return True
 
 
-@lean_apart
+@compiled_no_refcount
 def _plain_error(samples: Samples, genes: NDArray[np.float64]) -> float:
     """Equation 5 row by row."""
     total = part = 0.0
@@ -304,7 +304,7 @@ def _plain_error(samples: Samples, genes: NDArray[np.float64]) -> float:
     return (total + part) / samples.length
 
 
-@lean_apart
+@compiled_no_refcount
 def dense_tangent(samples: Samples, genes: NDArray[np.float64], slope: NDArray[np.float64]) -> float:
     """A plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from ga.compiled import lean, lean_apart
+from ga.compiled import compiled_inline, compiled_no_refcount
 from ga.fitness.cell_tree import Tree, another, grow, tree_error, tree_tangent
 from ga.fitness.dense import Samples, check, collapse, dense_error, dense_tangent, pack, resolution, shared
 
@@ -73,7 +73,7 @@ def fork(engine: Engine) -> Engine:
     return shared(engine) if isinstance(engine, Samples) else another(engine)
 
 
-@lean
+@compiled_inline
 def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float) -> float:
     """Equation 5 for one chromosome (p,), N m; infinite, perhaps, where it exceeds the limit."""
     if samples is not None:
@@ -83,7 +83,7 @@ def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float
     return np.nan
 
 
-@lean_apart
+@compiled_no_refcount
 def tangent_of(
     samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float, slope: NDArray[np.float64]
 ) -> float:
@@ -98,7 +98,7 @@ def tangent_of(
     return np.nan
 
 
-@lean_apart
+@compiled_no_refcount
 def exact_error(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64]) -> float:
     """Equation 5 for one chromosome (p,), N m."""
     return error_of(samples, tree, genes, np.inf)

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import lean_apart
+from ga.compiled import compiled_no_refcount
 from ga.lad.exact import Optimum, least_absolute_deviations
 from ga.start import Start
 
@@ -140,7 +140,7 @@ def _collapse(blocks: Blocks, genes: Vector, whitening: Matrix, radius: float) -
     return columns, torque
 
 
-@lean_apart
+@compiled_no_refcount
 def settle(  # noqa: PLR0917 - compiled functions take their parts by position
     columns: Matrix,
     torque: Vector,

@@ -12,7 +12,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled, lean_apart
+from ga.compiled import compiled, compiled_no_refcount
 
 Vector: TypeAlias = NDArray[np.float64]
 Matrix: TypeAlias = NDArray[np.float64]
@@ -121,7 +121,7 @@ def _first_vertex(rows: Matrix, torque: Vector, pull: Vector, start: Vector, bas
     return True
 
 
-@lean_apart
+@compiled_no_refcount
 def _free_direction(held: Matrix, count: int, downhill: Vector, direction: Vector) -> float:
     """The steepest direction, a unit vector, in which the rows held do not change; returns how steep it is.
 
@@ -149,7 +149,7 @@ def _free_direction(held: Matrix, count: int, downhill: Vector, direction: Vecto
     return abs(slope)
 
 
-@lean_apart
+@compiled_no_refcount
 def _remove(held: Matrix, count: int, vector: Vector) -> None:
     """Take out of the vector, twice for rounding's sake, what lies along the first `count` unit rows."""
     for _ in range(2):
@@ -161,7 +161,7 @@ def _remove(held: Matrix, count: int, vector: Vector) -> None:
                 vector[k] -= part * held[i, k]
 
 
-@lean_apart
+@compiled_no_refcount
 def _orthonormalise(held: Matrix, last: int) -> None:
     _remove(held, last, held[last])
     size = _length(held[last])
@@ -169,7 +169,7 @@ def _orthonormalise(held: Matrix, last: int) -> None:
         held[last, k] /= size
 
 
-@lean_apart
+@compiled_no_refcount
 def _length(vector: Vector) -> float:
     total = 0.0
     for k in range(vector.size):
@@ -177,7 +177,7 @@ def _length(vector: Vector) -> float:
     return float(np.sqrt(total))
 
 
-@lean_apart
+@compiled_no_refcount
 def _residuals(rows: Matrix, torque: Vector, point: Vector, residual: Vector) -> None:
     for i in range(torque.size):
         value = torque[i]
@@ -186,7 +186,7 @@ def _residuals(rows: Matrix, torque: Vector, point: Vector, residual: Vector) ->
         residual[i] = value
 
 
-@lean_apart
+@compiled_no_refcount
 def _project(rows: Matrix, direction: Vector, along: Vector) -> None:
     for i in range(along.size):
         value = 0.0
@@ -195,7 +195,7 @@ def _project(rows: Matrix, direction: Vector, along: Vector) -> None:
         along[i] = value
 
 
-@lean_apart
+@compiled_no_refcount
 def _gradient(rows: Matrix, residual: Vector, pull: Vector, downhill: Vector) -> None:
     """The direction of descent: the sum of rows by the sign of their residual, and the pull."""
     for k in range(pull.size):
@@ -207,7 +207,7 @@ def _gradient(rows: Matrix, residual: Vector, pull: Vector, downhill: Vector) ->
             downhill[k] += sign * rows[i, k]
 
 
-@lean_apart
+@compiled_no_refcount
 def _multipliers(inverse: Matrix, downhill: Vector, multiplier: Vector) -> None:
     """What sign each basis row would need for a zero subgradient; optimal where all are within -1 ... 1."""
     for j in range(multiplier.size):
@@ -216,7 +216,7 @@ def _multipliers(inverse: Matrix, downhill: Vector, multiplier: Vector) -> None:
             multiplier[j] -= inverse[k, j] * downhill[k]
 
 
-@lean_apart
+@compiled_no_refcount
 def _steepest(multiplier: Vector, inverse: Matrix) -> int:
     """The basis row whose edge goes down most steeply, -1 where none does."""
     best, steepest = -1, 0.0
@@ -230,7 +230,7 @@ def _steepest(multiplier: Vector, inverse: Matrix) -> int:
     return best
 
 
-@lean_apart
+@compiled_no_refcount
 def _solve(inverse: Matrix, torque: Vector, basis: Basis, point: Vector) -> None:
     for k in range(point.size):
         point[k] = 0.0
@@ -258,7 +258,7 @@ def _invert(rows: Matrix, basis: Basis, inverse: Matrix) -> None:
         _eliminate(work, inverse, k)
 
 
-@lean_apart
+@compiled_no_refcount
 def _eliminate(work: Matrix, inverse: Matrix, k: int) -> None:
     """Make column k of work that of the identity by row operations, done to both."""
     r = len(work)
@@ -302,7 +302,7 @@ def lowest_crossing(residual: Vector, along: Vector, slope: float) -> tuple[int,
     return (row[first], place[first]) if count else (-1, 0.0)
 
 
-@lean_apart
+@compiled_no_refcount
 def _partition(row: Basis, place: Vector, weight: Vector, pivot: float) -> tuple[int, int, float, float]:
     """Sort the rows by their place into less than, equal to and more than the pivot.
 
@@ -325,13 +325,13 @@ def _partition(row: Basis, place: Vector, weight: Vector, pivot: float) -> tuple
     return less, more, below, equal
 
 
-@lean_apart
+@compiled_no_refcount
 def _swap(row: Basis, place: Vector, weight: Vector, i: int, j: int) -> None:
     row[i], row[j] = row[j], row[i]
     place[i], place[j] = place[j], place[i]
     weight[i], weight[j] = weight[j], weight[i]
 
 
-@lean_apart
+@compiled_no_refcount
 def _median_of_three(a: float, b: float, c: float) -> float:
     return max(min(a, b), min(max(a, b), c))

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import lean, lean_apart
+from ga.compiled import compiled_inline, compiled_no_refcount
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
     return half
 
 
-@lean_apart
+@compiled_no_refcount
 def fit_all(
     time: Array, values: Array, half: int, found: Array, room: tuple[Array, Array, Array, Array, Array]
 ) -> None:
@@ -94,20 +94,20 @@ def fit_all(
         found[0, i] += base
 
 
-@lean
+@compiled_inline
 def _clear(values: Array) -> None:
     for k in range(values.size):
         values[k] = 0.0
 
 
-@lean
+@compiled_inline
 def _chebyshev(x: float, row: Array) -> None:
     row[0], row[1] = 1.0, x
     for k in range(2, row.size):
         row[k] = 2.0 * x * row[k - 1] - row[k - 2]
 
 
-@lean
+@compiled_inline
 def _derivatives(x: float, at: Array) -> None:
     """The basis at x, its slope and its curvature (3, p)."""
     at[0, 0], at[0, 1], at[1, 0], at[1, 1], at[2, 0], at[2, 1] = 1.0, x, 0.0, 1.0, 0.0, 0.0
@@ -117,7 +117,7 @@ def _derivatives(x: float, at: Array) -> None:
         at[2, k] = 4.0 * at[1, k - 1] + 2.0 * x * at[2, k - 1] - at[2, k - 2]
 
 
-@lean
+@compiled_inline
 def _solve(normal: Array, right: Array) -> None:
     """Solve in place by Cholesky; the basis is so nearly orthogonal that no pivot is needed."""
     p = right.size

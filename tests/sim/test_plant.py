@@ -14,8 +14,8 @@ from scipy.linalg import expm
 
 from sim_backend import plant
 from sim_backend.integrator import integrate, recall, start
-from sim_backend.machine_code import packed
 from sim_backend.parameters import CouplingParameters, FixtureParameters, SimParameters
+from sim_backend.plant import packed
 
 if TYPE_CHECKING:
     from collections.abc import Callable

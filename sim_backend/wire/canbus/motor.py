@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 from sim_backend.integrator import TIME, integrate, start
-from sim_backend.machine_code import packed
 from sim_backend.parameters import (
     CouplingParameters,
     DriveParameters,
@@ -18,7 +17,7 @@ from sim_backend.parameters import (
     MotorParameters,
     SimParameters,
 )
-from sim_backend.plant import HOUSING, MOTOR, TORQUE, VELOCITY, Constants, constants, coupling_torque
+from sim_backend.plant import HOUSING, MOTOR, TORQUE, VELOCITY, Constants, constants, coupling_torque, packed
 
 BEAT = 1e-3
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 
 from sim_backend.integrator import TIME, integrate, start
-from sim_backend.machine_code import packed
 from sim_backend.parameters import SimParameters
-from sim_backend.plant import MOTOR, TORQUE, VELOCITY, Constants, constants, coupling_torque
+from sim_backend.plant import MOTOR, TORQUE, VELOCITY, Constants, constants, coupling_torque, packed
 from sim_backend.sensors import counted
 from sim_backend.wire.loadcell.joint_torque import JointTorque
 

@@ -13,9 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_backend.integrator import TIME, integrate, start
-from sim_backend.machine_code import packed
 from sim_backend.parameters import CouplingParameters, LinkParameters, MotorParameters, SimParameters
-from sim_backend.plant import HOUSING, MOTOR, MOTOR_RATE, TORQUE, VELOCITY, Constants, constants, coupling_torque
+from sim_backend.plant import (
+    HOUSING,
+    MOTOR,
+    MOTOR_RATE,
+    TORQUE,
+    VELOCITY,
+    Constants,
+    constants,
+    coupling_torque,
+    packed,
+)
 from sim_backend.wire.dynamixel.tables import CURRENT, CURRENT_POSITION, POSITION, PWM, SPEED, DynamixelModel
 
 BEAT = 1e-3

@@ -1,0 +1,106 @@
+"""The cache of machine code: found again while the sources are the same, never after they changed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+
+from ga.compiled import KEPT, cache_folder, compiled
+
+CONFIG: Any = numba.config
+CALLER = "from ga.compiled import compiled\nfrom joint.{callee} import stiffness\n\n\n@compiled\ndef torque(x):\n    return stiffness() * x\n"  # noqa: E501
+CALLEE = "from ga.compiled import compiled\n\n\n@compiled\ndef stiffness():\n    return {value}\n"
+ASK = "import joint.caller as caller; print(caller.torque(1.0), sum(caller.torque.stats.cache_hits.values()))"
+ROOT = Path(__file__).parent.parent.parent
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package whose caller is compiled with a function of another module in it."""
+    folder = tmp_path / "joint"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    (folder / "caller.py").write_text(CALLER.format(callee="callee"))
+    (folder / "callee.py").write_text(CALLEE.format(value="2.0"))
+    return folder
+
+
+def ask(package: Path, cache: Path) -> tuple[float, bool]:
+    """What the compiled caller returns in a new process, and whether its machine code came from the cache."""
+    search = os.pathsep.join([str(package.parent), str(ROOT)])
+    env = {**os.environ, "PYTHONPATH": search, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
+    env.pop("NUMBA_CACHE_DIR", None)
+    run = subprocess.run([sys.executable, "-c", ASK], capture_output=True, text=True, check=True, env=env)
+    value, hits = run.stdout.split()
+    return float(value), int(hits) > 0
+
+
+def rewrite(source: Path, text: str) -> None:
+    """Change a source and leave its time of change as it was."""
+    before = source.stat()
+    source.write_text(text)
+    os.utime(source, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def test_unchanged_sources_find_their_machine_code_again(package: Path, tmp_path: Path) -> None:
+    assert ask(package, tmp_path / "cache") == (2.0, False)
+    assert ask(package, tmp_path / "cache") == (2.0, True)
+
+
+def test_a_changed_function_of_another_module_is_compiled_again(package: Path, tmp_path: Path) -> None:
+    assert ask(package, tmp_path / "cache") == (2.0, False)
+    rewrite(package / "callee.py", CALLEE.format(value="3.0"))
+    assert ask(package, tmp_path / "cache") == (3.0, False)
+    rewrite(package / "callee.py", CALLEE.format(value="2.0"))
+    assert ask(package, tmp_path / "cache") == (2.0, True)
+
+
+def test_machine_code_of_a_moved_module_is_never_used(package: Path, tmp_path: Path) -> None:
+    """Another module takes the old one's place, older than all that was ever compiled."""
+    assert ask(package, tmp_path / "cache") == (2.0, False)
+    (package / "parts").mkdir()
+    (package / "parts" / "__init__.py").touch()
+    (package / "callee.py").rename(package / "parts" / "callee.py")
+    (package / "callee.py").write_text(CALLEE.format(value="5.0"))
+    os.utime(package / "callee.py", (0, 0))
+    assert ask(package, tmp_path / "cache") == (5.0, False)
+    rewrite(package / "caller.py", CALLER.format(callee="parts.callee"))
+    assert ask(package, tmp_path / "cache") == (2.0, False)
+
+
+def test_without_a_folder_that_can_be_written_the_package_keeps_its_machine_code(package: Path) -> None:
+    assert ask(package, package / "__init__.py") == (2.0, False)
+    assert ask(package, package / "__init__.py") == (2.0, True)
+    assert list(package.rglob("*.nbi"))
+
+
+def test_where_nothing_can_be_written_the_program_still_works(package: Path) -> None:
+    (package / "__pycache__").write_text("a file where the folder would be")
+    assert ask(package, package / "__init__.py") == (2.0, False)
+    assert ask(package, package / "__init__.py") == (2.0, False)
+
+
+def test_only_the_last_used_folders_are_kept(package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(CONFIG, "CACHE_DIR", str(tmp_path / "cache"))
+    for age in range(KEPT + 3):
+        old = tmp_path / "cache" / f"joint-{age}"
+        old.mkdir(parents=True)
+        os.utime(old, (age, age))
+    other = tmp_path / "cache" / "jointly-1"
+    other.mkdir()
+    folder = cache_folder(package)
+    kept = set((tmp_path / "cache").iterdir())
+    assert kept == {folder, other} | {tmp_path / "cache" / f"joint-{age}" for age in range(4, KEPT + 3)}
+
+
+def test_the_users_own_setting_of_numba_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for setting in ("", str(tmp_path)):
+        monkeypatch.setattr(CONFIG, "CACHE_DIR", setting)
+        compiled(lambda x: x)
+        assert setting == CONFIG.CACHE_DIR
