@@ -24,7 +24,8 @@ from truth_cases import (
     simulated_tables,
 )
 
-from drivers.servo import Clock, Command, Limits, Quantity, Sample, Servo, ServoInfo, Status
+from drivers.clock import Clock
+from drivers.servo import Command, Limits, Quantity, Sample, Servo, ServoInfo, Status
 from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count

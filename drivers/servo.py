@@ -15,10 +15,11 @@ Rules every servo keeps, and that the contract tests hold it to:
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, field, replace
 from enum import IntFlag, StrEnum
 from typing import Protocol, Self
+
+from drivers.clock import Clock
 
 
 class Quantity(StrEnum):
@@ -168,32 +169,6 @@ class ServoInfo:
     velocity_lsb: float = math.nan
     torque_lsb: float = math.nan
     torque_uncertainty: float = math.nan
-
-
-class Clock(Protocol):
-    """Whose time the recording keeps, in s from an arbitrary zero; it never goes back."""
-
-    def now(self) -> float:
-        """The time now, s."""
-        ...
-
-    def sleep_until(self, t: float) -> None:
-        """Return at `t` s or later; at once where `t` has passed."""
-        ...
-
-
-class MonotonicClock:
-    """The machine's own monotonic time: a step of the wall clock does not touch it."""
-
-    def now(self) -> float:
-        """The time now, s."""
-        return time.monotonic()
-
-    def sleep_until(self, t: float) -> None:
-        """Return at `t` s or later; at once where `t` has passed."""
-        remaining = t - time.monotonic()
-        if remaining > 0.0:
-            time.sleep(remaining)
 
 
 class Servo(Protocol):

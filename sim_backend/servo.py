@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from drivers.clock import Clock
+from drivers.gate import Gate
 from drivers.servo import (
     BadReply,
-    Clock,
     Command,
     DeviceFault,
     DriverError,
@@ -21,7 +21,6 @@ from drivers.servo import (
     Sample,
     ServoInfo,
     Status,
-    UnsafeCommand,
 )
 from sim_backend.drive import REMEDY, Drive, FaultCode
 from sim_backend.faults import (
@@ -48,21 +47,6 @@ from sim_backend.sensors import Noise, Reading, Sensors
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
-
-
-class VirtualClock:
-    """Time that passes only when someone waits for it."""
-
-    def __init__(self) -> None:
-        self._t = 0.0
-
-    def now(self) -> float:
-        """The time now, s."""
-        return self._t
-
-    def sleep_until(self, t: float) -> None:
-        """Let time pass until `t` s; at once, and no time passes, where `t` is not later."""
-        self._t = max(self._t, t)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +88,6 @@ class SimServo:
         self._link_ends = link_ends(faults)
         self._ahead = deque(device_faults(faults))
         self._under_way: deque[tuple[float, Command]] = deque()
-        self._limits: Limits | None = None
-        self._live = False
-        self._closed = False
         self._answered: Reading | None = None
         self._info = ServoInfo(
             backend="sim",
@@ -117,6 +98,10 @@ class SimServo:
             torque_lsb=self._sensors.torque_lsb,
             torque_uncertainty=0.0,
         )
+        self._gate = Gate(
+            "the simulated servo", self._info.quantities, torque_off=self._torque_off, release=lambda: None
+        )
+        self._gate.live = False
 
     @property
     def info(self) -> ServoInfo:
@@ -142,18 +127,17 @@ class SimServo:
                 f"torque limit {limits.torque:.3g} N m is below one count of the drive, "
                 f"{self._sensors.torque_lsb:.3g} N m: raise it"
             )
-        self._under_way.clear()
-        self._live = True
-        self._drive.enable(limits)
-        self._limits = limits
+        with self._gate.arming(limits):
+            self._under_way.clear()
+            self._drive.enable(limits)
 
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state; a round trip passes on the clock, a lost reply takes the timeout.
 
         The set-point acts when it has arrived, so the sample shows the state before it. A fault, once latched, is
-        raised by every exchange. Raises UnsafeCommand, NoReply, BadReply, LinkLost, DeviceFault.
+        raised by every exchange. Raises NoReply, BadReply, LinkLost, DeviceFault.
         """
-        bounded = self._bounded(command)
+        admitted = self._gate.admit(command)
         draw = self._noise.draw()
         sent = self._reach()
         link = self._parameters.link
@@ -163,10 +147,11 @@ class SimServo:
         returned = arrived + inbound
         self._advance(arrived)
         self._drive.feed()
-        if self._limits is None and self._drive.enabled:
-            self._drive.disable()  # the drive had not heard that it was disarmed; now it does
-            self._live = False
-        self._under_way.append((arrived + self._parameters.drive.command_delay, bounded))
+        if not self._gate.armed and self._drive.enabled:
+            self._drive.disable()  # the request for torque-off did not reach the drive; this one does
+            self._gate.live = False
+        due = arrived + self._parameters.drive.command_delay
+        self._under_way.append((due, admitted.command or Command.rest()))
         if draw.lost < link.lost_reply or returned - sent > link.reply_timeout:
             self._time_out(sent)
         self._clock.sleep_until(returned)
@@ -180,29 +165,21 @@ class SimServo:
             reading = self._answered = self._sensors.read(self._drive, draw)
         if within(self._plan, TorqueUnreadable, arrived - self._opened):
             reading = reading._replace(motor_torque=math.nan, joint_torque=math.nan)
-        saturated = self._drive.take_saturated() or (command.quantity is Quantity.TORQUE and bounded != command)
+        saturated = self._drive.take_saturated() or (command.quantity is Quantity.TORQUE and admitted.clipped)
         if saturated:
             status |= Status.SATURATED
         return Sample(sent, 0.5 * (sent + returned), *reading, status)
 
     def disarm(self) -> None:
-        """Torque off. Harmless when already off.
+        """Switch the torque off. Harmless when already off.
 
-        Raises LinkLost, NoReply where the drive cannot hear it; its watchdog then does the same.
+        Raises DriverError where the request does not reach the drive, whose watchdog then does the same.
         """
-        self._limits = None
-        if not self._live or self._closed:
-            return
-        self._advance(self._reach())
-        self._under_way.clear()
-        self._drive.disable()
-        self._live = False
+        self._gate.disarm()
 
     def close(self) -> None:
-        """Torque off, then let go of the link. Never raises."""
-        with contextlib.suppress(DriverError):
-            self.disarm()
-        self._closed = True
+        """Switch the torque off, then close the link. Never raises."""
+        self._gate.close()
 
     def truth(self) -> dict[str, float]:
         """What the stand really is, for the recording's `/truth`: SI, at the joint unless named for the motor.
@@ -249,23 +226,15 @@ class SimServo:
             enabled=drive.enabled,
         )
 
-    def _bounded(self, command: Command) -> Command:
-        """The set-point within the limits; nothing but rest while disarmed, and never what is not finite."""
-        if not math.isfinite(command.value):
-            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
-        if self._limits is not None:
-            return self._limits.bound(command)
-        if command != Command.rest():
-            raise UnsafeCommand(
-                f"{command.quantity} set-point {command.value} while disarmed: arm first, nothing was sent"
-            )
-        return command
+    def _torque_off(self, _request: int) -> None:
+        self._advance(self._reach())
+        self._under_way.clear()
+        self._drive.disable()
 
     def _reach(self) -> float:
         """The time of sending. Raises LinkLost, and NoReply once the timeout has passed."""
         now = self._clock.now()
-        if self._closed:
-            raise LinkLost("the simulated servo is closed")
+        self._gate.require_open()
         if now - self._opened >= self._link_ends:
             raise LinkLost("the simulated link is gone: whether the motor is live is not known")
         if within(self._plan, Silence, now - self._opened):

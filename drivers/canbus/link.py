@@ -18,7 +18,7 @@ import serial
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply
 
 if TYPE_CHECKING:
-    from drivers.servo import Clock
+    from drivers.clock import Clock
 
 WRITE_TIMEOUT = 0.1
 """s that the interface may take to accept a frame; without one, a stuck adapter would hold us for ever."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import can
 
     from drivers.canbus.link import CanLink
-    from drivers.servo import Clock
+    from drivers.clock import Clock
 
 LATE = 0.02
 """s after its deadline that a reply may still come; beyond it it is lost."""

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from annotated_types import Ge, Gt, Le
 
 from drivers.canbus.link import BusConfig
+from drivers.gate import check_watchdog
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +41,7 @@ class Cia402Config:
     reset_faults: bool = False
 
     def __post_init__(self) -> None:
-        if self.watchdog and self.watchdog < 2.0 * self.reply_timeout:
-            raise ValueError(
-                f"cia402.watchdog {self.watchdog} s is not above twice cia402.reply_timeout {self.reply_timeout} s: "
-                "one lost reply would stop the drive"
-            )
+        check_watchdog("cia402", self.watchdog, self.reply_timeout)
         if self.id == self.own_id:
             raise ValueError(f"cia402.own_id {self.own_id} is the drive's own id: choose another")
         if self.profile == "epos2" and self.torque_constant is None:

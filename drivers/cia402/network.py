@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from drivers.canbus.link import CanLink
     from drivers.cia402.profiles import Place
-    from drivers.servo import Clock
+    from drivers.clock import Clock
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # it would write on stderr what is raised anyway
 

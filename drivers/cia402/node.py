@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from drivers.canbus.link import CanLink
     from drivers.cia402.config import Cia402Config
     from drivers.cia402.nameplate import Scale
-    from drivers.servo import Clock, Limits
+    from drivers.clock import Clock
+    from drivers.servo import Limits
 
 CONTROLWORD, STATUSWORD = Place(0x6040, 0), Place(0x6041, 0)
 _MODE, _MODE_DISPLAY = Place(0x6060, 0), Place(0x6061, 0)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from drivers.canbus.link import CanLink
 from drivers.cia402.network import LinkedNetwork, Refused
 from drivers.cia402.profiles import Place
-from drivers.servo import BadReply, Clock, DriverError, MonotonicClock
+from drivers.clock import Clock, MonotonicClock
+from drivers.servo import BadReply, DriverError
 
 if TYPE_CHECKING:
     import can

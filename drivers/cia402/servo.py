@@ -16,22 +16,10 @@ from typing import TYPE_CHECKING
 from drivers.canbus.link import CanLink
 from drivers.cia402.config import Cia402Config
 from drivers.cia402.node import TPDO1, TPDO2, Node
-from drivers.cia402.states import DISABLE_VOLTAGE, ENABLE, LIMITING, State, state_of
-from drivers.servo import (
-    BadReply,
-    Clock,
-    Command,
-    DriverError,
-    Limits,
-    LinkLost,
-    MonotonicClock,
-    NoReply,
-    Quantity,
-    Sample,
-    ServoInfo,
-    Status,
-    UnsafeCommand,
-)
+from drivers.cia402.states import ENABLE, LIMITING, State, state_of
+from drivers.clock import Clock, MonotonicClock
+from drivers.gate import Gate, to_counts
+from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
     import can
@@ -54,29 +42,21 @@ class Cia402Servo:
         self._clock = clock or MonotonicClock()
         self._link = CanLink(config.bus, self._clock, bus)
         self._node = Node(config, self._link, self._clock)
-        self._limits: Limits | None = None
-        self._live = True  # whoever drove it before may have left it enabled
-        self._closed = False
-        self._ticks = 0
+        self._ticks = self._most = 0
         self._temperature = self._voltage = math.nan
-        try:
+        quantities = frozenset({Quantity.TORQUE})
+        self._gate = Gate(self._link.name, quantities, torque_off=self._torque_off, release=self._link.close)
+        with self._gate.opening(self._node.stop):
             identity = self._node.nameplate.identify()
             self.disarm()
             self._scale = self._node.nameplate.scale()
             self._node.prepare()
-        except BaseException:
-            self._closed = True
-            with contextlib.suppress(DriverError):  # whatever it is, it must not go on for another program
-                self._node.network.requests.fire([self._node.set_point(DISABLE_VOLTAGE, 0)], [])
-                self._node.stop()
-            self._link.close()
-            raise
         self._info = ServoInfo(
             backend="cia402",
             model=identity.model,
             serial=identity.serial,
             firmware=identity.firmware,
-            quantities=frozenset({Quantity.TORQUE}),
+            quantities=quantities,
             position_lsb=self._scale.position,
             velocity_lsb=self._scale.velocity,
             torque_lsb=self._scale.torque,
@@ -99,21 +79,14 @@ class Cia402Servo:
         DeviceFault where another is latched, DriverError where a limit is refused or it is not enabled; it is without
         torque then.
         """
-        self._open()
-        try:
+        self._most = min(_LARGEST, math.floor(limits.torque / self._scale.torque * (1.0 + 1e-9)))
+        with self._gate.arming(limits):
             self._node.stop()
             if self._node.away:
                 self._node.prepare()
             self._node.clear_faults()
             self._node.limit(limits, self._scale)
-            self._live = True
             self._node.enable()
-        except BaseException:
-            with contextlib.suppress(DriverError):
-                self._live = True
-                self.disarm()
-            raise
-        self._limits = limits
 
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read position, velocity and torque in one round trip.
@@ -121,80 +94,48 @@ class Cia402Servo:
         Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the drive is in fault, was restarted,
         or is not enabled any more.
         """
-        target, saturated = self._set_point(command)
-        self._open()
-        if self._limits is None and self._node.away:
+        admitted = self._gate.admit(command)
+        if not self._gate.armed and self._node.away:
             self._node.prepare()
-        frames = [] if target is None else [self._node.set_point(ENABLE, target)]
+        frames = [] if admitted.command is None else [self._set_point(admitted.command.value)]
         frames += [
             self._node.sync(),
-            *(self._node.due_beat() if self._limits is not None else []),
+            *(self._node.due_beat() if self._gate.armed else []),
             *self._slow_request(),
         ]
         sent = self._clock.now()
         try:
             replies = self._node.network.requests.ask(frames, ["tpdo1", "tpdo2"])
         except NoReply:
-            if self._limits is not None and self._node.away:
+            if self._gate.armed and self._node.away:
                 raise self._node.trouble(State.UNKNOWN) from None
             raise
         received = self._clock.now()
-        return self._sample(replies["tpdo1"], replies["tpdo2"], sent, received, saturated=saturated)
+        return self._sample(replies["tpdo1"], replies["tpdo2"], sent, received, saturated=admitted.clipped)
 
     def disarm(self) -> None:
-        """Zero torque and disable voltage, sent up to three times until the drive says so. Harmless when already off.
+        """Set zero torque and disable voltage until the drive confirms it. Harmless when already off.
 
-        Raises DriverError where the drive does not confirm it; then cut the power.
+        Raises DriverError where the device does not confirm it; then cut the power.
         """
-        self._limits = None
-        if not self._live or self._closed:
-            return
-        trouble: DriverError = DriverError("no reply says so")
-        for attempt in range(_TRIES):
-            try:
-                self._node.stop(wake=attempt > 0)
-                self._live = False
-                with contextlib.suppress(DriverError):  # one that still watches us latches what arming clears
-                    self._node.release()
-                return
-            except DriverError as error:
-                trouble = error
-        kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
-        raise kind(f"torque-off is not confirmed ({trouble}): cut the drive's power")
+        self._gate.disarm()
 
     def close(self) -> None:
         """Torque off, the objects as they were found, then let go of the bus. Harmless when closed; never raises.
 
         Whoever has to know that the torque is off calls `disarm` first.
         """
-        if self._closed:
-            return
-        try:
-            with contextlib.suppress(DriverError):
-                self.disarm()
-            self._node.forget()
-        finally:
-            self._closed = True
-            self._link.close()
+        self._gate.close(self._node.forget)
 
-    def _open(self) -> None:
-        if self._closed:
-            raise LinkLost(f"{self._link.name} is closed")
+    def _torque_off(self, request: int) -> None:
+        self._node.stop(wake=request > 0)
+        with contextlib.suppress(DriverError):  # a drive that still expects our heartbeat latches a fault
+            self._node.release()
 
-    def _set_point(self, command: Command) -> tuple[int | None, bool]:
-        """What is sent, in counts, None where nothing is; and whether it was clipped."""
-        if not math.isfinite(command.value):
-            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
-        if self._limits is None:
-            if command != Command.rest():
-                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
-            return None, False
-        if command.quantity is not Quantity.TORQUE:
-            raise UnsafeCommand("a position set-point: this adapter drives by torque only")
-        bounded = self._limits.bound(command)
-        most = min(_LARGEST, math.floor(self._limits.torque / self._scale.torque * (1.0 + 1e-9)))
-        counts = round(self._config.sign * bounded.value / self._scale.torque)
-        return max(-most, min(most, counts)), bounded != command
+    def _set_point(self, torque: float) -> can.Message:
+        """Return the frame of a set-point of `torque` N m, in counts within the limit that was armed."""
+        counts = to_counts(self._config.sign * torque, self._scale.torque)
+        return self._node.set_point(ENABLE, max(-self._most, min(self._most, counts)))
 
     def _slow_request(self) -> list[can.Message]:
         """Take in what was answered of temperature and voltage, and ask for the next."""
@@ -217,10 +158,10 @@ class Cia402Servo:
         statusword, position, torque = TPDO1.unpack(first)
         (velocity,) = TPDO2.unpack(second)
         state = state_of(statusword)
-        if self._limits is not None and (state is not State.ENABLED or self._node.away):
+        if self._gate.armed and (state is not State.ENABLED or self._node.away):
             raise self._node.trouble(state)
         sign, scale = self._config.sign, self._scale
-        limiting = saturated or bool(self._limits is not None and statusword & LIMITING)
+        limiting = saturated or bool(self._gate.armed and statusword & LIMITING)
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),

@@ -7,6 +7,8 @@ from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le
 
+from drivers.gate import check_watchdog
+
 
 @dataclass(frozen=True, slots=True)
 class CommanderConfig:
@@ -33,8 +35,4 @@ class CommanderConfig:
     start: Annotated[float, Gt(0), Le(60)] = 8.0
 
     def __post_init__(self) -> None:
-        if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
-            raise ValueError(
-                f"commander.watchdog {self.watchdog} s is not above twice commander.reply_timeout "
-                f"{self.reply_timeout} s: one lost reply would stop the motor"
-            )
+        check_watchdog("commander", self.watchdog, self.reply_timeout)

@@ -10,7 +10,7 @@ from drivers.uart.lines import TextLines
 from drivers.uart.port import GONE, Port
 
 if TYPE_CHECKING:
-    from drivers.servo import Clock
+    from drivers.clock import Clock
 
 LONGEST = 20
 """Characters of a command, its end included, that the library's buffer takes."""

@@ -10,23 +10,21 @@ import contextlib
 import math
 from typing import TYPE_CHECKING
 
+from drivers.clock import Clock, MonotonicClock
 from drivers.commander.lines import DECIMALS, RESOLUTION, State, number, same, state, target
 from drivers.commander.link import CommanderLink, shown
+from drivers.gate import Gate
 from drivers.servo import (
     BadReply,
-    Clock,
     Command,
     DeviceFault,
     DriverError,
     Limits,
-    LinkLost,
-    MonotonicClock,
     NoReply,
     Quantity,
     Sample,
     ServoInfo,
     Status,
-    UnsafeCommand,
 )
 from drivers.uart.port import GONE, Port, open_port
 
@@ -55,24 +53,17 @@ class CommanderServo:
         self._config = config
         self._m = config.motor
         self._clock = clock or MonotonicClock()
-        self._limits: Limits | None = None
         self._ceiling = 0.0
         self._count = 0
         self._doubt = False
-        self._live = True  # whoever drove it before may have left it on
-        self._closed = False
         port = port or open_port(config.port, config.baudrate)
         self._link = CommanderLink(port, config.port, config.baudrate, self._clock, config.reply_timeout)
-        try:
+        quantities = frozenset({Quantity.TORQUE})
+        self._gate = Gate(config.port, quantities, torque_off=self._torque_off, release=self._close_link)
+        with self._gate.opening():
             self._wake()
             self._set_up()
-        except BaseException:
-            self._closed = True
-            self._let_go()
-            raise
-        self._info = ServoInfo(
-            backend="commander", model=f"SimpleFOC motor {self._m}", quantities=frozenset({Quantity.TORQUE})
-        )
+        self._info = ServoInfo(backend="commander", model=f"SimpleFOC motor {self._m}", quantities=quantities)
 
     @property
     def info(self) -> ServoInfo:
@@ -91,13 +82,11 @@ class CommanderServo:
         bounded here. The velocity limit acts in the board's velocity and angle modes only.
         Raises DriverError where something is refused; the motor is disabled then.
         """
-        self._open()
         current = limits.torque / self._config.torque_constant
         if current < RESOLUTION:
             raise DriverError(f"torque limit {limits.torque:.3g} N m is {current:.3g} A, below what a target resolves")
         mode, said = _MODES[self._config.torque_mode]
-        try:
-            self._live = True
+        with self._gate.arming(limits):
             self._order("E0", "E", "0")  # first: a target means something else in every mode
             self._prepare()
             self._hush()
@@ -107,12 +96,7 @@ class CommanderServo:
             self._limit("LV", limits.velocity, "velocity")
             self._link.exchange([f"{self._m}0"], self._is_zero, "the target of zero")
             self._order("E1", "E", "1")
-        except BaseException:
-            with contextlib.suppress(DriverError):
-                self.disarm()
-            raise
         self._ceiling = current
-        self._limits = limits
 
     def exchange(self, command: Command) -> Sample:
         """Send the target and read the state in one round trip.
@@ -120,73 +104,52 @@ class CommanderServo:
         Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the board was restarted or has disabled
         the motor by itself.
         """
-        wanted, saturated = self._wanted(command)
-        self._open()
-        if self._doubt and self._limits is not None:
+        admitted = self._gate.admit(command)
+        text = None if admitted.command is None else self._target(admitted.command.value)
+        if self._doubt and self._gate.armed:
             self._raise_restarted()
         self._doubt = True  # until the reply has come
         sent = self._clock.now()
         read = [f"{self._m}MG7", f"{self._m}E"]
-        if wanted is None:
-            reply, enabled = self._read(read, None)
-        else:
-            reply, enabled = self._read([f"{self._m}{wanted}", *read], wanted)
+        reply, enabled = self._read(read if text is None else [f"{self._m}{text}", *read], text)
         received = self._clock.now()
         self._doubt = False
         self._judge(enabled)
         sign, constant = self._config.sign, self._config.torque_constant
         # a disabled motor's current is not measured any more, and the last is repeated: no current flows
-        current = reply.current if self._limits is not None else 0.0
+        current = reply.current if self._gate.armed else 0.0
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),
             motor_position=sign * reply.angle,
             motor_velocity=sign * reply.velocity,
             motor_torque=sign * current * constant,
-            status=Status.SATURATED if saturated else Status(0),
+            status=Status.SATURATED if admitted.clipped else Status(0),
         )
 
     def disarm(self) -> None:
-        """Disable the motor and set its target to zero, up to three times. Harmless when already off.
+        """Disable the motor and set its target to zero. Harmless when already off.
 
-        Raises DriverError where the board does not confirm it; then cut the power.
+        Raises DriverError where the device does not confirm it; then cut the power.
         """
-        self._limits = None
-        if not self._live or self._closed:
-            return
-        trouble: DriverError = DriverError("it is still on")
-        for _ in range(_TRIES):
-            try:
-                self._link.send(f"{self._m}E0", f"{self._m}0", f"{self._m}E0", f"{self._m}MC", _MACHINE)
-                if self._link.ask(f"{self._m}E", f"{self._m}E") == "0":
-                    self._live = False
-                    return
-            except DriverError as error:
-                trouble = error
-            finally:
-                self._link.quarantine()  # more replies are under way than were waited for
-        kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
-        raise kind(f"torque-off is not confirmed ({trouble}): cut the motor's power")
+        self._gate.disarm()
 
     def close(self) -> None:
         """Disable the motor, then let go of the port. Harmless when closed; never raises.
 
         Whoever has to know that the torque is off calls `disarm` first.
         """
-        if self._closed:
-            return
+        self._gate.close()
+
+    def _torque_off(self, _request: int) -> None:
         try:
-            with contextlib.suppress(DriverError):
-                self.disarm()
+            self._link.send(f"{self._m}E0", f"{self._m}0", f"{self._m}E0", f"{self._m}MC", _MACHINE)
+            if self._link.ask(f"{self._m}E", f"{self._m}E") != "0":
+                raise DriverError("it is still on")
         finally:
-            self._closed = True
-            self._let_go()
+            self._link.quarantine()  # more replies are due than were waited for
 
-    def _open(self) -> None:
-        if self._closed:
-            raise LinkLost(f"{self._config.port} is closed")
-
-    def _let_go(self) -> None:
+    def _close_link(self) -> None:
         with contextlib.suppress(*GONE):
             self._link.close()
 
@@ -272,21 +235,12 @@ class CommanderServo:
         told = number(line[len(self._m) :]) if line.startswith(self._m) else None
         return True if told == 0.0 else None
 
-    def _wanted(self, command: Command) -> tuple[str | None, bool]:
-        """The target as it is sent, None where none is; and whether it was clipped."""
-        if not math.isfinite(command.value):
-            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
-        if self._limits is None:
-            if command != Command.rest():
-                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
-            return None, False
-        if command.quantity is not Quantity.TORQUE:
-            raise UnsafeCommand(f"a {command.quantity} set-point, where the board is in torque mode: nothing was sent")
-        bounded = self._limits.bound(command)
+    def _target(self, torque: float) -> str:
+        """Return the target of `torque` N m as it is sent."""
         self._count += 1
-        current = self._config.sign * bounded.value / self._config.torque_constant
+        current = self._config.sign * torque / self._config.torque_constant
         ceiling = self._ceiling - RESOLUTION  # the digit that is no current stays below the limit too
-        return target(max(-ceiling, min(ceiling, current)), self._count), bounded != command
+        return target(max(-ceiling, min(ceiling, current)), self._count)
 
     def _read(self, commands: list[str], sent: str | None) -> tuple[State, str]:
         """The state with the target `sent` (None: any), and the line behind it: whether the motor is enabled."""
@@ -311,10 +265,9 @@ class CommanderServo:
 
     def _judge(self, enabled: str) -> None:
         """Raise DeviceFault where an armed motor is off; switch a motor off that is on and should not be."""
-        if self._limits is None:
+        if not self._gate.armed:
             if enabled == "1":
-                self._live = True
-                self.disarm()
+                self._gate.force_off()
             return
         if enabled == "0":
             raise DeviceFault(

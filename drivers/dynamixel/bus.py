@@ -17,9 +17,9 @@ from drivers.servo import BadReply, DriverError, LinkLost, NoReply
 from drivers.uart.port import GONE
 
 if TYPE_CHECKING:
+    from drivers.clock import Clock
     from drivers.dynamixel.port import SerialPort
     from drivers.dynamixel.wire import Answer, Wire
-    from drivers.servo import Clock
 
 _ROLL_CALL = 0.8  # s; servos answer a broadcast ping one after the other, 3 ms for each id there can be
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
 from annotated_types import Ge, Gt, Le
 
 from drivers.dynamixel.models import Model, models
+from drivers.gate import watchdog_problem
 from drivers.servo import Quantity
 
 if TYPE_CHECKING:
@@ -57,11 +58,8 @@ class DynamixelConfig:
             yield f"dynamixel.model {self.model!r} is not known; there are {', '.join(sorted(models()))}"
         else:
             yield from self._misfits_of(models()[self.model])
-        if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
-            yield (
-                f"dynamixel.watchdog {self.watchdog} s is not above twice dynamixel.reply_timeout "
-                f"{self.reply_timeout} s: one lost reply would stop the servo"
-            )
+        if problem := watchdog_problem("dynamixel", self.watchdog, self.reply_timeout):
+            yield problem
 
     def _misfits_of(self, model: Model) -> Iterator[str]:
         if not model.current_lsb and self.effective_mode != "extended-position":

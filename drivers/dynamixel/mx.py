@@ -41,6 +41,7 @@ class MxSeries:
 
     eeprom_end = 24
     block = (36, 34)
+    off: tuple[str, ...] = ("torque_enable", "goal_torque", "torque_control")
     velocity_lsb = 0.114 * 2.0 * math.pi / 60.0
 
     def __init__(self, model: Model, config: DynamixelConfig, torque_lsb: float) -> None:

@@ -15,7 +15,7 @@ from dynamixel_sdk import PortHandler
 from drivers.uart.port import GONE, POLL, open_port
 
 if TYPE_CHECKING:
-    from drivers.servo import Clock
+    from drivers.clock import Clock
 
 BUDGET = 4096
 """Bytes looked at for one reply; a line that never falls silent must not hold us."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 from typing import get_args
 
+from drivers.clock import Clock, MonotonicClock
 from drivers.dynamixel.bus import Bus
 from drivers.dynamixel.config import Baudrate, DynamixelConfig
 from drivers.dynamixel.models import name_of
 from drivers.dynamixel.port import SerialPort
 from drivers.dynamixel.wire import BROADCAST, Wire1, Wire2
-from drivers.servo import Clock, DriverError, MonotonicClock
+from drivers.servo import DriverError
 
 
 def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:

@@ -32,7 +32,8 @@ class State(NamedTuple):
 class Series(Protocol):
     """One servo of a series; what is remembered between two readings is its own.
 
-    block: address and size of what a tick reads. velocity_lsb: rad/s. eeprom_end: as in `ControlTable`.
+    block: address and size of what a tick reads. velocity_lsb: rad/s. eeprom_end: as in `ControlTable`. off: the
+    registers whose zero takes the torque off, in the order in which they are written where no reply comes.
     """
 
     wire: Wire
@@ -40,6 +41,7 @@ class Series(Protocol):
     eeprom_end: int
     block: tuple[int, int]
     velocity_lsb: float
+    off: tuple[str, ...]
 
     def identity(self, bus: Bus) -> tuple[int, int]:
         """Model number and firmware of who answers."""

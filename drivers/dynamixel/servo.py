@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 
+from drivers.clock import Clock, MonotonicClock
 from drivers.dynamixel.bus import Bus
 from drivers.dynamixel.config import DynamixelConfig
 from drivers.dynamixel.control_table import ControlTable
@@ -19,20 +20,8 @@ from drivers.dynamixel.port import SerialPort
 from drivers.dynamixel.series import Series
 from drivers.dynamixel.tick import Freshness, TickClock
 from drivers.dynamixel.x import XSeries
-from drivers.servo import (
-    BadReply,
-    Clock,
-    Command,
-    DriverError,
-    Limits,
-    LinkLost,
-    MonotonicClock,
-    Quantity,
-    Sample,
-    ServoInfo,
-    Status,
-    UnsafeCommand,
-)
+from drivers.gate import Admitted, Gate, to_counts
+from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
 _LATE = 0.02  # s, before the watchdog would trip, from which a tick asks whether it has
 _TRIES = 3
@@ -58,23 +47,23 @@ class DynamixelServo:
         self._table = ControlTable(self._bus, self._series.registers, self._series.eeprom_end)
         self._tick = TickClock()
         self._impossible = 0
-        self._limits: Limits | None = None
         self._ceiling = 0
-        self._live = False
-        self._closed = False
-        self._heard = -math.inf
+        self._last_request = -math.inf
+        quantity = Quantity.TORQUE if self._mode == "current" else Quantity.POSITION
+        self._gate = Gate(
+            config.port,
+            frozenset({quantity}),
+            torque_off=self._torque_off,
+            release=self._port.closePort,
+            mode_key="dynamixel.mode",
+        )
         self._port.openPort()
-        try:
-            self._firmware = identify(self._bus, self._table, config, self._series)
-            self._live = True  # whoever drove it before may have left it on
+        with self._gate.opening():
+            firmware = identify(self._bus, self._table, config, self._series)
             self.disarm()
             self._table.require("return_delay_time", round(config.return_delay / RETURN_DELAY_LSB))
             self._bus.return_delay = config.return_delay
-        except BaseException:
-            self._closed = True
-            self._port.closePort()
-            raise
-        self._info = self._describe()
+        self._info = self._describe(firmware, quantity)
 
     @property
     def info(self) -> ServoInfo:
@@ -98,20 +87,12 @@ class DynamixelServo:
         servo's registers for them, each no higher than the model's.
         Raises DeviceFault where a fault is latched, DriverError where a register is refused; the torque is off then.
         """
-        self._open()
-        ceiling = self._torque_counts(limits)
-        try:
+        self._ceiling = ceiling = self._torque_counts(limits)
+        with self._gate.arming(limits):
             self._series.raise_latched(self._bus, self._table)
             self._table.require("torque_enable", 0)
             self._series.prepare(self._table, limits, ceiling)
             self._enable(ceiling)
-        except BaseException:
-            with contextlib.suppress(DriverError):
-                self._live = True
-                self.disarm()
-            raise
-        self._ceiling = ceiling
-        self._limits = limits
 
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
@@ -119,74 +100,54 @@ class DynamixelServo:
         `Command.rest()` in a position mode leaves the servo holding where it is. Raises UnsafeCommand, NoReply,
         BadReply, LinkLost, and DeviceFault where the servo has latched a fault, restarted, or tripped its watchdog.
         """
-        goal, saturated = self._goal(command)
-        self._open()
+        goal, saturated = self._goal(self._gate.admit(command))
         sent = self._clock.now()
-        if self._limits is not None and 0.0 < self._config.watchdog < sent - self._heard + _LATE:
+        if self._gate.armed and 0.0 < self._config.watchdog < sent - self._last_request + _LATE:
             self._look_for_faults()
             sent = self._clock.now()
         block = self._series.block
         raw = self._bus.read(*block) if goal is None else self._bus.write_and_read(*goal, *block)
         received = self._clock.now()
-        self._heard = sent
+        self._last_request = sent
         if self._bus.alert:
             self._look_for_faults()
         return self._sample(raw, sent, received, saturated=saturated)
 
     def disarm(self) -> None:
-        """Torque off, written up to three times and read back. Harmless when already off.
+        """Switch the torque off and read it back. Harmless when already off.
 
-        Raises DriverError where the servo does not confirm it; then cut the power.
+        Raises DriverError where the device does not confirm it; then cut the power.
         """
-        self._limits = None
-        if not self._live or self._closed:
-            return
-        trouble: DriverError = DriverError("it is still on")
-        for _ in range(_TRIES):
-            try:
-                self._table.put("torque_enable", 0)
-                if self._table.get("torque_enable") == 0:
-                    self._live = False
-                    break
-            except DriverError as error:
-                trouble = error
-                with contextlib.suppress(DriverError):  # nobody may be able to answer and yet hear
-                    self._bus.send(self._table.registers["torque_enable"].address, b"\0")
-        with contextlib.suppress(DriverError):
-            self._series.rest(self._table)
-        if self._live:
-            kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
-            raise kind(f"torque-off is not confirmed ({trouble}): cut the servo's power")
+        self._gate.disarm()
 
     def close(self) -> None:
         """Torque off, the EEPROM as it was found, then let go of the port. Harmless when closed; never raises.
 
         Whoever has to know that the torque is off calls `disarm` first.
         """
-        if self._closed:
-            return
+        self._gate.close(self._table.restore)
+
+    def _torque_off(self, _request: int) -> None:
         try:
-            with contextlib.suppress(DriverError):
-                self.disarm()
-            with contextlib.suppress(DriverError):
-                self._table.restore()
-        finally:
-            self._closed = True
-            self._port.closePort()
+            self._table.put("torque_enable", 0)
+            if self._table.get("torque_enable"):
+                raise DriverError("it is still on")
+        except DriverError:
+            with contextlib.suppress(DriverError):  # a servo that cannot reply may still receive
+                for name in self._series.off:
+                    self._bus.send(self._table.registers[name].address, bytes(self._table.registers[name].size))
+            raise
+        with contextlib.suppress(DriverError):
+            self._series.rest(self._table)
 
-    def _open(self) -> None:
-        if self._closed:
-            raise LinkLost(f"{self._config.port} is closed")
-
-    def _describe(self) -> ServoInfo:
-        current = self._mode == "current"
+    def _describe(self, firmware: str, quantity: Quantity) -> ServoInfo:
         stated = self._config.torque_constant is not None
         return ServoInfo(
             backend="dynamixel",
             model=self._config.model,
             serial=f"id {self._config.id}",
-            firmware=self._firmware,
-            quantities=frozenset({Quantity.TORQUE if current else Quantity.POSITION}),
+            firmware=firmware,
+            quantities=frozenset({quantity}),
             position_lsb=POSITION_LSB,
             velocity_lsb=self._series.velocity_lsb,
             torque_lsb=self._torque_lsb if self._model.current_lsb else math.nan,
@@ -212,34 +173,22 @@ class DynamixelServo:
 
     def _enable(self, ceiling: int) -> None:
         """Torque on without a jerk: at no current, or at the position it has."""
-        self._live = True  # a goal may be enough for a servo to switch its torque on
         self._series.enable(self._bus, self._table, ceiling)
         self._table.put("torque_enable", 1)
         if self._table.get("torque_enable") != 1:
             self._look_for_faults()
             raise DriverError("the servo does not let its torque be switched on: reboot it")
-        self._heard = self._clock.now()
+        self._last_request = self._clock.now()
 
-    def _goal(self, command: Command) -> tuple[tuple[int, bytes] | None, bool]:
-        """Where the set-point goes and as which bytes, None where nothing is written; and whether it was clipped."""
-        if not math.isfinite(command.value):
-            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
-        at_rest = command == Command.rest()
-        if self._limits is None:
-            if not at_rest:
-                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
+    def _goal(self, admitted: Admitted) -> tuple[tuple[int, bytes] | None, bool]:
+        """Return address and bytes of the set-point, None where nothing is written; and whether it was clipped."""
+        command = admitted.command
+        if command is None:
             return None, False
-        if command.quantity not in self._info.quantities:
-            if at_rest:
-                return None, False
-            raise UnsafeCommand(f"a {command.quantity} set-point in mode {self._mode!r}: set dynamixel.mode otherwise")
-        bounded = self._limits.bound(command)
-        wanted = bounded.value / (self._torque_lsb if command.quantity is Quantity.TORQUE else POSITION_LSB)
-        if not math.isfinite(wanted):
-            raise UnsafeCommand(f"set-point {command.value} cannot be encoded: nothing was sent")
-        counts = self._config.sign * round(wanted)
-        address, data, held = self._series.goal(counts, self._ceiling)
-        return (address, data), bounded != command or held != counts
+        lsb = self._torque_lsb if command.quantity is Quantity.TORQUE else POSITION_LSB
+        counts = self._config.sign * to_counts(command.value, lsb)
+        address, data, written = self._series.goal(counts, self._ceiling)
+        return (address, data), admitted.clipped or written != counts
 
     def _sample(self, raw: bytes, sent: float, received: float, *, saturated: bool) -> Sample:
         state = self._series.state(raw)
@@ -266,15 +215,15 @@ class DynamixelServo:
     def _refuse_impossible(self) -> None:
         """A tick that cannot be: a servo that restarted is a fault, anything else an old reply."""
         self._impossible += 1
-        if self._impossible == _TRIES or self._limits is None:
+        if self._impossible == _TRIES or not self._gate.armed:
             self._tick.restart()
         self._bus.quarantine()
-        if self._limits is not None:
+        if self._gate.armed:
             self._look_for_faults()
         raise BadReply("the reply is older than its request, or the servo was restarted: the sample is dropped")
 
     def _look_for_faults(self) -> None:
         """Raise DeviceFault where the servo is not doing any more what it was armed for."""
         self._series.raise_latched(self._bus, self._table)
-        if self._limits is not None:
+        if self._gate.armed:
             self._series.raise_stopped(self._bus, self._table)

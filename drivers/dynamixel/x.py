@@ -38,6 +38,7 @@ class XSeries:
 
     eeprom_end = 64
     block = (120, 27)
+    off: tuple[str, ...] = ("torque_enable",)
     velocity_lsb = VELOCITY_LSB
 
     def __init__(self, model: Model, config: DynamixelConfig, torque_lsb: float) -> None:

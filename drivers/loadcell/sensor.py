@@ -17,8 +17,8 @@ from drivers.uart.lines import TextLines
 from drivers.uart.port import GONE, Port, open_port
 
 if TYPE_CHECKING:
+    from drivers.clock import Clock
     from drivers.loadcell.config import LoadCellConfig
-    from drivers.servo import Clock
 
 TARE_READINGS = 16
 """Readings averaged for the zero while the cell is opened."""

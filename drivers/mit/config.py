@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from annotated_types import Ge, Gt, Le
 
 from drivers.canbus.link import BusConfig
+from drivers.gate import check_watchdog
 from drivers.mit.frames import models
 
 if TYPE_CHECKING:
@@ -49,11 +50,7 @@ class MitConfig:
     def __post_init__(self) -> None:
         if self.model not in models():
             raise ValueError(f"mit.model {self.model!r} is not known; there are {', '.join(sorted(models()))}")
-        if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
-            raise ValueError(
-                f"mit.watchdog {self.watchdog} s is not above twice mit.reply_timeout {self.reply_timeout} s: one lost "
-                "reply would stop the motor"
-            )
+        check_watchdog("mit", self.watchdog, self.reply_timeout)
 
     @property
     def bus(self) -> BusConfig:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     import can
 
     from drivers.canbus.link import CanLink
+    from drivers.clock import Clock
     from drivers.mit.config import MitConfig
-    from drivers.servo import Clock
 
 _TRIES = 3
 _SECOND_ANSWER = 0.004

@@ -6,32 +6,21 @@ that is not armed is never sent a torque.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
+from drivers.clock import Clock, MonotonicClock
+from drivers.gate import Gate
 from drivers.mit.config import MitConfig
 from drivers.mit.frames import DISABLED, ENABLED, LOST_COMMUNICATION, State, fault, models
 from drivers.mit.motor import MitMotor
-from drivers.servo import (
-    Clock,
-    Command,
-    DriverError,
-    Limits,
-    LinkLost,
-    MonotonicClock,
-    Quantity,
-    Sample,
-    ServoInfo,
-    Status,
-    UnsafeCommand,
-)
+from drivers.servo import Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
     import can
 
-_TRIES = 3
+_QUANTITIES = frozenset({Quantity.TORQUE})
 _TIMEOUT_LSB = 50e-6
 _COOLEST_LIMIT = 80.0
 """degC: the lowest over-temperature limit that a Damiao takes."""
@@ -51,19 +40,11 @@ class MitServo:
         self._clock = clock or MonotonicClock()
         self._link = CanLink(config.bus, self._clock, bus)
         self._motor = MitMotor(config, self._link, self._clock)
-        self._limits: Limits | None = None
-        self._live = False
-        self._closed = False
         self._ignored = 0
-        try:
-            firmware = self._motor.identify()
-        except BaseException:
-            self._closed = True
-            with contextlib.suppress(DriverError):
-                self._motor.send_leave()
-            self._link.close()
-            raise
-        self._info = self._describe(firmware)
+        self._gate = Gate(self._link.name, _QUANTITIES, torque_off=self._torque_off, release=self._link.close)
+        with self._gate.opening(self._motor.send_leave):
+            self._info = self._describe(self._motor.identify())
+        self._gate.live = False
 
     @property
     def info(self) -> ServoInfo:
@@ -82,24 +63,16 @@ class MitServo:
         DeviceFault where an error is latched, DriverError where a register is refused or the limit of torque is below
         one count; the torque is off then.
         """
-        self._open()
         if limits.torque < self._info.torque_lsb:
             raise DriverError(
                 f"torque limit {limits.torque:.3g} N m is below one count of the {self._config.model}, "
                 f"{self._info.torque_lsb:.3g} N m: raise it or take a smaller motor"
             )
-        try:
-            self._live = True
+        with self._gate.arming(limits):
             self._check_error(self._motor.leave())
             if self._motor.damiao:
                 self._prepare(limits)
             self._enable()
-        except BaseException:
-            with contextlib.suppress(DriverError):
-                self._live = True
-                self.disarm()
-            raise
-        self._limits = limits
         self._ignored = 0
 
     def exchange(self, command: Command) -> Sample:
@@ -108,8 +81,8 @@ class MitServo:
         Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the motor says an error, is not enabled
         any more, or has not followed for ten ticks.
         """
-        counts, saturated = self._set_point(command)
-        self._open()
+        admitted = self._gate.admit(command)
+        counts, saturated = (None, False) if admitted.command is None else self._counts(admitted.command.value)
         sent = self._clock.now()
         state = self._motor.look() if counts is None else self._motor.drive(counts)
         received = self._clock.now()
@@ -124,48 +97,29 @@ class MitServo:
             motor_velocity=sign * state.velocity,
             motor_torque=sign * state.torque * self._config.torque_scale,
             temperature=state.temperature - self._config.temperature_offset,
-            status=Status.SATURATED if saturated else Status(0),
+            status=Status.SATURATED if saturated or admitted.clipped else Status(0),
         )
 
     def disarm(self) -> None:
-        """Leave motor mode, sent up to three times until a reply confirms it. Harmless when already off.
+        """Leave motor mode until a reply confirms it. Harmless when already off.
 
-        An AK's reply does not say whether it is enabled: its answer to the frame is what confirms it. Raises
-        DriverError where the motor does not confirm it; then cut the power.
+        An AK does not report whether it is enabled: its reply to the frame is the confirmation.
+
+        Raises DriverError where the device does not confirm it; then cut the power.
         """
-        self._limits = None
-        if not self._live or self._closed:
-            return
-        trouble: DriverError = DriverError("it is still enabled")
-        for _ in range(_TRIES):
-            try:
-                self._motor.send_leave()  # first of all: a question would wait for what is still owed
-                if self._motor.leave().status != ENABLED or not self._motor.damiao:
-                    self._live = False
-                    return
-            except DriverError as error:
-                trouble = error
-        kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
-        raise kind(f"torque-off is not confirmed ({trouble}): cut the motor's power")
+        self._gate.disarm()
 
     def close(self) -> None:
         """Torque off, the registers as they were found, then let go of the bus. Harmless when closed; never raises.
 
         Whoever has to know that the torque is off calls `disarm` first.
         """
-        if self._closed:
-            return
-        try:
-            with contextlib.suppress(DriverError):
-                self.disarm()
-            self._motor.restore()
-        finally:
-            self._closed = True
-            self._link.close()
+        self._gate.close(self._motor.restore)
 
-    def _open(self) -> None:
-        if self._closed:
-            raise LinkLost(f"{self._link.name} is closed")
+    def _torque_off(self, _request: int) -> None:
+        self._motor.send_leave()  # before `leave`, which waits for replies that are still due
+        if self._motor.leave().status == ENABLED and self._motor.damiao:
+            raise DriverError("it is still enabled")
 
     def _describe(self, firmware: str) -> ServoInfo:
         codec, model = self._motor.codec, models()[self._config.model]
@@ -174,7 +128,7 @@ class MitServo:
             model=self._config.model,
             serial=f"id {self._config.id}",
             firmware=firmware,
-            quantities=frozenset({Quantity.TORQUE}),
+            quantities=_QUANTITIES,
             position_lsb=codec.position_lsb,
             velocity_lsb=codec.velocity_lsb,
             torque_lsb=codec.torque_lsb * self._config.torque_scale,
@@ -196,20 +150,10 @@ class MitServo:
         if self._motor.damiao and state.status != ENABLED:
             raise DriverError("the motor does not let itself be enabled: switch it off and on")
 
-    def _set_point(self, command: Command) -> tuple[int | None, bool]:
-        """The counts of torque to send, None where nothing is driven; and whether the set-point was clipped."""
-        if not math.isfinite(command.value):
-            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
-        if self._limits is None:
-            if command != Command.rest():
-                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
-            return None, False
-        if command.quantity is not Quantity.TORQUE:
-            raise UnsafeCommand("a position set-point: this adapter drives by torque only")
-        bounded = self._limits.bound(command)
-        wanted = self._config.sign * bounded.value / self._config.torque_scale
-        most = self._config.ranges[2]
-        return self._motor.codec.torque_counts(wanted), bounded != command or abs(wanted) > most
+    def _counts(self, torque: float) -> tuple[int, bool]:
+        """Return the counts of `torque` N m, and whether the motor's range clipped it."""
+        asked = self._config.sign * torque / self._config.torque_scale
+        return self._motor.codec.torque_counts(asked), abs(asked) > self._config.ranges[2]
 
     def _check_error(self, state: State) -> None:
         """Raise DeviceFault where the motor says an error.
@@ -217,7 +161,7 @@ class MitServo:
         A Damiao that stopped since nobody spoke to it is cleared where it is not armed.
         """
         status, family = state.status, self._motor.codec.family
-        armed = self._limits is not None
+        armed = self._gate.armed
         if family == "cubemars":
             if status:
                 raise fault(family, status)

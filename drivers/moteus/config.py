@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from annotated_types import Ge, Gt, Le
 
 from drivers.canbus.link import BusConfig
+from drivers.gate import check_watchdog
 from drivers.servo import Quantity
 
 
@@ -35,11 +36,7 @@ class MoteusConfig:
     reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
 
     def __post_init__(self) -> None:
-        if self.watchdog < 2.0 * self.reply_timeout:
-            raise ValueError(
-                f"moteus.watchdog {self.watchdog} s is not above twice moteus.reply_timeout {self.reply_timeout} s: "
-                "one lost reply would stop the controller"
-            )
+        check_watchdog("moteus", self.watchdog, self.reply_timeout)
         if self.id == self.source:
             raise ValueError(f"moteus.source {self.source} is the controller's own id: choose another")
 

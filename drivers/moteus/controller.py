@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import can
 
     from drivers.canbus.link import CanLink
+    from drivers.clock import Clock
     from drivers.moteus.config import MoteusConfig
-    from drivers.servo import Clock
 
 _REPLY_WANTED = 0x80
 _TRIES = 3

@@ -7,12 +7,13 @@ position mode without a position, every gain scaled to zero, and the torque fed 
 
 from __future__ import annotations
 
-import contextlib
 import math
 from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
+from drivers.clock import Clock, MonotonicClock
 from drivers.dynamixel.tick import WRAP, Freshness, TickClock
+from drivers.gate import Gate
 from drivers.moteus.config import MoteusConfig
 from drivers.moteus.controller import Controller
 from drivers.moteus.frames import (
@@ -31,20 +32,7 @@ from drivers.moteus.frames import (
     timed_out,
     write,
 )
-from drivers.servo import (
-    BadReply,
-    Clock,
-    Command,
-    DriverError,
-    Limits,
-    LinkLost,
-    MonotonicClock,
-    Quantity,
-    Sample,
-    ServoInfo,
-    Status,
-    UnsafeCommand,
-)
+from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
     import can
@@ -81,28 +69,27 @@ class MoteusServo:
         self._controller = Controller(config, self._link, self._clock)
         self._milliseconds = TickClock()
         self._impossible = 0
-        self._limits: Limits | None = None
-        self._held = 0.0
-        self._live = False
-        self._closed = False
-        try:
-            found = self._controller.identify()
+        self._last_position = 0.0
+        quantities = frozenset({config.quantity})
+        self._gate = Gate(
+            self._link.name,
+            quantities,
+            torque_off=self._torque_off,
+            release=self._link.close,
+            mode_key="moteus.mode",
+        )
+        with self._gate.opening(lambda: self._controller.send(_STOP)):
+            identity = self._controller.identify()
             state = self._controller.exchange(_STATE)
-            self._live = state["mode"] not in {STOPPED, FAULT}  # a stop clears a fault, which arming is to tell of
+            self._gate.live = state["mode"] not in {STOPPED, FAULT}  # a stop would clear a fault that `arm` must report
             self.disarm()
-        except BaseException:
-            self._closed = True
-            with contextlib.suppress(DriverError):  # whatever it is, it must not go on for another program
-                self._controller.send(_STOP)
-            self._link.close()
-            raise
-        firmware = int(found["firmware"])
+        firmware = int(identity["firmware"])
         self._info = ServoInfo(
             backend="moteus",
-            model=f"moteus, model number {int(found['model'])}",
-            serial="".join(f"{int(found[f'serial_{part}']) & 0xFFFFFFFF:08x}" for part in ("high", "middle", "low")),
+            model=f"moteus, model number {int(identity['model'])}",
+            serial="".join(f"{int(identity[f'serial_{part}']) & 0xFFFFFFFF:08x}" for part in ("high", "middle", "low")),
             firmware=f"{firmware >> 16 & 0xFF}.{firmware >> 8 & 0xFF}.{firmware & 0xFF}",
-            quantities=frozenset({config.quantity}),
+            quantities=quantities,
         )
 
     @property
@@ -122,21 +109,14 @@ class MoteusServo:
         torque and watchdog time go along with every command. Raises DeviceFault where it is in fault, DriverError where
         a limit is refused or it does not start; it is stopped then.
         """
-        self._open()
-        try:
+        with self._gate.arming(limits):
             state = self._controller.exchange(_STATE)
             if state["mode"] == FAULT:
                 raise fault(int(state["fault"]))
             self._stop()
             self._prepare(limits)
-            self._held = state["position"]
+            self._last_position = state["position"]
             self._start(limits)
-        except BaseException:
-            with contextlib.suppress(DriverError):
-                self._live = True
-                self.disarm()
-            raise
-        self._limits = limits
 
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
@@ -144,51 +124,30 @@ class MoteusServo:
         `Command.rest()` in position mode holds where it was told to be. Raises UnsafeCommand, NoReply, BadReply,
         LinkLost, and DeviceFault where the controller is in fault, timed out, or restarted.
         """
-        subframes, saturated = self._set_point(command)
-        self._open()
+        admitted = self._gate.admit(command)
+        subframes = self._subframes(admitted.command)
         sent = self._clock.now()
         state = self._controller.exchange(*subframes, _STATE)
         received = self._clock.now()
-        return self._sample(state, sent, received, saturated=saturated)
+        return self._sample(state, sent, received, saturated=admitted.clipped)
 
     def disarm(self) -> None:
-        """Stop, sent up to three times until the controller says so. Harmless when already stopped.
+        """Stop until the controller confirms it. Harmless when already stopped.
 
-        Raises DriverError where it does not confirm it; then cut the power.
+        Raises DriverError where the device does not confirm it; then cut the power.
         """
-        self._limits = None
-        if not self._live or self._closed:
-            return
-        trouble: DriverError = DriverError("it goes on")
-        for _ in range(_TRIES):
-            try:
-                self._controller.send(_STOP)  # first of all: a question would wait for what is still owed
-                self._stop()
-                self._live = False
-                return
-            except DriverError as error:
-                trouble = error
-        kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
-        raise kind(f"torque-off is not confirmed ({trouble}): cut the controller's power")
+        self._gate.disarm()
 
     def close(self) -> None:
         """Stop, the configuration as it was found, then let go of the bus. Harmless when closed; never raises.
 
         Whoever has to know that the torque is off calls `disarm` first.
         """
-        if self._closed:
-            return
-        try:
-            with contextlib.suppress(DriverError):
-                self.disarm()
-            self._controller.restore()
-        finally:
-            self._closed = True
-            self._link.close()
+        self._gate.close(self._controller.restore)
 
-    def _open(self) -> None:
-        if self._closed:
-            raise LinkLost(f"{self._link.name} is closed")
+    def _torque_off(self, _request: int) -> None:
+        self._controller.send(_STOP)  # before `_stop`, which waits for replies that are still due
+        self._stop()
 
     def _stop(self) -> None:
         mode = self._controller.exchange(_STOP, read("mode", INT8))["mode"]
@@ -209,9 +168,8 @@ class MoteusServo:
 
     def _start(self, limits: Limits) -> None:
         """Command no torque, or the position it has, until it runs."""
-        self._live = True
         torque = self._config.quantity is Quantity.TORQUE
-        command = self._torque(0.0, limits) if torque else self._position(self._held, limits)
+        command = self._torque(0.0, limits) if torque else self._position(self._last_position, limits)
         for _ in range(_PREPARATION):
             state = self._controller.exchange(*command, _STATE)
             if state["mode"] == FAULT:
@@ -238,28 +196,18 @@ class MoteusServo:
             write("command_ilimit_scale", INT8, gain),
         )
 
-    def _set_point(self, command: Command) -> tuple[tuple[bytes, ...], bool]:
-        """The subframes to send, none where nothing is driven; and whether the set-point was clipped."""
-        if not math.isfinite(command.value):
-            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
-        at_rest = command == Command.rest()
-        limits = self._limits
+    def _subframes(self, command: Command | None) -> tuple[bytes, ...]:
+        """Return the subframes to send: none while disarmed; the last position where `command` has no position."""
+        limits = self._gate.limits
         if limits is None:
-            if not at_rest:
-                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
-            return (), False
-        if command.quantity not in self._info.quantities:
-            if at_rest:
-                return self._position(self._held, limits), False
-            raise UnsafeCommand(
-                f"a {command.quantity} set-point in mode {self._config.quantity.value!r}: set moteus.mode otherwise"
-            )
-        bounded = limits.bound(command)
-        value = self._config.sign * bounded.value
+            return ()
+        if command is None:
+            return self._position(self._last_position, limits)
+        value = self._config.sign * command.value
         if command.quantity is Quantity.TORQUE:
-            return self._torque(value, limits), bounded != command
-        self._held = value / _TURN
-        return self._position(self._held, limits), bounded != command
+            return self._torque(value, limits)
+        self._last_position = value / _TURN
+        return self._position(self._last_position, limits)
 
     def _sample(self, state: dict[str, float], sent: float, received: float, *, saturated: bool) -> Sample:
         missing = {"mode", "position", "velocity", "torque", "fault", "milliseconds"} - state.keys()
@@ -293,7 +241,7 @@ class MoteusServo:
         mode = state["mode"]
         if mode == FAULT:
             raise fault(int(state["fault"]))
-        if self._limits is None or mode == POSITION:
+        if not self._gate.armed or mode == POSITION:
             return
         # a controller that was restarted begins anew with the next command: that must not pass for running on
         raise timed_out(self._config.watchdog) if mode == TIMEOUT else restarted()
@@ -301,7 +249,7 @@ class MoteusServo:
     def _refuse_impossible(self) -> None:
         """Milliseconds that cannot be: an old reply; several in a row are a controller that was restarted."""
         self._impossible += 1
-        if self._limits is None:
+        if not self._gate.armed:
             self._milliseconds.restart()
         elif self._impossible == _TRIES:
             raise restarted()

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import can
 
     from drivers.canbus.link import CanLink
+    from drivers.clock import Clock
     from drivers.odrive.config import OdriveConfig
-    from drivers.servo import Clock
 
 HEARTBEAT = 0.6
 """s without a heartbeat after which there is none; the drive's default period is 0.1 s."""

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from annotated_types import Ge, Gt, Le
 
 from drivers.canbus.link import BusConfig
+from drivers.gate import check_watchdog
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +35,7 @@ class OdriveConfig:
     reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
 
     def __post_init__(self) -> None:
-        if 0.0 < self.watchdog < 2.0 * self.reply_timeout:
-            raise ValueError(
-                f"odrive.watchdog {self.watchdog} s is not above twice odrive.reply_timeout "
-                f"{self.reply_timeout} s: one lost reply would stop the axis"
-            )
+        check_watchdog("odrive", self.watchdog, self.reply_timeout)
 
     @property
     def bus(self) -> BusConfig:

@@ -9,12 +9,13 @@ Firmware 0.6 says the torque itself (`Get_Torques`); 0.5.6 says the current, whi
 
 from __future__ import annotations
 
-import contextlib
 import math
 from functools import partial
 from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
+from drivers.clock import Clock, MonotonicClock
+from drivers.gate import Gate
 from drivers.odrive.axis import Axis
 from drivers.odrive.config import OdriveConfig
 from drivers.odrive.messages import (
@@ -26,20 +27,7 @@ from drivers.odrive.messages import (
     watchdog_bit,
 )
 from drivers.odrive.parameters import Parameters
-from drivers.servo import (
-    BadReply,
-    Clock,
-    Command,
-    DriverError,
-    Limits,
-    LinkLost,
-    MonotonicClock,
-    Quantity,
-    Sample,
-    ServoInfo,
-    Status,
-    UnsafeCommand,
-)
+from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
     import can
@@ -65,26 +53,19 @@ class OdriveServo:
         self._link = CanLink(config.bus, self._clock, bus)
         self._axis = Axis(config, self._link, self._clock)
         self._parameters: Parameters | None = None
-        self._limits: Limits | None = None
-        self._closed = False
-        self._live = True  # whoever drove it before may have left it in closed loop
         self._ticks = 0
-        try:
+        quantities = frozenset({Quantity.TORQUE})
+        self._gate = Gate(self._link.name, quantities, torque_off=self._torque_off, release=self._link.close)
+        with self._gate.opening(lambda: self._axis.requests.tell([self._axis.codec.put("set_state", IDLE)])):
             firmware = self._axis.identify()
             self._parameters = self._open_parameters(firmware)
             self.disarm()
-        except BaseException:
-            self._closed = True
-            with contextlib.suppress(DriverError):  # whatever it is, it must not go on for another program
-                self._axis.requests.tell([self._axis.codec.put("set_state", IDLE)])
-            self._link.close()
-            raise
         self._info = ServoInfo(
             backend="odrive",
             model="ODrive v3" if self._axis.codec.layout == "0.5" else "ODrive",
             serial=f"node id {config.id}",
             firmware=firmware,
-            quantities=frozenset({Quantity.TORQUE}),
+            quantities=quantities,
         )
 
     @property
@@ -105,17 +86,10 @@ class OdriveServo:
         before we came is cleared. Raises DeviceFault where an error is latched, DriverError where a limit is refused or
         the axis does not enter closed loop; it is idle then.
         """
-        self._open()
-        try:
+        with self._gate.arming(limits):
             self._clear_stale_watchdog()
             self._prepare(limits)
             self._enable()
-        except BaseException:
-            with contextlib.suppress(DriverError):
-                self._live = True
-                self.disarm()
-            raise
-        self._limits = limits
 
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read position, velocity and torque.
@@ -123,10 +97,10 @@ class OdriveServo:
         Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the axis says an error or is not in
         closed loop any more.
         """
-        value, saturated = self._set_point(command)
-        self._open()
+        admitted = self._gate.admit(command)
+        sign = self._config.sign
         torque = "torques" if self._axis.codec.knows("torques") else "iq"
-        frames = [] if value is None else [self._axis.codec.put("set_torque", value)]
+        frames = [self._axis.codec.put("set_torque", sign * admitted.command.value)] if admitted.command else []
         frames += [self._axis.codec.request("encoder"), self._axis.codec.request(torque), *self._slow_request()]
         self._axis.requests.refuse_unasked()
         sent = self._clock.now()
@@ -139,7 +113,6 @@ class OdriveServo:
         _, measured = self._axis.codec.decoded(torque, replies[torque])
         if not (math.isfinite(position) and math.isfinite(velocity) and math.isfinite(measured)):
             raise BadReply("the axis says that a reading is not a number: the sample is dropped")
-        sign = self._config.sign
         scale = 1.0 if torque == "torques" else self._config.torque_constant
         return Sample(
             t=sent,
@@ -149,52 +122,29 @@ class OdriveServo:
             motor_torque=sign * measured * scale,
             temperature=self._axis.temperature,
             voltage=self._axis.voltage,
-            status=Status.SATURATED if saturated else Status(0),
+            status=Status.SATURATED if admitted.clipped else Status(0),
         )
 
     def disarm(self) -> None:
-        """Zero torque and idle, sent up to three times until a heartbeat confirms it. Harmless when already idle.
+        """Set zero torque and idle until a heartbeat confirms it. Harmless when already idle.
 
-        Raises DriverError where the axis does not confirm it; then cut the power.
+        Raises DriverError where the device does not confirm it; then cut the power.
         """
-        self._limits = None
-        if not self._live or self._closed:
-            return
-        trouble: DriverError = DriverError("no heartbeat says so")
-        for _ in range(_TRIES):
-            try:
-                self._axis.requests.tell(
-                    [self._axis.codec.put("set_torque", 0.0), self._axis.codec.put("set_state", IDLE)]
-                )
-                self._axis.requests.listen()
-                beats = self._axis.beats
-                if self._axis.requests.await_change(_STATE_CHANGE, partial(self._idle_since, beats)):
-                    self._live = False
-                    return
-            except DriverError as error:
-                trouble = error
-        kind = LinkLost if isinstance(trouble, LinkLost) else DriverError
-        raise kind(f"torque-off is not confirmed ({trouble}): cut the drive's power")
+        self._gate.disarm()
 
     def close(self) -> None:
         """Idle, the parameters as they were found, then let go of the bus. Harmless when closed; never raises.
 
         Whoever has to know that the torque is off calls `disarm` first.
         """
-        if self._closed:
-            return
-        try:
-            with contextlib.suppress(DriverError):
-                self.disarm()
-            if self._parameters is not None:
-                self._parameters.restore()
-        finally:
-            self._closed = True
-            self._link.close()
+        self._gate.close(self._parameters.restore if self._parameters else None)
 
-    def _open(self) -> None:
-        if self._closed:
-            raise LinkLost(f"{self._link.name} is closed")
+    def _torque_off(self, _request: int) -> None:
+        codec = self._axis.codec
+        self._axis.requests.tell([codec.put("set_torque", 0.0), codec.put("set_state", IDLE)])
+        self._axis.requests.listen()
+        if not self._axis.requests.await_change(_STATE_CHANGE, partial(self._idle_since, self._axis.beats)):
+            raise DriverError("no heartbeat says that it is idle")
 
     def _idle_since(self, beats: int) -> bool:
         return self._axis.beats > beats and self._axis.state == IDLE
@@ -266,7 +216,6 @@ class OdriveServo:
             )
 
     def _enable(self) -> None:
-        self._live = True
         self._axis.requests.listen()
         beats = self._axis.beats
         for _ in range(_TRIES):
@@ -289,19 +238,6 @@ class OdriveServo:
 
     # -- running ----------------------------------------------------------------------------------------------------
 
-    def _set_point(self, command: Command) -> tuple[float | None, bool]:
-        """What is sent, N m of the axis, None where nothing is; and whether it was clipped."""
-        if not math.isfinite(command.value):
-            raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
-        if self._limits is None:
-            if command != Command.rest():
-                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
-            return None, False
-        if command.quantity is not Quantity.TORQUE:
-            raise UnsafeCommand("a position set-point: this adapter drives an ODrive by torque only")
-        bounded = self._limits.bound(command)
-        return self._config.sign * bounded.value, bounded != command
-
     def _slow_request(self) -> list[can.Message]:
         self._ticks += 1
         if self._ticks % _EVERY:
@@ -311,5 +247,5 @@ class OdriveServo:
 
     def _check_state(self) -> None:
         """Raise DeviceFault where the axis is not doing any more what it was armed for."""
-        if self._limits is not None and (self._axis.errors or self._axis.state != CLOSED_LOOP):
+        if self._gate.armed and (self._axis.errors or self._axis.state != CLOSED_LOOP):
             raise fault(self._axis.codec.layout, self._axis.errors)

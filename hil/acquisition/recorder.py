@@ -15,6 +15,7 @@ from statistics import fmean, median
 
 import numpy as np
 
+from drivers.gate import confirm_torque_off
 from drivers.servo import BadReply, Command, NoReply, Quantity, Sample, Servo, Status
 from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import AtJoint, Guard
@@ -30,7 +31,6 @@ _REST_TRIES = 100
 _TOO_LONG = 1.5  # periods that an answer at rest may take; some drives answer sooner once they are armed
 _RAMP_DOWN = 0.1  # s; a first request to stop lets the cable down over this long
 _BLOCK = 512  # set-points computed at a time
-_OFF_TRIES, _OFF_PAUSE = 20, 0.05  # times that the torque-off is asked for, s between two
 
 
 class _StopAsked(Exception):
@@ -236,23 +236,8 @@ class Recorder:
         )
 
     def _torque_off(self) -> None:
-        """Ask for it until the drive confirms it, about a second long; nothing that is raised ends this early."""
-        trouble: BaseException | None = None
-        for _ in range(_OFF_TRIES):
-            try:
-                self._servo.disarm()
-            except BaseException as error:  # noqa: BLE001 - a live motor is worse than anything this could be
-                trouble = error
-            else:
-                break
-            try:
-                self._servo.clock.sleep_until(self._servo.clock.now() + _OFF_PAUSE)
-            except BaseException as error:  # noqa: BLE001 - the same
-                trouble = error
-        else:
-            self._outcome.alarm = f"CUT THE POWER: the torque-off is not confirmed ({trouble})"
-        if self._outcome.alarm or not isinstance(trouble, Exception | None):
-            self._trouble = trouble
+        result = confirm_torque_off(self._servo)
+        self._outcome.alarm, self._trouble = result.alarm, result.error
         self._off_asked = True
 
     def _note_end(self) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from drivers.gate import confirm_torque_off
 from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
 from hil.acquisition.interrupt import StopRequest
@@ -24,7 +25,6 @@ from hil.stand.opening import open_servo
 from hil.stand.transmission import Transmission
 
 _SMALL = 1.0 / 20.0  # of a limit
-_OFF_TRIES, _OFF_PAUSE = 20, 0.05  # times that the torque-off is asked for, s between two
 
 
 def examine(
@@ -100,16 +100,11 @@ def _connected(found: Examination, stand: Stand, quantity: Quantity) -> Iterator
 
 
 def _torque_off(found: Examination, servo: Servo) -> None:
-    """Ask for it until the drive confirms it, for about a second."""
-    for left in range(_OFF_TRIES, 0, -1):
-        try:
-            servo.disarm()
-        except DriverError as error:
-            if left == 1:
-                found.add("torque off", Verdict.PROBLEM, f"not confirmed: CUT THE POWER ({error})")
-            servo.clock.sleep_until(servo.clock.now() + _OFF_PAUSE)
-        else:
-            return
+    result = confirm_torque_off(servo)
+    if not result.confirmed:
+        found.add("torque off", Verdict.PROBLEM, result.alarm)
+    if result.error is not None and not isinstance(result.error, Exception):
+        raise result.error
 
 
 def _searched(stand: Stand, error: DriverError) -> str:

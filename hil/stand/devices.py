@@ -18,7 +18,8 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any, Protocol, Self, runtime_checkable
 
-from drivers.servo import Clock, JointSensor, Quantity, Servo
+from drivers.clock import Clock
+from drivers.servo import JointSensor, Quantity, Servo
 from hil.errors import WrongUse
 
 

@@ -7,7 +7,8 @@ from typing import Any, cast
 
 from pydantic import TypeAdapter, ValidationError
 
-from drivers.servo import MonotonicClock, Quantity, Servo
+from drivers.clock import MonotonicClock
+from drivers.servo import Quantity, Servo
 from hil.errors import WrongUse
 from hil.stand.devices import BACKENDS, check_backend, open_backend, open_sensor
 from hil.stand.file import Stand
@@ -26,7 +27,8 @@ def open_servo(
     name = check_backend(stand.stand.backend)
     truth: Mapping[str, float] = {}
     if name == "sim":
-        from sim_backend.servo import SimServo, VirtualClock
+        from drivers.clock import VirtualClock
+        from sim_backend.servo import SimServo
 
         clock = MonotonicClock() if realtime else VirtualClock()
         simulated = SimServo(stand.simulated(), seed=seed, clock=clock)

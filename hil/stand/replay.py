@@ -12,17 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
-from drivers.servo import (
-    Clock,
-    Command,
-    Limits,
-    LinkLost,
-    NoReply,
-    Sample,
-    ServoInfo,
-    Status,
-    UnsafeCommand,
-)
+from drivers.clock import Clock, VirtualClock
+from drivers.gate import Gate
+from drivers.servo import Command, Limits, LinkLost, NoReply, Quantity, Sample, ServoInfo, Status
 
 _LOST = Status.NO_REPLY | Status.BAD_REPLY
 
@@ -36,19 +28,6 @@ class ReplayConfig:
     recording: str
 
 
-class _Clock:
-    """Time that passes only when somebody waits for it."""
-
-    def __init__(self) -> None:
-        self._now = 0.0
-
-    def now(self) -> float:
-        return self._now
-
-    def sleep_until(self, t: float) -> None:
-        self._now = max(self._now, t)
-
-
 class ReplayServo:
     """The recording as a servo in virtual time. Raises WrongUse and Untrustworthy as opening a recording does."""
 
@@ -56,11 +35,12 @@ class ReplayServo:
         from hil.recording.reader import Recording
 
         self._recording = Recording(Path(config.recording))
-        self._clock = _Clock()
+        self._clock = VirtualClock()
         self._rows = self._samples()
-        self._rest = next(self._rows, None)
-        self._limits: Limits | None = None
-        self._closed = False
+        self._next = next(self._rows, None)
+        self._gate = Gate(
+            "the recording", frozenset(Quantity), torque_off=lambda _request: None, release=self._recording.__exit__
+        )
 
     @property
     def info(self) -> ServoInfo:
@@ -74,41 +54,31 @@ class ReplayServo:
 
     def arm(self, limits: Limits) -> None:
         """Begin to play: from now on every exchange is the next row. Raises LinkLost when closed."""
-        self._open()
-        self._limits = limits
+        with self._gate.arming(limits):
+            pass
 
     def exchange(self, command: Command) -> Sample:
         """The next row; while disarmed the first one, again and again.
 
         Raises UnsafeCommand, NoReply where the row's reply was lost, LinkLost where the recording ends.
         """
-        self._open()
-        if self._limits is None:
-            if command != Command.rest():
-                raise UnsafeCommand(f"{command.quantity} set-point {command.value} while disarmed: arm first")
-            sample = self._rest
-        else:
-            self._limits.bound(command)
-            sample, self._rest = self._rest, next(self._rows, None)
+        self._gate.admit(command)
+        sample = self._next
+        if self._gate.armed:
+            self._next = next(self._rows, None)
         if sample is None:
             raise LinkLost(f"{self._recording.path} ends here: ask for a shorter --duration")
-        if sample.status & _LOST and self._limits is not None:
+        if sample.status & _LOST and self._gate.armed:
             raise NoReply("this reply was lost when it was recorded")
         return _at(sample, self._clock.now())
 
     def disarm(self) -> None:
         """Stop playing."""
-        self._limits = None
+        self._gate.disarm()
 
     def close(self) -> None:
         """Let go of the file. Harmless when already closed."""
-        if not self._closed:
-            self._closed = True
-            self._recording.__exit__()
-
-    def _open(self) -> None:
-        if self._closed:
-            raise LinkLost("the recording is closed")
+        self._gate.close()
 
     def _samples(self) -> Iterator[Sample]:
         """The rows; joint_torque is NaN where the recording has none of its own."""

@@ -6,9 +6,9 @@ import contextlib
 import math
 from dataclasses import replace
 
+from drivers.clock import Clock
 from drivers.servo import (
     BadReply,
-    Clock,
     Command,
     DriverError,
     JointSensor,

@@ -16,6 +16,7 @@ import serial
 
 from drivers.cia402.config import Cia402Config
 from drivers.cia402.servo import Cia402Servo
+from drivers.clock import VirtualClock
 from drivers.commander.config import CommanderConfig
 from drivers.commander.servo import CommanderServo
 from drivers.dynamixel.config import DynamixelConfig
@@ -37,7 +38,7 @@ from hil.stand.opening import open_servo
 from hil.stand.servo import StandServo
 from hil.stand.transmission import Transmission
 from sim_backend.parameters import SimParameters
-from sim_backend.servo import SimServo, VirtualClock
+from sim_backend.servo import SimServo
 from sim_backend.wire.canbus.bus import CanBus, CanNode, CanTiming
 from sim_backend.wire.canbus.loopback import CanLoopback
 from sim_backend.wire.cia402.device import Cia402Device
@@ -316,29 +317,88 @@ def foc_on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
         yield from closed_after(CommanderServo(config), SIM_LIMITS)
 
 
-IN_VIRTUAL_TIME: dict[str, tuple[Callable[[], Servo], Limits]] = {
-    "sim": (lambda: SimServo(SimParameters(), seed=1, clock=VirtualClock()), SIM_LIMITS),
-    "dynamixel": (lambda: new_rig().open(), SERVO_LIMITS),
-    "dynamixel mx": (lambda: new_rig("mx-64").open(), MX_LIMITS),
-    "odrive 0.5.6": (lambda: odrive_rig("0.5.6").open(), ODRIVE_LIMITS),
-    "odrive 0.6.10": (lambda: odrive_rig("0.6.10").open(), ODRIVE_LIMITS),
-    "mit ak80-9": (lambda: mit_rig("ak80-9").open(), MIT_LIMITS),
-    "mit dm-j4310": (lambda: mit_rig("dm-j4310").open(), MIT_LIMITS),
-    "moteus": (lambda: moteus_rig().open(), ODRIVE_LIMITS),
-    "cia402 epos4": (lambda: cia402_rig("epos4").open(), CIA402_LIMITS),
-    "cia402 epos2": (lambda: cia402_rig("epos2").open(), CIA402_LIMITS),
-    "cia402 generic": (lambda: cia402_rig("generic").open(), CIA402_LIMITS),
-    "commander": (lambda: new_foc().open(), SIM_LIMITS),
-    "commander with a loadcell": (lambda: with_loadcell(new_foc()), SIM_LIMITS),
+@dataclass
+class Wired:
+    """A servo in virtual time, and what an observer of its wire sees.
+
+    sent: bytes or frames that have left so far. live: whether current can flow. reopen: open the device anew.
+    """
+
+    servo: Servo
+    limits: Limits
+    sent: Callable[[], int]
+    live: Callable[[], bool]
+    unplug: Callable[[bool], None]
+    reopen: Callable[[], Servo]
+
+
+def wired_can(rig: CanRig, limits: Limits) -> Wired:
+    def unplug(gone: bool) -> None:
+        rig.bus.unplugged = gone
+
+    servo = rig.open()
+    return Wired(
+        servo, limits, lambda: len(rig.wire.sent), lambda: bool(rig.device.motor.enabled), unplug, reopen=rig.open
+    )
+
+
+def wired_dynamixel(rig: Rig, limits: Limits) -> Wired:
+    def unplug(gone: bool) -> None:
+        rig.bus.unplugged = gone
+
+    return Wired(
+        rig.open(), limits, lambda: len(rig.port.sent), lambda: bool(rig.device.motor.enabled), unplug, reopen=rig.open
+    )
+
+
+def wired_foc(rig: FocRig, *, loadcell: bool = False) -> Wired:
+    def unplug(gone: bool) -> None:
+        rig.board.unplugged = gone
+
+    servo = with_loadcell(rig) if loadcell else rig.open()
+    return Wired(
+        servo, SIM_LIMITS, lambda: len(rig.port.sent), lambda: rig.board.motor.enabled, unplug, reopen=rig.open
+    )
+
+
+IN_VIRTUAL_TIME: dict[str, Callable[[], Wired]] = {
+    "dynamixel": lambda: wired_dynamixel(new_rig(), SERVO_LIMITS),
+    "dynamixel mx": lambda: wired_dynamixel(new_rig("mx-64"), MX_LIMITS),
+    "odrive 0.5.6": lambda: wired_can(odrive_rig("0.5.6"), ODRIVE_LIMITS),
+    "odrive 0.6.10": lambda: wired_can(odrive_rig("0.6.10"), ODRIVE_LIMITS),
+    "mit ak80-9": lambda: wired_can(mit_rig("ak80-9"), MIT_LIMITS),
+    "mit dm-j4310": lambda: wired_can(mit_rig("dm-j4310"), MIT_LIMITS),
+    "moteus": lambda: wired_can(moteus_rig(), ODRIVE_LIMITS),
+    "cia402 epos4": lambda: wired_can(cia402_rig("epos4"), CIA402_LIMITS),
+    "cia402 epos2": lambda: wired_can(cia402_rig("epos2"), CIA402_LIMITS),
+    "cia402 generic": lambda: wired_can(cia402_rig("generic"), CIA402_LIMITS),
+    "commander": lambda: wired_foc(new_foc()),
+    "commander with a loadcell": lambda: wired_foc(new_foc(), loadcell=True),
 }
-ON_A_PTY = {"dynamixel on a pty": on_a_pty, "commander on a pty": foc_on_a_pty}
+
+
+def simulated(_: Path) -> Iterator[tuple[Servo, Limits]]:
+    yield from closed_after(SimServo(SimParameters(), seed=1, clock=VirtualClock()), SIM_LIMITS)
+
+
+OTHERS = {"sim": simulated, "dynamixel on a pty": on_a_pty, "commander on a pty": foc_on_a_pty}
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    path = metafunc.config.getoption("--stand")
     if "bench" in metafunc.fixturenames:
-        path = metafunc.config.getoption("--stand")
-        known = [*IN_VIRTUAL_TIME, *ON_A_PTY] if path is None else [Path(path)]
+        known = [*IN_VIRTUAL_TIME, *OTHERS] if path is None else [Path(path)]
         metafunc.parametrize("bench", known, indirect=True, ids=str)
+    if "wired" in metafunc.fixturenames:
+        metafunc.parametrize("wired", [] if path else list(IN_VIRTUAL_TIME), indirect=True)
+
+
+@pytest.fixture
+def wired(request: pytest.FixtureRequest) -> Iterator[Wired]:
+    """Every servo that talks over an emulated wire in virtual time."""
+    made = IN_VIRTUAL_TIME[request.param]()
+    yield made
+    made.servo.close()
 
 
 @pytest.fixture
@@ -346,8 +406,8 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Serv
     """Every servo the contract is held against, each with limits that suit it; with --stand that stand alone."""
     if isinstance(request.param, Path):
         yield from on_a_stand(request.param)
-    elif request.param in ON_A_PTY:
-        yield from ON_A_PTY[request.param](tmp_path)
+    elif request.param in OTHERS:
+        yield from OTHERS[request.param](tmp_path)
     else:
-        make, limits = IN_VIRTUAL_TIME[request.param]
-        yield from closed_after(make(), limits)
+        made = IN_VIRTUAL_TIME[request.param]()
+        yield from closed_after(made.servo, made.limits)

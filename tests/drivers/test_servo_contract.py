@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from drivers.servo import Command, DriverError, NoReply, Quantity, Sample, UnsafeCommand
+from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, Sample, Status, UnsafeCommand
 
 if TYPE_CHECKING:
-    from drivers.servo import Limits, Servo
+    from drivers.servo import Servo
 
 PERIOD = 0.004
 
@@ -135,3 +135,89 @@ def test_a_closed_servo_neither_arms_nor_answers(servo: Servo, limits: Limits) -
         servo.arm(limits)
     with pytest.raises(DriverError):
         servo.exchange(Command.rest())
+
+
+def test_a_set_point_that_a_limit_changed_is_marked_and_another_is_not(servo: Servo, limits: Limits) -> None:
+    servo.arm(limits)
+    assert ask(servo, torque(10.0 * limits.torque)).status & Status.SATURATED
+    ask(servo, Command.rest())
+    assert not ask(servo, torque(0.5 * limits.torque)).status & Status.SATURATED
+
+
+# -- the gate, seen on the wire (`wired`: conftest.py) --------------------------------------------------------------
+
+
+def refused(wired: Any, command: Command) -> None:
+    before = wired.sent()
+    with pytest.raises(UnsafeCommand):
+        wired.servo.exchange(command)
+    assert wired.sent() == before
+
+
+def test_nothing_is_sent_for_a_set_point_that_is_refused(wired: Any) -> None:
+    for quantity in Quantity:
+        refused(wired, Command(quantity, 0.1))  # disarmed
+    wired.servo.arm(wired.limits)
+    for quantity in Quantity:
+        for value in (math.nan, math.inf, -math.inf):
+            refused(wired, Command(quantity, value))
+        if quantity not in wired.servo.info.quantities:
+            refused(wired, Command(quantity, 0.1))
+
+
+def test_no_current_can_flow_before_arming_and_after_disarming_and_closing(wired: Any) -> None:
+    assert not wired.live()
+    for end in (wired.servo.disarm, wired.servo.close):
+        wired.servo.arm(wired.limits)
+        ask(wired.servo, torque(0.25 * wired.limits.torque))
+        assert wired.live()
+        end()
+        assert not wired.live()
+
+
+def test_nothing_is_sent_after_closing(wired: Any) -> None:
+    wired.servo.close()
+    before = wired.sent()
+    wired.servo.disarm()
+    wired.servo.close()
+    with pytest.raises(LinkLost):
+        wired.servo.arm(wired.limits)
+    with pytest.raises(LinkLost):
+        wired.servo.exchange(Command.rest())
+    assert wired.sent() == before
+
+
+def test_a_lost_link_ends_the_run_and_torque_off_may_be_requested_until_it_is_confirmed(wired: Any) -> None:
+    wired.servo.arm(wired.limits)
+    ask(wired.servo, torque(0.25 * wired.limits.torque))
+    wired.unplug(True)
+    with pytest.raises(LinkLost):
+        wired.servo.exchange(torque(0.25 * wired.limits.torque))
+    for _ in range(2):
+        with pytest.raises(LinkLost, match="not confirmed"):
+            wired.servo.disarm()
+    wired.unplug(False)
+    wired.servo.disarm()
+    assert not wired.live()
+    with pytest.raises(UnsafeCommand):
+        wired.servo.exchange(torque(0.25 * wired.limits.torque))
+
+
+def test_a_device_that_an_earlier_program_left_armed_has_no_torque_once_it_is_opened(wired: Any) -> None:
+    wired.servo.arm(wired.limits)
+    ask(wired.servo, torque(0.25 * wired.limits.torque))
+    again = wired.reopen()
+    assert not wired.live()
+    again.close()
+
+
+def test_a_limit_below_what_the_device_resolves_is_refused_without_torque(wired: Any) -> None:
+    tiny = Limits(1e-9, wired.limits.velocity, wired.limits.temperature, wired.limits.position)
+    try:
+        wired.servo.arm(tiny)
+    except DriverError:
+        assert not wired.live()
+        with pytest.raises(UnsafeCommand):
+            wired.servo.exchange(torque(1e-10))
+    else:  # a drive whose limits are floats takes it
+        ask(wired.servo, torque(wired.limits.torque))

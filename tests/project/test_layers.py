@@ -16,7 +16,8 @@ ALLOWED = {
     | {"scipy", "pyarrow"},
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},
-    "sim_backend": {"sim_backend", "drivers.servo", "ga.compiled", "numpy", "numba", "annotated_types", "can"},
+    "sim_backend": {"sim_backend", "drivers.servo", "drivers.gate", "drivers.clock"}
+    | {"ga.compiled", "numpy", "numba", "annotated_types", "can"},
 }
 
 

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from drivers.clock import VirtualClock
 from drivers.servo import Limits
 from sim_backend.parameters import CouplingParameters, LinkParameters, SensorParameters, SimParameters
-from sim_backend.servo import SimServo, VirtualClock
+from sim_backend.servo import SimServo
 
 
 @pytest.fixture

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from drivers.clock import VirtualClock
 from drivers.servo import Command, Limits, NoReply, Quantity, Sample
-from sim_backend.servo import SimServo, VirtualClock
+from sim_backend.servo import SimServo
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

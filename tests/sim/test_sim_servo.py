@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from drivers.servo import Command, DeviceFault, DriverError, LinkLost, MonotonicClock, NoReply, Quantity, Sample, Status
+from drivers.clock import MonotonicClock, VirtualClock
+from drivers.servo import Command, DeviceFault, DriverError, LinkLost, NoReply, Quantity, Sample, Status
 from sim_backend.drive import FaultCode
 from sim_backend.parameters import SimParameters
-from sim_backend.servo import SimServo, VirtualClock
+from sim_backend.servo import SimServo
 
 if TYPE_CHECKING:
-    from drivers.servo import Clock, Limits, Servo
+    from drivers.clock import Clock
+    from drivers.servo import Limits, Servo
 
 
 def torque(value: float) -> Command:

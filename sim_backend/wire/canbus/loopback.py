@@ -10,7 +10,7 @@ import can
 from sim_backend.wire.canbus.frames import CanFrame
 
 if TYPE_CHECKING:
-    from sim_backend.servo import VirtualClock
+    from drivers.clock import VirtualClock
     from sim_backend.wire.canbus.bus import CanBus, CanDelivery
 
 

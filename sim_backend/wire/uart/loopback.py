@@ -7,7 +7,7 @@ import heapq
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from drivers.servo import Clock
+    from drivers.clock import Clock
     from sim_backend.wire.uart.pty_line import SerialPeer
 
 _POLL = 2e-3  # s that a read waits

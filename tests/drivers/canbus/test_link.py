@@ -11,10 +11,10 @@ import pytest
 import serial
 
 from drivers.canbus.link import BusConfig, CanLink, frame, open_interface
+from drivers.clock import VirtualClock
 from drivers.odrive.config import OdriveConfig
 from drivers.odrive.servo import OdriveServo
 from drivers.servo import BadReply, Command, DriverError, LinkLost, NoReply
-from sim_backend.servo import VirtualClock
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame, duration
 from sim_backend.wire.canbus.loopback import CanLoopback

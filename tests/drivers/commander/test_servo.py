@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from drivers.clock import VirtualClock
 from drivers.commander.config import CommanderConfig
 from drivers.commander.lines import RESOLUTION, same, state, target
 from drivers.commander.servo import RESTARTED, STOPPED, CommanderServo
@@ -26,9 +27,7 @@ from drivers.servo import (
     LinkLost,
     NoReply,
     Quantity,
-    UnsafeCommand,
 )
-from sim_backend.servo import VirtualClock
 from sim_backend.wire.commander.device import number
 from sim_backend.wire.commander.emulator import WATCHDOG, CommanderTiming, new_board, serve
 from sim_backend.wire.faults import (
@@ -108,12 +107,6 @@ def test_a_target_is_bounded_here_whether_or_not_the_library_does(make_foc: Make
     servo = armed(rig)
     servo.exchange(Command(Quantity.TORQUE, -1.0))
     assert -4e-3 / KT <= rig.board.motor.target == pytest.approx(-4e-3 / KT, abs=3 * RESOLUTION)
-
-
-def test_a_position_is_refused(foc: Rig) -> None:
-    servo = armed(foc)
-    with pytest.raises(UnsafeCommand, match="torque mode"):
-        servo.exchange(Command(Quantity.POSITION, 0.1))
 
 
 def test_a_target_left_over_from_another_mode_never_becomes_a_torque(foc: Rig) -> None:

@@ -313,7 +313,7 @@ def test_a_line_that_never_falls_silent_is_named_and_does_not_hold_us(rig: Rig, 
     with pytest.raises(BadReply, match="never falls silent"):
         servo.exchange(PUSH)
     assert rig.clock.now() - begin < 0.5
-    with pytest.raises(DriverError, match="cut the servo's power"):
+    with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
     assert not rig.device.torque_on  # it heard, though nobody could hear it
 
@@ -416,7 +416,7 @@ def test_a_watchdog_that_does_not_stop_the_motor_is_still_noticed(rig: Rig, limi
 def test_a_torque_off_that_is_not_done_is_said_loudly(rig: Rig, limits: Limits) -> None:
     servo = armed(rig, limits)
     rig.device.ignores_torque_off = True
-    with pytest.raises(DriverError, match="cut the servo's power"):
+    with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
     servo.close()
 
@@ -436,7 +436,7 @@ def test_a_pulled_cable_is_a_lost_link_and_close_is_harmless(rig: Rig, limits: L
         servo.exchange(PUSH)
     with pytest.raises(LinkLost):
         servo.exchange(PUSH)
-    with pytest.raises(LinkLost, match="cut the servo's power"):
+    with pytest.raises(LinkLost, match="cut the drive's power"):
         servo.disarm()
     servo.close()
     servo.close()

@@ -357,7 +357,7 @@ def test_a_torque_that_does_not_go_off_is_told(make_rig: Make) -> None:
     servo = rig.open()
     servo.arm(LIMITS)
     rig.device.ignores_torque_off = True
-    with pytest.raises(DriverError, match="cut the servo's power"):
+    with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
 
 

@@ -166,14 +166,6 @@ def test_a_servo_without_current_measurement_says_so_with_nan(make_rig: Make, li
     assert math.isnan(servo.exchange(position(0.0)).motor_torque)
 
 
-def test_a_set_point_cut_by_the_limit_says_so(rig: Rig, limits: Limits) -> None:
-    servo = rig.open()
-    servo.arm(limits)
-    assert servo.exchange(torque(1.0)).status & Status.SATURATED
-    rig.wait(2e-3)
-    assert not servo.exchange(torque(0.001)).status & Status.SATURATED
-
-
 def test_one_tick_is_one_round_trip(rig: Rig, limits: Limits) -> None:
     servo = rig.open()
     servo.arm(limits)
@@ -221,18 +213,6 @@ def test_a_reply_from_before_its_request_is_impossible() -> None:
     assert clock.judge(1010, 1.05, 1.051) is Freshness.IMPOSSIBLE
     assert clock.judge(990, 1.05, 1.051) is Freshness.IMPOSSIBLE
     assert clock.judge(1050, 1.05, 1.051) is Freshness.FRESH
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("mode", ["current", "extended-position"])
-def test_no_byte_leaves_for_a_set_point_that_is_no_number(rig: Rig, limits: Limits, mode: str, value: float) -> None:
-    servo = rig.open(mode=mode)
-    servo.arm(limits)
-    before = len(rig.port.sent)
-    for quantity in Quantity:
-        with pytest.raises(UnsafeCommand):
-            servo.exchange(Command(quantity, value))
-    assert len(rig.port.sent) == before
 
 
 def test_the_page_on_it_shows_the_torque_constants_that_are_used() -> None:

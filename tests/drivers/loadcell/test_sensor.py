@@ -12,12 +12,12 @@ import pytest
 import serial
 from pydantic import TypeAdapter, ValidationError
 
+from drivers.clock import MonotonicClock, VirtualClock
 from drivers.loadcell.config import LoadCellConfig
 from drivers.loadcell.lines import parsed
 from drivers.loadcell.sensor import LoadCell
-from drivers.servo import BadReply, DriverError, LinkLost, MonotonicClock, NoReply
+from drivers.servo import BadReply, DriverError, LinkLost, NoReply
 from drivers.uart.lines import TextLines
-from sim_backend.servo import VirtualClock
 from sim_backend.wire.faults import (
     CorruptReplies,
     DelayReplies,

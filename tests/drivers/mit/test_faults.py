@@ -290,7 +290,7 @@ def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_mit: Make,
     rig.bus.faults.inject(fault)
     with pytest.raises(LinkLost, match="cut the"):
         ask_through_gaps(rig, servo, 3)
-    with pytest.raises(DriverError, match="cut the motor's power"):
+    with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
     servo.close()
     servo.close()
@@ -316,7 +316,7 @@ def test_a_torque_off_that_is_not_done_is_said_loudly(make_mit: Make) -> None:
     rig = make_mit()
     servo = armed(rig)
     rig.device.ignores_off = True
-    with pytest.raises(DriverError, match="cut the motor's power"):
+    with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
     servo.close()
 

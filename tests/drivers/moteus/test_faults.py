@@ -250,7 +250,7 @@ def test_a_bus_that_is_gone_is_a_lost_link_and_close_is_harmless(make_moteus: Ma
     rig.bus.faults.inject(fault)
     with pytest.raises(LinkLost, match="cut the"):
         ask_through_gaps(rig, servo, 3)
-    with pytest.raises(DriverError, match="cut the controller's power"):
+    with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
     servo.close()
     servo.close()
@@ -275,7 +275,7 @@ def test_a_stop_that_is_not_done_is_said_loudly(make_moteus: Make) -> None:
     rig = make_moteus()
     servo = armed(rig)
     rig.device.ignores_stop = True
-    with pytest.raises(DriverError, match="cut the controller's power"):
+    with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
     servo.close()
 

@@ -202,18 +202,6 @@ def test_who_it_is_is_said(make_moteus: Make) -> None:
     assert (info.firmware, info.serial) == ("1.3.4", "3456789a2345678912345678")
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_no_frame_leaves_for_a_set_point_that_is_no_number(make_moteus: Make, value: float) -> None:
-    rig = make_moteus()
-    servo = rig.open()
-    servo.arm(LIMITS)
-    before = len(rig.wire.sent)
-    for quantity in Quantity:
-        with pytest.raises(UnsafeCommand):
-            servo.exchange(Command(quantity, value))
-    assert len(rig.wire.sent) == before
-
-
 def test_a_controller_with_a_high_id_is_spoken_to_in_extended_frames(make_moteus: Make) -> None:
     rig = make_moteus(ident=100)
     servo = rig.open(id=100, source=7)

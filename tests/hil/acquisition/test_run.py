@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from drivers.clock import VirtualClock
 from drivers.servo import Command, LinkLost, NoReply, Quantity, Sample
 from hil.acquisition import excitation, recorder
 from hil.acquisition import run as run_module
@@ -27,7 +28,7 @@ from hil.recording.writer import Header, PartFile
 from hil.stand.file import parse
 from sim_backend.faults import EncoderFreezes, Fault, LinkDrops, RepliesRepeat, Silence, TorqueUnreadable
 from sim_backend.parameters import SimParameters
-from sim_backend.servo import SimServo, VirtualClock
+from sim_backend.servo import SimServo
 
 from ..conftest import SpringServo
 

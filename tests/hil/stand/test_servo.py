@@ -14,7 +14,8 @@ import h5py
 import numpy as np
 import pytest
 
-from drivers.servo import Clock, Command, DriverError, Limits, LinkLost, NoReply, Quantity
+from drivers.clock import Clock, VirtualClock
+from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity
 from hil.errors import WrongUse
 from hil.recording.reader import CHANNELS, Array, Recording
 from hil.recording.writer import Header, write
@@ -24,7 +25,7 @@ from hil.stand.file import parse
 from hil.stand.opening import open_servo
 from hil.stand.servo import SILENCE, StandServo
 from sim_backend.parameters import SimParameters
-from sim_backend.servo import SimServo, VirtualClock
+from sim_backend.servo import SimServo
 
 from ..conftest import Maker
 

@@ -1,0 +1,67 @@
+"""Settings of a device that are changed for a run: written, read back, and restored afterwards."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from drivers.servo import DriverError
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+
+class Settings(Generic[Key, Value]):
+    """The settings of one device that `read` and `write` reach.
+
+    same: whether the device's value is the one that was written. kept: whether the device keeps a setting without
+    power or a later program relies on it, so that it is restored. Every method raises what `read` and `write` do.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[Key], Value],
+        write: Callable[[Key, Value], None],
+        *,
+        same: Callable[[Value, Value], bool] = operator.eq,
+        kept: Callable[[Key], bool] = lambda _key: True,
+    ) -> None:
+        self._read = read
+        self._write = write
+        self._same = same
+        self._kept = kept
+        self._before: dict[Key, Value] = {}
+
+    def require(self, key: Key, value: Value, name: str = "") -> None:
+        """Make a setting hold `value` and read it back; it is written only where it holds another value.
+
+        name: the setting for messages; "" for `key` itself. Raises DriverError where the device keeps another value.
+        """
+        before = self._read(key)
+        if self._same(before, value):
+            return
+        if self._kept(key):
+            self._before.setdefault(key, before)
+        self._write(key, value)
+        now = self._read(key)
+        if not self._same(now, value):
+            raise DriverError(
+                f"the device keeps {_shown(now)} in {name or key} where {_shown(value)} was written: "
+                "it is not safe to go on, nothing was armed"
+            )
+
+    def restore(self) -> None:
+        """Restore what `require` changed, the newest first, as far as the device accepts it."""
+        while self._before:
+            key, value = self._before.popitem()
+            try:
+                self._write(key, value)
+            except DriverError:
+                continue  # one setting that cannot be restored must not keep the others from it
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bytes):
+        return str(int.from_bytes(value, "little", signed=True))
+    return f"{value:g}" if isinstance(value, float) else str(value)

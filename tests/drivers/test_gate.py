@@ -1,0 +1,172 @@
+"""The gate without a device: how often torque-off is requested, what is raised, and what ends nothing early."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from drivers.clock import VirtualClock
+from drivers.gate import Gate, confirm_torque_off, to_counts, watchdog_problem
+from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, UnsafeCommand
+
+LIMITS = Limits(torque=0.1, velocity=10.0, temperature=60.0, position=(-1.0, 1.0))
+PUSH = Command(Quantity.TORQUE, 0.05)
+
+
+class Device:
+    """A protocol that counts requests. fails: raised by the next requests, one each."""
+
+    def __init__(self, *fails: BaseException) -> None:
+        self.fails = list(fails)
+        self.requests: list[int] = []
+        self.released = 0
+        self.gate = Gate("the line", frozenset({Quantity.TORQUE}), torque_off=self.off, release=self.release)
+        self.clock = VirtualClock()
+
+    def off(self, request: int) -> None:
+        self.requests.append(request)
+        if self.fails:
+            raise self.fails.pop(0)
+
+    def release(self) -> None:
+        self.released += 1
+
+    def disarm(self) -> None:
+        self.gate.disarm()
+
+
+class Interrupting(VirtualClock):
+    """Every pause is interrupted."""
+
+    def sleep_until(self, t: float) -> None:  # noqa: ARG002 - the interface's
+        raise KeyboardInterrupt
+
+
+def armed(*fails: BaseException) -> Device:
+    device = Device(*fails)
+    with device.gate.arming(LIMITS):
+        pass
+    return device
+
+
+def test_torque_off_is_requested_until_it_is_confirmed_and_then_no_more() -> None:
+    device = armed(NoReply("lost"), NoReply("lost"))
+    device.gate.disarm()
+    device.gate.disarm()
+    assert device.requests == [0, 1, 2]
+
+
+@pytest.mark.parametrize(("fail", "kind"), [(NoReply, DriverError), (LinkLost, LinkLost)])
+def test_an_unconfirmed_torque_off_is_raised_with_its_cause_and_may_be_requested_again(
+    fail: Callable[[str], DriverError], kind: type[DriverError]
+) -> None:
+    device = armed(*[fail("no answer") for _ in range(3)])
+    with pytest.raises(kind, match=r"not confirmed \(no answer\).*cut the drive's power"):
+        device.gate.disarm()
+    assert device.gate.live
+    with pytest.raises(UnsafeCommand):
+        device.gate.admit(PUSH)
+    device.gate.disarm()
+    assert not device.gate.live
+
+
+@pytest.mark.parametrize("error", [DriverError("refused"), KeyboardInterrupt(), ValueError("a bug")])
+def test_a_failed_arming_leaves_the_servo_disarmed_with_torque_off_requested(error: BaseException) -> None:
+    device = Device()
+    device.gate.live = False
+    with pytest.raises(type(error)), device.gate.arming(LIMITS):
+        raise error
+    assert device.requests == [0]
+    assert not device.gate.armed
+
+
+def test_arming_again_that_fails_does_not_leave_the_old_limits() -> None:
+    device = armed()
+    with pytest.raises(DriverError), device.gate.arming(LIMITS):
+        raise DriverError("refused")
+    with pytest.raises(UnsafeCommand):
+        device.gate.admit(PUSH)
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_servo_that_cannot_be_opened_is_stopped_unconfirmed_and_its_link_closed(stops: bool) -> None:
+    device = Device()
+    calls: list[str] = []
+
+    def stop() -> None:
+        calls.append("stop")
+        if not stops:
+            raise LinkLost("gone")
+
+    with pytest.raises(NoReply), device.gate.opening(stop):
+        raise NoReply("nobody")
+    assert calls == ["stop"]
+    assert device.released == 1
+    with pytest.raises(LinkLost):
+        device.gate.require_open()
+
+
+def test_closing_restores_and_releases_once_though_torque_off_and_restoring_fail() -> None:
+    device = armed(*[LinkLost("gone") for _ in range(3)])
+    restored: list[bool] = []
+
+    def restore() -> None:
+        restored.append(True)
+        raise LinkLost("gone")
+
+    device.gate.close(restore)
+    device.gate.close(restore)
+    assert (device.released, restored) == (1, [True])
+
+
+def test_the_link_is_closed_though_an_interrupt_ends_the_torque_off() -> None:
+    device = armed(KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        device.gate.close()
+    assert device.released == 1
+
+
+def test_a_command_is_clamped_to_the_limits_that_were_armed() -> None:
+    device = armed()
+    assert device.gate.admit(PUSH) == (PUSH, False)
+    admitted = device.gate.admit(Command(Quantity.TORQUE, -1.0))
+    assert admitted == (Command(Quantity.TORQUE, -0.1), True)
+
+
+def test_confirming_outlasts_errors_and_interrupts_and_reports_the_interrupt() -> None:
+    device = armed(KeyboardInterrupt(), ValueError("a bug"), NoReply("lost"))
+    device.fails += [NoReply("lost"), NoReply("lost"), KeyboardInterrupt()]
+    result = confirm_torque_off(device)  # type: ignore[arg-type]  # only what it calls
+    assert (result.confirmed, result.alarm) == (True, "")
+    assert isinstance(result.error, KeyboardInterrupt)
+
+
+def test_confirming_gives_up_after_about_one_second_with_an_alarm() -> None:
+    device = armed(*[NoReply("lost") for _ in range(1000)])
+    result = confirm_torque_off(device)  # type: ignore[arg-type]  # only what it calls
+    assert not result.confirmed
+    assert "CUT THE POWER" in result.alarm
+    assert len(device.requests) == 60
+    assert device.clock.now() == pytest.approx(1.0)
+
+
+def test_confirming_survives_interrupts_of_its_pauses() -> None:
+    device = armed(*[NoReply("lost") for _ in range(30)])
+    device.clock = Interrupting()
+    result = confirm_torque_off(device)  # type: ignore[arg-type]  # only what it calls
+    assert result.confirmed
+    assert isinstance(result.error, KeyboardInterrupt)
+
+
+@pytest.mark.parametrize(("value", "lsb"), [(math.nan, 1.0), (math.inf, 1.0), (1e300, 1e-300)])
+def test_what_cannot_be_encoded_is_refused(value: float, lsb: float) -> None:
+    with pytest.raises(UnsafeCommand):
+        to_counts(value, lsb)
+
+
+@pytest.mark.parametrize(("watchdog", "fits"), [(0.0, True), (0.015, False), (0.016, True)])
+def test_a_watchdog_outlasts_one_lost_reply(watchdog: float, fits: Any) -> None:
+    assert (watchdog_problem("mit", watchdog, 0.008) == "") == fits
