@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from page import DOCS, machine
 
 from drivers.servo import Quantity
-from ga.lad.exact import least_absolute_deviations
+from ga.evolution.evolution import PRESETS
 from ga.model.terms import parse as parse_model
 from hil.acquisition import excitation
 from hil.acquisition.excitation import Profile
 from hil.acquisition.run import run
+from hil.experiment_design.advice import described
 from hil.experiment_design.assessment import Assessment, assess, task_of
-from hil.experiment_design.diagnostics import named
-from hil.identification.dataset import open_dataset
+from hil.identification.identify import Search, identify
 from hil.stand.file import SIMULATED, Stand, parse
 
 RATE = 500.0
@@ -79,8 +79,9 @@ def found(case: Case, stand: Stand, seed: int, folder: Path) -> NDArray[np.float
     """Kc and Bc of one recording: the exact optimum of `hil identify`."""
     path, outcome = run(stand, profile_of(case), rate=RATE, seed=seed, output=folder / "run.h5", force=True)
     assert outcome.error is None, outcome.error
-    with open_dataset([path], parse_model(case.model)) as data:
-        return least_absolute_deviations(data.columns, data.torque).genes[:2]
+    search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
+    estimates = identify([path], parse_model(case.model), search)
+    return np.array([estimates[name].exact for name in ("Kc", "Bc")])
 
 
 def rows(case: Case, seeds: int) -> list[str]:
@@ -94,7 +95,7 @@ def rows(case: Case, seeds: int) -> list[str]:
         spread = float(genes[:, index].std(ddof=1))
         wrong = float(genes[:, index].mean()) / parameter.rough - 1.0
         lines.append(
-            f"| {f'{named(judged.profile)}: {case.name}' if not index else ''} | {case.model if not index else ''} "
+            f"| {f'{described(judged.profile)}: {case.name}' if not index else ''} | {case.model if not index else ''} "
             f"| {name} | {parameter.error / parameter.rough:.3%} | {spread / parameter.rough:.3%} "
             f"| {spread / parameter.error:.2f} | {parameter.bound / parameter.rough:.3%} "
             f"| {parameter.bias / parameter.rough:+.2%} | {wrong:+.2%} |"

@@ -22,11 +22,12 @@ from drivers.servo import Quantity
 from ga.bounds import PAPER_BOUNDS
 from ga.evolution.evolution import PRESETS, Settings
 from ga.lad.exact import least_absolute_deviations
-from ga.model.terms import parse as parse_model
 from ga.trials.trials import run_trials
 from hil.acquisition import excitation
 from hil.acquisition.run import run
-from hil.identification.dataset import open_dataset
+from hil.identification.dataset import stand_of
+from hil.recording.reader import Recording
+from hil.signals.prepare import prepare
 from hil.stand.file import SIMULATED, parse
 
 Array = NDArray[np.float64]
@@ -55,8 +56,9 @@ def recording(folder: Path, seed: int, *, sim: str = "", amplitude: float = 0.00
 
 
 def columns_of(path: Path) -> tuple[Array, Array]:
-    with open_dataset([path], parse_model("linear")) as data:
-        return data.columns, data.torque
+    with Recording(path) as recording:
+        signals = prepare(recording, stand_of(recording))
+    return np.column_stack([signals.dtheta, signals.dtheta_dot]), signals.torque
 
 
 def row(what: str, varies: str, genes: Array) -> str:

@@ -1,4 +1,4 @@
-"""`hil inspect`, `hil import`, `hil export`, `hil recover`: what is done with files."""
+"""`hil inspect`, `hil import`, `hil export`, `hil recover`: the commands that work on files."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.terminal import UNTRUSTWORTHY, Force, Json, Output, command_line, out, out_table, print_json, tell
+from hil.cli.options import Force, Json, Output, StandFile
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 def inspect(
     recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")], as_json: Json = False
 ) -> None:
-    """Say what a recording holds and whether it can be used."""
+    """Summarise a recording and check its quality."""
     from hil.report.identification import inspection_json, inspection_table
     from hil.signals.inspection import inspect as look
 
@@ -27,7 +28,7 @@ def inspect(
     else:
         out_table(inspection_table(seen))
         out("usable" if seen.usable else "not usable")
-    tell(seen.diagnostics)
+    print_diagnostics(seen.diagnostics)
     if not seen.usable:
         raise typer.Exit(UNTRUSTWORTHY)
 
@@ -35,44 +36,39 @@ def inspect(
 def import_data(
     source: Annotated[Path, typer.Argument(help="CSV (or .csv.gz) with a heading line, .parquet or .mat.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The recording to write.")],
-    time: Annotated[str | None, typer.Option(help="Column of the time. No column at all: an export of hil.")] = None,
+    time: Annotated[str | None, typer.Option(help="Column of the time; none at all for a file of hil export.")] = None,
     torque: Annotated[str | None, typer.Option(help="Column of the torque at the joint.")] = None,
     dtheta: Annotated[str | None, typer.Option(help="Column of the deflection.")] = None,
-    dtheta_dot: Annotated[str | None, typer.Option(help="Column of its rate; else from the deflection.")] = None,
+    dtheta_dot: Annotated[str | None, typer.Option(help="Column of its rate [default: from the deflection].")] = None,
     motor_torque: Annotated[str | None, typer.Option(help="Column of the motor's torque (with --stand).")] = None,
     motor_position: Annotated[str | None, typer.Option(help="Column of the motor's position (with --stand).")] = None,
-    time_unit: Annotated[str | None, typer.Option(help="s, ms, us, ns; else as the heading says, or s.")] = None,
+    time_unit: Annotated[str | None, typer.Option(help="s, ms, us, ns [default: the heading's, or s].")] = None,
     torque_unit: Annotated[str | None, typer.Option(help="N*m, mN*m, kgf*cm, ...; of either torque.")] = None,
     dtheta_unit: Annotated[str | None, typer.Option(help="rad, deg, rev; of deflection or motor position.")] = None,
     dtheta_dot_unit: Annotated[str | None, typer.Option(help="rad/s, deg/s, rev/s, rpm.")] = None,
-    torque_scale: Annotated[float, typer.Option(help="Multiplies the torque besides; -1 turns its sign.")] = 1.0,
-    dtheta_scale: Annotated[float, typer.Option(help="The same of the deflection or the motor position.")] = 1.0,
-    dtheta_dot_scale: Annotated[float, typer.Option(help="The same of the rate.")] = 1.0,
-    where: Annotated[list[str] | None, typer.Option(help="Keep rows: 'test_nr==100'; may be repeated.")] = None,
-    stand: Annotated[Path | None, typer.Option(help="The stand file the data was made on.")] = None,
+    torque_scale: Annotated[float, typer.Option(help="Multiply the torque; -1 inverts its sign.")] = 1.0,
+    dtheta_scale: Annotated[float, typer.Option(help="Multiply the deflection or the motor position.")] = 1.0,
+    dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
+    where: Annotated[list[str] | None, typer.Option(help="Row filter: 'test_nr==100'; repeat for several.")] = None,
+    stand: StandFile = None,
     force: Force = False,
 ) -> None:
-    """Bring a table into a recording: CSV, Parquet, MATLAB, or what hil export wrote."""
+    """Make a recording from a table: CSV, Parquet, MATLAB, or a file of hil export."""
     from hil.exchange.importer import import_table
-    from hil.exchange.row_filter import Condition
+    from hil.exchange.row_filter import RowFilter
     from hil.recording.output import check_part, check_target
     from hil.stand.file import load
 
     check_target(output, force=force, inputs=[source] if stand is None else [source, stand])
     check_part(output)
-    torques, angles, rates = (
-        (torque_unit, torque_scale),
-        (dtheta_unit, dtheta_scale),
-        (dtheta_dot_unit, dtheta_dot_scale),
-    )
     done = import_table(
         source,
         output,
         _columns("time", (time_unit, 1.0), time=time)
-        | _columns("torque", torques, torque=torque, motor_torque=motor_torque)
-        | _columns("dtheta", angles, dtheta=dtheta, motor_position=motor_position)
-        | _columns("dtheta-dot", rates, dtheta_dot=dtheta_dot),
-        [Condition.parse(text) for text in where or ()],
+        | _columns("torque", (torque_unit, torque_scale), torque=torque, motor_torque=motor_torque)
+        | _columns("dtheta", (dtheta_unit, dtheta_scale), dtheta=dtheta, motor_position=motor_position)
+        | _columns("dtheta-dot", (dtheta_dot_unit, dtheta_dot_scale), dtheta_dot=dtheta_dot),
+        [RowFilter.parse(text) for text in where or ()],
         stand=None if stand is None else load(stand),
         command_line=command_line(),
     )
@@ -81,13 +77,13 @@ def import_data(
 
 
 def _columns(option: str, given: tuple[str | None, float], **names: str | None) -> dict[str, Column]:
-    """The columns that were named, with the unit and scale of their option. Raises WrongUse where those have none."""
+    """Return the named columns with the unit and scale of their option. Raises WrongUse for a unit without a column."""
     from hil.exchange.importer import Column
 
     found = {channel: Column(name, *given) for channel, name in names.items() if name is not None}
     if not found and given != (None, 1.0):
         columns = " or ".join(f"--{channel.replace('_', '-')}" for channel in names)
-        raise WrongUse(f"--{option}-unit and --{option}-scale are of a column: name it with {columns}")
+        raise WrongUse(f"--{option}-unit and --{option}-scale need a column: name it with {columns}")
     return found
 
 
@@ -106,11 +102,11 @@ def export_data(
 
 
 def recover(
-    part: Annotated[Path, typer.Argument(help="A recording that never ended: NAME.h5.part.")],
+    part: Annotated[Path, typer.Argument(help="An unfinished recording: NAME.h5.part.")],
     output: Output = None,
     force: Force = False,
 ) -> None:
-    """Turn a left-over .part into a finished recording; the .part is not touched."""
+    """Turn an unfinished .part file into a recording; the .part file is kept."""
     from hil.recording.output import check_target
     from hil.recording.writer import finalise
 

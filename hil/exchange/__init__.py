@@ -1,1 +1,1 @@
-"""Tables of other programs in and out, with their units."""
+"""The import and export of tables, with their units."""

@@ -1,4 +1,4 @@
-"""Named columns out of other people's files: CSV, Parquet, MATLAB."""
+"""Named columns of a table file: CSV, Parquet or MATLAB."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hil.errors import WrongUse
 from hil.exchange import delimited, matlab
-from hil.exchange.row_filter import Condition
+from hil.exchange.row_filter import RowFilter
 from hil.exchange.units import split
 
 Array = NDArray[np.float64]
@@ -21,14 +21,14 @@ Rows = NDArray[np.int64]
 
 
 def titles(source: Path) -> list[str]:
-    """The columns that a file has, in order. Raises WrongUse for a file that cannot be read."""
+    """Return the names of a file's columns, in order. Raises WrongUse for a file that cannot be read."""
     if source.suffix.lower() in _FILES:
         return list(_columns(source))
     return delimited.titles(source)
 
 
 def place(source: Path, known: Sequence[str], name: str) -> int:
-    """Where the column `name` stands among a file's titles; "tau" also finds "tau [mN m]". Raises WrongUse."""
+    """Return the index of the column `name`; "tau" also finds "tau [mN m]". Raises WrongUse."""
     for candidates in (list(known), [split(title)[0] for title in known]):
         if candidates.count(name) > 1:
             raise WrongUse(f"{source} has {candidates.count(name)} columns named {name!r}: rename all but one")
@@ -37,24 +37,26 @@ def place(source: Path, known: Sequence[str], name: str) -> int:
     near = get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     if known and all(_is_number(title) for title in known):
-        hint = "its first line holds numbers: write the columns' names above them; "
+        hint = "its first line holds numbers: write the column names above them; "
     raise WrongUse(f"{source} has no column {name!r}; {hint}it has {', '.join(known)}")
 
 
-def read(source: Path, wanted: Sequence[str], where: Sequence[Condition]) -> tuple[Array, Rows]:
-    """The columns `wanted`, named as `place` finds them, of the rows that meet every condition.
+def read(source: Path, wanted: Sequence[str], where: Sequence[RowFilter]) -> tuple[Array, Rows]:
+    """Return the columns `wanted`, (columns, n), of the rows that pass every filter, and their row numbers, (n,).
 
-    The result is (columns, n) and the rows' numbers in the file. Raises WrongUse for what is wrong with the file, with
-    the row at fault, and where no row is left.
+    wanted: names as `place` finds them. Raises WrongUse for an error in the file, with its row, and where no row is
+    left.
     """
     known = titles(source)
     at = [place(source, known, name) for name in wanted]
-    tests = [(place(source, known, condition.column), condition) for condition in where]
+    filters = [(place(source, known, one.column), one) for one in where]
     table, rows = (
-        _read_whole(source, known, at, tests) if source.suffix.lower() in _FILES else delimited.read(source, at, tests)
+        _read_whole(source, known, at, filters)
+        if source.suffix.lower() in _FILES
+        else delimited.read(source, at, filters)
     )
     if not len(rows):
-        what = "no row meets " + " and ".join(str(condition) for condition in where) if where else "it has no rows"
+        what = "no row passes " + " and ".join(str(one) for one in where) if where else "it has no rows"
         raise WrongUse(f"{source}: {what}")
     return table, rows
 
@@ -68,17 +70,17 @@ def _is_number(text: str) -> bool:
 
 
 def _read_whole(
-    source: Path, known: Sequence[str], wanted: Sequence[int], tests: Sequence[tuple[int, Condition]]
+    source: Path, known: Sequence[str], wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]
 ) -> tuple[Array, Rows]:
     columns = _columns(source)
-    numbers = {at: _numbers(source, known[at], columns[known[at]]()) for at in [*wanted, *(at for at, _ in tests)]}
+    numbers = {at: _numbers(source, known[at], columns[known[at]]()) for at in [*wanted, *(at for at, _ in filters)]}
     lengths = {known[at]: len(values) for at, values in numbers.items()}
     if len(set(lengths.values())) > 1:
-        said = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise WrongUse(f"{source}: columns of unequal length ({said}): name columns that belong together")
+        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise WrongUse(f"{source}: columns of unequal length ({listed}): name columns of one table")
     kept = np.ones(next(iter(lengths.values())), dtype=np.bool_)
-    for at, condition in tests:
-        kept &= condition.mask(numbers[at])
+    for at, one in filters:
+        kept &= one.mask(numbers[at])
     return np.stack([numbers[at][kept] for at in wanted]), np.flatnonzero(kept) + 1
 
 
@@ -98,7 +100,7 @@ def _columns(source: Path) -> _Columns:
 
 
 def parquet(path: Path) -> ModuleType:
-    """pyarrow's Parquet module, which is optional. Raises WrongUse where it is not installed; `path` is why."""
+    """Return pyarrow's Parquet module, needed for `path`. Raises WrongUse where it is not installed."""
     try:
         import pyarrow.parquet
     except ImportError:

@@ -1,4 +1,4 @@
-"""CSV as people's programs write it: separators, byte-order marks, decimal commas; a sentence for what is wrong."""
+"""CSV files of other programs: any separator, byte-order marks, decimal commas; every error with its row."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
-from hil.exchange.row_filter import Condition
+from hil.exchange.row_filter import RowFilter
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -29,15 +29,15 @@ _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 
 
 def titles(source: Path) -> list[str]:
-    """The headings of the first line, in order. Raises WrongUse for a file that is no text."""
+    """Return the headings of the first line, in order. Raises WrongUse for a file that is no text."""
     with _text(source) as text:
         return _header(source, text)[0]
 
 
-def read(source: Path, wanted: Sequence[int], tests: Sequence[tuple[int, Condition]]) -> tuple[Array, Rows]:
-    """The columns at the places `wanted` of the rows that meet every condition, (columns, n), and their lines (n,).
+def read(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]) -> tuple[Array, Rows]:
+    """Return the columns `wanted`, by index, of the rows that pass every filter, (columns, n), and their lines (n,).
 
-    Cells of rows that are left out are not looked at. An empty cell is NaN. Raises WrongUse with the row at fault.
+    The other cells of rows that are left out are not read. An empty cell is NaN. Raises WrongUse with the row at fault.
     """
     kept = [array("d") for _ in wanted]
     lines = array("q")
@@ -51,7 +51,7 @@ def read(source: Path, wanted: Sequence[int], tests: Sequence[tuple[int, Conditi
             line = reader.line_num + 1
             if len(row) != len(names):
                 raise WrongUse(_unequal(source, line, row, names, delimiter))
-            if all(condition.holds(cells.number(line, at, row[at])) for at, condition in tests):
+            if all(one.keeps(cells.number(line, at, row[at])) for at, one in filters):
                 for column, at in zip(kept, wanted, strict=True):
                     column.append(cells.number(line, at, row[at]))
                 lines.append(line)
@@ -77,10 +77,10 @@ def _csv_error(error: csv.Error) -> str:
 
 
 def _unequal(source: Path, line: int, row: list[str], names: list[str], delimiter: str) -> str:
-    said = f"{source}, row {line}: {len(row)} fields, but the header names {len(names)}: "
+    start = f"{source}, row {line}: {len(row)} fields, but the header names {len(names)}: "
     if delimiter == "," and len(row) > len(names):
-        return said + "mend the row; where decimals are written with commas, separate the columns with semicolons"
-    return said + "mend the row, or delete it if the file was cut off there"
+        return start + "mend the row; where decimals are written with commas, separate the columns with semicolons"
+    return start + "mend the row, or delete it if the file was cut off there"
 
 
 def _header(source: Path, text: TextIO) -> tuple[list[str], str]:
@@ -112,33 +112,33 @@ def _bytes(source: Path) -> gzip.GzipFile | BufferedReader:
 
 
 def _encoding(source: Path) -> str:
-    """UTF-8, with a byte-order mark or without, or the UTF-16 that spreadsheets call Unicode text."""
+    """Return UTF-8, with or without a byte-order mark, or the UTF-16 that spreadsheets call Unicode text."""
     with _bytes(source) as raw:
         return "utf-16" if raw.read(2) in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig"
 
 
 class _Cells:
-    """Reads numbers, and learns from them how the file writes decimals: with a point or a comma, never both.
+    """The reader of numbers, which finds out whether the file writes decimals with a point or a comma, never both.
 
-    "1,234" may be a thousand in one program and a decimal in another. It is taken for a decimal once another number
-    ("0,5", "12,25") cannot be anything else; a file in which none is one is refused.
+    "1,234" may be a thousand in one program and a decimal in another. It is read as a decimal if some other number
+    ("0,5", "12,25") can only be one; a file without such a number is refused.
     """
 
     def __init__(self, source: Path, names: list[str]) -> None:
         self._source = source
         self._names = names
-        self._point = ""  # where the first number with a point stands, and with a comma
+        self._point = ""  # the place of the first number with a point, and with a comma
         self._comma = ""
         self._sure = False
 
     def number(self, line: int, at: int, cell: str) -> float:
-        """The number in a cell; NaN for an empty one, which identification drops and counts."""
+        """Return the number in a cell; NaN for an empty one, which identification drops and counts."""
         text = cell.strip()
         if not text:
             return math.nan
         try:
             if "_" in text:
-                raise ValueError  # Python's own way with thousands, and nobody else's
+                raise ValueError  # only Python separates thousands so
             value = float(text)
         except ValueError:
             return self._with_comma(line, at, text)
@@ -167,9 +167,9 @@ class _Cells:
             )
 
     def check_commas(self) -> None:
-        """Raise WrongUse where every comma may as well stand for thousands."""
+        """Raise WrongUse where every comma may also be a thousands separator."""
         if self._comma and not self._sure:
             raise WrongUse(
-                f"{self._source}: {self._comma}, may be a decimal or a thousand, and so may every number with a comma "
-                "there: write decimals with a point"
+                f"{self._source}: {self._comma}, may be a decimal or a thousand, like every number with a comma "
+                "in the file: write decimals with a point"
             )

@@ -1,4 +1,4 @@
-"""Other people's tables into a recording: named columns, units, signs, a row filter."""
+"""The import of a table as a recording: named columns, units, signs, row filters."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
-from hil.exchange import columns as tables
 from hil.exchange import units
+from hil.exchange.columns import place, read, titles
 from hil.exchange.exporter import heading
-from hil.exchange.row_filter import Condition
+from hil.exchange.row_filter import RowFilter
 from hil.recording.reader import CHANNELS
 from hil.recording.writer import Header, write
 from hil.stand.file import Stand
@@ -32,7 +32,7 @@ DIMENSION: Mapping[str, str] = MappingProxyType(
         "motor_position": "angle",
     }
 )
-"""The channels that a column can be named for, and what each measures."""
+"""The channels that a column can be named for, and the dimension of each."""
 
 _SI: Mapping[str, str] = MappingProxyType({"time": "s", "torque": "N*m", "angle": "rad", "rate": "rad/s"})
 _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
@@ -40,9 +40,9 @@ _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """Where a channel comes from: the column's name, its unit there, and what its numbers are multiplied by besides.
+    """The source of a channel: a column's name, its unit, and a further factor.
 
-    unit: None takes the one that the heading names ("tau [mN m]", "tau_mNm"), SI where it names none. scale: -1 turns
+    unit: None takes the one that the heading names ("tau [mN m]", "tau_mNm"), SI where it names none. scale: -1 inverts
     the sign.
     """
 
@@ -53,7 +53,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What was brought in. duration: s. units: of each column that has one, as they were understood."""
+    """The result of an import. duration: s. units: the unit that was used for each channel."""
 
     samples: int
     duration: float
@@ -64,26 +64,25 @@ def import_table(
     source: Path,
     target: Path,
     columns: Mapping[str, Column],
-    where: Sequence[Condition],
+    where: Sequence[RowFilter],
     *,
     stand: Stand | None = None,
     command_line: str = "",
 ) -> Imported:
-    """Write the rows of a CSV, .csv.gz, Parquet or .mat file that meet every condition as a recording.
+    """Write the rows of a CSV, .csv.gz, Parquet or .mat file that pass every filter as a recording.
 
-    columns: channel (see DIMENSION) to its column: time, torque or motor_torque, and dtheta or motor_position; what is
-    of the motor comes to the joint through the stand's gear. {}: the file is an export of hil, whose headings say all.
-    Raises WrongUse, with the row where one is at fault.
+    columns: channel (see DIMENSION) to its column: time, torque or motor_torque, and dtheta or motor_position; motor
+    channels are converted to the joint by the stand's gear. {}: the file is an export of hil. Raises WrongUse, with the
+    row at fault.
     """
     if columns:
         _check_channels(columns, stand)
-    known = tables.titles(source)
+    known = titles(source)
     names = {channel: column.name for channel, column in columns.items()} or _own(source, known)
     understood = {
-        channel: _unit(channel, known[tables.place(source, known, column.name)], column)
-        for channel, column in columns.items()
+        channel: _unit(channel, known[place(source, known, column.name)], column) for channel, column in columns.items()
     }
-    table, rows = tables.read(source, list(names.values()), where)
+    table, rows = read(source, list(names.values()), where)
     channels = dict(zip(names, table, strict=True))
     for channel, unit in understood.items():
         channels[channel] = channels[channel] * (columns[channel].scale * units.factor(DIMENSION[channel], unit))
@@ -100,7 +99,7 @@ def import_table(
 
 
 def _own(source: Path, known: Sequence[str]) -> dict[str, str]:
-    """The columns of a file that `hil export` wrote, by channel."""
+    """Return the headings in a file of `hil export`, by channel."""
     found = {name: heading(name) for name in CHANNELS if name != "seq"}  # the rows are numbered anew
     if not set(found.values()) <= set(known):
         raise WrongUse(f"name the columns of {source} with --time, --torque and --dtheta; it has {', '.join(known)}")
@@ -126,19 +125,19 @@ def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
 
 
 def _unit(channel: str, title: str, column: Column) -> str:
-    """The unit of a column: the one given, or else the heading's, or else SI. Raises WrongUse where the two differ."""
+    """Return a column's unit: the one given, else the heading's, else SI. Raises WrongUse where the two differ."""
     dimension = DIMENSION[channel]
     name, inside = units.split(title)
     named = inside or units.suffix(dimension, name)
     if column.unit is None:
         if named and units.canonical(dimension, named) is None:
-            raise WrongUse(f"column {title!r} names a unit of {dimension} that is not known: {_give(channel)}")
+            raise WrongUse(f"column {title!r} names an unknown unit of {dimension}: {_give(channel)}")
         return named or _SI[dimension]
     factor = units.factor(dimension, column.unit)
     if named and units.canonical(dimension, named) is not None and units.factor(dimension, named) != factor:
         raise WrongUse(
-            f"column {title!r} is in {named} by its heading and in {column.unit} by the command: mend the heading, or "
-            "leave the option out"
+            f"column {title!r} is in {named} by its heading and in {column.unit} by the option: correct the heading, "
+            "or omit the option"
         )
     return column.unit
 
@@ -175,10 +174,10 @@ def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> 
 
 
 def _check_rate(source: Path, time: Array, dtheta: Array, rate: Array) -> None:
-    """Refuse a rate that has the deflection's shape and another size: their units or signs are mixed.
+    """Refuse a rate that has the deflection's shape and another size: their units or signs differ.
 
-    The rate's integral is compared with the deflection, both without a line in time: noise and a coarse clock matter
-    little there, and what is not alike in shape is not judged.
+    The rate's integral is compared with the deflection, both without their linear trend: noise and a coarse clock have
+    little effect on them. Curves of different shape are not compared.
     """
     good = np.isfinite(dtheta) & np.isfinite(rate)
     time, dtheta, rate = time[good], dtheta[good], rate[good]
@@ -194,6 +193,6 @@ def _check_rate(source: Path, time: Array, dtheta: Array, rate: Array) -> None:
     ratio = product / float(moved @ moved)
     if not 0.5 < ratio < 2.0:
         raise WrongUse(
-            f"{source}: the rate of the deflection is {ratio:.3g} times what the deflection does: their units or signs "
-            "differ; give --dtheta-unit and --dtheta-dot-unit, or turn a sign with --dtheta-dot-scale -1"
+            f"{source}: the deflection's rate is {ratio:.3g} times its derivative: their units or signs "
+            "differ; give --dtheta-unit and --dtheta-dot-unit, or invert a sign with --dtheta-dot-scale -1"
         )

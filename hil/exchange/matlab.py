@@ -1,7 +1,7 @@
-"""Vectors out of MATLAB's level 5 MAT-files (save -v6 and -v7), as MathWorks' "MAT-File Format" describes them.
+"""Vectors of MATLAB's level 5 MAT-files (save -v6 and -v7), as MathWorks' "MAT-File Format" describes them.
 
-SciPy reads more of the format, and ends the process with a segmentation fault on a damaged file. Here every length is
-checked against what is there.
+SciPy reads more of the format, but ends the process with a segmentation fault on a damaged file. Here every length is
+checked against the data.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _COMPLEX = 0x0800
 
 
 def vectors(source: Path) -> dict[str, Array]:
-    """Every real vector of the file by name, (n,) each; those in a struct of one element as "struct.field".
+    """Return every real vector of the file by name, (n,) each; those in a struct of one element as "struct.field".
 
-    Raises WrongUse for what is no MAT-file of level 5, and for a damaged one.
+    Raises WrongUse for a file that is not a MAT-file of level 5, and for a damaged one.
     """
     try:
         data = source.read_bytes()
@@ -45,7 +45,7 @@ def vectors(source: Path) -> dict[str, Array]:
     try:
         for kind, content in _elements(data[_HEADER:], order):
             if kind == _COMPRESSED:
-                [(kind, content)] = list(_elements(zlib.decompress(content), order))  # noqa: PLW2901 - what was packed
+                [(kind, content)] = list(_elements(zlib.decompress(content), order))  # noqa: PLW2901 - unpacked
             if kind == _MATRIX:
                 _collect(found, _Matrix.of(content, order), order)
     except (ValueError, StopIteration, struct.error, zlib.error) as error:
@@ -55,7 +55,7 @@ def vectors(source: Path) -> dict[str, Array]:
 
 @dataclass(frozen=True, slots=True)
 class _Matrix:
-    """One variable: its class, flags, sizes and name, and the elements that follow."""
+    """A variable: its class, flags, sizes and name, and the elements that follow."""
 
     kind: int
     complex: bool
@@ -73,7 +73,7 @@ class _Matrix:
 
 
 def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """The elements of a stretch of the file in turn, each its type and content."""
+    """Yield the elements of a part of the file, each its type and content."""
     at = 0
     while at < len(data):
         first, size = struct.unpack_from(f"{order}II", data, at)
@@ -83,7 +83,7 @@ def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
             start = at + 8
             step = 8 + (size if first == _COMPRESSED else (size + 7) // 8 * 8)
         if start + size > len(data) or (step == 8 and size > 4):
-            raise ValueError("an element is longer than what is there")
+            raise ValueError("an element is longer than the file")
         yield first, data[start : start + size]
         at += step
 
@@ -102,14 +102,14 @@ def _collect(found: dict[str, Array], matrix: _Matrix, order: str) -> None:
 
 
 def _vector(found: dict[str, Array], name: str, matrix: _Matrix, order: str) -> None:
-    """Keep a real numeric array with at most one size above one; what else there is, a table has no use for."""
+    """Keep a real numeric array with at most one size above one; a table has no column for anything else."""
     long = [size for size in matrix.sizes if size != 1]
     if matrix.kind not in _NUMERIC or matrix.complex or len(long) > 1:
         return
     kind, content = next(matrix.rest)
     if kind not in _NUMBERS:
-        raise ValueError(f"{name} is kept as type {kind}, which is not known")
+        raise ValueError(f"{name} is stored as the unknown type {kind}")
     values = np.frombuffer(content, f"{order}{_NUMBERS[kind]}")
     if len(values) != (long[0] if long else 1):
-        raise ValueError(f"{name} has {len(values)} numbers and says otherwise")
+        raise ValueError(f"{name} has {len(values)} numbers, and other sizes in its header")
     found[name] = values.astype(np.float64)

@@ -1,4 +1,4 @@
-"""Which rows of a table are kept: a column compared with a number."""
+"""Row filters: which rows of a table are kept, by comparing a column with a number."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _COMPARISONS: Mapping[str, Callable[..., bool | np.bool_ | NDArray[np.bool_]]] =
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
-    """A row is kept where `column` compares so with `value`."""
+class RowFilter:
+    """A filter that keeps the rows in which `column` compares so with `value`."""
 
     column: str
     comparison: str
     value: float
 
     @classmethod
-    def parse(cls, text: str) -> Condition:
-        """A condition such as "test_nr==100". Raises WrongUse."""
+    def parse(cls, text: str) -> RowFilter:
+        """Return the filter that a text such as "test_nr==100" describes. Raises WrongUse."""
         match = re.fullmatch(r"\s*(.+?)\s*(==|!=|<=|>=|<|>)\s*(\S+)\s*", text)
         if match:
             try:
@@ -49,10 +49,10 @@ class Condition:
     def __str__(self) -> str:
         return f"{self.column}{self.comparison}{self.value:g}"
 
-    def holds(self, value: float) -> bool:
-        """Whether a row with `value` in the column is kept."""
+    def keeps(self, value: float) -> bool:
+        """Return whether a row with `value` in the column is kept."""
         return bool(_COMPARISONS[self.comparison](value, self.value))
 
     def mask(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the rows with `values` (n,) in the column are kept, (n,)."""
+        """Return which of the rows with `values` (n,) in the column are kept, (n,)."""
         return np.asarray(_COMPARISONS[self.comparison](values, self.value), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Units that people write, in options and in the headings of tables, as factors to SI."""
+"""Units in options and table headings, as factors to SI."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ _SPELLINGS: Mapping[str, str] = MappingProxyType(
         "1/min": "rpm",
     }
 )
-"""Other names of the units above, without what stands between the letters."""
+"""Other names of the units above, without the signs between the letters."""
 
 
 def canonical(dimension: str, unit: str) -> str | None:
-    """The table's name of a unit however its factors are joined ("Nm", "N m", "N·m", "N.m"); None: not in the table.
+    """Return the table's name of a unit, however its factors are joined ("Nm", "N m", "N·m", "N.m"); None: unknown.
 
-    Case counts: a capital letter is another prefix.
+    Case matters: a capital letter is another prefix.
     """
     table = UNITS[dimension]
     squeezed = _squeeze(unit)
@@ -89,9 +89,9 @@ def _squeeze(unit: str) -> str:
 
 
 def factor(dimension: str, unit: str) -> float:
-    """What a number in `unit` is multiplied by to be in SI.
+    """Return the factor from `unit` to SI.
 
-    dimension: "time", "torque", "angle" or "rate". Raises WrongUse for a unit that is not in the table.
+    dimension: "time", "torque", "angle" or "rate". Raises WrongUse for an unknown unit.
     """
     name = canonical(dimension, unit)
     table = UNITS[dimension]
@@ -103,7 +103,7 @@ def factor(dimension: str, unit: str) -> float:
 
 
 def split(title: str) -> tuple[str, str | None]:
-    """A column's heading as name and unit: "tau [mN m]" and "tau (mN m)" both name mN m; None where there is none."""
+    """Return a heading's name and unit: "tau [mN m]" and "tau (mN m)" both have mN m; None where there is none."""
     match = re.fullmatch(r"\s*(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*", title)
     if match is None or not match[1]:
         return title.strip(), None
@@ -111,6 +111,6 @@ def split(title: str) -> tuple[str, str | None]:
 
 
 def suffix(dimension: str, title: str) -> str | None:
-    """The unit that a name such as "torque_mNm" or "angle_deg" ends in; None where the end is no unit."""
+    """Return the unit at the end of a name such as "torque_mNm" or "angle_deg"; None where the end is no unit."""
     _, line, last = title.rpartition("_")
     return canonical(dimension, last) if line and last else None

@@ -63,3 +63,23 @@ def test_the_comparison_with_others_replaces_its_own_section_only(written: Path)
 
 def test_the_comparison_with_others_draws_its_picture(written: Path) -> None:
     assert (written / "docs" / "pictures" / "peers.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_design_benchmark_compares_every_case_with_its_prediction(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "benchmarks", tmp_path / "benchmarks", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "design.md"
+    page.write_text("before\n<!-- monte carlo: begin -->\nold\n<!-- monte carlo: end -->\nafter\n")
+    subprocess.run(
+        [sys.executable, "benchmarks/design.py", "--seeds", "2"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        check=True,
+    )
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    rows = [line.split("|") for line in text.splitlines() if "%" in line and line.startswith("|")]
+    assert [row[3].strip() for row in rows] == ["Kc", "Bc"] * 6
+    assert all(0.0 < float(row[6]) < 10.0 for row in rows)  # the ratio of found to predicted error, of two recordings

@@ -32,11 +32,11 @@ def hil(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("text", "words", "said"),
     [
-        (GOOD, ("--where", "run==9"), "no row meets run==9"),
+        (GOOD, ("--where", "run==9"), "no row passes run==9"),
         (GOOD, ("--where", "run~9"), "write a column"),
         (GOOD, ("--torque-unit", "Nmm/s"), "unknown unit of torque"),
         (GOOD, ("--dtheta-dot", "rate"), "no column 'rate'"),
-        (GOOD, ("--dtheta-dot-unit", "rpm"), "are of a column: name it with --dtheta-dot"),
+        (GOOD, ("--dtheta-dot-unit", "rpm"), "need a column: name it with --dtheta-dot"),
         (GOOD, ("--motor-torque", "q"), "give either --torque or --motor-torque"),
         (GOOD.replace(",q,", ",q [mN m],"), ("--torque-unit", "N*m"), "in mN m by its heading"),
         (GOOD.replace("0.5,", "half,"), (), "'half' is not a number"),

@@ -14,7 +14,7 @@ import pytest
 from hil.errors import WrongUse
 from hil.exchange.exporter import export
 from hil.exchange.importer import import_table
-from hil.exchange.row_filter import Condition
+from hil.exchange.row_filter import RowFilter
 from hil.recording.reader import CHANNELS, Recording
 from hil.recording.writer import Header, PartFile, missing_row, write
 
@@ -65,7 +65,7 @@ def test_a_recording_that_never_ended_is_exported_as_far_as_it_goes(tmp_path: Pa
 
 def test_an_export_can_be_imported_in_part(tmp_path: Path) -> None:
     export(recording(tmp_path), tmp_path / "a.csv")
-    done = import_table(tmp_path / "a.csv", tmp_path / "b.h5", {}, [Condition.parse("seq<100")])
+    done = import_table(tmp_path / "a.csv", tmp_path / "b.h5", {}, [RowFilter.parse("seq<100")])
     assert done.samples == 100
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table
-from hil.exchange.row_filter import Condition
+from hil.exchange.row_filter import RowFilter
 from hil.recording.reader import Recording
 from hil.signals.prepare import prepare
 from hil.stand.file import parse
@@ -24,7 +24,7 @@ PLAIN = {"time": Column("TIME", "s"), "torque": Column("TAU", "mN*m"), "dtheta":
 def imported(tmp_path: Path, text: str, where: tuple[str, ...] = (), **columns: Column) -> Recording:
     source = tmp_path / "a.csv"
     source.write_bytes(text.encode())
-    import_table(source, tmp_path / "a.h5", PLAIN | columns, [Condition.parse(item) for item in where])
+    import_table(source, tmp_path / "a.h5", PLAIN | columns, [RowFilter.parse(item) for item in where])
     return Recording(tmp_path / "a.h5")
 
 
@@ -167,7 +167,7 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
         (TABLE.replace("TAU", "TAUS"), (), "did you mean 'TAUS'"),
         (TABLE.replace("0.7", "0.1"), (), "row 4: the time goes backwards"),
         (TABLE.replace("0.7", ""), (), "row 4: the time is not a number"),
-        (TABLE, ("run==9",), "no row meets run==9"),
+        (TABLE, ("run==9",), "no row passes run==9"),
         (TABLE, ("speed==9",), "no column 'speed'"),
         (TABLE, ("run=1",), "write a column, one of"),
         (TABLE, ("run==one",), "write a column, one of"),
@@ -191,9 +191,9 @@ def test_an_unknown_unit_is_refused_with_the_nearest(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("title", "unit", "said"),
     [
-        ("TAU [Nm]", "mN*m", "in Nm by its heading and in mN\\*m by the command"),
+        ("TAU [Nm]", "mN*m", "in Nm by its heading and in mN\\*m by the option"),
         ("TAU_Nm", "mN*m", "in N\\*m by its heading"),
-        ("TAU [V]", None, "names a unit of torque that is not known: give it with --torque-unit"),
+        ("TAU [V]", None, "names an unknown unit of torque: give it with --torque-unit"),
         ("TAU (filtered)", None, "give it with --torque-unit"),
     ],
 )
@@ -306,7 +306,7 @@ def test_vectors_of_a_matlab_file_are_columns_a_structs_too(tmp_path: Path) -> N
     log = {"pos": np.array([[0.25, 0.5, -0.25]]), "tau": np.array([[10.0], [20.0], [30.0]])}
     savemat(tmp_path / "a.mat", {"t": time, "run": np.array([1, 1, 2]), "log": log, "name": "a run"})
     columns = {"time": Column("t"), "torque": Column("log.tau", "mN*m"), "dtheta": Column("log.pos", "rev")}
-    import_table(tmp_path / "a.mat", tmp_path / "a.h5", columns, [Condition.parse("run==1")])
+    import_table(tmp_path / "a.mat", tmp_path / "a.h5", columns, [RowFilter.parse("run==1")])
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02])
         np.testing.assert_allclose(recording.channel("dtheta"), [0.5 * math.pi, math.pi])
@@ -336,7 +336,7 @@ def test_a_parquet_file_reads_as_the_same_table_in_csv(tmp_path: Path) -> None:
 
     table = {"TIME": [0.5, 0.6, 0.7], "POS": [0.25, 0.5, None], "TAU": [10, 20, 30], "run": [1, 1, 2], "s": ["a"] * 3}
     write_table(pyarrow.table(table), tmp_path / "a.parquet")
-    assert import_table(tmp_path / "a.parquet", tmp_path / "a.h5", PLAIN, [Condition.parse("run>0")]).samples == 3
+    assert import_table(tmp_path / "a.parquet", tmp_path / "a.h5", PLAIN, [RowFilter.parse("run>0")]).samples == 3
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02, 0.03])
         np.testing.assert_allclose(recording.channel("dtheta") / math.pi, [0.5, 1.0, math.nan])
