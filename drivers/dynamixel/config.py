@@ -90,7 +90,7 @@ class DynamixelConfig:
             return self
         if quantity is Quantity.TORQUE:
             if not current:
-                raise ValueError(f"the {self.model} has no current control: use --quantity position")
+                raise ValueError(f"the {self.model} has no current control: use --mode position")
             return replace(self, mode="current")
         held = current and models()[self.model].protocol == 2
         return replace(self, mode="current-based-position" if held else "extended-position")

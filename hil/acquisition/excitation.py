@@ -136,7 +136,7 @@ def _check_positive(amplitude: float, duration: float, soft: float) -> None:
         if not (math.isfinite(value) and value > least):
             raise WrongUse(f"--{name} {value:g}: it must be a number above zero")
     if not (math.isfinite(soft) and soft >= _RELEASE):
-        raise WrongUse(f"--soft {soft:g}: it must be at least {_RELEASE:g} s, so that the cable is let down gently")
+        raise WrongUse(f"--fade {soft:g}: it must be at least {_RELEASE:g} s, so that the torque changes gently")
 
 
 def _checked_band(kind: str, band: tuple[float, float], rate: float) -> tuple[float, float]:

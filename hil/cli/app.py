@@ -9,13 +9,14 @@ from typing import Any, NoReturn, cast
 import typer
 
 from hil.cli.compare import compare
-from hil.cli.demo import demo, replicate
+from hil.cli.demo import demo
 from hil.cli.design import design
 from hil.cli.doctor import doctor
 from hil.cli.emulate import emulate
 from hil.cli.files import export_data, import_data, inspect, recover
 from hil.cli.identify import identify
 from hil.cli.record import record
+from hil.cli.replicate import replicate
 from hil.cli.stand import stand
 from hil.cli.terminal import DONE, INTERRUPTED, LIMIT_REACHED, STAND_FAILED, UNTRUSTWORTHY, WRONG_USE, say
 from hil.errors import Untrustworthy, WrongUse

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.terminal import STAND_FAILED, Json, out, print_json
+from drivers.servo import Quantity
+from hil.cli.options import DEFAULT_RATE, Json, Mode
+from hil.cli.terminal import STAND_FAILED, out, print_json
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -17,25 +19,24 @@ if TYPE_CHECKING:
 
 
 def doctor(
-    stand: Annotated[Path | None, typer.Argument(help="The stand file; without it, ports and CAN interfaces.")] = None,
-    move: Annotated[bool, typer.Option("--move", help="Move the motor a little: checks signs and the lock.")] = False,
-    amplitude: Annotated[float | None, typer.Option(help="Of --move: N m or rad at the joint; 1/20 limit.")] = None,
-    quantity: Annotated[str, typer.Option(help="What is commanded: torque or position.")] = "torque",
-    rate: Annotated[float, typer.Option(min=1.0, max=10_000.0, help="Hz that the link is to manage.")] = 500.0,
+    stand: Annotated[Path | None, typer.Argument(help="The stand file; without it: ports and interfaces.")] = None,
+    move: Annotated[bool, typer.Option("--move", help="Jog the motor to check the signs and the lock.")] = False,
+    amplitude: Annotated[
+        float | None, typer.Option(help="Of --move, N m or rad at the joint [default: limit/20].")
+    ] = None,
+    mode: Mode = Quantity.TORQUE,
+    rate: Annotated[float, typer.Option(min=1.0, max=10_000.0, help="Hz that the link must reach.")] = DEFAULT_RATE,
     as_json: Json = False,
 ) -> None:
-    """Look at ports and CAN interfaces, and with a stand file at the drive: what is wrong and how to mend it.
+    """Check ports and CAN interfaces, and with a stand file also the drive; say how to mend what is wrong.
 
-    With a stand file the drive is connected, listened to for a second, armed at zero torque and stopped again.
+    The drive is connected, read for a second, armed at zero torque and stopped again.
     """
     from drivers.ports import can_interfaces, serial_ports
-    from drivers.servo import Quantity
     from hil.doctor.checks import Examination
     from hil.doctor.examine import examine
     from hil.stand.file import load
 
-    if quantity not in set(Quantity):
-        raise WrongUse(f"unknown --quantity {quantity!r}: known are torque, position")
     if amplitude is not None and not amplitude > 0.0:
         raise WrongUse(f"--amplitude {amplitude:g}: it must be above 0")
     opened = None if stand is None else load(stand)
@@ -46,7 +47,7 @@ def doctor(
         _print_ports("CAN interface", interfaces)
         found.tell = _print_check
     if opened is not None:
-        examine(found, opened, Quantity(quantity), rate=rate, move=move, amplitude=amplitude)
+        examine(found, opened, mode, rate=rate, move=move, amplitude=amplitude)
     if as_json:
         print_json(_as_json(found, {"serial": ports, "can": interfaces}))
     if found.signal:
@@ -57,7 +58,7 @@ def doctor(
 
 def _print_ports(kind: str, ports: list[Port]) -> None:
     if not ports:
-        out(f"no {kind} is seen")
+        out(f"no {kind} found")
     for port in ports:
         out(f"{kind} {port.name}" + (f" ({port.described})" if port.described else ""))
         if port.problem:

@@ -1,27 +1,25 @@
-"""`hil identify`: from the words of the command to a result on the terminal."""
+"""`hil identify`: find Kc and Bc in recordings."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hil.cli.options import DEFAULT_SEED, Checkpoint, Force, Json, Seed, Workers, model_of
 from hil.cli.progress import progress
 from hil.cli.terminal import (
-    LARGEST_SEED,
     UNTRUSTWORTHY,
-    Checkpoint,
-    Force,
-    Json,
     columns,
+    exit_interrupted,
     out,
     out_table,
+    print_diagnostics,
     print_json,
     say,
-    tell,
-    tell_interrupted,
 )
 from hil.errors import Untrustworthy, WrongUse
 
@@ -33,57 +31,83 @@ if TYPE_CHECKING:
 
 
 def identify(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings, pooled.")],
+    recordings: Annotated[list[Path], typer.Argument(help="One or more recordings, pooled.")],
     model: Annotated[
         str | None,
         typer.Option(
-            help="auto, linear[+offset][+drift][+coulomb][+cubic][+inertia][+backlash][+slack][+skew] or FILE.py:NAME; "
-            "auto unless --preset paper, --bounds, --checkpoint or --fixture is given."
+            help="auto: model selection; or linear[+offset][+drift][+coulomb][+cubic][+inertia][+backlash][+slack]"
+            "[+skew]; or FILE.py:NAME [default: auto; linear with --preset paper, --bounds, --checkpoint or --fixture]."
         ),
     ] = None,
     preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",
-    trials: Annotated[int | None, typer.Option(min=1, help="Independent searches; 30, or 5 for a shape.")] = None,
-    generations: Annotated[int | None, typer.Option(min=1, help="Of each trial; the preset's own otherwise.")] = None,
-    population: Annotated[int | None, typer.Option(min=3, help="Chromosomes; the preset's own otherwise.")] = None,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Independent searches [default: 30; 5 with nonlinear parameters].")
+    ] = None,
+    generations: Annotated[int | None, typer.Option(min=1, help="Of each trial [default: the preset's].")] = None,
+    population: Annotated[int | None, typer.Option(min=3, help="Chromosomes [default: the preset's].")] = None,
     mutation: Annotated[float | None, typer.Option(min=0.0, max=1.0, help="Probability (0.1: Algorithm 1).")] = None,
     selection: Annotated[str | None, typer.Option(help="A reading of the paper; see docs/paper.md.")] = None,
     weights: Annotated[str | None, typer.Option(help="Of equation 6; see docs/paper.md.")] = None,
-    replacement: Annotated[str | None, typer.Option(help="What a child replaces; see docs/paper.md.")] = None,
-    bounds: Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI; may be repeated.")] = None,
-    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the search.")] = 0,
-    workers: Annotated[int | None, typer.Option(min=1, help="Threads; all cores otherwise.")] = None,
+    replacement: Annotated[
+        str | None, typer.Option(help="Which individual the offspring replaces; see docs/paper.md.")
+    ] = None,
+    bounds: Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI; repeat for several.")] = None,
+    seed: Seed = DEFAULT_SEED,
+    workers: Workers = None,
     checkpoint: Checkpoint = None,
     fixture: Annotated[
-        Path | None, typer.Option(help="A recording of the empty rig, whose compliance is taken off Kc and Bc.")
+        Path | None, typer.Option(help="A recording of the empty rig, to subtract the fixture's compliance.")
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture (PNG).")] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
-    from hil.identification.identify import Search
     from hil.recording.output import check_target
     from hil.report.identification import page_files
 
     if report is not None:
         for path in page_files(report):
             check_target(path, force=force, inputs=recordings)
-    # a search that is directed is of one model, and a fixture is taken off apparent stiffness and damping
-    named = preset == "paper" or bool(bounds) or checkpoint is not None or fixture is not None
-    chosen = chosen_model(model or ("linear" if named else "auto"))
+    # bounds and checkpoints belong to one model, and a fixture is subtracted from apparent stiffness and damping
+    fixed = preset == "paper" or bool(bounds) or checkpoint is not None or fixture is not None
     readings = {"selection": selection, "weights": weights, "replacement": replacement}
     sizes = {"generations": generations, "population": population, "mutation": mutation}
-    given = {name: value for name, value in (readings | sizes).items() if value is not None}
-    search = Search(
+    search = search_of(
+        preset,
+        {name: value for name, value in (readings | sizes).items() if value is not None},
+        trials=trials,
+        seed=seed,
+        workers=workers,
+        bounds=bounds or (),
+        checkpoint=checkpoint,
+    )
+    chosen = model_of(model or ("linear" if fixed else "auto"))
+    identify_and_show(recordings, chosen, search, report, fixture=fixture, as_json=as_json)
+
+
+def search_of(
+    preset: str = "default",
+    settings: dict[str, Any] | None = None,
+    *,
+    trials: int | None = None,
+    seed: int = DEFAULT_SEED,
+    workers: int | None = None,
+    bounds: Sequence[str] = (),
+    checkpoint: Path | None = None,
+) -> Search:
+    """Return the search that the options describe. settings: those that differ from the preset's. Raises WrongUse."""
+    from hil.identification.identify import Search
+
+    return Search(
         preset=preset,
-        settings=_settings(preset, given),
+        settings=_settings(preset, settings or {}),
         trials=trials,
         seed=seed,
         workers=workers or os.cpu_count() or 1,
-        bounds=dict(_bounds(text) for text in bounds or ()),
+        bounds=dict(_bounds(text) for text in bounds),
         checkpoint=checkpoint,
     )
-    identify_and_show(recordings, chosen, search, report, fixture=fixture, as_json=as_json)
 
 
 def identify_and_show(
@@ -93,7 +117,7 @@ def identify_and_show(
     report: Path | None,
     *,
     fixture: Path | None = None,
-    as_json: bool,
+    as_json: bool = False,
 ) -> None:
     """Search with a progress bar, print the result, write the page where one is asked for.
 
@@ -107,12 +131,11 @@ def identify_and_show(
     from hil.report.identification import unusable_json, write_page
 
     beside = [] if fixture is None else check_rig(recordings, fixture, model)
-
     try:
-        with progress() as done:
-            found = engine.identify(recordings, model, search, done)
+        with progress() as show:
+            found = engine.identify(recordings, model, search, show)
             if fixture is not None:
-                rig = engine.identify([fixture], model, replace(search, checkpoint=None), done)
+                rig = engine.identify([fixture], model, replace(search, checkpoint=None), show)
                 found = without_fixture(replace(found, diagnostics=(*found.diagnostics, *beside)), rig)
     except Untrustworthy as error:
         if as_json:
@@ -126,9 +149,9 @@ def identify_and_show(
     if report is not None:
         for path in write_page(found, report):
             say(f"wrote {path}")
-    tell(found.diagnostics)
+    print_diagnostics(found.diagnostics)
     if found.trials.interrupted:
-        tell_interrupted(search.checkpoint)
+        exit_interrupted(search.checkpoint)
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)
 
@@ -142,22 +165,6 @@ def _show(found: Identification) -> None:
         out_table(table)
     for line in identification_lines(found):
         out(line)
-
-
-def chosen_model(name: str) -> Coupling | None:
-    """The model of that name, None for the one that the ladder chooses. Raises WrongUse."""
-    from ga.model.terms import parse
-
-    if name == "auto":
-        return None
-    if ".py:" in name:
-        from hil.identification.user_model import load
-
-        return load(name)
-    try:
-        return parse(name)
-    except ValueError as error:
-        raise WrongUse(f"--model {name!r}: {error}") from None
 
 
 def _settings(preset: str, given: dict[str, Any]) -> Settings:

@@ -1,4 +1,4 @@
-"""`hil record`: from the words of the command to a run."""
+"""`hil record`: drive the motor through an excitation and record it."""
 
 from __future__ import annotations
 
@@ -7,84 +7,83 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.terminal import (
-    LARGEST_SEED,
-    STAND_FAILED,
-    UNTRUSTWORTHY,
+from drivers.servo import Quantity
+from hil.cli.options import (
+    DEFAULT_RATE,
+    DEFAULT_SEED,
+    Amplitude,
+    Backend,
+    Band,
+    Duration,
     Force,
     Json,
+    Kind,
+    Mode,
     Output,
-    command_line,
-    out,
-    print_json,
-    say,
-    tell,
+    Rate,
+    Seed,
+    Setpoints,
+    StandFile,
+    excitation_of,
+    limit_of,
+    stand_of,
 )
+from hil.cli.terminal import STAND_FAILED, UNTRUSTWORTHY, command_line, out, print_diagnostics, print_json, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
-    from drivers.servo import Quantity
     from hil.acquisition.excitation import Profile
     from hil.acquisition.recorder import Outcome
     from hil.diagnostics import Diagnostic
     from hil.stand.file import Stand
 
-_FAST_PART = 1e6  # 1/s; from there on a simulated second takes about as long as a real one
+_FAST_MODE = 1e6  # rad/s; above this a simulated second takes about as long as a real one
 
 
 def record(
-    backend: Annotated[str | None, typer.Option(help="A built-in stand: sim.")] = None,
-    stand: Annotated[Path | None, typer.Option(help="The stand file (stand.toml).")] = None,
-    profile: Annotated[str, typer.Option(help="What the motor is asked to do; see --list-profiles.")] = "chirp",
-    amplitude: Annotated[float | None, typer.Option(help="N m or rad at the joint; a fifth of its limit.")] = None,
-    band: Annotated[str | None, typer.Option(help="Hz, LOW:HIGH or one frequency.")] = None,
-    duration: Annotated[float | None, typer.Option(help="s; 20 unless a file says.")] = None,
-    rate: Annotated[float, typer.Option(help="Samples a second.")] = 500.0,
-    quantity: Annotated[str, typer.Option(help="What is commanded: torque or position.")] = "torque",
-    soft: Annotated[float, typer.Option(help="s of soft start and soft stop.")] = 1.0,
-    setpoints: Annotated[Path | None, typer.Option(help="The CSV of --profile file: time (s), set-point.")] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, max=LARGEST_SEED, help="Of all that is random: the simulator, a PRBS.")
-    ] = 1,
-    realtime: Annotated[bool, typer.Option("--realtime", help="Simulate in wall time.")] = False,
-    note: Annotated[str, typer.Option(help="A remark kept in the file.")] = "",
+    backend: Backend = None,
+    stand: StandFile = None,
+    profile: Kind = "chirp",
+    amplitude: Amplitude = None,
+    band: Band = None,
+    duration: Duration = None,
+    rate: Rate = DEFAULT_RATE,
+    mode: Mode = Quantity.TORQUE,
+    fade: Annotated[float, typer.Option(help="s over which the excitation fades in and out.")] = 1.0,
+    setpoints: Setpoints = None,
+    seed: Seed = DEFAULT_SEED,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Simulate in real time.")] = False,
+    note: Annotated[str, typer.Option(help="A remark to keep in the recording.")] = "",
     output: Output = None,
     force: Force = False,
     as_json: Json = False,
-    list_profiles: Annotated[bool, typer.Option("--list-profiles", help="Explain the profiles.")] = False,
-    list_backends: Annotated[bool, typer.Option("--list-backends", help="Explain the backends.")] = False,
+    list_profiles: Annotated[bool, typer.Option("--list-profiles", help="List the excitations.")] = False,
+    list_backends: Annotated[bool, typer.Option("--list-backends", help="List the backends.")] = False,
 ) -> None:
     """Drive the motor against the locked joint and record torque, deflection and rate."""
-    from hil.acquisition import excitation
     from hil.acquisition.run import run
     from hil.diagnostics import lateness
     from hil.recording.output import check_target
-    from hil.stand.devices import BACKENDS
 
-    if list_profiles:
-        for name, kind in excitation.KINDS.items():
-            out(f"{name:10} {kind.explanation}")
+    if list_profiles or list_backends:
+        _list_kinds(profiles=list_profiles)
         return
-    if list_backends:
-        for name, device in BACKENDS.items():
-            out(f"{name:10} {device.explanation}")
-        return
-    opened = _stand_of(backend, stand)
-    made = excitation.make(
+    opened = stand_of(backend, stand)
+    made = excitation_of(
+        opened,
         profile,
-        _quantity(quantity),
+        mode,
         amplitude=amplitude,
-        default_amplitude=_limit_of(opened, quantity) / 5.0,
+        band=band,
         duration=duration,
-        band=None if band is None else _band(band),
-        rate=checked_rate(rate),
-        soft=soft,
+        rate=rate,
+        fade=fade,
         seed=seed,
         setpoints=setpoints,
     )
     _check_amplitude(opened, made)
     foreseen = _foreseen(opened, made)
-    tell(foreseen)
+    print_diagnostics(foreseen)
     if output is not None:
         check_target(output, force=force, inputs=[path for path in (stand, setpoints) if path is not None])
     path, outcome = run(
@@ -113,21 +112,21 @@ def record(
             }
         )
     else:
-        out(told(path, outcome))
-    answer_for(outcome)
+        out(outcome_line(path, outcome))
+    check_outcome(outcome)
 
 
-def told(path: Path, outcome: Outcome) -> str:
-    """One line on how a run went."""
+def outcome_line(path: Path, outcome: Outcome) -> str:
+    """Return one line on how a run went."""
     if not outcome.samples:
         return f"nothing was recorded ({outcome.end_reason})"
     return f"{path}: {outcome.samples} samples, {outcome.lost} lost, {outcome.late} late ({outcome.end_reason})"
 
 
-def answer_for(outcome: Outcome) -> None:
-    """Raise what a run that did not go as planned ends the command with.
+def check_outcome(outcome: Outcome) -> None:
+    """Raise the error or the exit status of a run that did not go as planned.
 
-    That the torque may be on was said when it was found; it is said again, where the eye ends.
+    An alarm (the torque may still be on) was printed when it was raised; it is printed again as the last line.
     """
     from drivers.servo import DriverError, LinkLost
     from hil.diagnostics import lateness
@@ -142,33 +141,22 @@ def answer_for(outcome: Outcome) -> None:
         raise outcome.error
     if outcome.signal:
         raise typer.Exit(128 + outcome.signal)
-    found = lateness(outcome.late, outcome.samples)
-    tell(found)
-    if any(diagnostic.is_error for diagnostic in found):
+    late = lateness(outcome.late, outcome.samples)
+    print_diagnostics(late)
+    if any(diagnostic.is_error for diagnostic in late):
         raise typer.Exit(UNTRUSTWORTHY)
 
 
-def _stand_of(backend: str | None, path: Path | None) -> Stand:
-    from hil.stand.devices import check_backend
-    from hil.stand.file import SIMULATED, load, parse
+def _list_kinds(*, profiles: bool) -> None:
+    from hil.acquisition.excitation import KINDS
+    from hil.stand.devices import BACKENDS
 
-    if path is not None and backend is not None:
-        raise WrongUse("give --backend or --stand, not both: a stand file names its own backend")
-    if path is not None:
-        return load(path)
-    if backend is None:
-        raise WrongUse("which stand? --backend sim for the simulated one, --stand stand.toml for your own")
-    if check_backend(backend) != "sim":
-        raise WrongUse(f"backend {backend!r} needs a stand file, with its limits and its port: --stand stand.toml")
-    return parse(SIMULATED)
+    for name, kind in (KINDS if profiles else BACKENDS).items():
+        out(f"{name:10} {kind.explanation}")
 
 
 def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
-    """What is to be said before anything moves.
-
-    A simulated stand takes its time where it has a fast part: the steps of the integrator follow that.
-    """
-    from drivers.servo import Quantity
+    """Return the warnings that are known before anything moves."""
     from hil.diagnostics import Diagnostic, driven_by_position
 
     found = []
@@ -178,55 +166,23 @@ def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
         return found
     from sim_backend.plant import constants, fastest_rate
 
-    rate = fastest_rate(constants(stand.simulated()))
-    if rate > _FAST_PART:
-        said = (
-            f"a part of the simulated stand moves at {rate / 6283.0:.0f} kHz, so that every simulated second takes "
-            f"about {rate:.0e} steps: for less, lower fixture.stiffness or raise the inertias"
+    rate = fastest_rate(constants(stand.simulated()))  # the integrator's steps follow the fastest mode
+    if rate > _FAST_MODE:
+        found.append(
+            Diagnostic(
+                "slow-simulation",
+                f"the fastest mode of the simulated stand lies at {rate / 6283.0:.0f} kHz, so that every simulated "
+                f"second takes about {rate:.0e} steps: lower fixture.stiffness or raise the inertias",
+            )
         )
-        found.append(Diagnostic("slow-simulation", said))
     return found
 
 
-def _quantity(name: str) -> Quantity:
-    from drivers.servo import Quantity
-
-    try:
-        return Quantity(name)
-    except ValueError:
-        raise WrongUse(f"unknown --quantity {name!r}: known are torque, position") from None
-
-
-def _limit_of(stand: Stand, quantity: str) -> float:
-    limits = stand.checked_limits()
-    return limits.torque if quantity == "torque" else limits.deflection
-
-
-def checked_rate(rate: float) -> float:
-    """`rate` Hz, within what a loop on this side of a bus can be asked for. Raises WrongUse."""
-    if not 20.0 <= rate <= 10_000.0:
-        raise WrongUse(
-            f"--rate {rate:g}: it must lie between 20 and 10000 Hz; a drive that is asked less often takes its host "
-            "for dead and turns the torque off"
-        )
-    return rate
-
-
 def _check_amplitude(stand: Stand, profile: Profile) -> None:
-    limit = _limit_of(stand, profile.quantity.value)
-    unit = "N m" if profile.quantity.value == "torque" else "rad"
+    limit = limit_of(stand, profile.quantity)
+    unit = "N m" if profile.quantity is Quantity.TORQUE else "rad"
     if profile.amplitude > limit:
         raise WrongUse(
             f"--amplitude {profile.amplitude:g} {unit} is beyond the stand's limit of {limit:g} {unit}: "
             "lower it; no option raises a limit"
         )
-
-
-def _band(text: str) -> tuple[float, float]:
-    try:
-        parts = [float(part) for part in text.split(":")]
-    except ValueError:
-        parts = []
-    if len(parts) not in {1, 2}:
-        raise WrongUse(f"--band {text!r}: write LOW:HIGH in Hz, such as 0.1:15, or one frequency")
-    return parts[0], parts[-1]

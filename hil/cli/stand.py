@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.terminal import Force, out, say
+from hil.cli.options import Force
+from hil.cli.terminal import out, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:

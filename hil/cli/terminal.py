@@ -1,4 +1,4 @@
-"""What every command shares of the terminal: its options, JSON, diagnostics, how to go on."""
+"""The exit statuses, and printing to the terminal: text, tables, JSON, diagnostics."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import typer
 
@@ -19,29 +19,20 @@ if TYPE_CHECKING:
 
 DONE, UNTRUSTWORTHY, WRONG_USE, STAND_FAILED, LIMIT_REACHED = 0, 1, 2, 3, 4
 INTERRUPTED = 130
-LARGEST_SEED = 2**63 - 1
-"""What an attribute of a recording holds."""
-
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, all else on standard error.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite the output.")]
-Checkpoint = Annotated[
-    Path | None, typer.Option(help="A file that keeps the state of the search; goes on from it where it is there.")
-]
-Output = Annotated[Path | None, typer.Option("-o", "--output", help="Where to write it.")]
 
 
 def out(text: str) -> None:
-    """Put text on standard output."""
+    """Print text to standard output."""
     _write(text, sys.stdout)
 
 
 def say(text: str) -> None:
-    """Put a line on standard error, where it does not get into anybody's data."""
+    """Print a line to standard error, apart from the command's data."""
     _write(text, sys.stderr)
 
 
 def _write(text: str, stream: TextIO) -> None:
-    """Print; once nobody reads any more (`hil inspect a.h5 | head -1`), drop what is left and go on."""
+    """Print; once the reader has closed the pipe (`hil inspect a.h5 | head -1`), drop the rest and go on."""
     try:
         print(text, file=stream, flush=True)
     except BrokenPipeError:
@@ -51,14 +42,14 @@ def _write(text: str, stream: TextIO) -> None:
 
 
 def columns() -> int:
-    """Characters that fit on a line of standard output; 80 where it is no terminal."""
+    """Return the width of standard output in characters, 80 where it is no terminal."""
     from rich.console import Console
 
     return Console().width
 
 
 def out_table(table: Table) -> None:
-    """Put a table on standard output."""
+    """Print a table to standard output."""
     from rich.console import Console
 
     console = Console()
@@ -68,25 +59,25 @@ def out_table(table: Table) -> None:
 
 
 def print_json(table: dict[str, Any]) -> None:
-    """Put one JSON object on standard output; a NaN in it is a fault, since JSON has none."""
+    """Print one JSON object to standard output. Raises ValueError for a NaN, which JSON cannot hold."""
     out(json.dumps(table, indent=2, allow_nan=False, default=str))
 
 
-def tell(diagnostics: Sequence[Diagnostic]) -> None:
-    """Say every diagnostic, with its code."""
+def print_diagnostics(diagnostics: Sequence[Diagnostic]) -> None:
+    """Print every warning and error with its code to standard error."""
     for diagnostic in diagnostics:
         say(f"{diagnostic.severity} [{diagnostic.code}]: {diagnostic.message}")
 
 
-def tell_interrupted(checkpoint: Path | None) -> NoReturn:
-    """Say how to go on with a search that was interrupted, and end with its status."""
+def exit_interrupted(checkpoint: Path | None) -> NoReturn:
+    """Say how to resume an interrupted search, and end the command with its status."""
     if checkpoint is None:
-        say("interrupted: nothing was kept to go on from; with --checkpoint FILE the search could be gone on with")
+        say("interrupted: progress was not saved; use --checkpoint to be able to resume")
     else:
-        say(f"interrupted: {checkpoint} keeps the search; go on with: {command_line()}")
+        say(f"interrupted: {checkpoint} holds the progress; resume with: {command_line()}")
     raise typer.Exit(INTERRUPTED)
 
 
 def command_line() -> str:
-    """The command as it was typed, kept in the file that it makes."""
+    """Return the command as it was typed."""
     return shlex.join(["hil", *sys.argv[1:]])

@@ -1,4 +1,4 @@
-"""Before the motor moves: what a profile would do on a stand, and what it would tell of Kc and Bc.
+"""The assessment of an excitation on a stand before the motor moves: predicted motion, peaks and errors of Kc and Bc.
 
 The stand gives the sensors and the limits, the user a rough Kc and Bc; `hil.experiment_design.response` gives the
 motion and `hil.experiment_design.fisher` the errors. Nothing here drives anything.
@@ -15,24 +15,29 @@ from hil.acquisition.excitation import Profile
 from hil.errors import WrongUse
 from hil.experiment_design.fisher import TERMS, Parameter, Readings, mistaken_friction, predict
 from hil.experiment_design.response import Joint, Peaks, peaks, respond
+from hil.identification import stepwise
 from hil.stand.file import Stand
 from sim_backend.parameters import SimParameters
 
-SLACK = ((0.8, 1.0, 1.25), (2.0 / 3.0, 1.0, 1.5))
-"""Factors on the rough Kc and Bc for which the best profile keeps every limit."""
+ROUGH_RANGE = ((0.8, 1.0, 1.25), (2.0 / 3.0, 1.0, 1.5))
+"""Factors on the rough Kc and Bc for all of which the best excitation keeps every limit."""
 
 LIMITED = ("drive torque", "torque", "deflection", "velocity")
-"""What the limits are on, in the order of `Peaks`: the motor's torque and the coupling's are both at the joint."""
+"""The limited quantities, in the order of `Peaks`; the motor's torque and the coupling's are both at the joint."""
 
 UNITS = ("N m", "N m", "rad", "rad/s")
-"""Of the limits."""
+"""The units of the limits."""
+
+AUTO = tuple(term for term in TERMS if term == "linear" or term in stepwise.TERMS)
+"""The terms that model selection considers and whose errors can be predicted: more terms never lower an error, so that
+those of any model that it selects from them are at most these."""
 
 _DIGITS = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is asked: the joint as it is roughly known, its sensors, its limits, and what is to be told.
+    """The design task: a roughly known joint, its sensors, its limits, and the terms to estimate.
 
     limits: N m, N m, rad, rad/s, as `LIMITED` names them. terms: of the model. rate: Hz.
     """
@@ -45,12 +50,17 @@ class Task:
     rate: float
 
     @property
+    def model(self) -> str:
+        """The terms joined, as --model names them."""
+        return "+".join(self.terms)
+
+    @property
     def own_limit(self) -> float:
-        """The limit on what is commanded: N m for torque, rad for position."""
+        """The limit on the command: N m for torque, rad for position."""
         return min(self.limits[:2]) if self.quantity is Quantity.TORQUE else self.limits[2]
 
     def shares(self, found: Peaks) -> tuple[float, float, float, float]:
-        """Every peak as a part of its limit."""
+        """Return every peak divided by its limit."""
         drive, torque, deflection, velocity = (
             peak / limit for peak, limit in zip(found.in_order, self.limits, strict=True)
         )
@@ -59,17 +69,17 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """A profile judged.
+    """An excitation with its predicted peaks and errors.
 
-    peaks: at the rough Kc and Bc; shares: each as a part of its limit; strained: the largest within `SLACK`.
-    friction: what one N m of dry friction that the model leaves out adds to Bc, N m s/rad; 0 where it does not.
+    peaks: at the rough Kc and Bc. shares: each divided by its limit. worst_shares: the largest within `ROUGH_RANGE`.
+    friction: the bias of Bc, N m s/rad, for one N m of dry friction that the model omits; 0 where it has friction.
     """
 
     profile: Profile
     parameters: tuple[Parameter, ...]
     peaks: Peaks
     shares: tuple[float, float, float, float]
-    strained: tuple[float, float, float, float]
+    worst_shares: tuple[float, float, float, float]
     friction: float
 
     def __getitem__(self, name: str) -> Parameter:
@@ -82,12 +92,17 @@ class Assessment:
 
     @property
     def limited_by(self) -> str:
-        """What a larger amplitude would run into first."""
-        return LIMITED[self.strained.index(max(self.strained))]
+        """The limit that a larger amplitude would reach first."""
+        return LIMITED[self.worst_shares.index(max(self.worst_shares))]
 
 
 def terms_of(model: str) -> tuple[str, ...]:
-    """The terms of a model such as "linear+offset". Raises WrongUse for one whose errors are not predicted."""
+    """Return the terms of a model such as "linear+offset", or of "auto".
+
+    Raises WrongUse for a term whose errors cannot be predicted.
+    """
+    if model == "auto":
+        return AUTO
     named = [term.strip() for term in model.split("+")]
     for term in named:
         if term not in TERMS:
@@ -107,9 +122,9 @@ def task_of(
     quantity: Quantity,
     rate: float,
 ) -> Task:
-    """The task for a stand: kc N m/rad and bc N m s/rad are rough, torque_noise is in N m at the joint, rate in Hz.
+    """Return the task for a stand: rough kc, N m/rad, and bc, N m s/rad; torque_noise, N m at the joint; rate, Hz.
 
-    None: what `[sim]` says of the simulated coupling, and of the sensors. Raises WrongUse.
+    None: the value of `[sim]`. Raises WrongUse.
     """
     limits, simulated = stand.checked_limits(), stand.stand.backend == "sim"
     plant = _simulated(stand)
@@ -127,7 +142,7 @@ def task_of(
     reach = min(limits.deflection, limits.torque / joint.stiffness, ceiling / joint.stiffness)
     if reach < task.readings.angle_lsb:
         raise WrongUse(
-            f"the limits permit no motion that can be read: at most {reach:.2g} rad, and one count is "
+            f"the limits permit no motion that the encoder resolves: at most {reach:.2g} rad, and one count is "
             f"{task.readings.angle_lsb:.2g} rad; raise limits.torque or limits.deflection in the stand file"
         )
     return task
@@ -147,7 +162,7 @@ def _joint(stand: Stand, plant: SimParameters | None, kc: float | None, bc: floa
         kc = plant.coupling.stiffness if kc is None else kc
         bc = plant.coupling.damping if bc is None else bc
     if kc is None or bc is None:
-        raise WrongUse("give --kc (N m/rad) and --bc (N m s/rad), as roughly as they are known; a first run tells them")
+        raise WrongUse("give --kc (N m/rad) and --bc (N m s/rad), however rough; a first recording gives them")
     for name, value, unit in (("kc", kc, "N m/rad"), ("bc", bc, "N m s/rad")):
         if not (math.isfinite(value) and value > 0.0):
             raise WrongUse(f"--{name} {value:g}: a coupling has more than zero {unit}; give a rough value")
@@ -159,7 +174,7 @@ def _joint(stand: Stand, plant: SimParameters | None, kc: float | None, bc: floa
 
 
 def _readings(stand: Stand, plant: SimParameters, torque_noise: float | None) -> Readings:
-    """[sim.sensors] describes the stand's sensors, whatever the backend."""
+    """Return the sensors of [sim.sensors], which describes them for every backend."""
     sensors, ratio = plant.sensors, stand.stand.gear_ratio
     motor_side = stand.stand.torque_source == "motor"
     if motor_side:
@@ -178,7 +193,7 @@ def _readings(stand: Stand, plant: SimParameters, torque_noise: float | None) ->
 
 
 def assess(task: Task, profile: Profile) -> Assessment:
-    """What `profile` would do and tell. Raises WrongUse where it moves less than the encoder can show."""
+    """Predict the motion, peaks and errors of `profile`. Raises WrongUse for a motion of less than one count."""
     motion, found = respond(task.joint, profile, task.rate)
     if found.deflection < task.readings.angle_lsb:
         raise WrongUse(
@@ -187,11 +202,11 @@ def assess(task: Task, profile: Profile) -> Assessment:
         )
     parameters = predict(task.terms, task.joint, motion, task.readings)
     friction = mistaken_friction(task.terms, task.joint, motion)
-    return Assessment(profile, parameters, found, task.shares(found), strained(task, profile), friction)
+    return Assessment(profile, parameters, found, task.shares(found), worst_shares(task, profile), friction)
 
 
 def check_limits(task: Task, judged: Assessment) -> None:
-    """Raise WrongUse where the profile would pass a limit, with the amplitude that would not."""
+    """Raise WrongUse where the excitation would exceed a limit, with an amplitude that would not."""
     worst = max(judged.shares)
     if worst <= 1.0 + 1e-9:
         return
@@ -209,11 +224,11 @@ def _unit(quantity: Quantity) -> str:
     return "N m" if quantity is Quantity.TORQUE else "rad"
 
 
-def strained(task: Task, profile: Profile) -> tuple[float, float, float, float]:
-    """The largest share of every limit that the profile takes while Kc and Bc are off by `SLACK`."""
+def worst_shares(task: Task, profile: Profile) -> tuple[float, float, float, float]:
+    """Return the largest share of every limit that the excitation reaches for Kc and Bc within `ROUGH_RANGE`."""
     joints = [
         replace(task.joint, stiffness=task.joint.stiffness * stiffer, damping=task.joint.damping * thicker)
-        for stiffer, thicker in itertools.product(*SLACK)
+        for stiffer, thicker in itertools.product(*ROUGH_RANGE)
     ]
     drive, torque, deflection, velocity = (
         max(values) for values in zip(*(task.shares(found) for found in peaks(joints, profile, task.rate)), strict=True)
@@ -222,7 +237,7 @@ def strained(task: Task, profile: Profile) -> tuple[float, float, float, float]:
 
 
 def rounded(value: float, *, down: bool = False) -> float:
-    """To three significant digits, so that what was judged is what is typed; never up where `down`."""
+    """Round to the three significant digits that the printed command has; never up where `down`."""
     unit = 10.0 ** (math.floor(math.log10(value)) + 1 - _DIGITS)
     steps = math.floor(value / unit * (1.0 + 1e-12)) if down else round(value / unit)
     return float(f"{steps * unit:.{_DIGITS}g}")

@@ -1,8 +1,8 @@
-"""What a locked joint does under a profile, before it is driven: equation (1) with the coupling of equation (2).
+"""The predicted motion of a locked joint under an excitation: equation (1) with the coupling of equation (2).
 
-Everything is at the joint. A torque profile is held from tick to tick and the motor's inertia rings on the coupling's
-spring, so the deflection is what the two make of it. A position profile prescribes the deflection, and the torque is
-what that takes. The joint stays where it is locked, and dry friction, play and the fixture's give are left out.
+All quantities are at the joint. A torque command is constant from tick to tick, and the motor's inertia resonates with
+the coupling's spring. A position command prescribes the deflection, and equation (1) gives the torque. The joint does
+not move; dry friction, play and the fixture's compliance are left out.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from hil.acquisition.excitation import Profile
 
 Array = NDArray[np.float64]
 
-_POINTS = 32  # a period of the fastest motion, which find its peak to within 1 %
+_POINTS = 32  # in a period of the fastest motion, which give its peak within 1 %
 _FEWEST, _MOST = 4, 64  # steps between two ticks
 
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """Kc, N m/rad, and Bc, N m s/rad, of the coupling; and the motor as the joint feels it.
+    """A coupling with stiffness Kc, N m/rad, and damping Bc, N m s/rad, and the motor reflected to the joint.
 
     inertia: eta^2 Dm, kg m^2, 0 where it is not known. friction: eta^2 Bm, N m s/rad.
     """
@@ -42,7 +42,7 @@ class Joint:
 
     @property
     def resonance(self) -> float:
-        """Hz at which the motor's inertia rings on the coupling, undamped; infinite without inertia."""
+        """Hz, the undamped resonance of the motor's inertia and the coupling; infinite without inertia."""
         return math.sqrt(self.stiffness / self.inertia) / (2.0 * math.pi) if self.inertia else math.inf
 
 
@@ -50,7 +50,7 @@ class Joint:
 class Motion:
     """Equal-length (n,) arrays at the ticks: time s, dtheta rad, its rate rad/s and acceleration rad/s^2, torques N m.
 
-    torque: in the coupling. drive: the motor's, as it is read at a tick, before the tick's own set-point acts.
+    torque: in the coupling. drive: the motor's, read at a tick before the tick's own set-point acts.
     """
 
     time: Array
@@ -65,7 +65,7 @@ class Motion:
 class Peaks:
     """The largest magnitudes at any instant, at the joint.
 
-    drive: N m, what the motor makes. torque: N m, what the coupling carries. deflection: rad. velocity: rad/s.
+    drive: the motor's torque, N m. torque: the coupling's, N m. deflection: rad. velocity: rad/s.
     """
 
     drive: float
@@ -75,19 +75,19 @@ class Peaks:
 
     @property
     def in_order(self) -> tuple[float, float, float, float]:
-        """All four, in the order above."""
+        """Return all four, in the order above."""
         return self.drive, self.torque, self.deflection, self.velocity
 
 
 def respond(joint: Joint, profile: Profile, rate: float) -> tuple[Motion, Peaks]:
-    """The motion at `rate` ticks a second and its peaks, which are looked for between the ticks too."""
+    """Return the motion at `rate` Hz and its peaks, between the ticks too."""
     if profile.quantity is Quantity.POSITION:
         return _prescribed(joint, _course(profile, rate), rate)
     return _driven(joint, set_points(profile, rate), rate)
 
 
 def peaks(joints: list[Joint], profile: Profile, rate: float) -> list[Peaks]:
-    """The peaks alone, for each of the joints."""
+    """Return the peaks alone, for each of the joints."""
     if profile.quantity is Quantity.POSITION:
         course = _course(profile, rate)
         return [_prescribed(joint, course, rate)[1] for joint in joints]
@@ -96,7 +96,7 @@ def peaks(joints: list[Joint], profile: Profile, rate: float) -> list[Peaks]:
 
 
 def set_points(profile: Profile, rate: float) -> Array:
-    """What is sent at each tick, (n,) N m or rad, as the recorder sends it."""
+    """Return the command at each tick, (n,) N m or rad, as the recorder sends it."""
     return profile.at(np.arange(round(profile.duration * rate) + 1) / rate)
 
 
@@ -107,7 +107,7 @@ def _driven(joint: Joint, held: Array, rate: float) -> tuple[Motion, Peaks]:
     found = Peaks(*(float(np.abs(values).max()) for values in (held, torque, dtheta, velocity)))
     angle, speed, carried = (values[::steps] for values in (dtheta, velocity, torque))
     before = np.append(0.0, held[:-1])
-    if joint.inertia:  # it jumps at a tick; halfway is what any average over a few ticks sees
+    if joint.inertia:  # it jumps at a tick; the mean of both sides is what an average over a few ticks gives
         acceleration = (0.5 * (before + held) - carried - joint.friction * speed) / joint.inertia
     else:
         acceleration = np.gradient(speed, 1.0 / rate)
@@ -115,10 +115,10 @@ def _driven(joint: Joint, held: Array, rate: float) -> tuple[Motion, Peaks]:
 
 
 def _oscillator(joint: Joint, held: Array, step: float) -> tuple[Array, Array]:
-    """Deflection and rate (n + 1,) from rest, under torques (n,) each held for `step` s: exact at every step.
+    """Return deflection and rate (n + 1,) from rest, under torques (n,) each constant for `step` s: exact at each step.
 
-    J d'' + b d' + Kc d = u has the poles p and q, which carry the state over a step; as a recursion that is a
-    second-order filter. Without inertia the same with one so small that it neither rings nor shows.
+    J d'' + b d' + Kc d = u has the poles p and q, which advance the state by a step; as a recursion that is a
+    second-order filter. No inertia is replaced by one so small that it has no effect.
     """
     from scipy.signal import lfilter
 

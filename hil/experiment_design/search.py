@@ -1,7 +1,7 @@
-"""The profile that tells most of Kc and Bc within a stand's limits.
+"""The search for the excitation with the smallest errors of Kc and Bc within a stand's limits.
 
-The deflection answers a profile linearly, so every profile is judged at the largest amplitude that the limits leave
-it, for every Kc and Bc within `SLACK` of the rough ones, and the search is over its kind and its band alone.
+The deflection is proportional to the amplitude, so every excitation is assessed at the largest amplitude that keeps the
+limits for every Kc and Bc within `ROUGH_RANGE`, and the search is over kind and band alone.
 """
 
 from __future__ import annotations
@@ -13,27 +13,26 @@ from dataclasses import replace
 from hil.acquisition import excitation
 from hil.acquisition.excitation import Profile
 from hil.errors import WrongUse
-from hil.experiment_design.assessment import Assessment, Task, assess, rounded, strained
+from hil.experiment_design.assessment import Assessment, Task, assess, rounded, worst_shares
 from hil.experiment_design.fisher import covariance, sensitivities
 from hil.experiment_design.response import respond
 
-SEED = 1
-"""Of a PRBS, as in `hil record`."""
+_SEED = 0  # of a PRBS, the default of `hil record`
 
 _KINDS = ("chirp", "multisine", "prbs")
-_OCTAVES = 2.0  # the narrowest band searched: one speed tells no friction from damping
+_OCTAVES = 2.0  # the narrowest band searched: friction and damping look alike at one speed
 _PERIODS = 2.0  # of the lowest frequency in the run, at least
-_TICKS = 10.0  # a period of the highest frequency, for which the narrowest window's rate is within 0.5 %
-_SOFT, _SOFTEST = 1.0, 0.1  # s of soft start and stop, as in `hil record`, and the least there is
-_LONGEST = 5.0  # s on which the search is done; all errors go with the root of the duration
+_TICKS = 10.0  # in a period of the highest frequency, for which the narrowest window's rate is within 0.5 %
+_FADE, _SHORTEST_FADE = 1.0, 0.1  # s, the default of `hil record` and its minimum
+_LONGEST = 5.0  # s of the runs in the search; all errors fall with the root of the duration
 
 
 def best(task: Task, duration: float) -> Assessment:
-    """The profile of `duration` s with the least relative error of Kc and Bc within the limits, judged.
+    """Return the excitation of `duration` s with the smallest relative error of Kc and Bc within the limits, assessed.
 
-    A grid over kind and band, an octave apart; then, for each kind, steps of the best band's two ends, made shorter
-    until they matter no more; then the best of each kind at the whole duration. Raises WrongUse where no band fits the
-    rate and the duration, or where no motion tells the terms apart.
+    A grid over kind and band, an octave apart; then, for each kind, steps of the best band's two ends, halved until
+    they matter no more; then the best of each kind at the whole duration. Raises WrongUse where no band fits the rate
+    and the duration, or where the terms cannot be distinguished by any motion.
     """
     span = min(duration, _LONGEST)
     lowest, highest = rounded(_PERIODS / span), rounded(task.rate / _TICKS, down=True)
@@ -42,26 +41,26 @@ def best(task: Task, duration: float) -> Assessment:
             f"{duration:g} s at {task.rate:g} Hz leave no band of {_OCTAVES:g} octaves to choose from: "
             "give a longer --duration or a higher --rate"
         )
-    search = _Search(task, (span, max(_SOFT * span / duration, _SOFTEST)), (lowest, highest))
+    search = _Search(task, (span, max(_FADE * span / duration, _SHORTEST_FADE)), (lowest, highest))
     ends = _octaves(lowest, highest)
     for kind, low, high in itertools.product(_KINDS, ends, ends):
         search.judge(kind, low, high)
     if math.isinf(min(search.errors.values())):
         raise WrongUse(
-            f"no profile tells Kc and Bc with --model {'+'.join(task.terms)}: some of its terms look the same in every "
+            f"no excitation identifies Kc and Bc with --model {task.model}: some of its terms look the same in every "
             "motion (skew is the sum of a damping and an inertia); leave one out"
         )
     for kind in _KINDS:
         search.refine(kind)
     chosen = [min((key for key in search.errors if key[0] == kind), key=search.errors.__getitem__) for kind in _KINDS]
-    whole = [assess(task, _largest(task, _made(task, kind, band, duration, _SOFT))) for kind, band in chosen]
+    whole = [assess(task, _largest(task, _made(task, kind, band, duration, _FADE))) for kind, band in chosen]
     return min(whole, key=lambda one: one.relative)
 
 
 class _Search:
-    """The relative error of every kind and band that was tried, up to a factor common to all.
+    """The relative errors of every kind and band tried so far, up to a factor common to all.
 
-    times: s, the duration and the soft start, which is as large a part of it as it will be.
+    times: s, the duration and the fade, which is the same share of it as in the whole run.
     """
 
     def __init__(self, task: Task, times: tuple[float, float], reach: tuple[float, float]) -> None:
@@ -71,15 +70,15 @@ class _Search:
         self._reach = reach
 
     def judge(self, kind: str, low: float, high: float) -> None:
-        """Add the nearest band within reach, where it is wide enough and was not tried yet."""
+        """Assess the nearest band within reach, unless it is too narrow or was tried before."""
         low, high = rounded(max(low, self._reach[0])), rounded(min(high, self._reach[1]))
-        if kind == "prbs":  # which begins at zero whatever its band
+        if kind == "prbs":  # its spectrum begins at zero whatever its band
             low = self._reach[0]
         if high >= low * 2.0**_OCTAVES and (kind, (low, high)) not in self.errors:
             self.errors[kind, (low, high)] = _error(self._task, kind, (low, high), *self._times)
 
     def refine(self, kind: str) -> None:
-        """Walk from the best band of the kind to the best within steps of five percent."""
+        """Step from the best band of the kind to a local optimum, down to steps of 5 %."""
         step = math.sqrt(2.0)
         while step > 1.05:
             low, high = min((key for key in self.errors if key[0] == kind), key=self.errors.__getitem__)[1]
@@ -91,26 +90,26 @@ class _Search:
 
 
 def _octaves(lowest: float, highest: float) -> list[float]:
-    """Frequencies from the lowest to the highest, an octave or a little less apart."""
+    """Return frequencies from the lowest to the highest, at most an octave apart."""
     count = math.ceil(math.log2(highest / lowest))
     return [lowest * (highest / lowest) ** (index / count) for index in range(count + 1)]
 
 
-def _error(task: Task, kind: str, band: tuple[float, float], duration: float, soft: float) -> float:
-    """The larger relative error of Kc and Bc, up to a common factor, at the largest amplitude."""
-    motion, _ = respond(task.joint, _largest(task, _made(task, kind, band, duration, soft)), task.rate)
+def _error(task: Task, kind: str, band: tuple[float, float], duration: float, fade: float) -> float:
+    """Return the larger relative error of Kc and Bc, up to a common factor, at the largest amplitude."""
+    motion, _ = respond(task.joint, _largest(task, _made(task, kind, band, duration, fade)), task.rate)
     variance = covariance(sensitivities(task.terms, task.joint, motion)).diagonal()[:2]
     rough = (task.joint.stiffness, task.joint.damping)
     return max(math.sqrt(value) / size for value, size in zip(variance, rough, strict=True))
 
 
 def _largest(task: Task, profile: Profile) -> Profile:
-    """The same profile, of amplitude one, at the largest amplitude within every limit."""
-    amplitude = min(task.own_limit, 1.0 / max(strained(task, profile)))
+    """Return the excitation of amplitude one at the largest amplitude within every limit."""
+    amplitude = min(task.own_limit, 1.0 / max(worst_shares(task, profile)))
     return replace(profile, amplitude=rounded(amplitude, down=True))
 
 
-def _made(task: Task, kind: str, band: tuple[float, float], duration: float, soft: float) -> Profile:
+def _made(task: Task, kind: str, band: tuple[float, float], duration: float, fade: float) -> Profile:
     return excitation.make(
         kind,
         task.quantity,
@@ -119,6 +118,6 @@ def _made(task: Task, kind: str, band: tuple[float, float], duration: float, sof
         duration=duration,
         band=band,
         rate=task.rate,
-        soft=soft,
-        seed=SEED,
+        soft=fade,
+        seed=_SEED,
     )

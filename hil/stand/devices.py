@@ -131,7 +131,7 @@ def open_backend(name: str, table: Any, quantity: Quantity) -> Servo:
     if quantity not in servo.info.quantities:
         takes = ", ".join(sorted(servo.info.quantities))
         servo.close()
-        raise WrongUse(f"backend {name!r} as the stand file sets it takes no {quantity}: use --quantity {takes}")
+        raise WrongUse(f"backend {name!r} as the stand file sets it takes no {quantity}: use --mode {takes}")
     return servo
 
 

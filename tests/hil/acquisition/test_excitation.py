@@ -165,7 +165,7 @@ def test_a_bad_file_of_set_points_is_refused_with_its_row(tmp_path: Path, text: 
         ("chirp", {"amplitude": 0.0}, "--amplitude"),
         ("chirp", {"amplitude": float("nan")}, "--amplitude"),
         ("chirp", {"duration": -1.0}, "--duration"),
-        ("chirp", {"soft": 0.0}, "--soft"),
+        ("chirp", {"soft": 0.0}, "--fade"),
         ("file", {}, "--setpoints"),
         ("multisine", {"band": (0.51, 0.52), "duration": 2.0}, "widen --band"),
     ],

@@ -21,7 +21,7 @@ from hil.recording.writer import Header, PartFile, missing_row
 
 from ..conftest import Maker
 
-SHORT = ("--duration", "2", "--soft", "0.2")
+SHORT = ("--duration", "2", "--fade", "0.2")
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
     hil: Hil, tmp_path: Path, quantity: str, amplitude: float, *, warned: bool
 ) -> None:
     (tmp_path / "stand.toml").write_text(MOTOR_SIDE)
-    words = ("--quantity", quantity, "--amplitude", amplitude, "--duration", "4", "-o", "a.h5", "--json")
+    words = ("--mode", quantity, "--amplitude", amplitude, "--duration", "4", "-o", "a.h5", "--json")
     recorded = hil("record", "--stand", "stand.toml", *words)
     assert recorded.status == 0
     assert [warning["code"] for warning in recorded.json["warnings"]] == ["motor-side"] * warned
@@ -235,7 +235,7 @@ def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
     said = [warning for warning in found.json["warnings"] if warning["code"] == "motor-side"]
     assert found.status == (1 if warned else 0)
     assert [warning["parameter"] for warning in said] == ["Bc"] * warned
-    assert all("--quantity torque" in warning["message"] for warning in said)
+    assert all("--mode torque" in warning["message"] for warning in said)
     off = found.json["parameters"]["Bc"]["value"] / 1.9e-4 - 1.0
     assert (abs(off) > 0.5) == warned  # why it is said
 
@@ -258,7 +258,7 @@ def test_the_demo_runs_the_main_job_and_says_where_the_files_are(hil: Hil, tmp_p
 
 
 def test_inspect_says_what_a_recording_holds(hil: Hil) -> None:
-    record(hil, "--duration", 5, "--soft", 0.2, "-o", "a.h5")
+    record(hil, "--duration", 5, "--fade", 0.2, "-o", "a.h5")
     seen = hil("inspect", "a.h5", "--json").json
     assert seen["usable"]
     assert seen["samples"] == 2501
@@ -392,9 +392,9 @@ def test_a_recording_of_nothing_is_told_in_the_json_too(
     [
         (("record", "--backend", "simm"), "did you mean 'sim'"),
         (("record", "--backend", "sim", "--profile", "chrip"), "unknown profile"),
-        (("record", "--backend", "sim", "--quantity", "speed"), "unknown --quantity"),
+        (("record", "--backend", "sim", "--mode", "speed"), "'speed' is not one of 'torque', 'position'"),
         (("record", "--backend", "sim", "--amplitude", "1"), "beyond the stand's limit of 0.03 N m"),
-        (("record", "--backend", "sim", "--quantity", "position", "--amplitude", "9"), "limit of 1 rad"),
+        (("record", "--backend", "sim", "--mode", "position", "--amplitude", "9"), "limit of 1 rad"),
         (("record", "--backend", "sim", "--amplitude", "nan"), "--amplitude nan"),
         (("record", "--backend", "sim", "--band", "15:0.1"), "reversed"),
         (("record", "--backend", "sim", "--band", "low:high"), "LOW:HIGH"),
@@ -509,5 +509,5 @@ def test_the_profiles_are_explained(hil: Hil) -> None:
 def test_every_profile_records(hil: Hil, tmp_path: Path, kind: str, quantity: str) -> None:
     (tmp_path / "set.csv").write_text("0,0\n1,0.004\n2,0\n")
     words = ("--setpoints", "set.csv") if kind == "file" else ("--duration", "2")
-    ended = hil("record", "--backend", "sim", "--profile", kind, "--quantity", quantity, *words, "--json")
+    ended = hil("record", "--backend", "sim", "--profile", kind, "--mode", quantity, *words, "--json")
     assert (ended.status, ended.json["samples"], ended.json["end_reason"]) == (0, 1001, "done")

@@ -48,14 +48,14 @@ def stand_file(folder: Path, text: str = STAND) -> Path:
 
 @contextmanager
 def emulated(*words: str) -> Iterator[subprocess.Popen[str]]:
-    """`hil emulate` as a person starts it, from the moment it says that it is there."""
+    """`hil emulate` as a person starts it, once it is ready."""
     code = "from hil.cli.app import main; main()"
     with subprocess.Popen(
         [sys.executable, "-c", code, "emulate", *words], stderr=subprocess.PIPE, text=True
     ) as process:
         try:
             assert process.stderr is not None
-            assert " is there " in process.stderr.readline()
+            assert process.stderr.readline().startswith(f"Emulating {words[0]}")
             yield process
         finally:
             process.kill()
@@ -66,7 +66,7 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
     recording = tmp_path / "run.h5"
     link = tmp_path / "ttyDXL"
     with emulated("dynamixel", "--link", str(link), "--id", "1", "--id", "2", "--stand", str(stand)) as process:
-        words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--soft", "0.5", "--rate", "100"]
+        words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--fade", "0.5", "--rate", "100"]
         assert run(["record", "--stand", str(stand), *words, "--amplitude", "0.01", "-o", str(recording)]) == 0
         process.send_signal(signal.SIGINT)
         assert process.wait(20.0) == 0
@@ -95,7 +95,7 @@ def test_a_drive_on_can_is_recorded_over_a_serial_adapter(tmp_path: Path, name: 
         f"[limits]\ntorque = {0.03 * scale}\ndeflection = 1.5\nvelocity = 25.0\ntemperature = 75.0\n"
         f'[{name}]\ninterface = "slcan"\nchannel = "{link}"\nreply_timeout = 0.3\nwatchdog = 1.0\n{table}\n'
     )
-    words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--soft", "0.5", "--rate", "50"]
+    words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--fade", "0.5", "--rate", "50"]
     with emulated(name, "--link", str(link)) as process:
         assert (
             run(["record", "--stand", str(stand), *words, "--amplitude", f"{0.01 * scale}", "-o", str(recording)]) == 0
@@ -121,9 +121,9 @@ def test_a_kill_ends_an_emulator_cleanly(tmp_path: Path) -> None:
 def test_a_position_profile_puts_the_drive_into_a_position_mode(tmp_path: Path) -> None:
     stand = stand_file(tmp_path)
     recording = tmp_path / "run.h5"
-    words = ["--profile", "sine", "--band", "1", "--duration", "1.5", "--soft", "0.25", "--rate", "50"]
+    words = ["--profile", "sine", "--band", "1", "--duration", "1.5", "--fade", "0.25", "--rate", "50"]
     with serve(tmp_path / "ttyDXL", "xl330-m288"):
-        words += ["--quantity", "position", "--amplitude", "0.3", "-o", str(recording)]
+        words += ["--mode", "position", "--amplitude", "0.3", "-o", str(recording)]
         assert run(["record", "--stand", str(stand), *words]) == 0
     with Recording(recording) as made:
         command, dtheta = made.channel("command"), made.channel("dtheta")

@@ -20,7 +20,7 @@ from hil.recording.writer import Header, PartFile, missing_row
 from ..conftest import Maker
 
 Captured = pytest.CaptureFixture[str]
-SIM = ("record", "--backend", "sim", "--duration", "1", "--soft", "0.2")
+SIM = ("record", "--backend", "sim", "--duration", "1", "--fade", "0.2")
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""`hil design`: the errors it predicts, the profile it finds, and what it says of both."""
+"""`hil design`: the errors it predicts, the excitation it finds, and the warnings about both."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from hil.acquisition import excitation
 from hil.acquisition.run import run
 from hil.cli.app import run as hil
 from hil.errors import WrongUse
+from hil.experiment_design.advice import of_profile, of_task
 from hil.experiment_design.assessment import Assessment, Task, assess, rounded, task_of
-from hil.experiment_design.diagnostics import diagnostics, task_diagnostics
 from hil.experiment_design.response import respond
 from hil.experiment_design.search import best
 from hil.identification.dataset import stand_of
@@ -73,24 +73,34 @@ def test_the_predicted_errors_are_those_of_recordings_on_the_simulated_stand(tmp
 
 
 @pytest.mark.parametrize("quantity", ["torque", "position"])
-def test_the_best_profile_tells_more_than_the_usual_one_and_keeps_every_limit(quantity: str) -> None:
+def test_the_best_excitation_beats_the_usual_one_and_keeps_every_limit(quantity: str) -> None:
     asked = task(quantity=quantity)
     usual = judged(asked, "chirp", (0.5, 15.0), 0.006 if quantity == "torque" else 0.2)
     found = best(asked, 4.0)
     assert found.relative < 0.7 * usual.relative
-    assert 0.95 < max(found.strained) <= 1.0
+    assert 0.95 < max(found.worst_shares) <= 1.0
     for stiffer, thicker in itertools.product((0.8, 0.9, 1.1, 1.25), (0.67, 0.8, 1.2, 1.5)):
         other = replace(asked.joint, stiffness=0.01775 * stiffer, damping=1.9e-4 * thicker)
         assert max(asked.shares(respond(other, found.profile, asked.rate)[1])) < 1.01
 
 
-def test_no_chirp_or_multisine_nearby_tells_more_than_the_best() -> None:
+def test_no_chirp_or_multisine_nearby_has_smaller_errors_than_the_best() -> None:
     asked = task("linear+offset+coulomb")
     found = best(asked, 4.0)
     for kind, band in itertools.product(("chirp", "multisine"), ((0.5, 5.0), (0.5, 20.0), (2.0, 10.0), (4.0, 20.0))):
         other = judged(asked, kind, band, 1e-3)
-        amplitude = rounded(1e-3 / max(other.strained), down=True)
+        amplitude = rounded(1e-3 / max(other.worst_shares), down=True)
         assert judged(asked, kind, band, amplitude).relative > 0.97 * found.relative, (kind, band)
+
+
+def test_the_errors_of_auto_are_at_least_those_of_every_model_it_considers() -> None:
+    considered = [
+        judged(task(model), "chirp", (0.5, 15.0), 0.006) for model in ("linear", "linear+offset+coulomb+skew")
+    ]
+    auto = judged(task("auto"), "chirp", (0.5, 15.0), 0.006)
+    assert {"Fc", "K3", "skew", "drift"} < {parameter.name for parameter in auto.parameters}
+    for one in considered:
+        assert all(auto[parameter.name].error >= 0.999 * parameter.error for parameter in one.parameters)
 
 
 def test_a_tighter_limit_is_the_one_that_limits() -> None:
@@ -107,10 +117,10 @@ def test_the_command_it_prints_records_without_passing_a_limit(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert hil(["design", "--backend", "sim", "--duration", "3", "--rate", "250", "--json"]) == 0
-    told: dict[str, Any] = json.loads(capfd.readouterr().out)
-    assert told["schema"] == "hil-design/1"
-    assert set(told["profiles"]) == {"given", "best"}
-    chosen = told["profiles"]["best"]
+    found: dict[str, Any] = json.loads(capfd.readouterr().out)
+    assert found["schema"] == "hil-design/2"
+    assert set(found["profiles"]) == {"given", "best"}
+    chosen = found["profiles"]["best"]
     assert hil([*shlex.split(chosen["command"])[1:], "-o", "a.h5"]) == 0
     reached = float(np.abs(signals_of(Path("a.h5")).dtheta).max())
     assert reached == pytest.approx(chosen["limits"]["deflection"]["peak"], rel=0.02)
@@ -118,7 +128,7 @@ def test_the_command_it_prints_records_without_passing_a_limit(
 
 def test_the_table_names_both_profiles_their_errors_and_what_limits_them(capfd: pytest.CaptureFixture[str]) -> None:
     words = ["design", "--backend", "sim", "--duration", "3", "--rate", "250", "--profile", "sine", "--band", "2"]
-    assert hil(words) == 0
+    assert hil([*words, "--model", "linear"]) == 0
     out, err = capfd.readouterr()
     for text in ("given: sine 2 Hz", "best: ", "mN m s/rad", "%", "limited by deflection", "hil record --backend sim"):
         assert text in out
@@ -127,16 +137,16 @@ def test_the_table_names_both_profiles_their_errors_and_what_limits_them(capfd: 
 
 
 def codes(asked: Task, made: Assessment) -> dict[str, str | None]:
-    return {diagnostic.code: diagnostic.parameter for diagnostic in diagnostics(asked, made)}
+    return {diagnostic.code: diagnostic.parameter for diagnostic in of_profile(asked, made)}
 
 
-def test_a_band_above_the_corner_is_said_to_tell_less_of_the_stiffness() -> None:
+def test_a_band_above_the_corner_is_warned_to_weaken_the_stiffness() -> None:
     asked = task(rate=1000.0)
     assert codes(asked, judged(asked, "chirp", (20.0, 90.0), 0.002))["corner-outside-band"] == "Kc"
     assert "corner-outside-band" not in codes(asked, judged(asked, "chirp", (1.0, 90.0), 0.002))
 
 
-def test_an_amplitude_within_the_limits_only_for_these_rough_values_is_said_to_be_near() -> None:
+def test_an_amplitude_within_the_limits_only_for_these_rough_values_is_warned_of() -> None:
     asked = task()
     safe = judged(asked, "sine", (10.0, 10.0), 0.004)
     near = 0.004 * 0.99 / max(safe.shares)
@@ -144,16 +154,16 @@ def test_an_amplitude_within_the_limits_only_for_these_rough_values_is_said_to_b
     assert "near-limit" in codes(asked, judged(asked, "sine", (10.0, 10.0), near))
 
 
-def test_a_skew_of_the_readings_is_said_to_bias_until_the_model_has_it() -> None:
+def test_a_skew_of_the_readings_biases_until_the_model_has_it() -> None:
     late = SIMULATED + "\n[sim.sensors]\njoint_torque_delay = 0.002\n"
     for model, biased in (("linear", True), ("linear+skew", False)):
         asked = task(model, text=late, rate=500.0)
         assert ("biased" in codes(asked, judged(asked, "chirp", (0.5, 10.0), 0.004))) is biased
 
 
-def test_a_recording_too_weak_to_tell_the_damping_is_said_to_be() -> None:
+def test_an_excitation_too_weak_to_identify_the_damping_is_warned_of() -> None:
     asked = task()
-    assert codes(asked, judged(asked, "ramp", (0.5, 0.5), 2e-4))["not-told"] == "Bc"
+    assert codes(asked, judged(asked, "ramp", (0.5, 0.5), 2e-4))["not-identifiable"] == "Bc"
 
 
 @pytest.mark.parametrize(
@@ -166,13 +176,13 @@ def test_a_recording_too_weak_to_tell_the_damping_is_said_to_be() -> None:
         (["--band", "1:200"], "needs a rate of at least 800 Hz"),
         (["--amplitude", "0.02"], "lower --amplitude to 0.0"),
         (["--amplitude", "1e-9"], "less than one count"),
-        (["--kc", "1e6"], "the limits permit no motion that can be read"),
+        (["--kc", "1e6"], "the limits permit no motion that the encoder resolves"),
         (["--model", "linear+backlash"], "no error can be predicted for 'backlash'"),
         (["--model", "coulomb"], "name linear"),
         (["--model", "linear+skew+inertia"], "leave one out"),
         (["--duration", "0.1"], "leave no band"),
         (["--profile", "tune"], "unknown profile"),
-        (["--quantity", "speed"], "unknown --quantity"),
+        (["--mode", "speed"], "'speed' is not one of 'torque', 'position'"),
     ],
 )
 def test_what_cannot_be_designed_is_refused_in_a_sentence(
@@ -202,10 +212,10 @@ def test_a_stand_that_is_not_simulated_needs_rough_values_and_says_what_it_assum
     assert "[noise-assumed]" not in capfd.readouterr().err
 
 
-@pytest.mark.parametrize(("quantity", "words"), [("torque", "half a tick (2 ms)"), ("position", "--quantity torque")])
-def test_torque_from_the_motors_side_is_said_to_be_predicted_less_well(quantity: str, words: str) -> None:
+@pytest.mark.parametrize(("quantity", "words"), [("torque", "half a tick (2 ms)"), ("position", "--mode torque")])
+def test_torque_from_the_motors_side_is_warned_to_be_predicted_less_well(quantity: str, words: str) -> None:
     asked = task(text=SIMULATED.replace('"joint"', '"motor"'), quantity=quantity)
-    (found,) = task_diagnostics(asked, noise_stated=True)
+    (found,) = of_task(asked, noise_stated=True)
     assert found.code == "motor-side"
     assert words in found.message
 

@@ -18,7 +18,7 @@ from ga.model.terms import parse as parse_model
 from hil.cli.app import run
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table
-from hil.exchange.row_filter import Condition
+from hil.exchange.row_filter import RowFilter
 from hil.identification.compare import Comparison, compare, standard_error
 from hil.identification.identify import Search
 from hil.identification.result import Estimate
@@ -141,7 +141,7 @@ def test_the_real_runs_of_one_actuator_agree(tmp_path: Path, locked_output: Path
     columns = {"time": Column("TIME"), "torque": Column("TORQUE"), "dtheta": Column("POSITION", "rev")}
     paths = [tmp_path / f"{run}.h5" for run in (100, 101)]
     for path in paths:
-        where = [Condition.parse(f"test_nr=={path.stem}")]
+        where = [RowFilter.parse(f"test_nr=={path.stem}")]
         import_table(locked_output / "base_onyx_runin1.csv.gz", path, columns, where)
     kc = compare(paths, parse_model("linear+offset+coulomb"), SEARCH).parameters[0]
     assert kc.pooled is not None
@@ -209,7 +209,7 @@ def hil(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
 def test_the_command_prints_each_recording_what_they_share_and_a_verdict(hil: Hil, make_recording: Maker) -> None:
     for index, kc in enumerate([0.02, 0.021, 0.0205]):
         stamped(make_recording(f"r{index}.h5", kc=kc, noise=1e-5, seed=index), hour=index / 2)
-    status, out, err = hil("compare", "r0.h5", "r1.h5", "r2.h5", "--trials", 2, "--picture", "c.png")
+    status, out, err = hil("compare", "r0.h5", "r1.h5", "r2.h5", "--trials", 2, "--report", "c.png")
     assert status == 0
     assert all(name in out for name in ("r0.h5", "r1.h5", "r2.h5", "Kc, mN m/rad", "pooled", "within", "between"))
     assert "…" not in out  # nothing is cut off at 80 characters

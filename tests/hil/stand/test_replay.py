@@ -33,7 +33,7 @@ recording = "{recording}"
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
     path = tmp_path / "first.h5"
-    assert run(["record", "--backend", "sim", "--duration", "2", "--soft", "0.2", "-o", str(path)]) == 0
+    assert run(["record", "--backend", "sim", "--duration", "2", "--fade", "0.2", "-o", str(path)]) == 0
     return path
 
 
@@ -45,7 +45,7 @@ def replay(path: Path, recording: Path, deflection: float = 1.0) -> Path:
 def test_a_recording_of_a_recording_holds_the_same_readings(tmp_path: Path, recorded: Path) -> None:
     stand = replay(tmp_path / "stand.toml", recorded)
     again = tmp_path / "again.h5"
-    words = ["--duration", "1.9", "--soft", "0.2", "--amplitude", "0.001", "-o", str(again)]
+    words = ["--duration", "1.9", "--fade", "0.2", "--amplitude", "0.001", "-o", str(again)]
     assert run(["record", "--stand", str(stand), *words]) == 0
     with Recording(recorded) as first, Recording(again) as second:
         assert second.truth() == {}

@@ -1,0 +1,60 @@
+"""`hil replicate`: the paper's experiment on the simulated stand."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.cli.options import DEFAULT_SEED, Checkpoint, Folder, Json, Seed, Workers
+from hil.cli.progress import progress
+from hil.cli.terminal import exit_interrupted, out, print_diagnostics, print_json, say
+
+
+def replicate(
+    evaluations: Annotated[int, typer.Option(min=1, help="Of each trial; the paper's is 200000000.")] = 2_000_000,
+    trials: Annotated[int, typer.Option(min=1, help="Independent searches.")] = 30,
+    seed: Seed = DEFAULT_SEED,
+    workers: Workers = None,
+    checkpoint: Checkpoint = None,
+    output: Folder = Path("hil-replicate"),
+    as_json: Json = False,
+) -> None:
+    """Repeat the paper's experiment on the simulated stand: Table 1 and Figure 8.
+
+    Ctrl-C saves the search to the output folder (or to --checkpoint); the same command resumes it.
+    """
+    from hil.identification import replicate as experiment
+
+    saved = checkpoint or output / f"search-{trials}x{evaluations}-seed{seed}.npz"
+    with progress() as show:
+        done = experiment.replicate(
+            output,
+            evaluations=evaluations,
+            trials=trials,
+            seed=seed,
+            workers=workers or os.cpu_count() or 1,
+            checkpoint=saved,
+            progress=show,
+        )
+    interrupted = done.identification.trials.interrupted
+    if checkpoint is None and not interrupted:
+        saved.unlink(missing_ok=True)
+    recording = done.identification.recordings[0]
+    picture = recording.with_suffix(".png")
+    experiment.draw_convergence(done, picture)
+    if as_json:
+        print_json(experiment.as_json(done))
+    else:
+        for line in experiment.table(done):
+            out(line)
+        out(
+            f"{done.identification.trials.made:.3g} evaluations in {done.identification.search_seconds:.1f} s: "
+            f"{done.evaluations_per_second:.3g} per second, {done.ratio_to_numpy:.0f} times NumPy on one core"
+        )
+    say(f"wrote {recording} and {picture} (Figure 8)")
+    print_diagnostics(done.identification.diagnostics)
+    if interrupted:
+        exit_interrupted(saved)

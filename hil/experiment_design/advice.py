@@ -1,0 +1,173 @@
+"""Advice on an excitation before it is driven: warnings with their remedies, and the command that records it."""
+
+from __future__ import annotations
+
+import math
+import shlex
+
+from drivers.servo import Quantity
+from hil.acquisition.excitation import Profile
+from hil.diagnostics import Diagnostic
+from hil.experiment_design.assessment import Assessment, Task
+
+_CONFUSED = 30.0  # variance inflation from which two parameters look alike, as in `hil identify`
+_ONE_SPEED = ("sine", "ramp")  # a triangle has one speed, and a sine hardly any other
+_FEW_SPEEDS = 4.0  # the ratio of a band's ends below which friction and damping look alike
+
+
+def of_task(task: Task, *, noise_stated: bool) -> list[Diagnostic]:
+    """Return the warnings that hold for every excitation of the task."""
+    found = []
+    if not noise_stated:
+        found.append(
+            Diagnostic(
+                "noise-assumed",
+                f"the stand file does not describe its sensors: a torque noise of {task.readings.white:.3g} N m and a "
+                f"count of {task.readings.angle_lsb:.2g} rad are assumed, and all errors are proportional to the "
+                "noise; measure it with hil inspect and give it as --torque-noise",
+            )
+        )
+    if task.joint.inertia == 0.0 and task.quantity is Quantity.TORQUE:
+        found.append(
+            Diagnostic(
+                "no-inertia",
+                "the stand file gives no motor_inertia: the resonance is not predicted, and at it the deflection can "
+                "be many times the predicted one; add motor_inertia to [stand]",
+            )
+        )
+    if task.readings.motor_side:
+        found.append(_motor_side(task))
+    return found
+
+
+def _motor_side(task: Task) -> Diagnostic:
+    if task.quantity is Quantity.POSITION:
+        message = (
+            "between ticks the motor's torque follows the drive's own position loop, which is not predicted: Bc can be "
+            "far from this prediction; use a torque cell, or --mode torque"
+        )
+    else:
+        message = (
+            "the motor's torque is constant from tick to tick and read before it changes, which is half a tick "
+            f"({500.0 / task.rate:.2g} ms) of skew: the predicted bias of Bc is rough, and its error is larger than "
+            "predicted"
+        )
+    return Diagnostic("motor-side", message, "Bc")
+
+
+def of_profile(task: Task, judged: Assessment) -> list[Diagnostic]:
+    """Return the warnings about one excitation, each beginning with its description."""
+    return [
+        *_near_limits(judged),
+        *_corner(task, judged),
+        *_speeds(task, judged),
+        *_biased(task, judged),
+        *_not_identifiable(judged),
+    ]
+
+
+def _near_limits(judged: Assessment) -> list[Diagnostic]:
+    worst = max(judged.worst_shares)
+    if worst <= 1.0 + 1e-9:
+        return []
+    return [
+        Diagnostic(
+            "near-limit",
+            f"{described(judged.profile)}: keeps the limits for this Kc and Bc, but exceeds that on "
+            f"{judged.limited_by} by {worst - 1.0:.0%} where Kc is 25 % higher or 20 % lower, or Bc 50 % higher or "
+            "33 % lower; lower --amplitude",
+        )
+    ]
+
+
+def _corner(task: Task, judged: Assessment) -> list[Diagnostic]:
+    low, high = judged.profile.band
+    corner = task.joint.corner
+    if judged.profile.kind == "file" or low <= corner <= high or (judged.profile.kind == "prbs" and corner <= high):
+        return []
+    where = "above" if corner > high else "below"
+    weak, remedy = ("Bc", "widen --band upwards") if corner > high else ("Kc", "widen --band downwards")
+    return [
+        Diagnostic(
+            "corner-outside-band",
+            f"{described(judged.profile)}: the corner Kc/(2 pi Bc) of {corner:.3g} Hz lies {where} the band, where "
+            f"{weak} carries the smaller part of the torque and is estimated less well; {remedy}, or record for longer",
+            weak,
+        )
+    ]
+
+
+def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
+    profile, found = judged.profile, []
+    swept = profile.kind in {"chirp", "multisine", "sine"}
+    if profile.kind in _ONE_SPEED or (swept and profile.band[1] < _FEW_SPEEDS * profile.band[0]):
+        found.append(
+            Diagnostic(
+                "one-speed",
+                f"{described(profile)}: at one speed, dry friction and Bc cannot be distinguished, whatever the model; "
+                "drive at several (--profile chirp or multisine over two octaves)",
+                "Bc",
+            )
+        )
+    if judged.friction:
+        amount = 0.01 * judged.peaks.torque
+        found.append(
+            Diagnostic(
+                "friction-in-damping",
+                f"{described(profile)}: without +coulomb, dry friction of 1 % of the torque ({amount:.2g} N m) changes "
+                f"Bc by {amount * judged.friction / task.joint.damping:+.1%}; add it to --model",
+                "Bc",
+            )
+        )
+    return found
+
+
+def _biased(task: Task, judged: Assessment) -> list[Diagnostic]:
+    remedy = "" if "skew" in task.terms else "; add +skew to --model"
+    return [
+        Diagnostic(
+            "biased",
+            f"{described(judged.profile)}: {name} has a bias of {judged[name].bias / judged[name].rough:+.2%}, "
+            f"{abs(judged[name].bias) / judged[name].error:.0f} of its standard errors, from the skew of the readings "
+            f"and the window of the rate, which a longer recording does not reduce{remedy}",
+            name,
+        )
+        for name in ("Kc", "Bc")
+        if 2.0 * judged[name].error < abs(judged[name].bias) < math.inf
+    ]
+
+
+def _not_identifiable(judged: Assessment) -> list[Diagnostic]:
+    found = []
+    for parameter in judged.parameters:
+        name = parameter.name
+        if math.isinf(parameter.error) or parameter.inflation > _CONFUSED:
+            reason = "it has no effect on the torque, or another parameter has the same; leave a term out of --model"
+        elif name in {"Kc", "Bc"} and 1.96 * parameter.error > 0.5 * parameter.rough:
+            reason = "its 95 % interval is as wide as its value; raise --amplitude or --duration"
+        else:
+            continue
+        message = f"{described(judged.profile)}: {name} is not identifiable: {reason}, or widen --band"
+        found.append(Diagnostic("not-identifiable", message, name))
+    return found
+
+
+def described(profile: Profile) -> str:
+    """Return the excitation in a few words, such as "chirp 0.1 to 15 Hz"."""
+    if profile.kind == "file":
+        return profile.setpoints
+    low, high = profile.band
+    return f"{profile.kind} {low:g} Hz" if low == high else f"{profile.kind} {low:g} to {high:g} Hz"
+
+
+def command(judged: Assessment, stand: str, rate: float) -> str:
+    """Return the command that records the excitation at `rate` Hz. stand: its options, such as "--backend sim"."""
+    profile = judged.profile
+    words = f"hil record {stand} --profile {profile.kind}"
+    if profile.kind == "file":
+        words += f" --setpoints {shlex.quote(profile.setpoints)}"
+    else:
+        low, high = profile.band
+        words += f" --band {low:.12g}" if low == high else f" --band {low:.12g}:{high:.12g}"
+    words += f" --amplitude {profile.amplitude:.12g} --duration {profile.duration:.12g} --rate {rate:.12g}"
+    return words + (" --mode position" if profile.quantity is Quantity.POSITION else "")

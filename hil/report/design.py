@@ -1,0 +1,119 @@
+"""An experiment design for people and machines: tables, lines and JSON. Nothing here prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from hil.experiment_design.advice import command, described, of_profile
+from hil.experiment_design.assessment import LIMITED, UNITS, Assessment, Task
+from hil.report.identification import people_unit
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from hil.diagnostics import Diagnostic
+    from hil.experiment_design.fisher import Parameter
+
+SCHEMA = "hil-design/2"
+"""Version 1 had the warning not-identifiable under another code, and its default model was linear."""
+
+
+def error_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
+    """Return the predicted standard error of every parameter, a column for each of the excitations by name."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    table = Table(title=f"{task.model}: predicted standard errors", box=SIMPLE, pad_edge=False)
+    table.add_column("", no_wrap=True)
+    for name, one in judged.items():
+        table.add_column(f"{name}: {described(one.profile)}", justify="right")
+    table.add_column("")
+    for rows in zip(*(one.parameters for one in judged.values()), strict=True):
+        factor, unit = people_unit(rows[0].unit, milli=task.limits[1] < 1.0)
+        table.add_row(rows[0].name, *(_error(parameter, factor) for parameter in rows), unit)
+    return table
+
+
+def _error(parameter: Parameter, factor: float) -> str:
+    if math.isinf(parameter.error):
+        return "not identifiable"
+    share = f" ({parameter.error / parameter.rough:.2%})" if parameter.name in {"Kc", "Bc"} else ""
+    return f"{parameter.error * factor:.3g}{share}"
+
+
+def limit_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
+    """Return the predicted peaks beside their limits."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    table = Table(title="predicted peaks, and their share of the limit", box=SIMPLE, pad_edge=False)
+    for heading in ("", *judged, "limit", ""):
+        table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    for index, name in enumerate(LIMITED):
+        cells = [f"{one.peaks.in_order[index]:.3g} ({one.shares[index]:.0%})" for one in judged.values()]
+        table.add_row(name, *cells, f"{task.limits[index]:g}", UNITS[index])
+    return table
+
+
+def design_lines(task: Task, judged: Mapping[str, Assessment], stand: str) -> list[str]:
+    """Return what the tables do not say, and the command that records each excitation on `stand` ("--backend sim")."""
+    return [
+        "The errors are those of hil identify (least absolute deviations), 1.25 times those of least squares in white "
+        "noise.\nFour times the duration halves them. Heating is not predicted.",
+        *(f"{name}, limited by {one.limited_by}:\n  {command(one, stand, task.rate)}" for name, one in judged.items()),
+    ]
+
+
+def as_json(task: Task, judged: Mapping[str, Assessment], general: list[Diagnostic], stand: str) -> dict[str, Any]:
+    """Return the JSON object of `hil design --json`, SI; an infinite error is null. judged: by "given" and "best"."""
+    return {
+        "schema": SCHEMA,
+        "model": "+".join(task.terms),
+        "rough": {"Kc": task.joint.stiffness, "Bc": task.joint.damping},
+        "corner": task.joint.corner,
+        "resonance": _number(task.joint.resonance),
+        "torque_noise": task.readings.white,
+        "angle_lsb": task.readings.angle_lsb,
+        "skew": task.readings.skew,
+        "profiles": {name: _profile(task, one, stand) for name, one in judged.items()},
+        "warnings": [diagnostic.as_json() for diagnostic in general],
+    }
+
+
+def _profile(task: Task, judged: Assessment, stand: str) -> dict[str, Any]:
+    limits = zip(LIMITED, UNITS, judged.peaks.in_order, task.limits, judged.shares, judged.worst_shares, strict=True)
+    return {
+        "profile": judged.profile.attributes() | {"rate": task.rate},
+        "command": command(judged, stand, task.rate),
+        "parameters": {parameter.name: _parameter(parameter) for parameter in judged.parameters},
+        "limits": {
+            name: {
+                "peak": peak,
+                "limit": limit,
+                "unit": unit.replace(" ", "*"),
+                "share": share,
+                "share_at_worst": worst,
+            }
+            for name, unit, peak, limit, share, worst in limits
+        },
+        "limited_by": judged.limited_by,
+        "warnings": [diagnostic.as_json() for diagnostic in of_profile(task, judged)],
+    }
+
+
+def _parameter(parameter: Parameter) -> dict[str, Any]:
+    return {
+        "rough": parameter.rough,
+        "unit": parameter.unit,
+        "standard_error": _number(parameter.error),
+        "cramer_rao": _number(parameter.bound),
+        "bias": _number(parameter.bias),
+        "relative": _number(parameter.error / parameter.rough) if parameter.rough else None,
+        "inflation": _number(parameter.inflation),
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
