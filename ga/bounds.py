@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.fitness.dense import check
+from ga.samples import check
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

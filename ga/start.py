@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import compiled_no_refcount
-from ga.fitness.dense import RESOLUTION
+from ga.samples import RESOLUTION
 
 if TYPE_CHECKING:
     from ga.bounds import Bounds

@@ -25,7 +25,9 @@ from ga.evolution.operators import (
     weighted_centre,
 )
 from ga.evolution.population import Population, Record, Rules, due_after, has_settled, recorded, remember
-from ga.fitness.engine import Samples, Tree, error_of
+from ga.fitness.cell_tree import Tree
+from ga.fitness.dense import Samples
+from ga.fitness.engine import error_of
 
 
 class Family(NamedTuple):

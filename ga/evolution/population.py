@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from ga.compiled import compiled_inline, compiled_no_refcount
 from ga.evolution.generator import State, load, store, uniform
 from ga.evolution.operators import REDRAWS, Genes, Order, clamp, copy, is_inside
-from ga.fitness.engine import Samples, Tree, exact_error
+from ga.fitness.cell_tree import Tree
+from ga.fitness.dense import Samples
+from ga.fitness.engine import exact_error
 from ga.start import Start
 
 ALWAYS, IF_BETTER, OLDEST, RANDOM = range(4)

@@ -30,8 +30,9 @@ from ga.evolution.population import (
     recorded,
     remember,
 )
-from ga.fitness.dense import ROUNDING
-from ga.fitness.engine import Samples, Tree, error_of, exact_error, tangent_of
+from ga.fitness.cell_tree import Tree
+from ga.fitness.dense import ROUNDING, Samples
+from ga.fitness.engine import error_of, exact_error, tangent_of
 
 Tangents = NDArray[np.float64]
 

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import compiled, compiled_inline, compiled_no_refcount
-from ga.fitness.dense import ROUNDING, check, resolution
+from ga.fitness.dense import ROUNDING
+from ga.samples import check, resolution
 
 if TYPE_CHECKING:
     from ga.bounds import Bounds

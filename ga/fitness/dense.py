@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ga.compiled import compiled_no_refcount
+from ga.samples import check, resolution
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,12 +25,6 @@ if TYPE_CHECKING:
 
 LANES = 128
 """Samples in a block: the number of partial sums."""
-
-RESOLUTION = 1e-6
-"""A fitness below this part of the mean absolute torque counts as none when two fitnesses are compared relatively.
-
-Noise-free data have an optimum of zero, to which nothing is relatively close.
-"""
 
 ROUNDING = 1e-11
 """How far beyond a limit, relative to its terms, a bound must be: a thousand times what rounding makes of both."""
@@ -59,16 +54,6 @@ class Samples(NamedTuple):
     reach: float
     columns: NDArray[np.float64]
     torque: NDArray[np.float64]
-
-
-def check(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
-    """Raise ValueError unless columns (n, p) and torque (n,) are finite, of equal length and not empty."""
-    if columns.ndim != 2 or torque.ndim != 1 or len(columns) != len(torque):
-        raise ValueError(f"columns {columns.shape} and torque {torque.shape} are not of shape (n, p) and (n,)")
-    if 0 in columns.shape:
-        raise ValueError(f"columns of shape {columns.shape}: there is nothing to fit")
-    if not (np.isfinite(columns).all() and np.isfinite(torque).all()):
-        raise ValueError("columns or torque hold NaN or infinite values: drop those rows first")
 
 
 def pack(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> Samples:
@@ -124,11 +109,6 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
 def shared(samples: Samples) -> Samples:
     """The same samples with working space of their own."""
     return samples._replace(scratch=np.empty_like(samples.scratch), place=np.empty_like(samples.place))
-
-
-def resolution(torque: NDArray[np.float64]) -> float:
-    """The least fitness, N m, that relative comparisons divide by; 1e-300 where the torque is zero throughout."""
-    return max(RESOLUTION * float(np.mean(np.abs(torque))), 1e-300)
 
 
 @compiled_no_refcount

@@ -15,27 +15,13 @@ import numpy as np
 
 from ga.compiled import compiled_inline, compiled_no_refcount
 from ga.fitness.cell_tree import Tree, another, grow, tree_error, tree_tangent
-from ga.fitness.dense import Samples, check, collapse, dense_error, dense_tangent, pack, resolution, shared
+from ga.fitness.dense import Samples, collapse, dense_error, dense_tangent, pack, shared
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ga.bounds import Bounds
     from ga.start import Start
-
-__all__ = [
-    "Engine",
-    "Samples",
-    "Tree",
-    "check",
-    "collapse",
-    "engine_for",
-    "evaluate",
-    "fork",
-    "grow",
-    "pack",
-    "resolution",
-]
 
 Engine: TypeAlias = Samples | Tree
 

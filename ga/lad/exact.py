@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.fitness.dense import check, resolution
 from ga.lad.simplex import OPTIMAL, STALLED, descend, product, weighted_sum
+from ga.samples import check, resolution
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

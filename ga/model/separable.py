@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from ga.fitness.dense import resolution
 from ga.lad.exact import Optimum, least_absolute_deviations
+from ga.samples import resolution
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

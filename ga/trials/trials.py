@@ -13,7 +13,8 @@ import numpy as np
 
 from ga.evolution.evolution import Settings, advance, begin
 from ga.evolution.population import Population, Record
-from ga.fitness.engine import Engine, Samples, engine_for, fork
+from ga.fitness.dense import Samples
+from ga.fitness.engine import Engine, engine_for, fork
 from ga.start import Start, start_of, within
 from ga.trials.checkpoint import State, belonging, load, save
 

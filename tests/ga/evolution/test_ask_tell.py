@@ -9,7 +9,8 @@ import pytest
 from ga.bounds import PAPER_BOUNDS, Bounds
 from ga.evolution.ask_tell import Search
 from ga.evolution.evolution import PRESETS, advance, begin
-from ga.fitness.engine import evaluate, pack
+from ga.fitness.dense import pack
+from ga.fitness.engine import evaluate
 from ga.lad.exact import least_absolute_deviations
 
 if TYPE_CHECKING:

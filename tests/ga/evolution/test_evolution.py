@@ -9,7 +9,9 @@ import pytest
 from ga.bounds import PAPER_BOUNDS, Bounds
 from ga.evolution.evolution import PRESETS, Settings, advance, begin
 from ga.evolution.population import Population
-from ga.fitness.engine import Engine, Samples, evaluate, grow, pack
+from ga.fitness.cell_tree import grow
+from ga.fitness.dense import Samples, pack
+from ga.fitness.engine import Engine, evaluate
 
 if TYPE_CHECKING:
     from tests.ga.conftest import Data

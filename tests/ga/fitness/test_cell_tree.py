@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.fitness.cell_tree import Tree, another, grow, tree_tangent
-from ga.fitness.engine import engine_for, evaluate, pack
+from ga.fitness.dense import pack
+from ga.fitness.engine import engine_for, evaluate
 from ga.lad.exact import least_absolute_deviations
 
 if TYPE_CHECKING:

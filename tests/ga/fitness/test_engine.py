@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ga.fitness.engine import evaluate, pack
+from ga.fitness.dense import pack
+from ga.fitness.engine import evaluate
 
 
 @settings(deadline=None, max_examples=60)
