@@ -115,6 +115,7 @@ class MoteusServo:
                 raise fault(int(state["fault"]))
             self._stop()
             self._prepare(limits)
+            self._milliseconds.restart()
             self._last_position = state["position"]
             self._start(limits)
 

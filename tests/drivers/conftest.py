@@ -49,6 +49,7 @@ from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.mx_device import MxDevice
 from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
+from sim_backend.wire.faults import WireFaults
 from sim_backend.wire.loadcell.emulator import SCALE, EmulatedLoadCell, LoadCellBoard
 from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.moteus.device import MoteusDevice
@@ -141,6 +142,18 @@ class Rig:
     def device(self) -> Any:
         return self.bus.devices[0]
 
+    @property
+    def motor(self) -> Any:
+        return self.device.motor
+
+    @property
+    def faults(self) -> WireFaults[Any]:
+        return self.bus.faults
+
+    @property
+    def closed(self) -> bool:
+        return self.port.opened == 0
+
     def wait(self, seconds: float) -> None:
         self.clock.sleep_until(self.clock.now() + seconds)
         self.bus.advance(self.clock.now())
@@ -175,6 +188,18 @@ class CanRig:
     @property
     def device(self) -> Any:
         return self.bus.nodes[0]
+
+    @property
+    def motor(self) -> Any:
+        return self.device.motor
+
+    @property
+    def faults(self) -> WireFaults[Any]:
+        return self.bus.faults
+
+    @property
+    def closed(self) -> bool:
+        return self.wire.closed
 
     def wait(self, seconds: float) -> None:
         self.clock.sleep_until(self.clock.now() + seconds)
@@ -253,6 +278,18 @@ class FocRig:
 
     def open(self, **changes: Any) -> CommanderServo:
         return CommanderServo(replace(self.config, **changes), clock=self.clock, port=self.port)
+
+    @property
+    def motor(self) -> Any:
+        return self.board.motor
+
+    @property
+    def faults(self) -> WireFaults[Any]:
+        return self.board.faults
+
+    @property
+    def closed(self) -> bool:
+        return self.port.closed
 
     def wait(self, seconds: float) -> None:
         self.clock.sleep_until(self.clock.now() + seconds)

@@ -17,19 +17,17 @@ from pydantic import TypeAdapter, ValidationError
 from drivers.clock import VirtualClock
 from drivers.commander.config import CommanderConfig
 from drivers.commander.lines import RESOLUTION, same, state, target
-from drivers.commander.servo import RESTARTED, STOPPED, CommanderServo
+from drivers.commander.servo import CommanderServo
 from drivers.servo import (
     BadReply,
     Command,
-    DeviceFault,
     DriverError,
     Limits,
-    LinkLost,
     NoReply,
     Quantity,
 )
 from sim_backend.wire.commander.device import number
-from sim_backend.wire.commander.emulator import WATCHDOG, CommanderTiming, new_board, serve
+from sim_backend.wire.commander.emulator import CommanderTiming, new_board, serve
 from sim_backend.wire.faults import (
     CorruptReplies,
     DelayReplies,
@@ -37,9 +35,7 @@ from sim_backend.wire.faults import (
     DropRequests,
     DuplicateReplies,
     NoiseBefore,
-    Reboots,
     TruncateReplies,
-    Unplug,
 )
 from sim_backend.wire.loadcell.emulator import EmulatedLoadCell
 from sim_backend.wire.uart.loopback import SerialLoopback
@@ -201,49 +197,6 @@ def test_a_digit_lost_on_the_way_to_the_board_is_put_right_within_the_tick(foc: 
     servo.exchange(PUSH)
 
 
-def test_an_old_reply_is_not_taken_for_the_answer_to_the_same_set_point(foc: Rig) -> None:
-    servo = armed(foc)
-    foc.board.faults.inject(DelayReplies(after=0, count=3, seconds=0.010))
-    with pytest.raises((NoReply, BadReply)):
-        servo.exchange(PUSH)
-    begin = foc.clock.now()
-    assert servo.exchange(PUSH).t >= begin
-
-
-def test_silence_is_no_reply_within_its_deadline(foc: Rig) -> None:
-    servo = armed(foc)
-    foc.board.faults.inject(DropReplies(count=1000))
-    before = foc.clock.now()
-    with pytest.raises(NoReply):
-        servo.exchange(PUSH)
-    assert foc.clock.now() - before < 0.008 + 0.006
-
-
-def test_a_pulled_cable_is_a_lost_link_and_disarming_says_that_it_is_not_confirmed(foc: Rig) -> None:
-    servo = armed(foc)
-    foc.board.faults.inject(Unplug())
-    with pytest.raises(LinkLost, match="cut the power"):
-        drive_on(foc, servo, 2)
-    with pytest.raises(LinkLost, match="not confirmed"):
-        servo.disarm()
-    servo.close()
-
-
-@pytest.mark.parametrize("after", [0, 1, 2])
-def test_a_board_that_restarts_is_a_fault_and_its_motor_is_switched_off_again(foc: Rig, after: int) -> None:
-    servo = armed(foc)
-    foc.board.faults.inject(Reboots(after=after))
-    with pytest.raises(DeviceFault) as caught:
-        drive_on(foc, servo, 1000)
-    assert caught.value.code == RESTARTED
-    assert foc.board.motor.enabled  # as the program does when it begins
-    servo.disarm()
-    assert off(foc)
-    servo.arm(LIMITS)
-    drive_on(foc, servo, 5)
-    assert servo.exchange(PUSH).motor_torque > 0.0
-
-
 def test_a_restart_that_nobody_drove_through_does_not_leave_the_motor_on(foc: Rig) -> None:
     servo = foc.open()
     foc.board.reboot(foc.clock.now())
@@ -252,17 +205,6 @@ def test_a_restart_that_nobody_drove_through_does_not_leave_the_motor_on(foc: Ri
     assert foc.board.motor.enabled
     servo.exchange(Command.rest())
     assert off(foc)
-
-
-def test_a_motor_that_its_boards_watchdog_stopped_is_a_fault(make_foc: Make) -> None:
-    rig = make_foc(firmware="2.4-watchdog")
-    servo = armed(rig)
-    rig.wait(0.9 * WATCHDOG)
-    servo.exchange(PUSH)
-    rig.wait(1.1 * WATCHDOG)
-    with pytest.raises(DeviceFault, match="by itself") as caught:
-        servo.exchange(PUSH)
-    assert caught.value.code == STOPPED
 
 
 # -- opening and arming ---------------------------------------------------------------------------------------------
@@ -274,16 +216,6 @@ def test_a_board_that_is_still_booting_is_waited_for(foc: Rig) -> None:
     assert foc.clock.now() > CommanderTiming().boot
     assert off(foc)
     assert servo.exchange(Command.rest()).motor_torque == 0.0
-
-
-def test_a_motor_that_somebody_left_on_is_off_once_it_is_opened(foc: Rig) -> None:
-    motor = foc.board.motor
-    motor.enable()
-    motor.target = 0.2
-    for character in "M0.05":  # and died while it was typing
-        foc.board.device.type(character)
-    foc.open()
-    assert off(foc)
 
 
 def test_the_wrong_baud_rate_and_silence_are_told_apart(make_foc: Make) -> None:
