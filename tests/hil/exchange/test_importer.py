@@ -223,7 +223,7 @@ def test_a_rate_in_other_units_than_its_deflection_is_refused(
     tmp_path: Path, degrees: float, sign: float, ratio: str
 ) -> None:
     (tmp_path / "a.csv").write_text(swing(degrees, sign))
-    with pytest.raises(WrongUse, match=f"the deflection is {ratio} times.*their units or signs differ"):
+    with pytest.raises(WrongUse, match=f"the deflection's rate is {ratio} times.*their units or signs differ"):
         import_table(tmp_path / "a.csv", tmp_path / "a.h5", SWING, [])
 
 
