@@ -25,7 +25,7 @@ from sim_backend.parameters import CouplingParameters
 from sim_backend.wire.dynamixel.bus import DynamixelTiming
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
-from sim_backend.wire.dynamixel.motor import behind
+from sim_backend.wire.dynamixel.regulator import joint_at_horn
 from sim_backend.wire.dynamixel.tables import MODELS
 from sim_backend.wire.faults import DropReplies, Unplug
 
@@ -99,7 +99,7 @@ def test_nothing_moves_unless_it_was_asked_for(make_rig: Callable[..., Any], exa
 
 def test_a_joint_that_is_not_locked_is_found_out(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
-    free = behind(MODELS["xl330-m288"], CouplingParameters(stiffness=1e-5, damping=1e-6, coulomb_friction=0.0))
+    free = joint_at_horn(MODELS["xl330-m288"], CouplingParameters(stiffness=1e-5, damping=1e-6, coulomb_friction=0.0))
     rig.bus.devices[0] = DynamixelDevice(
         "xl330-m288", parameters=replace(free, motor=replace(free.motor, inertia=3e-4))
     )

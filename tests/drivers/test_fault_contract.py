@@ -31,7 +31,7 @@ from drivers.uart.port import POLL
 from sim_backend.wire.canopen.node import HEARTBEAT_LOST
 from sim_backend.wire.cia402 import device as cia402
 from sim_backend.wire.commander.emulator import WATCHDOG as COMMANDER_WATCHDOG
-from sim_backend.wire.commander.motor import CommanderMotor
+from sim_backend.wire.commander.motion import MotionControl
 from sim_backend.wire.dynamixel.device import OVERHEAT, OVERLOAD, VOLTAGE, DynamixelDevice
 from sim_backend.wire.faults import (
     BusOff,
@@ -181,13 +181,12 @@ def cia402_ages(rig: Rig, _servo: Any) -> Fresh:
 def commander_ages(rig: Rig, _servo: Any) -> Fresh:
     made: list[float] = []
 
-    class Numbered(CommanderMotor):
-        @property
-        def angle(self) -> float:
+    class Numbered(MotionControl):
+        def angle(self, _motor: Any) -> float:
             made.append(rig.clock.now())
             return float(len(made) - 1)
 
-    rig.motor.__class__ = Numbered
+    rig.motor.law.__class__ = Numbered
     return lambda sample: made[round(sample.motor_position)] >= sample.t
 
 
@@ -257,7 +256,7 @@ def cia402_left_on(rig: Rig) -> None:
 
 def board_left_on(rig: Rig) -> None:
     rig.motor.enable()
-    rig.motor.target = 0.2
+    rig.motor.law.target = 0.2
     for character in "M0.05":  # another program died while it was typing
         rig.board.device.type(character)
 
@@ -440,7 +439,7 @@ BOARD = Drive(
     silence=1000,
     boot=4.0,
     reboot=lambda rig: rig.board.reboot(rig.clock.now()),
-    off=lambda rig: not rig.motor.enabled and rig.motor.target == 0.0,
+    off=lambda rig: not rig.motor.enabled and rig.motor.law.target == 0.0,
     refused=(lambda rig: rig.board.mishear("MLC0", "MLC9"), "current limit"),
 )
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.canbus.motor import Law, Motor, behind
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
 from sim_backend.wire.canopen.dictionary import BAD_SIGNATURE, RANGE, Abort, Dictionary, eds
 from sim_backend.wire.canopen.node import CanopenNode
 from sim_backend.wire.cia402.machine import Cia402Machine, Cia402State
@@ -44,7 +44,7 @@ class Cia402Device:
     ) -> None:
         self.model = MODELS[model]
         self.kind = model
-        self.motor = Motor(parameters or behind(SCALE, TORQUE_CONSTANT, 0.6))
+        self.motor = CanMotor(parameters or scaled_joint(SCALE, TORQUE_CONSTANT, 0.6), Impedance())
         self.machine = Cia402Machine()
         self.objects = Dictionary(entries(model, ident), GROUPS)
         identity: dict[tuple[int, int], int | str] = {
@@ -165,7 +165,7 @@ class Cia402Device:
         """Hand the motor what state, set-point and limits make of it."""
         state = self.machine.state
         if state is Cia402State.QUICK_STOP_ACTIVE:
-            self.motor.follow(Law(kd=1e-3, ceiling=self._ceiling()))
+            self.motor.follow(Impedance(kd=1e-3, ceiling=self._ceiling()))
             return
         if state is not Cia402State.OPERATION_ENABLED:
             if self.motor.enabled:
@@ -180,7 +180,7 @@ class Cia402Device:
         if fast and wanted * self.motor.velocity > 0.0:
             ceiling = 0.0
         self.machine.limiting = abs(wanted) > ceiling
-        self.motor.follow(Law(feedforward=max(-ceiling, min(ceiling, wanted))))
+        self.motor.follow(Impedance(feedforward=max(-ceiling, min(ceiling, wanted))))
 
     def _wanted(self) -> float:
         """N m of the set-point."""
@@ -241,7 +241,7 @@ class Cia402Device:
             0x1003: self._history_written,
             0x1010: self._stored,
             0x1011: self._restored,
-            0x6040: lambda _i, _s, value: self._command(value, self._powered + self.motor._time),
+            0x6040: lambda _i, _s, value: self._command(value, self._powered + self.motor.time),
             0x6060: self._mode_written,
         }
 

@@ -12,7 +12,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sim_backend.wire.commander.motor import CommanderMotor
+from sim_backend.parameters import SimParameters
+from sim_backend.wire.commander.motion import MotionControl
+from sim_backend.wire.loadcell.joint_torque import JointTorque
+from sim_backend.wire.plant_motor import PlantMotor
 
 BUFFER = 20
 """Characters of a command; a longer one is thrown away at that length, and what follows is read as another."""
@@ -36,13 +39,22 @@ def number(text: str) -> float:
 
 
 class CommanderDevice:
-    """The board after its start. letter: under which its program added the motor. version: of the library, (2, 4)."""
+    """The board after its start, with the plant of `parameters` at its motor.
 
-    def __init__(self, motor: CommanderMotor, letter: str = "M", version: tuple[int, int] = (2, 4)) -> None:
-        self.motor = motor
+    letter: under which its program added the motor. version: of the library. joint: the torque at the joint's side.
+    """
+
+    def __init__(self, parameters: SimParameters, letter: str = "M", version: tuple[int, int] = (2, 4)) -> None:
+        parameters = parameters.resolved()
+        self.joint = JointTorque()
+        self.motor = PlantMotor(parameters, MotionControl(parameters, clamps=version >= (2, 4)), self.joint.note)
         self.letter = letter
-        motor.clamps = version >= (2, 4)
         self.restart()
+
+    @property
+    def motion(self) -> MotionControl:
+        """The settings and loops of the motor."""
+        return self.motor.law
 
     def restart(self) -> None:
         """Everything as the program sets it when it begins: the motor is enabled, its target zero."""
@@ -53,11 +65,11 @@ class CommanderDevice:
         self.downsample = 0
         self._typed = ""
         self._kept = {"VP": 0.2, "VI": 20.0, "AP": 20.0, "QP": 3.0, "QI": 300.0, "DP": 3.0, "DI": 300.0, "VF": 0.005}
-        motor = self.motor
-        motor.disable()
-        motor.mode, motor.target = 0, 0.0
-        motor.voltage_limit, motor.current_limit, motor.velocity_limit = 12.0, 2.0, 20.0
-        motor.enable()
+        self.motor.disable()
+        motion = self.motion
+        motion.mode, motion.target = 0, 0.0
+        motion.voltage_limit, motion.current_limit, motion.velocity_limit = 12.0, 2.0, 20.0
+        self.motor.enable()
 
     @property
     def greeting(self) -> str:
@@ -66,8 +78,8 @@ class CommanderDevice:
 
     def monitored(self) -> str:
         """A line of `motor.monitor()`: the variables that are watched, four digits, currents in mA with two."""
-        m = self.motor
-        shown = (m.target, m.voltage, 0.0, m.current * 1e3, 0.0, m.velocity, m.angle)
+        target, vq, vd, iq, id_, velocity, angle = self._state()
+        shown = (target, vq, vd, iq * 1e3, id_ * 1e3, velocity, angle)
         digits = (4, 4, 4, 2, 2, 4, 4)
         words = [f"{v:.{d}f}" for v, d, on in zip(shown, digits, self.watched, strict=True) if on == "1"]
         return "\t".join(words) + "\r\n" if words else ""
@@ -135,18 +147,18 @@ class CommanderDevice:
                 yield self._friendly("unknown cmd ") + "err"
 
     def _target(self, text: str) -> Iterator[str]:
-        motor = self.motor
+        motion = self.motion
         if text:
-            motor.target = number(text)
+            motion.target = number(text)
             more = [number(word) for word in text.split(" ")[1:] if word]
-            if motor.mode == 2 and more:
-                motor.velocity_limit = more.pop(0)
-            if motor.mode in {1, 2} and more:
-                motor.current_limit = more[0]
+            if motion.mode == 2 and more:
+                motion.velocity_limit = more.pop(0)
+            if motion.mode in {1, 2} and more:
+                motion.current_limit = more[0]
             yield self._friendly("Target: ")
         elif self.verbose != MACHINE:
             return
-        yield self._printed(motor.target)
+        yield self._printed(motion.target)
 
     def _motion(self, head: str, sub: str, rest: str) -> Iterator[str]:
         motor, value = self.motor, number(rest)
@@ -158,8 +170,8 @@ class CommanderDevice:
             yield self._friendly("Motion: downsample: ") + "0"
         elif head == "C":
             if rest and 0 <= value < 3:  # the open-loop modes turn nothing here
-                motor.mode = int(value)
-            yield self._friendly("Motion:") + _MOTION[motor.mode]
+                self.motion.mode = int(value)
+            yield self._friendly("Motion:") + _MOTION[self.motion.mode]
         else:
             if rest and 0 <= value < len(_TORQUE):
                 self.torque_type = int(value)
@@ -168,13 +180,12 @@ class CommanderDevice:
     def _limit(self, sub: str, value: float | None) -> str:
         name = {"U": "voltage_limit", "C": "current_limit", "V": "velocity_limit"}[sub]
         if value is not None:
-            setattr(self.motor, name, value)
-        return self._printed(getattr(self.motor, name))
+            setattr(self.motion, name, value)
+        return self._printed(getattr(self.motion, name))
 
     def _monitor(self, sub: str, rest: str) -> Iterator[str]:
-        motor = self.motor
         if sub == "G":
-            values = (motor.target, motor.voltage, 0.0, motor.current, 0.0, motor.velocity, motor.angle)
+            values = self._state()
             which = int(number(rest))
             if which == 7:
                 yield self._friendly("all: ") + ";".join(self._printed(value) for value in values)
@@ -193,6 +204,19 @@ class CommanderDevice:
             yield self._friendly("downsample: ") + str(self.downsample)
         else:
             yield "err"
+
+    def _state(self) -> tuple[float, float, float, float, float, float, float]:
+        """Return target, Vq, Vd (V), Iq, Id (A), velocity (rad/s) and angle (rad)."""
+        motor, motion = self.motor, self.motion
+        return (
+            motion.target,
+            motion.voltage(motor),
+            0.0,
+            motion.current(motor),
+            0.0,
+            motor.velocity,
+            motion.angle(motor),
+        )
 
     def _keep(self, name: str, value: float | None) -> str:
         if value is not None:

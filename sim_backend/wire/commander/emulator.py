@@ -10,10 +10,11 @@ from pathlib import Path
 
 from sim_backend.parameters import SimParameters
 from sim_backend.wire.commander.device import CommanderDevice
-from sim_backend.wire.commander.motor import CommanderMotor
+from sim_backend.wire.commander.motion import MotionControl
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 from sim_backend.wire.loadcell.emulator import of
 from sim_backend.wire.loadcell.emulator import serve as serve_cell
+from sim_backend.wire.plant_motor import PlantMotor
 from sim_backend.wire.uart.pty_line import PtyLine
 
 MODELS = ("motor", "motor+loadcell")
@@ -65,8 +66,8 @@ class CommanderBoard:
         self._streamed = now
 
     @property
-    def motor(self) -> CommanderMotor:
-        """What turns."""
+    def motor(self) -> PlantMotor[MotionControl]:
+        """The motor with its settings."""
         return self.device.motor
 
     def mishear(self, said: str, heard: str) -> None:
@@ -76,7 +77,7 @@ class CommanderBoard:
     def mean(self, begin: float, end: float) -> float:
         """N m at the joint, the mean from `begin` to `end`: what a torque cell there feels."""
         self.advance(end)
-        return self.motor.joint.mean(begin - self._made, end - self._made)
+        return self.device.joint.mean(begin - self._made, end - self._made)
 
     def reboot(self, now: float) -> None:
         """Take its power away for a moment."""
@@ -93,7 +94,7 @@ class CommanderBoard:
         elif self.watchdog and self.motor.enabled and now > self._heard + self.watchdog:
             self.motor.run(self._heard + self.watchdog - self._made)
             self.motor.disable()
-            self.motor.target = 0.0
+            self.motor.law.target = 0.0
         self.motor.run(now - self._made)
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
@@ -191,7 +192,7 @@ def new_board(
     """A board with the plant of `parameters` (None: the paper's joint behind its gear). firmware: see FIRMWARES."""
     version = (2, 3) if firmware == "2.3" else (2, 4)
     watchdog = WATCHDOG if firmware.endswith("watchdog") else 0.0
-    device = CommanderDevice(CommanderMotor(parameters or SimParameters()), version=version)
+    device = CommanderDevice(parameters or SimParameters(), version=version)
     return CommanderBoard(device, baudrate=baudrate, timing=timing, watchdog=watchdog, now=now)
 
 

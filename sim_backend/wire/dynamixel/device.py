@@ -11,9 +11,10 @@ import math
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel.frames import BROADCAST, Error, Frame, Instruction
-from sim_backend.wire.dynamixel.motor import COUNT, DynamixelMotor, Goals, behind
 from sim_backend.wire.dynamixel.registers import Registers
+from sim_backend.wire.dynamixel.regulator import COUNT, Goals, Regulator, joint_at_horn
 from sim_backend.wire.dynamixel.tables import BAUD, CURRENT, CURRENT_POSITION, MODELS, POSITION, RPM
+from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
@@ -49,7 +50,7 @@ class DynamixelDevice:
         self.registers.put("baud_rate", BAUD.index(baudrate))
         if firmware is not None:
             self.registers.put("firmware_version", firmware)
-        self.motor = DynamixelMotor(self.model, parameters or behind(self.model))
+        self.motor = PlantMotor(parameters or joint_at_horn(self.model), Regulator(self.model))
         self._firmware = self.registers.get("firmware_version")
         self._powered = now
         self._booted = now
@@ -283,7 +284,7 @@ class DynamixelDevice:
         if mode in {CURRENT, CURRENT_POSITION}:
             current = max(-limit, min(limit, current))
         position = r.get("goal_position") - r.get("homing_offset") + 4096 * self._turns_off
-        self.motor.goals = Goals(
+        self.motor.law.goals = Goals(
             mode=mode,
             current=sign * current * self.model.current_lsb,
             velocity=sign * r.get("goal_velocity") * RPM,
@@ -297,11 +298,11 @@ class DynamixelDevice:
         r.put("realtime_tick", int((now - self._booted) * 1e3) % 32768)
         velocity = round(sign * motor.velocity / RPM)
         r.put("moving", int(abs(velocity) > r.get("moving_threshold")))
-        r.put("present_pwm", round(sign * motor.duty / _PWM_LSB))
+        r.put("present_pwm", round(sign * motor.law.duty(motor) / _PWM_LSB))
         if self.model.current_lsb:
-            r.put("present_current", round(sign * motor.current / self.model.current_lsb))
+            r.put("present_current", round(sign * motor.law.current(motor) / self.model.current_lsb))
         else:
-            r.put("present_load", round(sign * motor.duty * 1000.0))
+            r.put("present_load", round(sign * motor.law.duty(motor) * 1000.0))
         r.put("present_velocity", velocity)
         r.put("present_position", self._position())
         r.put("position_trajectory", r.get("goal_position"))

@@ -11,9 +11,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel.frames import BROADCAST, Frame, Instruction
-from sim_backend.wire.dynamixel.motor import COUNT, DynamixelMotor, Goals, behind
 from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_EEPROM_END, MX_MODELS, MX_RPM
+from sim_backend.wire.dynamixel.regulator import COUNT, Goals, Regulator, joint_at_horn
 from sim_backend.wire.dynamixel.tables import CURRENT, CURRENT_POSITION, SPEED
+from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
@@ -49,7 +50,7 @@ class MxDevice:
         self._items = {item.address: item for item in self.model.items}
         self._named = {item.name: item for item in self.model.items}
         self._memory = bytearray(max(item.address + item.size for item in self.model.items))
-        self.motor = DynamixelMotor(self.model, parameters or behind(self.model))
+        self.motor = PlantMotor(parameters or joint_at_horn(self.model), Regulator(self.model))
         self.errors = 0
         """Hardware errors that hold: bits of the error byte."""
         self.ignores_torque_off = False
@@ -240,12 +241,12 @@ class MxDevice:
         share = limit / 1023.0 * self.model.stall[1]
         if self.get("torque_control"):
             wanted = max(-limit, min(limit, _signed(self.get("goal_torque"))))
-            self.motor.goals = Goals(mode=CURRENT, current=wanted * self.model.current_lsb)
+            self.motor.law.goals = Goals(mode=CURRENT, current=wanted * self.model.current_lsb)
         elif self.get("cw_angle_limit") == self.get("ccw_angle_limit") == 0:
-            self.motor.goals = Goals(mode=SPEED, current=share, velocity=_signed(self.get("moving_speed")) * MX_RPM)
+            self.motor.law.goals = Goals(mode=SPEED, current=share, velocity=_signed(self.get("moving_speed")) * MX_RPM)
         else:
             goal = self.get("goal_position") - (self.get("multi_turn_offset") if self._multi_turn else 0)
-            self.motor.goals = Goals(mode=CURRENT_POSITION, current=share, position=goal * COUNT)
+            self.motor.law.goals = Goals(mode=CURRENT_POSITION, current=share, position=goal * COUNT)
 
     def _position(self) -> int:
         """Present Position in counts: over many turns in multi-turn mode, else within one."""
@@ -262,8 +263,8 @@ class MxDevice:
         speed = round(motor.velocity / MX_RPM)
         self.put("present_speed", _directed(speed))
         self.put("moving", int(abs(speed) > 0))
-        self.put("present_load", _directed(round(motor.duty * 1000.0)))
-        self.put("current", 2048 + round(motor.current / self.model.current_lsb))
+        self.put("present_load", _directed(round(motor.law.duty(motor) * 1000.0)))
+        self.put("current", 2048 + round(motor.law.current(motor) / self.model.current_lsb))
         self.put("present_voltage", round(self.model.stall[0] * 10.0))
         self.put("present_temperature", round(motor.temperature))
 

@@ -13,7 +13,7 @@ import struct
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.canbus.motor import Law, Motor, behind
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
 from sim_backend.wire.mit.tables import MODELS, registers
 
 if TYPE_CHECKING:
@@ -54,7 +54,9 @@ class MitDevice:
         self._items = registers(self.model, ident, reply) if self.damiao else {}
         self.values = {number: item.initial for number, item in self._items.items()}
         self._ident, self._reply = ident, reply
-        self.motor = Motor(parameters or behind(self.model.scale, self.model.torque_constant, self.model.resistance))
+        self.motor = CanMotor(
+            parameters or scaled_joint(self.model.scale, self.model.torque_constant, self.model.resistance), Impedance()
+        )
         self.error = 0
         self.refused: set[int] = set()
         """Registers whose writes are answered and not done."""
@@ -153,11 +155,11 @@ class MitDevice:
         elif mode == 3:
             self._regulate(None, struct.unpack_from("<f", frame.data)[0])
 
-    def _impedance(self, data: bytes) -> Law:
+    def _impedance(self, data: bytes) -> Impedance:
         word = int.from_bytes(data, "big")
         counts = (word >> 48, word >> 36 & 0xFFF, word >> 24 & 0xFFF, word >> 12 & 0xFFF, word & 0xFFF)
         position, velocity, torque = self._span()
-        return Law(
+        return Impedance(
             feedforward=_from_counts(counts[4], -torque, torque, 12),
             kp=_from_counts(counts[2], 0.0, KP_MOST, 12),
             kd=_from_counts(counts[3], 0.0, KD_MOST, 12),
@@ -170,7 +172,9 @@ class MitDevice:
         scale = self.model.scale
         kp = 0.0 if position is None else 0.1 * scale
         velocity = speed if position is None else 0.0
-        self.motor.follow(Law(0.0, kp, 2e-3 * scale, (position or 0.0) + self._zero, velocity, ceiling=self._span()[2]))
+        self.motor.follow(
+            Impedance(0.0, kp, 2e-3 * scale, (position or 0.0) + self._zero, velocity, ceiling=self._span()[2])
+        )
 
     def _span(self) -> tuple[float, float, float]:
         return (self.values[21], self.values[22], self.values[23]) if self.damiao else self.model.span

@@ -11,7 +11,7 @@ import math
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.frames import CanFrame, padded
-from sim_backend.wire.canbus.motor import Law, Motor, behind
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
 from sim_backend.wire.moteus.console import Console
 from sim_backend.wire.moteus.frames import (
     Poll,
@@ -57,7 +57,7 @@ class MoteusDevice:
         parameters: SimParameters | None = None,
         now: float = 0.0,
     ) -> None:
-        self.motor = Motor(parameters or behind(SCALE, TORQUE_CONSTANT, 0.1))
+        self.motor = CanMotor(parameters or scaled_joint(SCALE, TORQUE_CONSTANT, 0.1), Impedance())
         self.console = Console(ident)
         self._identity = {0x100: 0x20, 0x102: register_map, 0x110: ident, 0x158: 1}
         self._identity[0x101] = firmware[0] << 16 | firmware[1] << 8 | firmware[2]
@@ -246,7 +246,7 @@ class MoteusDevice:
             self.motor.disable()
         else:
             kd = self.console.values["servo.pid_position.kd"] / TURN
-            self.motor.follow(Law(kd=kd, ceiling=self.console.values["servo.timeout_max_torque_Nm"]))
+            self.motor.follow(Impedance(kd=kd, ceiling=self.console.values["servo.timeout_max_torque_Nm"]))
 
     def _follow(self) -> None:
         """Hand the law of the position mode to the motor."""
@@ -259,7 +259,7 @@ class MoteusDevice:
             self._held = self.turns
         kp_scale = commands[0x023]
         self.motor.follow(
-            Law(
+            Impedance(
                 feedforward=commands[0x022],
                 kp=values["servo.pid_position.kp"] * kp_scale / TURN,
                 kd=values["servo.pid_position.kd"] * min(kp_scale, commands[0x024]) / TURN,

@@ -13,7 +13,7 @@ import struct
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.canbus.motor import Law, Motor, behind
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
 from sim_backend.wire.odrive.endpoints import Endpoints
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class OdriveDevice:
         self.ident = ident
         self.firmware = firmware
         self.layout = "0.5" if firmware.startswith("0.5") else "0.6"
-        self.motor = Motor(parameters or behind(SCALE, TORQUE_CONSTANT, 0.06))
+        self.motor = CanMotor(parameters or scaled_joint(SCALE, TORQUE_CONSTANT, 0.06), Impedance())
         self.endpoints = Endpoints(ident)
         self.endpoints.put("serial_number", float(serial))
         self.state = IDLE
@@ -301,10 +301,12 @@ class OdriveDevice:
             if get("axis0.controller.config.enable_torque_mode_vel_limit"):
                 velocity = self.motor.velocity / TURN
                 wanted = min(max(wanted, (-speed - velocity) * gain), (speed - velocity) * gain)
-            self.motor.follow(Law(feedforward=min(max(wanted, low), high)))
+            self.motor.follow(Impedance(feedforward=min(max(wanted, low), high)))
             return
         damping = gain / TURN
         stiffness = get("axis0.controller.config.pos_gain") * damping if mode == 3 else 0.0
         velocity = self._velocity * TURN if mode == 2 else 0.0
         position = self._position * TURN + self._offset
-        self.motor.follow(Law(self._torque, stiffness, damping, position, velocity, ceiling=max(0.0, min(high, -low))))
+        self.motor.follow(
+            Impedance(self._torque, stiffness, damping, position, velocity, ceiling=max(0.0, min(high, -low)))
+        )

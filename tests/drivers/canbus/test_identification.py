@@ -19,7 +19,7 @@ from hil.recording.writer import Header, PartFile
 from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import FixtureParameters
-from sim_backend.wire.canbus.motor import behind
+from sim_backend.wire.canbus.impedance import scaled_joint
 from sim_backend.wire.cia402 import tables
 from sim_backend.wire.mit.tables import MODELS
 from sim_backend.wire.moteus import device as moteus
@@ -95,7 +95,7 @@ def test_a_chirp_through_an_odrive_gives_stiffness_and_damping_back(
     make_odrive: Callable[..., Any], tmp_path: Path, firmware: str
 ) -> None:
     scale = odrive.SCALE
-    rig = make_odrive(firmware, parameters=behind(scale, odrive.TORQUE_CONSTANT, 0.06, friction=False))
+    rig = make_odrive(firmware, parameters=scaled_joint(scale, odrive.TORQUE_CONSTANT, 0.06, friction=False))
     signals = recorded(rig, tmp_path / "run.h5", scale)
     lsb = odrive.CURRENT_LSB * odrive.TORQUE_CONSTANT
     check(signals, scale, lsb, 2.0 * math.pi / odrive.COUNTS)
@@ -106,7 +106,7 @@ def test_a_chirp_through_mit_frames_gives_stiffness_and_damping_back(
     make_mit: Callable[..., Any], tmp_path: Path, model: str
 ) -> None:
     spec = MODELS[model]
-    rig = make_mit(model, parameters=behind(spec.scale, spec.torque_constant, spec.resistance, friction=False))
+    rig = make_mit(model, parameters=scaled_joint(spec.scale, spec.torque_constant, spec.resistance, friction=False))
     signals = recorded(rig, tmp_path / "run.h5", spec.scale)
     position, _, torque = spec.span
     # cut off, not rounded: a whole count of torque; of the angle half, since its zero is taken off
@@ -118,7 +118,7 @@ def test_a_chirp_through_a_cia_402_drive_gives_stiffness_and_damping_back(
     make_cia402: Callable[..., Any], tmp_path: Path, model: str
 ) -> None:
     scale, constant = tables.SCALE, tables.TORQUE_CONSTANT
-    rig = make_cia402(model, parameters=behind(scale, constant, 0.6, friction=False))
+    rig = make_cia402(model, parameters=scaled_joint(scale, constant, 0.6, friction=False))
     signals = recorded(rig, tmp_path / "run.h5", scale)
     # thousandths of the rated torque, for an EPOS2 milliamperes
     lsb = 1e-3 * constant * (1.0 if model == "epos2" else 1e-3 * tables.NOMINAL_CURRENT)
@@ -129,6 +129,6 @@ def test_a_chirp_through_a_moteus_gives_stiffness_and_damping_back(
     make_moteus: Callable[..., Any], tmp_path: Path
 ) -> None:
     scale = moteus.SCALE
-    rig = make_moteus(parameters=behind(scale, moteus.TORQUE_CONSTANT, 0.1, friction=False))
+    rig = make_moteus(parameters=scaled_joint(scale, moteus.TORQUE_CONSTANT, 0.1, friction=False))
     signals = recorded(rig, tmp_path / "run.h5", scale)
     check(signals, scale, moteus.TORQUE_LSB, 2.0 * math.pi / moteus.COUNTS)

@@ -6,14 +6,13 @@ import pytest
 
 from sim_backend.parameters import CouplingParameters, SimParameters
 from sim_backend.wire.commander.device import MACHINE, NOTHING, ON_REQUEST, CommanderDevice
-from sim_backend.wire.commander.motor import CommanderMotor
 
 FRIENDLY = ["Motion:torque", "Torque: foc curr", "Target: 0.400"]
 
 
 @pytest.fixture
 def device() -> CommanderDevice:
-    return CommanderDevice(CommanderMotor(SimParameters()))
+    return CommanderDevice(SimParameters())
 
 
 def typed(device: CommanderDevice, text: str) -> str:
@@ -60,7 +59,7 @@ def test_all_states_come_in_one_line_with_the_digits_that_were_asked_for(device:
 def test_a_quiet_board_still_obeys_and_an_unknown_letter_is_not_answered(device: CommanderDevice) -> None:
     typed(device, f"@{NOTHING}")
     assert typed(device, "M0.25") == ""
-    assert device.motor.target == 0.25
+    assert device.motion.target == 0.25
     typed(device, f"@{ON_REQUEST}")
     assert typed(device, "Q1") == ""
     assert typed(device, "?") == "M:motor\r\n"
@@ -85,12 +84,12 @@ def test_a_number_is_read_as_far_as_it_is_one(device: CommanderDevice) -> None:
 @pytest.mark.parametrize(("mode", "target"), [(1, 4.0), (2, 0.5)])
 def test_velocity_and_angle_mode_reach_their_targets(mode: int, target: float) -> None:
     loose = CouplingParameters(stiffness=1e-6, damping=0.0, coulomb_friction=0.0)
-    motor = CommanderMotor(SimParameters(coupling=loose))
-    device = CommanderDevice(motor)
+    device = CommanderDevice(SimParameters(coupling=loose))
+    motor = device.motor
     typed(device, f"MC{mode}")
     typed(device, f"M{target}")
     motor.run(1.0)
-    assert (motor.velocity if mode == 1 else motor.angle) == pytest.approx(target, rel=0.01)
+    assert (motor.velocity if mode == 1 else device.motion.angle(motor)) == pytest.approx(target, rel=0.01)
 
 
 def test_a_disabled_motor_repeats_its_last_current_and_carries_none(device: CommanderDevice) -> None:
@@ -99,7 +98,7 @@ def test_a_disabled_motor_repeats_its_last_current_and_carries_none(device: Comm
     motor.run(0.05)
     typed(device, "ME0")
     motor.run(0.1)
-    assert motor.current == pytest.approx(0.2, abs=2e-3)
+    assert motor.law.current(motor) == pytest.approx(0.2, abs=2e-3)
     assert motor.torque == 0.0
 
 
@@ -107,8 +106,8 @@ def test_a_disabled_motor_repeats_its_last_current_and_carries_none(device: Comm
 def test_the_current_limit_bounds_a_torque_target_since_library_2_4_only(
     version: tuple[int, int], carried: float
 ) -> None:
-    device = CommanderDevice(CommanderMotor(SimParameters()), version=version)
+    device = CommanderDevice(SimParameters(), version=version)
     for command in ("MLC0.1", "M0.3"):
         typed(device, command)
     device.motor.run(0.02)
-    assert device.motor.current == pytest.approx(carried, abs=3e-3)
+    assert device.motion.current(device.motor) == pytest.approx(carried, abs=3e-3)

@@ -70,7 +70,7 @@ def drive_on(rig: Rig, servo: CommanderServo, ticks: int) -> None:
 
 def off(rig: Rig) -> bool:
     """Whether no current can flow, nor would by enabling it."""
-    return not rig.board.motor.enabled and rig.board.motor.target == 0.0
+    return not rig.board.motor.enabled and rig.board.motor.law.target == 0.0
 
 
 # -- what is sent and read ------------------------------------------------------------------------------------------
@@ -83,17 +83,17 @@ def test_a_torque_arrives_as_current_and_the_state_comes_back_in_si(foc: Rig, si
         foc.wait(4e-3)
         sample = servo.exchange(PUSH)
     motor = foc.board.motor
-    assert motor.target == pytest.approx(sign * 2e-3 / KT, abs=2 * RESOLUTION)
+    assert motor.law.target == pytest.approx(sign * 2e-3 / KT, abs=2 * RESOLUTION)
     assert sample.motor_torque == pytest.approx(2e-3, abs=KT * 1e-3)
-    assert sample.motor_position == pytest.approx(sign * motor.angle, abs=2e-3)
+    assert sample.motor_position == pytest.approx(sign * motor.law.angle(motor), abs=2e-3)
     assert sample.motor_position > 0.1
 
 
 def test_the_limits_reach_the_board(foc: Rig) -> None:
     armed(foc)
-    assert foc.board.motor.current_limit == pytest.approx(4e-3 / KT, rel=1e-4)
-    assert foc.board.motor.current_limit <= 4e-3 / KT
-    assert foc.board.motor.velocity_limit == 400.0
+    assert foc.board.motor.law.current_limit == pytest.approx(4e-3 / KT, rel=1e-4)
+    assert foc.board.motor.law.current_limit <= 4e-3 / KT
+    assert foc.board.motor.law.velocity_limit == 400.0
     assert foc.board.device.torque_type == 2
 
 
@@ -102,17 +102,17 @@ def test_a_target_is_bounded_here_whether_or_not_the_library_does(make_foc: Make
     rig = make_foc(firmware=firmware)
     servo = armed(rig)
     servo.exchange(Command(Quantity.TORQUE, -1.0))
-    assert -4e-3 / KT <= rig.board.motor.target == pytest.approx(-4e-3 / KT, abs=3 * RESOLUTION)
+    assert -4e-3 / KT <= rig.board.motor.law.target == pytest.approx(-4e-3 / KT, abs=3 * RESOLUTION)
 
 
 def test_a_target_left_over_from_another_mode_never_becomes_a_torque(foc: Rig) -> None:
     motor = foc.board.motor
-    motor.mode, motor.target = 2, 3.0  # 3 rad would be 3 A
+    motor.law.mode, motor.law.target = 2, 3.0  # 3 rad would be 3 A
     foc.board.device.restart = lambda: None
     servo = foc.open()
     assert off(foc)
     servo.arm(LIMITS)
-    assert motor.target == 0.0
+    assert motor.law.target == 0.0
 
 
 def test_a_tick_is_one_round_trip_of_the_length_it_is_reckoned_with(foc: Rig) -> None:
@@ -169,7 +169,7 @@ def test_a_lost_or_damaged_reply_is_one_gap_and_what_follows_is_fresh(foc: Rig, 
         except (NoReply, BadReply):
             gaps += 1
             continue
-        assert foc.board.motor.target == pytest.approx(wanted.value / KT, abs=2 * RESOLUTION)
+        assert foc.board.motor.law.target == pytest.approx(wanted.value / KT, abs=2 * RESOLUTION)
         assert sample.t_read <= foc.clock.now()
     assert 1 <= gaps <= 2
     assert foc.board.motor.enabled
@@ -192,7 +192,7 @@ def test_a_digit_lost_on_the_way_to_the_board_is_put_right_within_the_tick(foc: 
     foc.board.mishear("M0.1", "M1")  # ten times the current
     with pytest.raises(BadReply):
         servo.exchange(PUSH)
-    assert foc.board.motor.target == pytest.approx(2e-3 / KT, abs=2 * RESOLUTION)
+    assert foc.board.motor.law.target == pytest.approx(2e-3 / KT, abs=2 * RESOLUTION)
     foc.wait(4e-3)
     servo.exchange(PUSH)
 

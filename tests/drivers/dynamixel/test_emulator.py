@@ -11,7 +11,7 @@ from sim_backend.wire.dynamixel.bus import DynamixelBus, DynamixelTiming
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.frames import Error, packet, status
-from sim_backend.wire.dynamixel.motor import COUNT
+from sim_backend.wire.dynamixel.regulator import COUNT
 from sim_backend.wire.dynamixel.tables import MODELS, RPM
 
 TORQUE_ENABLE, WATCHDOG = 64, 98
@@ -81,7 +81,7 @@ def test_in_current_mode_a_still_motor_settles_at_torque_over_stiffness() -> Non
     device = running(0)
     put(device, GOAL_CURRENT, 20)
     device.advance(3.0)
-    expected = 20e-3 * device.motor.torque_constant
+    expected = 20e-3 * device.motor.law.torque_constant
     assert device.motor.torque == pytest.approx(expected, rel=1e-6)
     # the friction of the cable holds some of it
     assert device.motor.coupling_torque == pytest.approx(expected, rel=1e-3)

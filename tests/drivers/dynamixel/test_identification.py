@@ -19,7 +19,7 @@ from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import CouplingParameters
 from sim_backend.wire.dynamixel.device import DynamixelDevice
-from sim_backend.wire.dynamixel.motor import COUNT, behind
+from sim_backend.wire.dynamixel.regulator import COUNT, joint_at_horn
 from sim_backend.wire.dynamixel.tables import MODELS
 
 STAND = """
@@ -44,7 +44,7 @@ def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(
 ) -> None:
     coupling = CouplingParameters(stiffness=KC, damping=BC, coulomb_friction=0.0)
     rig = make_rig(model)
-    rig.bus.devices[0] = DynamixelDevice(model, parameters=behind(MODELS[model], coupling))
+    rig.bus.devices[0] = DynamixelDevice(model, parameters=joint_at_horn(MODELS[model], coupling))
     stand = parse(STAND)
     profile = excitation.make(
         "chirp",

@@ -27,7 +27,6 @@ from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import CouplingParameters, FixtureParameters
 from sim_backend.wire.dynamixel.bus import DynamixelBus
-from sim_backend.wire.dynamixel.motor import COUNT, behind
 from sim_backend.wire.dynamixel.mx_device import (
     MX_ANGLE,
     MX_CHECKSUM,
@@ -39,6 +38,7 @@ from sim_backend.wire.dynamixel.mx_device import (
 )
 from sim_backend.wire.dynamixel.mx_frames import MxFramer, mx_status
 from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
+from sim_backend.wire.dynamixel.regulator import COUNT, joint_at_horn
 from sim_backend.wire.faults import CorruptReplies, DelayReplies, DropReplies, Reboots, TruncateReplies
 from sim_backend.wire.uart.pty_line import PtyLine
 
@@ -70,7 +70,7 @@ def drive_on(rig: Any, servo: Any) -> None:
 def soft(model: str = "mx-64", stiffness: float = 0.05) -> MxDevice:
     """A servo on a cable so soft that it turns far."""
     coupling = CouplingParameters(stiffness=stiffness, damping=2e-3, coulomb_friction=0.0)
-    return MxDevice(model, parameters=behind(MX_MODELS[model], coupling))
+    return MxDevice(model, parameters=joint_at_horn(MX_MODELS[model], coupling))
 
 
 # --- the emulator -----------------------------------------------------------------------------------------------------
@@ -395,7 +395,7 @@ def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(make_rig: Mak
     kc, bc, kt, rate = 1.0, 0.02, 6.0 / 4.1, 400.0
     coupling = CouplingParameters(stiffness=kc, damping=bc, coulomb_friction=0.0)
     rig = make_rig("mx-64")
-    rig.bus.devices[0] = MxDevice("mx-64", parameters=behind(MX_MODELS["mx-64"], coupling))
+    rig.bus.devices[0] = MxDevice("mx-64", parameters=joint_at_horn(MX_MODELS["mx-64"], coupling))
     profile = excitation.make(
         "chirp", Quantity.TORQUE, amplitude=0.6, default_amplitude=0.6, duration=10.0, band=(0.1, 10.0), rate=rate
     )

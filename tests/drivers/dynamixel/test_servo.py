@@ -73,7 +73,7 @@ def test_samples_in_si_agree_with_the_plant(rig: Rig, limits: Limits) -> None:
     assert last.motor_position == pytest.approx(motor.position, abs=5 * POSITION_LSB)
     assert last.motor_velocity == pytest.approx(motor.velocity, abs=VELOCITY_LSB)
     # the constant of the pages' stall points is the mean of three; the emulator's is one of them
-    scale = models()["xl330-m288"].torque_constant / motor.torque_constant
+    scale = models()["xl330-m288"].torque_constant / motor.law.torque_constant
     assert last.motor_torque == pytest.approx(scale * motor.torque, abs=servo.info.torque_lsb)
     assert last.temperature == pytest.approx(motor.temperature, abs=1.0)
     assert last.voltage == pytest.approx(5.0)

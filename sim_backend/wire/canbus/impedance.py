@@ -1,0 +1,84 @@
+"""The demand law of an emulated CAN drive, and the joint that its motor turns."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from sim_backend.parameters import (
+    CouplingParameters,
+    DriveParameters,
+    FixtureParameters,
+    LinkParameters,
+    MotorParameters,
+    SimParameters,
+)
+from sim_backend.wire.plant_motor import PlantMotor
+
+
+def scaled_joint(scale: float, torque_constant: float, resistance: float, *, friction: bool = True) -> SimParameters:
+    """Return the paper's joint with every torque `scale` times as large, driven without a gear.
+
+    The motion is the paper's, so the same chirp suits it; stiffness, damping, inertias and friction are all scaled.
+    torque_constant N m/A, resistance Ohm: the motor's. friction: whether the cable has dry friction.
+    """
+    paper, fixture = CouplingParameters(), FixtureParameters()
+    return SimParameters(
+        motor=MotorParameters(
+            gear_ratio=1.0,
+            inertia=3.2e-6 * scale,
+            viscous_friction=1.6e-6 * scale,
+            torque_constant=torque_constant,
+            winding_resistance=resistance,
+            winding_heat_capacity=60.0,
+            winding_thermal_resistance=1.0,
+            housing_heat_capacity=200.0,
+            housing_thermal_resistance=3.0,
+        ),
+        coupling=CouplingParameters(
+            stiffness=paper.stiffness * scale,
+            damping=paper.damping * scale,
+            coulomb_friction=paper.coulomb_friction * scale if friction else 0.0,
+            bristle_stiffness=paper.bristle_stiffness * scale,
+            bristle_damping=paper.bristle_damping * scale,
+        ),
+        fixture=FixtureParameters(
+            stiffness=fixture.stiffness * scale, damping=fixture.damping * scale, inertia=fixture.inertia * scale
+        ),
+        drive=DriveParameters(torque_limit=scale),
+        link=LinkParameters(lost_reply=0.0, jitter=0.0),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Impedance:
+    """torque = feedforward + kp (position - measured) + kd (velocity - measured), at most `ceiling` in magnitude.
+
+    N m, N m/rad, N m s/rad, rad, rad/s, N m.
+    """
+
+    feedforward: float = 0.0
+    kp: float = 0.0
+    kd: float = 0.0
+    position: float = 0.0
+    velocity: float = 0.0
+    ceiling: float = math.inf
+
+    def beats(self, enabled: bool) -> bool:
+        """Return whether the torque depends on what is measured."""
+        return enabled and bool(self.kp or self.kd)
+
+    def demand(self, motor: PlantMotor[Any]) -> float:
+        """Return the torque for the motor's position and velocity, N m."""
+        wanted = (
+            self.feedforward + self.kp * (self.position - motor.position) + self.kd * (self.velocity - motor.velocity)
+        )
+        return max(-self.ceiling, min(self.ceiling, wanted))
+
+    def at_rest(self, _motor: PlantMotor[Any]) -> Impedance:
+        """Return the law of no torque."""
+        return Impedance()
+
+
+CanMotor = PlantMotor[Impedance]

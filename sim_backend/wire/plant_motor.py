@@ -1,0 +1,134 @@
+"""The motor of an emulated drive: the simulator's plant, carried in time under the torque that the drive demands.
+
+Every emulated drive uses this one motor and gives it a demand law of its own: impedance, current, cascades. A law that
+depends on what the drive measures is evaluated every `BEAT`, as firmware does; a constant torque needs no beat.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Generic, Protocol, Self, TypeVar
+
+from sim_backend.integrator import TIME, integrate, start
+from sim_backend.parameters import SimParameters
+from sim_backend.plant import (
+    HOUSING,
+    MOTOR,
+    MOTOR_RATE,
+    TORQUE,
+    VELOCITY,
+    Constants,
+    constants,
+    coupling_torque,
+    packed,
+)
+
+BEAT = 1e-3
+"""s between two evaluations of a demand law."""
+
+
+class DemandLaw(Protocol):
+    """The part of a drive's firmware that demands torque of its current loop."""
+
+    def beats(self, enabled: bool) -> bool:
+        """Return whether time passes in steps of `BEAT`: the demand depends on what is measured."""
+        ...
+
+    def demand(self, motor: PlantMotor[Any]) -> float:
+        """Return the torque demanded of an enabled motor until the next beat, N m."""
+        ...
+
+    def at_rest(self, motor: PlantMotor[Any]) -> Self:
+        """Return the law that holds after the motor is enabled or disabled: no set-point, no integral."""
+        ...
+
+
+Law = TypeVar("Law", bound=DemandLaw)
+
+
+class PlantMotor(Generic[Law]):
+    """A plant under a demand law. Times are s since it was made; everything is at the motor's output shaft.
+
+    note: called after each step with the time, s, and the torque in the coupling, N m.
+    """
+
+    def __init__(self, parameters: SimParameters, law: Law, note: Callable[[float, float], None] | None = None) -> None:
+        plant = constants(parameters)
+        self.law = law
+        self.enabled = False
+        self.inertia = plant.inertia
+        self._note = note
+        self._packed = packed(plant, Constants._fields)
+        self._path = start(plant)
+        # no time passes; the machine code is there before the first request comes
+        integrate(self._path, 0.0, 0.0, self._packed[0])
+
+    @property
+    def time(self) -> float:
+        """The time it has been carried to, s."""
+        return float(self._path.now[TIME])
+
+    @property
+    def position(self) -> float:
+        """The angle, rad."""
+        return float(self._path.state[MOTOR])
+
+    @property
+    def velocity(self) -> float:
+        """The speed as the drive filters it, rad/s."""
+        return float(self._path.state[VELOCITY])
+
+    @property
+    def rate(self) -> float:
+        """The speed, rad/s."""
+        return float(self._path.state[MOTOR_RATE])
+
+    @property
+    def torque(self) -> float:
+        """The torque that the current makes, N m."""
+        return float(self._path.state[TORQUE])
+
+    @property
+    def demand(self) -> float:
+        """The torque demanded of the current loop now, N m; 0 while disabled. A law with an integral advances it."""
+        return self.law.demand(self) if self.enabled else 0.0
+
+    @property
+    def temperature(self) -> float:
+        """The temperature of the housing, degC."""
+        return float(self._path.state[HOUSING])
+
+    @property
+    def coupling_torque(self) -> float:
+        """The torque in the coupling, sigma_c, N m."""
+        return float(coupling_torque(self._path.state, self._packed[0]))
+
+    def warm_to(self, temperature: float) -> None:
+        """Heat winding and housing to `temperature` degC at once."""
+        self._path.state[HOUSING - 1] = self._path.state[HOUSING] = temperature
+
+    def follow(self, law: Law) -> None:
+        """Replace the demand law."""
+        self.law = law
+
+    def enable(self) -> None:
+        """Let current flow."""
+        self.law = self.law.at_rest(self)
+        self.enabled = True
+
+    def disable(self) -> None:
+        """Open the output stage: no current from now on."""
+        self.law = self.law.at_rest(self)
+        self.enabled = False
+        self._path.state[TORQUE] = 0.0
+
+    def run(self, until: float) -> None:
+        """Carry the plant to `until`, s; nothing happens where that is past."""
+        while self.time < until:
+            end = until
+            if self.law.beats(self.enabled):
+                end = min((math.floor(self.time / BEAT + 1e-6) + 1.0) * BEAT, until)
+            integrate(self._path, self.demand, end, self._packed[0])
+            if self._note is not None:
+                self._note(self.time, self.coupling_torque)
