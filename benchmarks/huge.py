@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from page import machine, write_section
 
-from hil.recording.reader import ROW
-from hil.recording.writer import Header, PartFile, missing_row
+from hil.recording.channels import ROW, Row
+from hil.recording.writer import Header, RecordingWriter
 
 RATE, KC, BC = 500.0, 17.75e-3, 0.19e-3
 BLOCK = 1 << 18
@@ -31,14 +31,14 @@ def make(path: Path, samples: int) -> None:
     """Two sines of 0.3 and 7.3 Hz, a 14-bit encoder, 0.2 mN m of noise."""
     rng = np.random.default_rng(0)
     count = 2.0 * np.pi / 2**14
-    with PartFile(path, Header(profile={"kind": "closed form"}), samples) as part:
+    with RecordingWriter(path, Header(profile={"kind": "closed form"}), samples) as part:
         for start in range(0, samples, BLOCK):
             number = np.arange(start, min(start + BLOCK, samples))
             at = number / RATE
             slow, fast = 2.0 * np.pi * 0.3, 2.0 * np.pi * 7.3
             dtheta = 0.2 * np.sin(slow * at) + 0.1 * np.sin(fast * at)
             velocity = 0.2 * slow * np.cos(slow * at) + 0.1 * fast * np.cos(fast * at)
-            rows = np.full(len(at), np.array(missing_row(0), dtype=ROW))
+            rows = np.full(len(at), np.array(Row(0), dtype=ROW))
             rows["seq"], rows["time"] = number, at
             rows["dtheta"] = np.round(dtheta / count) * count
             rows["torque"] = KC * dtheta + BC * velocity + 2e-4 * rng.standard_normal(len(at))

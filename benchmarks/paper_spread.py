@@ -48,7 +48,7 @@ def recording(folder: Path, seed: int, *, sim: str = "", amplitude: float = 0.00
         duration=2499 / RATE,
         band=(0.2, high),
         rate=RATE,
-        soft=0.5,
+        fade=0.5,
         seed=seed,
     )
     path, _ = run(stand, profile, rate=RATE, seed=seed, output=folder / "one.h5", force=True)

@@ -29,7 +29,7 @@ from drivers.servo import Command, Limits, Quantity, Sample, Servo, ServoInfo, S
 from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
-from hil.recording.writer import Header, PartFile, write
+from hil.recording.writer import Header, RecordingWriter, write
 from hil.stand.file import parse
 from hil.stand.opening import open_servo
 
@@ -107,14 +107,14 @@ def simulated(case: Case, seed: int, path: Path) -> None:
         duration=(SAMPLES - 1) / RATE,
         band=case.band,
         rate=RATE,
-        soft=case.sim_soft,
+        fade=case.sim_soft,
     )
     servo, truth = open_servo(stand, seed=seed, realtime=False)
     if case.outliers:
         servo = Spiked(servo, case.outliers, rng_of(case, seed))
     header = Header(profile=profile.attributes() | {"rate": RATE}, stand_toml=text, truth=truth, seed=seed)
     try:
-        with PartFile(path, header, tick_count(profile, RATE)) as part:
+        with RecordingWriter(path, header, tick_count(profile, RATE)) as part:
             outcome = Recorder(stand, servo, profile, RATE, part).run(StopRequest())
             part.finish(outcome.end_reason)
     finally:

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Shape = Callable[[Array], Array]
 
 _EDGE = 0.02  # s; a torque step through a cable is eased over this long, so that the cable does not whip
-_RELEASE = 0.1  # s; the shortest soft start and stop
+_SHORTEST_FADE = 0.1  # s
 _LINES_BLOCK = 256  # of a multisine, worked out at a time
 _LINES_PERIOD = 20.0  # s; the longest base period of a multisine, so that its lines stay few
 
@@ -53,16 +53,16 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
 class Profile:
     """Set-points over time.
 
-    amplitude: largest magnitude, N m or rad at the joint. duration: s. band: Hz. soft: s of raised-cosine start and
+    amplitude: largest magnitude, N m or rad at the joint. duration: s. band: Hz. fade: s of raised-cosine start and
     stop. seed: what is random in it (the phase of a PRBS). setpoints: the CSV behind kind "file".
     """
 
     kind: str
-    quantity: Quantity
+    mode: Quantity
     amplitude: float
     duration: float
     band: tuple[float, float]
-    soft: float
+    fade: float
     seed: int
     setpoints: str
     shape: Shape
@@ -71,7 +71,7 @@ class Profile:
         """The set-points at `time` (n,) s since the start, (n,) N m or rad; zero before the start and after the end."""
         inside = (time >= 0.0) & (time <= self.duration)
         held = np.clip(time, 0.0, self.duration)
-        edge = np.minimum(held, self.duration - held) / self.soft
+        edge = np.minimum(held, self.duration - held) / self.fade
         envelope = 0.5 - 0.5 * np.cos(np.pi * np.minimum(edge, 1.0))
         return np.where(inside, self.amplitude * envelope * self.shape(held), 0.0)
 
@@ -79,12 +79,12 @@ class Profile:
         """Everything that makes this profile again, for the recording's /profile group."""
         return {
             "kind": self.kind,
-            "quantity": self.quantity.value,
+            "mode": self.mode.value,
             "amplitude": self.amplitude,
             "duration": self.duration,
             "band_low": self.band[0],
             "band_high": self.band[1],
-            "soft": self.soft,
+            "fade": self.fade,
             "seed": self.seed,
             "setpoints": self.setpoints,
         }
@@ -92,21 +92,21 @@ class Profile:
 
 def make(
     kind: str,
-    quantity: Quantity,
+    mode: Quantity,
     *,
     amplitude: float | None,
     default_amplitude: float,
     duration: float | None,
     band: tuple[float, float] | None,
     rate: float,
-    soft: float = 1.0,
+    fade: float = 1.0,
     seed: int = 0,
     setpoints: Path | None = None,
 ) -> Profile:
     """A checked profile.
 
     amplitude N m or rad at the joint (None: `default_amplitude`, and the file's own peak for kind "file"); duration s
-    (None: 20 s, or as long as the file); band Hz; rate Hz, for the Nyquist check; soft s.
+    (None: 20 s, or as long as the file); band Hz; rate Hz, for the Nyquist check; fade s.
     Raises WrongUse, saying what is wrong and what would do.
     """
     if kind not in KINDS:
@@ -124,19 +124,19 @@ def make(
         amplitude = default_amplitude if amplitude is None else amplitude
         duration = 20.0 if duration is None else duration
         chosen = _checked_band(kind, KINDS[kind].band if band is None else band, rate)
-        _check_positive(amplitude, duration, soft)
+        _check_positive(amplitude, duration, fade)
         shape = _SHAPES[kind](chosen, duration, seed)
-    _check_positive(amplitude, duration, soft)
-    soft = min(soft, duration / 4.0)
-    return Profile(kind, quantity, amplitude, duration, chosen, soft, seed, str(setpoints or ""), shape)
+    _check_positive(amplitude, duration, fade)
+    fade = min(fade, duration / 4.0)
+    return Profile(kind, mode, amplitude, duration, chosen, fade, seed, str(setpoints or ""), shape)
 
 
-def _check_positive(amplitude: float, duration: float, soft: float) -> None:
+def _check_positive(amplitude: float, duration: float, fade: float) -> None:
     for name, value, least in (("amplitude", amplitude, 0.0), ("duration", duration, 0.0)):
         if not (math.isfinite(value) and value > least):
             raise WrongUse(f"--{name} {value:g}: it must be a number above zero")
-    if not (math.isfinite(soft) and soft >= _RELEASE):
-        raise WrongUse(f"--fade {soft:g}: it must be at least {_RELEASE:g} s, so that the torque changes gently")
+    if not (math.isfinite(fade) and fade >= _SHORTEST_FADE):
+        raise WrongUse(f"--fade {fade:g}: it must be at least {_SHORTEST_FADE:g} s, so that no torque is switched")
 
 
 def _checked_band(kind: str, band: tuple[float, float], rate: float) -> tuple[float, float]:

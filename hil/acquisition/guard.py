@@ -18,6 +18,7 @@ _BEYOND, _FAR_BEYOND = 1.1, 1.5
 _COOL_START, _COOL_RUN = 15.0, 5.0  # degC below the limit: refuse to start, stop
 _SILENCE = 0.02  # s without a reply, and at least _REPEATS of them, before a run is given up
 _STALE = 0.05  # s of replies that repeat the drive's own clock, and at least _REPEATS of them
+_STALE_FLAG = int(Status.STALE)
 _STUCK = 20  # replies in a row with the same motor angle, to the last bit
 
 
@@ -133,7 +134,7 @@ class Guard:
         self._encoder.check(sample.motor_position, at_joint.torque)
 
     def _check_fresh(self, sample: Sample) -> None:
-        if Status.STALE not in sample.status:
+        if not int(sample.status) & _STALE_FLAG:
             self._fresh_reply, self._stale_in_row = sample.t, 0
             return
         self._stale_in_row += 1

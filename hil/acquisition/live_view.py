@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 from drivers.servo import Status
-from hil.recording.reader import ROW, Rows
+from hil.recording.channels import ROW, Rows
 
 _REFRESH = 0.1  # s
 

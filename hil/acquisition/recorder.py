@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import gc
 import math
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import fmean, median
 
 import numpy as np
@@ -21,8 +23,9 @@ from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import AtJoint, Guard
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.setpoints import SetPoints
+from hil.acquisition.sink import Sink
 from hil.errors import WrongUse
-from hil.recording.writer import PartFile, Row
+from hil.recording.channels import Row
 from hil.stand.file import Stand
 from hil.stand.transmission import Transmission, Zero
 
@@ -31,6 +34,7 @@ _REST_TRIES = 100
 _TOO_LONG = 1.5  # periods that an answer at rest may take; some drives answer sooner once they are armed
 _RAMP_DOWN = 0.1  # s; a first request to stop lets the cable down over this long
 _BLOCK = 512  # set-points computed at a time
+_LATE, _SATURATED = int(Status.LATE), int(Status.SATURATED)
 
 
 class _StopAsked(Exception):
@@ -61,9 +65,14 @@ def tick_count(profile: Profile, rate: float) -> int:
 
 
 class Recorder:
-    """One run on an open servo. Set-points are at the joint, in N m or rad; what is sent is at the motor shaft."""
+    """One run of a profile on an open servo, at `rate` Hz, into a sink.
 
-    def __init__(self, stand: Stand, servo: Servo, profile: Profile, rate: float, part: PartFile) -> None:
+    scratch: the folder for the run's set-points, which a long run keeps on disk; None for the system's.
+    """
+
+    def __init__(
+        self, stand: Stand, servo: Servo, profile: Profile, rate: float, sink: Sink, *, scratch: Path | None = None
+    ) -> None:
         limits = stand.checked_limits()
         self._torque_source = stand.stand.torque_source
         self._transmission = Transmission.of(stand.stand)
@@ -72,9 +81,10 @@ class Recorder:
         self._servo = servo
         self._profile = profile
         self._rate = rate
-        self._part = part
-        # a profile of torque swings by twice its amplitude; in a profile of position the limit is what is known
-        by_torque = profile.quantity is Quantity.TORQUE
+        self._sink = sink
+        self._scratch = Path(tempfile.gettempdir()) if scratch is None else scratch
+        # a profile of torque swings by twice its amplitude; for a profile of position only the limit is known
+        by_torque = profile.mode is Quantity.TORQUE
         self._guard = Guard(limits, moves=profile.amplitude if by_torque else 0.5 * limits.torque)
         self._outcome = Outcome()
         self._start = math.nan
@@ -97,12 +107,12 @@ class Recorder:
         finally:
             if not self._off_asked:  # nothing was driven, or the torque-off itself was interrupted
                 self._torque_off()
-        outcome.samples = len(self._part)
+        outcome.samples = len(self._sink)
         self._note_end()
         return outcome
 
     def _record(self, stop: StopRequest) -> None:
-        with SetPoints(self._part.path.parent) as set_points:
+        with SetPoints(self._scratch) as set_points:
             for times in self._times():
                 _heed(stop)
                 set_points.extend(self._profile.at(times))
@@ -178,7 +188,7 @@ class Recorder:
             if stop.count and math.isinf(stopping_at):
                 stopping_at = due
                 self._stopped(stop)
-                self._part.event(due, "stop-requested", f"signal {stop.number}")
+                self._sink.event(due, "stop-requested", f"signal {stop.number}")
             left = min(1.0, 1.0 - (due - stopping_at) / _RAMP_DOWN) if math.isfinite(stopping_at) else 1.0
             if left <= 0.0 or stop.count > 1:
                 return
@@ -190,16 +200,16 @@ class Recorder:
 
     def _tick(self, seq: int, due: float, set_point: float, zero: Zero) -> None:
         try:
-            sample = self._servo.exchange(self._transmission.command(self._profile.quantity, set_point, zero))
+            sample = self._servo.exchange(self._transmission.command(self._profile.mode, set_point, zero))
         except (NoReply, BadReply) as error:
             status = Status.BAD_REPLY if isinstance(error, BadReply) else Status.NO_REPLY
             sample = Sample.missing(self._start + due, status)
             self._outcome.lost += 1
-            self._part.append(self._row(seq, due, set_point, sample, AtJoint()))
+            self._sink.append(self._row(seq, due, set_point, sample, AtJoint()))
             self._guard.check_silence(self._servo.clock.now())
             return
         at_joint = self._at_joint(sample, zero)
-        self._part.append(self._row(seq, due, set_point, sample, at_joint))
+        self._sink.append(self._row(seq, due, set_point, sample, at_joint))
         self._guard.check(sample, at_joint)
 
     def _at_joint(self, sample: Sample, zero: Zero) -> AtJoint:
@@ -213,26 +223,28 @@ class Recorder:
 
     def _row(self, seq: int, due: float, set_point: float, sample: Sample, at_joint: AtJoint) -> Row:
         sent = sample.t - self._start
-        status = sample.status
+        status = int(sample.status)  # an operation on the flags themselves takes as long as the rest of a tick
         if sent - due > 0.5 / self._rate:
-            status |= Status.LATE
+            status |= _LATE
             self._outcome.late += 1
-        if status & Status.SATURATED:
+        if status & _SATURATED:
             self._outcome.saturated += 1
-        return (
-            seq,
-            sent,
-            set_point,
-            *at_joint,
-            sample.motor_position,
-            sample.motor_velocity,
-            sample.motor_torque,
-            sample.joint_position,
-            sample.joint_torque,
-            sample.t_read - self._start,
-            sample.t_joint - self._start,
-            sample.temperature,
-            int(status),
+        return Row(
+            seq=seq,
+            time=sent,
+            command=set_point,
+            torque=at_joint.torque,
+            dtheta=at_joint.dtheta,
+            dtheta_dot=at_joint.dtheta_dot,
+            motor_position=sample.motor_position,
+            motor_velocity=sample.motor_velocity,
+            motor_torque=sample.motor_torque,
+            joint_position=sample.joint_position,
+            joint_torque=sample.joint_torque,
+            read_time=sample.t_read - self._start,
+            joint_time=sample.t_joint - self._start,
+            temperature=sample.temperature,
+            status=status,
         )
 
     def _torque_off(self) -> None:
@@ -250,7 +262,7 @@ class Recorder:
             return
         try:
             since = self._servo.clock.now() - self._start if math.isfinite(self._start) else 0.0
-            self._part.event(since, type(outcome.error).__name__, outcome.end_reason)
+            self._sink.event(since, type(outcome.error).__name__, outcome.end_reason)
         except Exception as error:  # noqa: BLE001 - the same
             outcome.end_reason += f"; {error}"
 

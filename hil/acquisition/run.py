@@ -11,8 +11,8 @@ from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.live_view import beside
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
 from hil.errors import WrongUse
-from hil.recording.output import Taken, check_part, check_target, give_up, next_free
-from hil.recording.writer import Header, PartFile
+from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, remove_unfinished
+from hil.recording.writer import Header, RecordingWriter
 from hil.stand.devices import check_backend
 from hil.stand.file import Stand
 from hil.stand.opening import open_servo
@@ -42,11 +42,11 @@ def run(
     """
     check_backend(stand.stand.backend)
     if output is not None:
-        check_target(output, force=force)
+        check_output(output, force=force)
         if not force:
-            check_part(output)
+            check_unfinished(output)
     with StopRequest().listening() as stop:
-        servo, truth = open_servo(stand, quantity=profile.quantity, seed=seed, realtime=realtime)
+        servo, truth = open_servo(stand, quantity=profile.mode, seed=seed, realtime=realtime)
         outcome = Outcome()
         try:
             header = Header(
@@ -57,60 +57,60 @@ def run(
                 operator_note=note,
                 command_line=command_line,
             )
-            part = _claim(output, header, tick_count(profile, rate), force=force)
+            writer = _begin(output, header, tick_count(profile, rate), force=force)
             try:
-                with beside(part.path):
-                    outcome = Recorder(stand, servo, profile, rate, part).run(stop)
+                with beside(writer.path):
+                    outcome = Recorder(stand, servo, profile, rate, writer, scratch=writer.path.parent).run(stop)
             except BaseException:
-                _leave(part)
+                _close(writer)
                 raise
         finally:
-            _let_go(servo, outcome)
+            _close_servo(servo, outcome)
         if outcome.alarm and alarm is not None:
             alarm(outcome.alarm)
-        return _keep(part, outcome), outcome
+        return _finish(writer, outcome, force=force), outcome
 
 
-def _claim(output: Path | None, header: Header, length: int, *, force: bool) -> PartFile:
-    """The `.part` of a new recording, under a name that nobody else takes at the same time."""
+def _begin(output: Path | None, header: Header, length: int, *, force: bool) -> RecordingWriter:
+    """Return the writer of a new recording, under a name that nobody else takes at the same time."""
     if output is not None:
         if force:
-            give_up(output)
-        return PartFile(output, header, length)
+            remove_unfinished(output)
+        return RecordingWriter(output, header, length)
     while True:
         path = next_free(_FOLDER)
         try:
-            part = PartFile(path, header, length)
-        except Taken:
+            writer = RecordingWriter(path, header, length)
+        except NameTaken:
             continue
         if not path.exists():
-            return part
-        part.discard()  # another recorder began and ended under this name since we looked
+            return writer
+        writer.discard()  # another recorder began and ended under this name since we looked
 
 
-def _leave(part: PartFile) -> None:
-    with part:
-        if not len(part):
-            part.discard()
+def _close(writer: RecordingWriter) -> None:
+    with writer:
+        if not len(writer):
+            writer.discard()
 
 
-def _let_go(servo: Servo, outcome: Outcome) -> None:
+def _close_servo(servo: Servo, outcome: Outcome) -> None:
     try:
         servo.close()
     except BaseException as error:  # noqa: BLE001 - the data of a run outlives a fault of its driver
         outcome.error = outcome.error or error
 
 
-def _keep(part: PartFile, outcome: Outcome) -> Path:
-    """Make the recording final; where it then is. What fails is in the outcome: the rows are safe in the `.part`."""
+def _finish(writer: RecordingWriter, outcome: Outcome, *, force: bool) -> Path:
+    """Make the recording final and return where it is. A failure goes into the outcome: the `.part` has the rows."""
     try:
-        with part:
-            if len(part):
-                return part.finish(outcome.end_reason)
-            part.discard()
+        with writer:
+            if len(writer):
+                return writer.finish(outcome.end_reason, force=force)
+            writer.discard()
     except Exception as error:  # noqa: BLE001 - whatever it is, people must learn where their data is
-        problem = WrongUse(f"{error}\nThe run itself is safe: hil recover {part.path} -o OTHER.h5")
+        problem = WrongUse(f"{error}\nThe run itself is safe: hil recover {writer.path} -o OTHER.h5")
         problem.__cause__ = error
         outcome.error = outcome.error or problem
-        return part.path if part.path.exists() else part.final
-    return part.final
+        return writer.path if writer.path.exists() else writer.final
+    return writer.final

@@ -25,12 +25,12 @@ def compare(
 ) -> None:
     """Check whether Kc and Bc repeat from recording to recording, and whether they drift."""
     from hil.identification import compare as engine
-    from hil.recording.output import check_target
+    from hil.recording.output import check_output
     from hil.report.comparison import as_json as to_json
     from hil.report.comparison import comparison_table, draw
 
     if report is not None:
-        check_target(report, force=force)
+        check_output(report, force=force)
     search = search_of(trials=trials, seed=seed, workers=workers)
     with progress() as show:
         found = engine.compare(recordings, model_of(model), search, show)

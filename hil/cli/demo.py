@@ -14,13 +14,13 @@ from hil.cli.terminal import out, say
 def demo(output: Folder = Path("hil-demo")) -> None:
     """Run the main job on the simulated servo: record a chirp, identify, write the report."""
     from hil.acquisition.run import run
-    from hil.recording.output import check_target, next_free
+    from hil.recording.output import check_output, next_free
     from hil.report.identification import page_files
 
     stand = stand_of("sim", None)
     path = next_free(output)
     for later in page_files(path.with_suffix(".html")):
-        check_target(later, force=False)
+        check_output(later, force=False)
     out("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
     path, outcome = run(
         stand,

@@ -56,11 +56,11 @@ def import_data(
     """Make a recording from a table: CSV, Parquet, MATLAB, or a file of hil export."""
     from hil.exchange.importer import import_table
     from hil.exchange.row_filter import RowFilter
-    from hil.recording.output import check_part, check_target
+    from hil.recording.output import check_output, check_unfinished
     from hil.stand.file import load
 
-    check_target(output, force=force, inputs=[source] if stand is None else [source, stand])
-    check_part(output)
+    check_output(output, force=force, inputs=[source] if stand is None else [source, stand])
+    check_unfinished(output)
     done = import_table(
         source,
         output,
@@ -71,6 +71,7 @@ def import_data(
         [RowFilter.parse(text) for text in where or ()],
         stand=None if stand is None else load(stand),
         command_line=command_line(),
+        force=force,
     )
     units = "".join(f"; {channel} in {unit}" for channel, unit in done.units.items())
     out(f"{output}: {done.samples} samples over {done.duration:.4g} s{units}")
@@ -94,11 +95,11 @@ def export_data(
 ) -> None:
     """Write every channel of a recording as a table, with the units in its headings."""
     from hil.exchange.exporter import check_format, export
-    from hil.recording.output import check_target
+    from hil.recording.output import check_output
 
     check_format(output)
-    check_target(output, force=force, inputs=[recording])
-    out(f"{output}: {export(recording, output)} rows")
+    check_output(output, force=force, inputs=[recording])
+    out(f"{output}: {export(recording, output, force=force)} rows")
 
 
 def recover(
@@ -107,12 +108,12 @@ def recover(
     force: Force = False,
 ) -> None:
     """Turn an unfinished .part file into a recording; the .part file is kept."""
-    from hil.recording.output import check_target
+    from hil.recording.output import check_output
     from hil.recording.writer import finalise
 
     if output is None and part.suffix != ".part":
         raise WrongUse(f"{part} does not end in .part: name the output with -o")
     target = output or part.with_suffix("")
-    check_target(target, force=force, inputs=[part])
-    rows = finalise(part, target)
+    check_output(target, force=force, inputs=[part])
+    rows = finalise(part, target, force=force)
     out(f"{target}: {rows} samples recovered; {part} is still there")

@@ -63,12 +63,12 @@ def identify(
     as_json: Json = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
-    from hil.recording.output import check_target
+    from hil.recording.output import check_output
     from hil.report.identification import page_files
 
     if report is not None:
         for path in page_files(report):
-            check_target(path, force=force, inputs=recordings)
+            check_output(path, force=force, inputs=recordings)
     # bounds and checkpoints belong to one model, and a fixture is subtracted from apparent stiffness and damping
     fixed = preset == "paper" or bool(bounds) or checkpoint is not None or fixture is not None
     readings = {"selection": selection, "weights": weights, "replacement": replacement}

@@ -86,7 +86,7 @@ def excitation_of(
         duration=duration,
         band=None if band is None else _band(band),
         rate=rate,
-        soft=fade,
+        fade=fade,
         seed=seed,
         setpoints=setpoints,
     )

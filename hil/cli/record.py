@@ -63,7 +63,7 @@ def record(
     """Drive the motor against the locked joint and record torque, deflection and rate."""
     from hil.acquisition.run import run
     from hil.diagnostics import lateness
-    from hil.recording.output import check_target
+    from hil.recording.output import check_output
 
     if list_profiles or list_backends:
         _list_kinds(profiles=list_profiles)
@@ -85,7 +85,7 @@ def record(
     foreseen = _foreseen(opened, made)
     print_diagnostics(foreseen)
     if output is not None:
-        check_target(output, force=force, inputs=[path for path in (stand, setpoints) if path is not None])
+        check_output(output, force=force, inputs=[path for path in (stand, setpoints) if path is not None])
     path, outcome = run(
         opened,
         made,
@@ -160,7 +160,7 @@ def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
     from hil.diagnostics import Diagnostic, driven_by_position
 
     found = []
-    if stand.stand.torque_source == "motor" and profile.quantity is Quantity.POSITION:
+    if stand.stand.torque_source == "motor" and profile.mode is Quantity.POSITION:
         found.append(driven_by_position(is_error=False))
     if stand.stand.backend != "sim":
         return found
@@ -179,8 +179,8 @@ def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
 
 
 def _check_amplitude(stand: Stand, profile: Profile) -> None:
-    limit = limit_of(stand, profile.quantity)
-    unit = "N m" if profile.quantity is Quantity.TORQUE else "rad"
+    limit = limit_of(stand, profile.mode)
+    unit = "N m" if profile.mode is Quantity.TORQUE else "rad"
     if profile.amplitude > limit:
         raise WrongUse(
             f"--amplitude {profile.amplitude:g} {unit} is beyond the stand's limit of {limit:g} {unit}: "

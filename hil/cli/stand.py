@@ -31,12 +31,12 @@ def new(
     force: Force = False,
 ) -> None:
     """Ask what has to be known of a stand, and write it into a commented stand.toml."""
-    from hil.recording.output import check_target
+    from hil.recording.output import atomic_write, check_output
     from hil.stand.devices import BACKENDS, SENSORS, check_backend, check_sensor
     from hil.stand.draft import Draft
     from hil.stand.file import parse
 
-    check_target(output, force=force)
+    check_output(output, force=force)
     if backend is None:
         backend = "sim" if yes else typer.prompt(f"Which drive ({', '.join(BACKENDS)})", default="dynamixel", err=True)
     if sensor is None and SENSORS and not yes:
@@ -51,7 +51,8 @@ def new(
             answers[question.key] = _default(question) if yes else _asked(draft, question)
     text = draft.text(answers)
     parse(text, str(output))
-    output.write_text(text, encoding="utf-8")
+    with atomic_write(output, force=force) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     say(f"wrote {output}; look at the drive with: hil doctor {output}")
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +12,7 @@ from drivers.servo import Quantity, Servo
 from hil.acquisition import excitation
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
-from hil.recording.reader import Recording
-from hil.recording.writer import Header, PartFile
+from hil.acquisition.sink import Memory
 from hil.stand.file import Stand
 
 Array = NDArray[np.float64]
@@ -92,21 +89,16 @@ def move_a_little(
         duration=_DURATION,
         band=(_FREQUENCY, _FREQUENCY),
         rate=rate,
-        soft=_SOFT,
+        fade=_SOFT,
     )
-    with tempfile.TemporaryDirectory(prefix="hil-doctor-") as folder:
-        path = Path(folder) / "move.h5"
-        header = Header(profile=profile.attributes(), stand_toml=stand.text)
-        with PartFile(path, header, tick_count(profile, rate)) as part:
-            outcome = Recorder(stand, servo, profile, rate, part).run(stop)
-            if outcome.error is not None or outcome.samples - outcome.lost < tick_count(profile, rate) // 2:
-                return outcome, None
-            part.finish(outcome.end_reason)
-        with Recording(path) as recording:
-            return outcome, _seen(recording, stand, quantity)
+    rows = Memory()
+    outcome = Recorder(stand, servo, profile, rate, rows).run(stop)
+    if outcome.error is not None or outcome.samples - outcome.lost < tick_count(profile, rate) // 2:
+        return outcome, None
+    return outcome, _seen(rows, stand, quantity)
 
 
-def _seen(recording: Recording, stand: Stand, quantity: Quantity) -> Movement:
+def _seen(recording: Memory, stand: Stand, quantity: Quantity) -> Movement:
     names = ("command", "torque", "dtheta", "motor_position", "motor_torque", "joint_position", "joint_torque")
     columns = {name: recording.channel(name) for name in names}
     rows = np.isfinite(columns["dtheta"])

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from hil.errors import WrongUse
 from hil.exchange.columns import parquet
-from hil.recording.output import replacing
-from hil.recording.reader import CHANNELS, Recording
+from hil.recording.channels import CHANNELS
+from hil.recording.output import atomic_write
+from hil.recording.reader import Recording
 
 _SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
@@ -26,15 +27,15 @@ def check_format(target: Path) -> None:
         raise WrongUse(f"{target}: an export is {', '.join(_SUFFIXES)}: name the output so")
 
 
-def export(path: Path, target: Path) -> int:
+def export(path: Path, target: Path, *, force: bool = False) -> int:
     """Write every row and channel of a recording, in SI, and return the number of rows. A NaN is an empty CSV cell.
 
-    No digit is lost: `hil import` without columns reads the same numbers back. Raises WrongUse, Untrustworthy for a
-    damaged recording.
+    No digit is lost: `hil import` without columns reads the same numbers back. force: replace a file of that name.
+    Raises WrongUse, Untrustworthy for a damaged recording.
     """
     check_format(target)
     write = _write_parquet if target.suffix == ".parquet" else _write_csv
-    with Recording(path) as recording, replacing(target) as temporary:
+    with Recording(path) as recording, atomic_write(target, force=force) as temporary:
         write(recording, temporary, packed=target.suffix == ".gz")
         return len(recording)
 

@@ -15,7 +15,7 @@ from hil.exchange import units
 from hil.exchange.columns import place, read, titles
 from hil.exchange.exporter import heading
 from hil.exchange.row_filter import RowFilter
-from hil.recording.reader import CHANNELS
+from hil.recording.channels import CHANNELS
 from hil.recording.writer import Header, write
 from hil.stand.file import Stand
 from hil.stand.transmission import Transmission, Zero
@@ -68,11 +68,13 @@ def import_table(
     *,
     stand: Stand | None = None,
     command_line: str = "",
+    force: bool = False,
 ) -> Imported:
     """Write the rows of a CSV, .csv.gz, Parquet or .mat file that pass every filter as a recording.
 
     columns: channel (see DIMENSION) to its column: time, torque or motor_torque, and dtheta or motor_position; motor
-    channels are converted to the joint by the stand's gear. {}: the file is an export of hil. Raises WrongUse, with the
+    channels are converted to the joint by the stand's gear. {}: the file is an export of hil. force: replace a
+    recording of that name. Raises WrongUse, with the
     row at fault.
     """
     if columns:
@@ -94,7 +96,7 @@ def import_table(
         stand_toml="" if stand is None else stand.text,
         command_line=command_line,
     )
-    write(target, header, channels)
+    write(target, header, channels, force=force)
     return Imported(len(rows), float(channels["time"][-1] - channels["time"][0]), understood)
 
 

@@ -170,4 +170,4 @@ def command(judged: Assessment, stand: str, rate: float) -> str:
         low, high = profile.band
         words += f" --band {low:.12g}" if low == high else f" --band {low:.12g}:{high:.12g}"
     words += f" --amplitude {profile.amplitude:.12g} --duration {profile.duration:.12g} --rate {rate:.12g}"
-    return words + (" --mode position" if profile.quantity is Quantity.POSITION else "")
+    return words + (" --mode position" if profile.mode is Quantity.POSITION else "")

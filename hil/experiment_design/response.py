@@ -81,14 +81,14 @@ class Peaks:
 
 def respond(joint: Joint, profile: Profile, rate: float) -> tuple[Motion, Peaks]:
     """Return the motion at `rate` Hz and its peaks, between the ticks too."""
-    if profile.quantity is Quantity.POSITION:
+    if profile.mode is Quantity.POSITION:
         return _prescribed(joint, _course(profile, rate), rate)
     return _driven(joint, set_points(profile, rate), rate)
 
 
 def peaks(joints: list[Joint], profile: Profile, rate: float) -> list[Peaks]:
     """Return the peaks alone, for each of the joints."""
-    if profile.quantity is Quantity.POSITION:
+    if profile.mode is Quantity.POSITION:
         course = _course(profile, rate)
         return [_prescribed(joint, course, rate)[1] for joint in joints]
     held = set_points(profile, rate)

@@ -118,6 +118,6 @@ def _made(task: Task, kind: str, band: tuple[float, float], duration: float, fad
         duration=duration,
         band=band,
         rate=task.rate,
-        soft=fade,
+        fade=fade,
         seed=_SEED,
     )

@@ -137,7 +137,7 @@ def recording_diagnostics(recording: Recording, signals: Signals) -> list[Diagno
                 "better",
             )
         )
-    if signals.torque_from == "motor" and recording.profile.get("quantity") == "position":
+    if signals.torque_from == "motor" and recording.profile.get("mode") == "position":
         found.append(driven_by_position(is_error=True))
     return found
 

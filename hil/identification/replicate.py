@@ -18,7 +18,7 @@ from hil.acquisition.run import run
 from hil.identification.disk_table import Progress
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification
-from hil.recording.output import next_free, writing
+from hil.recording.output import atomic_write, next_free
 from hil.recording.reader import Recording
 from hil.signals.prepare import Signals
 from hil.stand.file import SIMULATED, parse
@@ -93,7 +93,7 @@ def _record(folder: Path, seed: int) -> Path:
         duration=(SAMPLES - 1) / RATE,
         band=(0.2, 15.0),
         rate=RATE,
-        soft=0.5,
+        fade=0.5,
         seed=seed,
     )
     path, outcome = run(
@@ -195,5 +195,5 @@ def draw_convergence(done: Replication, path: Path) -> None:
     panels[1].set(xscale="log", yscale="log", xlabel="generation", ylabel="above the exact optimum, relative")
     for panel in panels:
         panel.grid(visible=True, lw=0.3)
-    with writing(path):
-        figure.savefig(path, dpi=110)
+    with atomic_write(path, force=True) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)

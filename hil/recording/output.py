@@ -1,41 +1,42 @@
-"""Where a file goes: the next free name, what must not be overwritten, and how a name is taken."""
+"""Where a file is written: the next free name, files that must not be overwritten, and writing it whole."""
 
 from __future__ import annotations
 
 import os
 import re
 import shutil
+import stat
 import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hil.errors import WrongUse
-from hil.recording.posix import claim, is_at, open_binary, remove, sync_folder
+from hil.recording.posix import is_at, lock, open_binary, remove, rename_new, sync_folder
 
 
-class Taken(WrongUse):
+class NameTaken(WrongUse):
     """Another recording has the name."""
 
 
 def part_path(path: Path) -> Path:
-    """Where the recording that will be `path` lives while it is made."""
+    """Return the path of the recording in progress that will become `path`."""
     return path.with_name(path.name + ".part")
 
 
 def next_free(folder: Path) -> Path:
-    """The next `runN.h5` of `folder` that no finished or unfinished recording has. Makes the folder."""
+    """Return the next `runN.h5` of `folder` that no finished or unfinished recording has. Makes the folder."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        taken = [name.name.removesuffix(".part") for name in folder.glob("run*.h5*")]
-    numbers = [int(stem) for stem in (name[3:-3] for name in taken if name.endswith(".h5")) if stem.isdecimal()]
+        names = [path.name.removesuffix(".part") for path in folder.glob("run*.h5*")]
+    numbers = [int(stem) for stem in (name[3:-3] for name in names if name.endswith(".h5")) if stem.isdecimal()]
     return folder / f"run{max(numbers, default=0) + 1}.h5"
 
 
-def check_target(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> None:
-    """Raise WrongUse where writing `path` would overwrite something, or where there is no folder for it.
+def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> None:
+    """Raise WrongUse where writing `path` would overwrite a file, or where there is no folder for it.
 
-    inputs: what the command reads, which not even `force` overwrites. Only looks.
+    inputs: the files that the command reads, which not even `force` overwrites. Changes nothing.
     """
     with writing(path):
         if path.is_dir():
@@ -43,24 +44,23 @@ def check_target(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> Non
         if not path.parent.is_dir():
             raise WrongUse(f"{path.parent} is not a folder: make it first, or name another output with -o")
         if any(_is_same(path, given) for given in inputs):
-            raise WrongUse(f"{path} is also what is read: name another output")
-        if path.exists() and not force:
-            raise WrongUse(f"{path} exists: choose another name with -o, or overwrite it with --force")
+            raise WrongUse(f"{path} is also an input: name another output")
+        _check_replaceable(path, force=force)
 
 
-def check_part(path: Path) -> None:
-    """Raise WrongUse where there is an unfinished recording that would become `path`. Only looks."""
+def check_unfinished(path: Path) -> None:
+    """Raise WrongUse where there is an unfinished recording that would become `path`. Changes nothing."""
     part = part_path(path)
     with writing(path):
         if part.exists():
             raise WrongUse(
                 f"{part} is a recording that never ended: keep it with `hil recover {part}`, choose another name with "
-                "-o, or give it up with `hil record --force`"
+                "-o, or remove it with `hil record --force`"
             )
 
 
-def give_up(path: Path) -> None:
-    """Remove the unfinished recording that would become `path`, where there is one. Raises WrongUse for a live one."""
+def remove_unfinished(path: Path) -> None:
+    """Remove the unfinished recording that would become `path`, if any. Raises WrongUse while it is recorded."""
     part = part_path(path)
     with writing(path):
         try:
@@ -68,14 +68,14 @@ def give_up(path: Path) -> None:
         except FileNotFoundError:
             return
         try:
-            claim(file)
+            lock(file, shared=False)
         except BlockingIOError:
             os.close(file)
             raise WrongUse(
                 f"{part} is being recorded or read at this moment: wait for it, or choose another name with -o"
             ) from None
         except OSError:
-            pass  # the filesystem knows no locks, so nobody can hold one
+            pass  # the filesystem knows no locks, so nobody can have one
         if is_at(file, part):
             remove(file, part)
         else:
@@ -96,32 +96,55 @@ def check_space(path: Path, size: int) -> None:
 
 
 @contextmanager
-def replacing(target: Path) -> Iterator[Path]:
-    """A name beside `target` to write to, which then takes its place: it appears whole or not at all.
+def atomic_write(path: Path, *, force: bool) -> Iterator[Path]:
+    """Yield a new file beside `path` to write to, which then takes that name: a result appears whole or not at all.
 
-    Raises WrongUse where that cannot be done.
+    The file's own name cannot be predicted and keeps the last suffixes of `path`. force: whether a regular file at
+    `path` is replaced; nothing else ever is. Raises WrongUse where that refuses, or where `path` cannot be written.
     """
-    temporary = target.with_name(f".hil-{uuid.uuid4().hex}.tmp")
-    with writing(target):
+    temporary = path.with_name(f".hil-{uuid.uuid4().hex}{''.join(path.suffixes[-2:])}")
+    with writing(path):
+        os.close(open_binary(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR))
         try:
             yield temporary
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
-            temporary.replace(target)
-        except BaseException:
+            _check_replaceable(path, force=force)
+            if force:
+                temporary.replace(path)
+            else:
+                rename_new(temporary, path)
+        except FileExistsError:
+            raise WrongUse(_exists(path)) from None
+        finally:
             with suppress(OSError):
                 temporary.unlink()
-            raise
-        sync_folder(target.parent)
+        sync_folder(path.parent)
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn what the operating system says of a target that cannot be written into a WrongUse."""
+    """Turn the system's error for an output that cannot be written into a WrongUse."""
     try:
         yield
     except (OSError, RuntimeError, ValueError) as error:  # HDF5 reports a full disk as any of the three
         raise WrongUse(f"{path} cannot be written ({_reason(error)}): choose another folder with -o") from error
+
+
+def _check_replaceable(path: Path, *, force: bool) -> None:
+    """Raise WrongUse where there is a file at `path`, or with `force` one that is not regular."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if not force:
+        raise WrongUse(_exists(path))
+    if not stat.S_ISREG(mode):
+        raise WrongUse(f"{path} is a link or a device, which is never overwritten: name an ordinary file with -o")
+
+
+def _exists(path: Path) -> str:
+    return f"{path} exists: choose another name with -o, or overwrite it with --force"
 
 
 def _is_same(path: Path, other: Path) -> bool:
@@ -131,7 +154,7 @@ def _is_same(path: Path, other: Path) -> bool:
 
 
 def _reason(error: Exception) -> str:
-    """The system's own words, where HDF5 has wrapped its jargon around them."""
+    """Return the system's own words, where HDF5 has wrapped its jargon around them."""
     number = getattr(error, "errno", None)
     if number:
         return os.strerror(number)

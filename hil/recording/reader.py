@@ -1,25 +1,29 @@
-"""Recordings on disk: HDF5, schema `hil-recording/1`. One file, one recording, one axis.
+"""Recordings on disk: HDF5, schema `hil-recording/2`. One file, one recording, one axis.
 
 Layout of a finished file (all numbers little-endian, SI)::
 
     /                attrs: schema, uid, created (ISO 8601 UTC), complete (bool), end_reason, software (JSON), host,
                      command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples)
-    /samples/        one 1-D dataset a channel, equal length, attrs unit and description: see CHANNELS
-    /profile/        attrs: kind and every parameter
+    /samples/        one 1-D dataset a channel, equal length, attrs unit and description: see hil.recording.channels
+    /profile/        attrs: kind, mode ("torque" or "position"), amplitude (N m or rad at the joint), duration (s),
+                     band_low, band_high (Hz), fade (s, at each end), seed, setpoints (the CSV of kind "file"), rate
+                     (Hz); of an import: kind, source, where
     /events/         time (s), code, message
     /truth/          attrs, only from a simulator: the true Kc, Bc, ...; never read by identification
 
-`sha256` is over the rows in order, each the 8-byte fields of ROW: what `rows()` yields, as bytes.
+`sha256` is over the rows in order, each the 8-byte fields of ROW: the bytes of the arrays that `rows()` yields.
+`hil-recording/1` differs in the names of two attributes of /profile: "quantity" for mode and "soft" for fade.
 
 A recording in progress is `NAME.h5.part`: the same groups, except that the samples are one contiguous compound dataset
 `/live` and the events one `/live_events`, both preallocated and filled with the end mark. HDF5 is closed before the
 first row, and rows are written straight to the dataset's offset, so that the metadata never changes and the file is
-legal at every moment. A row is there once its `seq` equals its index. Every reader here takes both layouts.
+legal at every moment. A row is valid once its `seq` equals its index. Every reader here takes both layouts.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -34,40 +38,20 @@ from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy, WrongUse
+from hil.recording.channels import CHANNELS, LATER, ROW, Rows
 
-SCHEMA = "hil-recording/1"
-END_MARK = np.uint64(2**64 - 1)
+SCHEMA = "hil-recording/2"
+RENAMED: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {"hil-recording/1": MappingProxyType({"quantity": "mode", "soft": "fade"}), SCHEMA: MappingProxyType({})}
+)
+"""The schemas that are read, each with what it called attributes of /profile that have another name now."""
 BLOCK = 65536
 """Rows handled at a time, so that no run is ever held in memory whole."""
 
-CHANNELS: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {
-        "seq": ("1", "row number since the start"),
-        "time": ("s", "when the set-point was sent, from the start"),
-        "command": ("N*m or rad", "set-point at the joint, in the unit of the profile's quantity"),
-        "torque": ("N*m", "torque at the joint: the joint's cell, or the motor's torque times the gear ratio, as read"),
-        "dtheta": ("rad", "deflection: motor position over gear ratio, less the joint's, less their value at rest"),
-        "dtheta_dot": ("rad/s", "rate of the deflection as the drive reports it, late by its own filter"),
-        "motor_position": ("rad", "at the motor shaft"),
-        "motor_velocity": ("rad/s", "at the motor shaft, as the drive reports it"),
-        "motor_torque": ("N*m", "at the motor shaft, as the drive reports it"),
-        "joint_position": ("rad", "at the locked joint"),
-        "joint_torque": ("N*m", "at the locked joint"),
-        "read_time": ("s", "midpoint of the bus read, from the start"),
-        "joint_time": ("s", "when the joint was read, where another device reads it, from the start"),
-        "temperature": ("degC", "of the winding, as the drive reports it"),
-        "status": ("1", "bits: 1 no reply, 2 bad reply, 4 late, 8 saturated, 16 stale"),
-    }
-)
-LATER = frozenset({"joint_time"})
-"""Channels that the first recordings of the schema do not have; they read as NaN."""
-_INTEGER = {"seq": "<u8", "status": "<u8"}
-ROW = np.dtype([(name, _INTEGER.get(name, "<f8")) for name in CHANNELS])
 EVENT = np.dtype([("time", "<f8"), ("code", "S32"), ("message", "S200")])
 EVENTS = 256
 """Events that a recording in progress has room for."""
 
-Rows = NDArray[np.void]
 Array = NDArray[np.float64]
 
 
@@ -83,9 +67,9 @@ class Event:
 class Recording:
     """An open recording, finished or not; `len()` is its rows.
 
-    attributes: the root's. profile: what was asked of the motor. complete: whether it ended as planned.
-    live: whether it is still in the first stage's layout.
-    Raises WrongUse for a file that is no recording of this schema, Untrustworthy for a damaged one.
+    attributes: the root's. profile: the excitation, by the names of SCHEMA whichever schema the file has. complete:
+    whether it ended as planned. live: whether it is still in the first stage's layout.
+    Raises WrongUse for a file that is no recording or has an unknown schema, Untrustworthy for a damaged one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -93,9 +77,11 @@ class Recording:
         self._file = _open(path)
         try:
             with _legible(path):
-                self._check_schema()
+                _refuse_foreign_storage(self._file, path)
                 self.attributes = {name: _plain(self._file.attrs[name]) for name in self._file.attrs}
-                self.profile = {name: _plain(value) for name, value in self._group("profile").attrs.items()}
+                names = self._renamed()
+                profile = self._group("profile").attrs.items()
+                self.profile = {names.get(name, name): _plain(value) for name, value in profile}
                 self.live = "live" in self._file
                 self.complete = bool(self.attributes.get("complete", False))
                 self._length = self._count_live() if self.live else self._check_samples()
@@ -143,7 +129,7 @@ class Recording:
         return np.asarray(self._column(name, start, stop), dtype=np.float64)
 
     def events(self) -> list[Event]:
-        """What happened during the run, in order. Raises WrongUse for a damaged file."""
+        """Return the events of the run, in order. Raises WrongUse for a damaged file."""
         with _legible(self.path):
             if self.live:
                 return [
@@ -154,10 +140,10 @@ class Recording:
             group = self._group("events")
             text = (group["code"].asstr()[()], group["message"].asstr()[()])
             rows = zip(group["time"], *text, strict=True)
-            return [Event(float(time), str(code), str(said)) for time, code, said in rows]
+            return [Event(float(time), str(code), str(message)) for time, code, message in rows]
 
     def truth(self) -> dict[str, float]:
-        """The simulator's own parameters, {} for a real stand. Identification never calls this."""
+        """Return the simulator's own parameters, {} for a real stand. Identification never calls this."""
         with _legible(self.path):
             group = self._file.get("truth")
             return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
@@ -188,13 +174,17 @@ class Recording:
             raise WrongUse(f"{self.path} has no group /{name}: it is not a whole {SCHEMA} recording")
         return group
 
-    def _check_schema(self) -> None:
-        _refuse_foreign_storage(self._file, self.path)
-        schema = _plain(self._file.attrs.get("schema", ""))
-        if not str(schema).startswith("hil-recording/"):
+    def _renamed(self) -> Mapping[str, str]:
+        """Return the attributes of /profile that have another name now. Raises WrongUse for an unknown schema."""
+        schema = str(self.attributes.get("schema", ""))
+        if not schema.startswith("hil-recording/"):
             raise WrongUse(f"{self.path} is HDF5 but not a recording of hil: bring its data in with `hil import`")
-        if schema != SCHEMA:
-            raise WrongUse(f"{self.path} has schema {schema!r}; this hil reads {SCHEMA!r}: use the hil that wrote it")
+        if schema not in RENAMED:
+            raise WrongUse(
+                f"{self.path} has schema {schema!r}, written by {_writer(self.attributes)}; this hil reads "
+                f"{', '.join(RENAMED)}: read it with the version that wrote it"
+            )
+        return RENAMED[schema]
 
     def _count_live(self) -> int:
         """Rows before the first whose number is not its index."""
@@ -270,6 +260,14 @@ def _refuse_foreign_storage(file: h5py.File, path: Path) -> None:
 
 def _is_hard(group: h5py.Group, name: str) -> bool:
     return isinstance(group.get(name, getlink=True), h5py.HardLink)
+
+
+def _writer(attributes: Mapping[str, Any]) -> str:
+    """Return the name of the program that wrote a recording."""
+    try:
+        return f"hil {json.loads(attributes['software'])['hil']}"
+    except (KeyError, TypeError, ValueError):
+        return "an unknown version of hil"
 
 
 def _plain(value: Any) -> Any:

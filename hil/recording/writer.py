@@ -1,4 +1,4 @@
-"""Write a recording: rows while it is made, then the final file (the two stages of `hil.recording.reader`'s schema)."""
+"""Write a recording: rows during the run, then the final file (the two stages of `hil.recording.reader`'s schema)."""
 
 from __future__ import annotations
 
@@ -24,20 +24,18 @@ import h5py
 import numpy as np
 
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.output import Taken, check_space, part_path, replacing, writing
-from hil.recording.posix import hold, is_at, open_binary, remove, write_at
-from hil.recording.reader import BLOCK, CHANNELS, END_MARK, EVENT, EVENTS, ROW, SCHEMA, Array, Event, Recording, Rows
+from hil.recording.channels import CHANNELS, END_MARK, ROW, Row, Rows, packed
+from hil.recording.output import NameTaken, atomic_write, check_space, part_path, writing
+from hil.recording.posix import is_at, lock, open_binary, remove, write_at
+from hil.recording.reader import BLOCK, EVENT, EVENTS, SCHEMA, Array, Event, Recording
 
 _OVERHEAD = 1 << 18  # bytes of a file that are not samples, generously
 _DURABLE = 0.25  # s between two requests that the disk keep what it was given
 
-Row = tuple[float, ...]
-"""The fields of one row, in the order of CHANNELS."""
-
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What is known before the first row: everything of the file but its samples, events and end."""
+    """The part of a recording that is known before its first row: all but its samples, events and end."""
 
     profile: Mapping[str, str | float]
     stand_toml: str = ""
@@ -47,18 +45,13 @@ class Header:
     command_line: str = ""
 
 
-def missing_row(seq: int) -> Row:
-    """A row with nothing in it but its number."""
-    return (seq, *([math.nan] * (len(CHANNELS) - 2)), 0)
-
-
-class PartFile:
-    """A recording in progress. The control loop calls `append` and nothing of HDF5.
+class RecordingWriter:
+    """A recording in progress, the `.part` of the file `final`. The control loop calls `append` and no HDF5.
 
     `length` rows are reserved on disk before anything moves. Rows are handed to the operating system in batches of
     `batch` rows, so a killed process loses at most one batch; a thread makes them durable four times a second, so a
-    power cut loses little more. The file is held, so that nobody gives it up, until it is closed.
-    Raises WrongUse where the target cannot hold the run, Taken where another recording has its name.
+    power cut loses little more. The file is locked until it is closed, so that nobody removes it.
+    Raises WrongUse where the disk cannot hold the run, NameTaken where another recording has its name.
     """
 
     def __init__(self, path: Path, header: Header, length: int, *, batch: int = 10) -> None:
@@ -69,12 +62,12 @@ class PartFile:
         self._rows = 0
         self._events = 0
         self._file: int | None = None
-        self._trouble: OSError | None = None
+        self._failure: OSError | None = None
         self._closing = threading.Event()
         self._syncer = threading.Thread(target=self._keep_durable, daemon=True)
         with writing(self.path):
             check_space(self.path, 2 * length * ROW.itemsize + _OVERHEAD)  # the second stage stands beside the first
-            self._file = _hold_new(self.path)
+            self._file = _locked_new(self.path)
             try:
                 self._offset, self._event_offset = _fill_part(self.path, header, length)
                 self._reserve(max(length, 1))
@@ -89,7 +82,7 @@ class PartFile:
             try:
                 os.fsync(self._file)
             except OSError as error:
-                self._trouble = error  # the next row that is written says so
+                self._failure = error  # the next row that is written raises it
                 return
 
     def __enter__(self) -> Self:
@@ -107,69 +100,71 @@ class PartFile:
 
     def _reserve(self, length: int) -> None:
         """Write the end mark over every row: a full disk shows now, not with the motor on."""
-        blank = np.full(BLOCK, np.array(missing_row(int(END_MARK)), dtype=ROW))
+        blank = packed([Row(END_MARK)]) * min(BLOCK, length)
         for start in range(0, length, BLOCK):
-            self._write(blank[: length - start], self._offset + start * ROW.itemsize)
+            self._write(blank[: (length - start) * ROW.itemsize], self._offset + start * ROW.itemsize)
         events = np.full(EVENTS, np.array((math.nan, b"", b""), dtype=EVENT))
-        self._write(events, self._event_offset)
+        self._write(events.tobytes(), self._event_offset)
         assert self._file is not None  # noqa: S101 - opened just above
         os.fsync(self._file)
 
-    def _write(self, rows: Rows, offset: int) -> None:
+    def _write(self, data: bytes, offset: int) -> None:
         if self._file is None:
             raise ValueError(f"{self.path} is closed")
-        data = rows.tobytes()
         written = write_at(self._file, data, offset)
         if written != len(data):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    def _add(self, rows: Rows, offset: int) -> None:
+    def _add(self, data: bytes, offset: int) -> None:
         try:
-            if self._trouble is not None:
-                raise self._trouble
-            self._write(rows, offset)
+            if self._failure is not None:
+                raise self._failure
+            self._write(data, offset)
         except OSError as error:
             raise Untrustworthy(
-                f"{self.path} cannot be written any further ({error.strerror or error}): what it holds is kept"
+                f"{self.path} cannot be written any further ({error.strerror or error}): its rows so far are kept"
             ) from error
 
     def append(self, row: Row) -> None:
-        """Take one row, its fields in the order of CHANNELS. Raises Untrustworthy where the disk fails."""
+        """Add one row. Raises Untrustworthy where the disk fails."""
         self._pending.append(row)
         if len(self._pending) >= self._batch:
             self.flush()
 
     def extend(self, rows: Rows) -> None:
-        """Take many rows, (n,) of ROW, and hand them to the operating system. Raises Untrustworthy."""
-        self._add(rows, self._offset + self._rows * ROW.itemsize)
-        self._rows += len(rows)
+        """Add many rows, (n,) of ROW, and hand them to the operating system. Raises Untrustworthy."""
+        self._extend(rows.tobytes())
+
+    def _extend(self, data: bytes) -> None:
+        self._add(data, self._offset + self._rows * ROW.itemsize)
+        self._rows += len(data) // ROW.itemsize
 
     def flush(self) -> None:
         """Hand the pending rows to the operating system. Raises Untrustworthy where the disk fails."""
         if self._pending:
-            self.extend(np.array(self._pending, dtype=ROW))
+            self._extend(packed(self._pending))
             self._pending.clear()
 
     def event(self, time: float, code: str, message: str) -> None:
-        """Note something that happened. Past the table's end the note is dropped: samples matter more.
+        """Add an event at `time` s. Past the table's end it is dropped: samples matter more.
 
         Raises Untrustworthy where the disk fails.
         """
         if self._events < EVENTS:
             entry = np.array([(time, code.encode()[:32], message.encode()[:200])], dtype=EVENT)
-            self._add(entry, self._event_offset + self._events * EVENT.itemsize)
+            self._add(entry.tobytes(), self._event_offset + self._events * EVENT.itemsize)
             self._events += 1
 
-    def finish(self, end_reason: str) -> Path:
+    def finish(self, end_reason: str, *, force: bool = False) -> Path:
         """Write the final file, remove the `.part` and return the file's path. The `.part` stays if that fails.
 
-        Raises WrongUse, and Untrustworthy where the disk fails.
+        force: replace a file of that name. Raises WrongUse, and Untrustworthy where the disk fails.
         """
         self.flush()
         self._stop_syncing()
         if self._file is None or not is_at(self._file, self.path):
-            raise WrongUse(f"{self.path} is not the file that was recorded into any more: somebody has replaced it")
-        finalise(self.path, self.final, end_reason=end_reason)
+            raise WrongUse(f"{self.path} is not the file of this recording any more: somebody has replaced it")
+        finalise(self.path, self.final, end_reason=end_reason, force=force)
         file, self._file = self._file, None
         remove(file, self.path)
         return self.final
@@ -180,14 +175,14 @@ class PartFile:
             self._syncer.join()
 
     def close(self) -> None:
-        """Let go of the file, keeping it as it is. Harmless when already closed."""
+        """Close the file and keep it as it is. Harmless when already closed."""
         self._stop_syncing()
         if self._file is not None:
             file, self._file = self._file, None
             os.close(file)
 
     def discard(self) -> None:
-        """Remove a recording in which nothing was recorded. Harmless when already closed."""
+        """Remove the recording, where it has no row worth keeping. Harmless when already closed."""
         self._pending.clear()
         self._stop_syncing()
         if self._file is not None and is_at(self._file, self.path):
@@ -196,28 +191,28 @@ class PartFile:
         self.close()
 
 
-def _hold_new(path: Path) -> int:
-    """A new, empty file, held. Raises Taken where there is one already: it may be another recorder's."""
+def _locked_new(path: Path) -> int:
+    """Return a new, empty, locked file. Raises NameTaken where there is one already: it may be another recorder's."""
     try:
         file = open_binary(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
     except FileExistsError:
-        raise Taken(f"{path} is another recording that has not ended (File exists): name another with -o") from None
+        raise NameTaken(f"{path} is another recording that has not ended (File exists): name another with -o") from None
     try:
-        hold(file)
+        lock(file, shared=True)  # as HDF5 does when it reads: watching stays possible
     except BlockingIOError:
-        pass  # somebody is giving it up; it is gone from its place, or will be
+        pass  # somebody is removing it; it is gone from its place, or will be
     except OSError:
         return file  # the filesystem knows no locks: two recorders are kept apart by the name alone
     else:
         if is_at(file, path):
             return file
     os.close(file)
-    raise Taken(f"{path} was given up by somebody else while it was made: start again")
+    raise NameTaken(f"{path} was removed by somebody else while it was made: start again")
 
 
 def _fill_part(path: Path, header: Header, length: int) -> tuple[int, int]:
-    """Make the held file a `.part` with all but its rows; the byte offsets of the rows and of the events."""
-    with h5py.File(path, "w", libver="latest", locking=False) as file:  # it is held by us already
+    """Make the locked file a `.part` without rows. Return the byte offsets of the rows and of the events."""
+    with h5py.File(path, "w", libver="latest", locking=False) as file:  # we have locked it already
         _write_header(file, header)
         file.attrs.update(complete=False, end_reason="")
         return _reserve_contiguous(file, "live", length, ROW), _reserve_contiguous(file, "live_events", EVENTS, EVENT)
@@ -227,12 +222,12 @@ def _reserve_contiguous(file: h5py.File, name: str, length: int, dtype: np.dtype
     settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     settings.set_layout(h5py.h5d.CONTIGUOUS)
     settings.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-    settings.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # PartFile fills it itself, with plain writes
+    settings.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # RecordingWriter fills it itself, with plain writes
     space = h5py.h5s.create_simple((max(length, 1),))  # HDF5 gives an empty dataset no place
     dataset = h5py.h5d.create(file.id, name.encode(), h5py.h5t.py_create(dtype, logical=True), space, settings)
     offset = dataset.get_offset()
     if offset is None:
-        raise OSError(f"{name} was given no place in the file")
+        raise OSError(f"{name} has no place in the file")
     return int(offset)
 
 
@@ -267,16 +262,15 @@ def _software() -> dict[str, str]:
     return versions
 
 
-def finalise(source: Path, target: Path, *, end_reason: str | None = None) -> int:
-    """Write the recording in `source` (either layout) to `target` in the final layout.
+def finalise(source: Path, output: Path, *, end_reason: str | None = None, force: bool = False) -> int:
+    """Write the recording `source` (either layout, any schema that is read) to `output` in the final layout.
 
-    The target appears whole or not at all, and `source` is not touched. `end_reason` None marks it as recovered.
-    Returns the number of samples.
-    Raises WrongUse where the target cannot be written.
+    The output appears whole or not at all, and `source` is not touched. end_reason: None marks it as recovered. force:
+    replace a file of that name. Returns the number of samples. Raises WrongUse where the output cannot be written.
     """
     with Recording(source) as recording:
-        check_space(target, len(recording) * ROW.itemsize + _OVERHEAD)
-        with replacing(target) as temporary, h5py.File(temporary, "x", libver="latest") as file:
+        check_space(output, len(recording) * ROW.itemsize + _OVERHEAD)
+        with atomic_write(output, force=force) as temporary, h5py.File(temporary, "w", libver="latest") as file:
             _copy_attributes(recording, file)
             file.attrs["complete"] = end_reason == "done"
             file.attrs["end_reason"] = "recovered" if end_reason is None else end_reason
@@ -285,27 +279,28 @@ def finalise(source: Path, target: Path, *, end_reason: str | None = None) -> in
         return len(recording)
 
 
-def write(path: Path, header: Header, channels: Mapping[str, Array]) -> None:
+def write(path: Path, header: Header, channels: Mapping[str, Array], *, force: bool = False) -> None:
     """Write a whole recording at once, for data that was not recorded here.
 
-    channels: (n,) arrays in SI, named as in CHANNELS; the ones not given are NaN. Raises WrongUse.
+    channels: (n,) arrays in SI, named as in CHANNELS; a channel that is not given is NaN. force: replace a file of
+    that name. Raises WrongUse.
     """
     length = len(channels["time"])
-    rows = np.full(length, np.array(missing_row(0), dtype=ROW))
+    rows = np.full(length, np.array(Row(0), dtype=ROW))
     rows["seq"] = np.arange(length)
     for name, values in channels.items():
         rows[name] = values
-    with PartFile(path, header, length) as part:
+    with RecordingWriter(path, header, length) as writer:
         try:
-            part.extend(rows)
-            part.finish("done")
+            writer.extend(rows)
+            writer.finish("done", force=force)
         except BaseException:
-            part.discard()
+            writer.discard()
             raise
 
 
 def _copy_attributes(recording: Recording, file: h5py.File) -> None:
-    file.attrs.update(recording.attributes)
+    file.attrs.update(recording.attributes | {"schema": SCHEMA})
     file.create_group("profile").attrs.update(recording.profile)
     truth = recording.truth()
     if truth:

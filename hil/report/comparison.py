@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.identification.compare import COMPARED, Comparison, Measured, Repeated
-from hil.recording.output import writing
+from hil.recording.output import atomic_write
 from hil.report.identification import people_unit
 
 if TYPE_CHECKING:
@@ -142,5 +142,5 @@ def draw(found: Comparison, path: Path) -> None:
         panel.set(ylabel=f"{parameter.name} [{unit}]")
         panel.grid(visible=True, lw=0.3)
     panels[-1].set_xticks(range(len(found.recordings)), [one.path.stem for one in found.recordings], rotation=30)
-    with writing(path):
-        figure.savefig(path, dpi=110)
+    with atomic_write(path, force=True) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)

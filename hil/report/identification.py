@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
-from hil.recording.output import replacing
+from hil.recording.output import atomic_write
 
 if TYPE_CHECKING:  # rich costs 50 ms, and what these modules import more
     from rich.table import Table
@@ -292,7 +292,7 @@ def draw(found: Identification, path: Path) -> None:
     panels["loop"].set(xlabel="deflection [rad]", ylabel=f"torque at the joint [{unit}]")
     for panel in panels.values():
         panel.grid(visible=True, lw=0.3)
-    with replacing(path) as temporary:
+    with atomic_write(path, force=True) as temporary:
         figure.savefig(temporary, format="png", dpi=110)
 
 
@@ -347,6 +347,6 @@ def write_page(found: Identification, path: Path) -> list[Path]:
         f"<th>identifiable</th></tr>{rows}</table>{lines}<ul>{said}</ul>"
         f'<img alt="measured and modelled torque" src="data:image/png;base64,{data}"></html>\n'
     )
-    with replacing(path) as temporary:
+    with atomic_write(path, force=True) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return [path, picture]

@@ -123,7 +123,7 @@ def make_recording(tmp_path: Path) -> Maker:
         if change is not None:
             change(channels)
         path = tmp_path / name
-        write(path, Header(profile={"kind": "imported"}), channels)
+        write(path, Header(profile={"kind": "imported"}), channels, force=True)
         return path
 
     return make

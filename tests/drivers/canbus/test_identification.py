@@ -15,7 +15,7 @@ from hil.acquisition import excitation
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.recording.reader import Recording
-from hil.recording.writer import Header, PartFile
+from hil.recording.writer import Header, RecordingWriter
 from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import FixtureParameters
@@ -55,7 +55,7 @@ def recorded(rig: Any, path: Path, scale: float, **config: Any) -> Any:
         seed=0,
     )
     servo = rig.open(**config)
-    part = PartFile(path, Header(profile=profile.attributes()), tick_count(profile, RATE))
+    part = RecordingWriter(path, Header(profile=profile.attributes()), tick_count(profile, RATE))
     outcome = Recorder(stand, servo, profile, RATE, part).run(StopRequest())
     servo.close()
     part.finish(outcome.end_reason)

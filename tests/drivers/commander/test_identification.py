@@ -20,7 +20,7 @@ from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification
-from hil.recording.writer import Header, PartFile
+from hil.recording.writer import Header, RecordingWriter
 from hil.stand.file import parse
 from hil.stand.servo import StandServo
 from sim_backend.parameters import CouplingParameters, FixtureParameters, SimParameters
@@ -60,7 +60,7 @@ def chirped(servo: Servo, source: str, band: tuple[float, float], path: Path) ->
         seed=0,
     )
     header = Header(profile=profile.attributes() | {"rate": RATE}, stand_toml=text)
-    part = PartFile(path, header, tick_count(profile, RATE))
+    part = RecordingWriter(path, header, tick_count(profile, RATE))
     outcome = Recorder(parse(text), servo, profile, RATE, part).run(StopRequest())
     servo.close()
     part.finish(outcome.end_reason)

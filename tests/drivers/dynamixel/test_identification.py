@@ -14,7 +14,7 @@ from hil.acquisition import excitation
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.recording.reader import Recording
-from hil.recording.writer import Header, PartFile
+from hil.recording.writer import Header, RecordingWriter
 from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import CouplingParameters
@@ -58,7 +58,7 @@ def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(
     )
     path = tmp_path / "run.h5"
     servo = rig.open(torque_constant=kt)
-    part = PartFile(path, Header(profile=profile.attributes()), tick_count(profile, RATE))
+    part = RecordingWriter(path, Header(profile=profile.attributes()), tick_count(profile, RATE))
     outcome = Recorder(stand, servo, profile, RATE, part).run(StopRequest())
     servo.close()
     part.finish(outcome.end_reason)

@@ -22,7 +22,7 @@ from hil.acquisition import excitation
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.recording.reader import Recording
-from hil.recording.writer import Header, PartFile
+from hil.recording.writer import Header, RecordingWriter
 from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import CouplingParameters, FixtureParameters
@@ -401,7 +401,7 @@ def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(make_rig: Mak
     )
     stand = parse(STAND)
     servo = rig.open(torque_constant=kt)
-    with PartFile(tmp_path / "run.h5", Header(profile=profile.attributes()), tick_count(profile, rate)) as part:
+    with RecordingWriter(tmp_path / "run.h5", Header(profile=profile.attributes()), tick_count(profile, rate)) as part:
         outcome = Recorder(stand, servo, profile, rate, part).run(StopRequest())
         servo.close()
         part.finish(outcome.end_reason)

@@ -23,7 +23,7 @@ def make(kind: str, **changes: object) -> Profile:
         "duration": 20.0,
         "band": None,
         "rate": RATE,
-        "soft": 0.1,
+        "fade": 0.1,
     }
     return excitation.make(kind, Quantity.TORQUE, **(settings | changes))  # type: ignore[arg-type]
 
@@ -89,7 +89,7 @@ def test_a_chirp_over_one_frequency_is_a_sine() -> None:
 
 def test_a_multisine_has_a_low_peak() -> None:
     """Schroeder's phases hold the crest factor near 1.7; all cosines in phase would have 24."""
-    _, values = sampled(make("multisine", soft=0.1))
+    _, values = sampled(make("multisine", fade=0.1))
     assert np.abs(values).max() / np.sqrt(np.mean(values**2)) < 2.0
 
 
@@ -101,7 +101,7 @@ def test_a_ramp_is_a_triangle_of_constant_slope() -> None:
 
 
 def test_steps_visit_each_level_for_the_same_time() -> None:
-    _, values = sampled(make("steps", soft=0.1, duration=40.0))
+    _, values = sampled(make("steps", fade=0.1, duration=40.0))
     levels, counts = np.unique(np.round(values / 0.006, 6), return_counts=True)
     plateaus = dict(zip(levels.tolist(), counts.tolist(), strict=True))
     assert {level for level, count in plateaus.items() if count > 500} == {-1.0, -0.5, 0.0, 0.5, 1.0}
@@ -165,7 +165,7 @@ def test_a_bad_file_of_set_points_is_refused_with_its_row(tmp_path: Path, text: 
         ("chirp", {"amplitude": 0.0}, "--amplitude"),
         ("chirp", {"amplitude": float("nan")}, "--amplitude"),
         ("chirp", {"duration": -1.0}, "--duration"),
-        ("chirp", {"soft": 0.0}, "--fade"),
+        ("chirp", {"fade": 0.0}, "--fade"),
         ("file", {}, "--setpoints"),
         ("multisine", {"band": (0.51, 0.52), "duration": 2.0}, "widen --band"),
     ],
@@ -182,13 +182,13 @@ def test_a_profile_in_a_file_can_be_made_again(tmp_path: Path) -> None:
     written = make("multisine", band=(0.5, 5.0)).attributes()
     again = excitation.make(
         str(written["kind"]),
-        Quantity(str(written["quantity"])),
+        Quantity(str(written["mode"])),
         amplitude=float(written["amplitude"]),
         default_amplitude=1.0,
         duration=float(written["duration"]),
         band=(float(written["band_low"]), float(written["band_high"])),
         rate=RATE,
-        soft=float(written["soft"]),
+        fade=float(written["fade"]),
         seed=int(written["seed"]),
     )
     np.testing.assert_array_equal(sampled(again)[1], sampled(make("multisine", band=(0.5, 5.0)))[1])

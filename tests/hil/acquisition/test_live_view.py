@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from hil.acquisition.live_view import beside, line
-from hil.recording.reader import ROW
-from hil.recording.writer import Header, PartFile, missing_row
+from hil.recording.channels import END_MARK, ROW, Row
+from hil.recording.writer import Header, RecordingWriter
 
 
 def rows(written: int) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    table = np.full(1000, np.array(missing_row(2**64 - 1), dtype=ROW))
+    table = np.full(1000, np.array(Row(END_MARK), dtype=ROW))
     table["seq"][:written] = np.arange(written)
     table["time"][:written] = np.arange(written) / 250.0
     table["torque"][:written] = 0.0042
@@ -62,7 +62,7 @@ def test_the_viewer_has_a_session_of_its_own_so_that_ctrl_c_does_not_reach_it(
         return viewer
 
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    with PartFile(tmp_path / "a.h5", Header(profile={"duration": 4.0}), 10) as part:
+    with RecordingWriter(tmp_path / "a.h5", Header(profile={"duration": 4.0}), 10) as part:
         monkeypatch.setattr(subprocess, "Popen", start)
         with beside(part.path):
             assert len(started) == 1
@@ -84,7 +84,7 @@ def test_before_the_first_rows_the_line_says_so() -> None:
 
 
 def test_the_viewer_ends_when_the_recorder_lets_go_of_it(tmp_path: Path) -> None:
-    with PartFile(tmp_path / "a.h5", Header(profile={"duration": 4.0}), 10) as part:
+    with RecordingWriter(tmp_path / "a.h5", Header(profile={"duration": 4.0}), 10) as part:
         command = [sys.executable, "-m", "hil.acquisition.live_view", str(part.path)]
         viewer = subprocess.run(command, check=False, input=b"", capture_output=True)
     assert viewer.returncode == 0

@@ -12,7 +12,7 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from types import FrameType
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,9 +23,10 @@ from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import LimitReached
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
+from hil.acquisition.sink import Memory
 from hil.errors import WrongUse
 from hil.recording.reader import Recording
-from hil.recording.writer import Header, PartFile, Row
+from hil.recording.writer import Header, RecordingWriter
 from hil.stand.file import Stand, parse
 
 from ..conftest import SpringServo, lost
@@ -52,7 +53,7 @@ def profile(quantity: Quantity = Quantity.TORQUE, amplitude: float = 0.05, durat
         duration=duration,
         band=(1.0, 1.0),
         rate=RATE,
-        soft=0.2,
+        fade=0.2,
     )
 
 
@@ -68,7 +69,7 @@ class Bench:
 
     def run(self) -> Outcome:
         header = Header(profile=self.profile.attributes())
-        with PartFile(self._path, header, tick_count(self.profile, RATE), batch=3) as part:
+        with RecordingWriter(self._path, header, tick_count(self.profile, RATE), batch=3) as part:
             self.outcome = Recorder(self.stand, self.servo, self.profile, RATE, part).run(self.stop)
             if self.outcome.samples:
                 part.finish(self.outcome.end_reason)
@@ -288,23 +289,6 @@ def test_ctrl_c_in_the_torque_off_does_not_skip_it(bench: Bench) -> None:
     assert isinstance(outcome.error, KeyboardInterrupt)
 
 
-class Pages:
-    """Stands in for a `.part`: takes rows and events, in memory."""
-
-    def __init__(self, folder: Path) -> None:
-        self.path = folder / "a.h5.part"
-        self.rows: list[Row] = []
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def append(self, row: Row) -> None:
-        self.rows.append(row)
-
-    def event(self, time: float, code: str, message: str) -> None:
-        assert (math.isfinite(time), bool(code), bool(message)) == (True, True, True)
-
-
 class Listed(list[float]):
     """Stands in for the set-points on disk."""
 
@@ -339,7 +323,7 @@ def test_ctrl_c_at_any_line_of_the_recorder_leaves_the_torque_off(
                 raise KeyboardInterrupt
             return trace
 
-        run = Recorder(parse(STAND), servo, short, RATE, cast("PartFile", Pages(tmp_path)))
+        run = Recorder(parse(STAND), servo, short, RATE, Memory(), scratch=tmp_path)
         raised: BaseException | None = None
         sys.settrace(trace)
         try:

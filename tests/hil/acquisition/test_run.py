@@ -24,7 +24,7 @@ from hil.cli import app as cli
 from hil.errors import WrongUse
 from hil.recording import writer as part_module
 from hil.recording.reader import Recording
-from hil.recording.writer import Header, PartFile
+from hil.recording.writer import Header, RecordingWriter
 from hil.stand.file import parse
 from sim_backend.faults import EncoderFreezes, Fault, LinkDrops, RepliesRepeat, Silence, TorqueUnreadable
 from sim_backend.parameters import SimParameters
@@ -48,7 +48,7 @@ def profile(duration: float) -> Profile:
         duration=duration,
         band=(2.0, 2.0),
         rate=RATE,
-        soft=0.1,
+        fade=0.1,
     )
 
 
@@ -94,7 +94,7 @@ class Saboteur:
         for name in ("now", "sleep_until"):
             monkeypatch.setattr(servo.clock, name, self.before(getattr(servo.clock, name)))
         for name in ("append", "flush", "event", "finish", "discard", "close", "__len__"):
-            monkeypatch.setattr(PartFile, name, self.before(getattr(PartFile, name)))
+            monkeypatch.setattr(RecordingWriter, name, self.before(getattr(RecordingWriter, name)))
         for name in ("write_at", "finalise", "is_at", "remove"):
             monkeypatch.setattr(part_module, name, self.before(getattr(part_module, name)))
         for name in ("extend", "__exit__", "__iter__"):
@@ -207,7 +207,7 @@ def test_the_servo_is_closed_however_a_run_ends(spring: SpringServo, monkeypatch
     spring.script = {len(spring.driven) + 50: LinkLost("gone")}
     assert record("-o", "b.h5") == 3
     assert record("-o", "none/c.h5") == 2
-    monkeypatch.setattr(run_module, "PartFile", lambda *_: 1 / 0)
+    monkeypatch.setattr(run_module, "RecordingWriter", lambda *_: 1 / 0)
     assert record("-o", "d.h5") == 1
     assert closed == [False, False, False]
 
@@ -238,7 +238,7 @@ def test_a_signal_before_the_start_records_nothing_and_says_so(
 
 
 def test_a_recording_in_progress_is_not_taken_over_even_with_force(spring: SpringServo) -> None:
-    with PartFile(Path("a.h5"), Header(profile={}), 5) as part:
+    with RecordingWriter(Path("a.h5"), Header(profile={}), 5) as part:
         assert record("-o", "a.h5", "--force") == 2
         assert part.path.exists()
     assert spring.driven == []
@@ -247,7 +247,7 @@ def test_a_recording_in_progress_is_not_taken_over_even_with_force(spring: Sprin
 
 
 def test_a_left_over_part_outlives_a_command_that_cannot_begin(spring: SpringServo) -> None:
-    with PartFile(Path("a.h5"), Header(profile={}), 5) as part:
+    with RecordingWriter(Path("a.h5"), Header(profile={}), 5) as part:
         pass
     assert record("-o", "a.h5", "--force", "--amplitude", "99") == 2
     assert part.path.exists()
@@ -263,7 +263,7 @@ def test_recorders_that_look_for_a_name_at_once_take_different_ones(
     names = iter(["run1.h5", "run2.h5", "run3.h5"])
     monkeypatch.setattr(run_module, "next_free", lambda _: folder / next(names))
     (folder / "run2.h5").write_text("finished meanwhile")
-    with PartFile(folder / "run1.h5", Header(profile={}), 5) as other:
+    with RecordingWriter(folder / "run1.h5", Header(profile={}), 5) as other:
         assert record() == 0
         assert other.path.exists()
     assert sorted(item.name for item in folder.iterdir()) == ["run1.h5.part", "run2.h5", "run3.h5"]

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from hil.cli.app import run
+from hil.recording.channels import Row
 from hil.recording.reader import Array, Recording
-from hil.recording.writer import Header, PartFile, missing_row
+from hil.recording.writer import Header, RecordingWriter
 
 from ..conftest import Maker
 
@@ -287,11 +288,10 @@ def test_an_unfinished_recording_is_recovered(hil: Hil, tmp_path: Path) -> None:
 
 
 def unfinished(path: Path) -> Path:
-    with PartFile(path, Header(profile={"kind": "chirp"}), 1000) as part:
+    with RecordingWriter(path, Header(profile={"kind": "chirp"}), 1000) as part:
         for seq in range(800):
-            time, row = seq / 500.0, list(missing_row(seq))
-            row[1:6] = [time, 0.0, 0.02 * np.sin(9 * time), np.sin(9 * time), np.nan]
-            part.append(tuple(row))
+            time = seq / 500.0
+            part.append(Row(seq, time, 0.0, torque=0.02 * np.sin(9 * time), dtheta=np.sin(9 * time)))
     return part.path
 
 

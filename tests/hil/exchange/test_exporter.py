@@ -15,8 +15,9 @@ from hil.errors import WrongUse
 from hil.exchange.exporter import export
 from hil.exchange.importer import import_table
 from hil.exchange.row_filter import RowFilter
-from hil.recording.reader import CHANNELS, Recording
-from hil.recording.writer import Header, PartFile, missing_row, write
+from hil.recording.channels import CHANNELS, Row
+from hil.recording.reader import Recording
+from hil.recording.writer import Header, RecordingWriter, write
 
 
 def recording(tmp_path: Path, rows: int = 300) -> Path:
@@ -57,9 +58,9 @@ def test_headings_carry_the_units_and_nan_is_an_empty_cell(tmp_path: Path) -> No
 
 
 def test_a_recording_that_never_ended_is_exported_as_far_as_it_goes(tmp_path: Path) -> None:
-    with PartFile(tmp_path / "a.h5", Header(profile={"kind": "chirp"}), 100) as part:
+    with RecordingWriter(tmp_path / "a.h5", Header(profile={"kind": "chirp"}), 100) as part:
         for seq in range(42):
-            part.append(missing_row(seq))
+            part.append(Row(seq))
     assert export(tmp_path / "a.h5.part", tmp_path / "a.csv") == 42
 
 

@@ -28,7 +28,7 @@ def moved(kind: str = "chirp", quantity: Quantity = Quantity.POSITION, duration:
     band = (0.5, 10.0) if kind == "chirp" else (2.0, 2.0)
     amplitude = 0.3 if quantity is Quantity.POSITION else 0.005
     profile = excitation.make(
-        kind, quantity, amplitude=amplitude, default_amplitude=1.0, duration=duration, band=band, rate=RATE, soft=0.2
+        kind, quantity, amplitude=amplitude, default_amplitude=1.0, duration=duration, band=band, rate=RATE, fade=0.2
     )
     return respond(JOINT, profile, RATE)[0]
 

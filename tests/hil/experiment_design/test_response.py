@@ -17,7 +17,7 @@ RATE = 500.0
 
 def make(kind: str, band: tuple[float, float], quantity: Quantity = Quantity.TORQUE) -> Profile:
     return excitation.make(
-        kind, quantity, amplitude=0.005, default_amplitude=0.005, duration=4.0, band=band, rate=RATE, soft=0.2
+        kind, quantity, amplitude=0.005, default_amplitude=0.005, duration=4.0, band=band, rate=RATE, fade=0.2
     )
 
 

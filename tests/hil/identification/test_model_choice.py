@@ -21,7 +21,7 @@ from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.identification.model_choice import choose
 from hil.recording.reader import Recording
-from hil.recording.writer import Header, PartFile
+from hil.recording.writer import Header, RecordingWriter
 from hil.signals.prepare import Signals, prepare
 from hil.stand.file import parse
 from hil.stand.opening import open_servo
@@ -81,7 +81,7 @@ def recorded(friction: float, skew: float = 0.0) -> Signals:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.h5"
         try:
-            with PartFile(path, header, tick_count(profile, RATE)) as part:
+            with RecordingWriter(path, header, tick_count(profile, RATE)) as part:
                 part.finish(Recorder(stand, servo, profile, RATE, part).run(StopRequest()).end_reason)
         finally:
             servo.close()

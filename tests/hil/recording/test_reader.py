@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gzip
 import json
 import os
 import re
@@ -23,12 +24,15 @@ import pytest
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording import reader
 from hil.recording import writer as part_module
-from hil.recording.output import Taken, check_part, check_target, give_up, next_free
-from hil.recording.reader import CHANNELS, ROW, SCHEMA, Recording
-from hil.recording.writer import Header, PartFile, finalise, missing_row, write
+from hil.recording.channels import CHANNELS, ROW, Row
+from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, remove_unfinished
+from hil.recording.reader import SCHEMA, Recording
+from hil.recording.writer import Header, RecordingWriter, finalise, write
 
 from ..conftest import Maker
 
+READINGS = list(CHANNELS)[1:-1]
+DATA = Path(__file__).parent / "data"
 HEADER = Header(
     profile={"kind": "chirp", "amplitude": 0.006},
     stand_toml='[stand]\nname = "x"\n',
@@ -39,12 +43,13 @@ HEADER = Header(
 )
 
 
-def row(seq: int) -> tuple[float, ...]:
-    return (seq, *(seq + 0.01 * column for column in range(1, len(CHANNELS) - 1)), 8)
+def row(seq: int) -> Row:
+    readings = {name: seq + 0.01 * place for place, name in enumerate(READINGS, 1)}
+    return Row(seq, **readings, status=8)
 
 
-def recorded(path: Path, rows: int, *, planned: int | None = None) -> PartFile:
-    part = PartFile(path, HEADER, planned or rows, batch=7)
+def recorded(path: Path, rows: int, *, planned: int | None = None) -> RecordingWriter:
+    part = RecordingWriter(path, HEADER, planned or rows, batch=7)
     for seq in range(rows):
         part.append(row(seq))
     part.flush()
@@ -97,7 +102,7 @@ def test_both_stages_read_the_same(tmp_path: Path, stage: str) -> None:
 
 
 def test_a_recording_in_progress_is_legal_hdf5_at_every_row(tmp_path: Path) -> None:
-    part = PartFile(tmp_path / "a.h5", HEADER, 20, batch=1)
+    part = RecordingWriter(tmp_path / "a.h5", HEADER, 20, batch=1)
     for seq in range(20):
         with Recording(part.path) as recording:
             assert len(recording) == seq
@@ -120,9 +125,10 @@ def test_a_killed_recorder_leaves_every_row_it_handed_over(tmp_path: Path) -> No
     path = tmp_path / "a.h5"
     code = (
         "import os, signal, sys; from pathlib import Path\n"
-        "from hil.recording.writer import Header, PartFile, missing_row\n"
-        "part = PartFile(Path(sys.argv[1]), Header(profile={'kind': 'x'}), 1000, batch=10)\n"
-        "for seq in range(537): part.append((seq, *[0.5] * (len(missing_row(0)) - 2), 0))\n"
+        "from hil.recording.channels import Row\n"
+        "from hil.recording.writer import Header, RecordingWriter\n"
+        "part = RecordingWriter(Path(sys.argv[1]), Header(profile={'kind': 'x'}), 1000, batch=10)\n"
+        "for seq in range(537): part.append(Row(seq, torque=0.5))\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     run = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
@@ -187,8 +193,8 @@ def test_a_full_disk_is_found_before_anything_moves(tmp_path: Path) -> None:
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
         "from hil.errors import WrongUse\n"
-        "from hil.recording.writer import Header, PartFile\n"
-        "try: PartFile(Path(sys.argv[1]), Header(profile={}), 100_000)\n"
+        "from hil.recording.writer import Header, RecordingWriter\n"
+        "try: RecordingWriter(Path(sys.argv[1]), Header(profile={}), 100_000)\n"
         "except WrongUse as error: print(error)\n"
     )
     run = subprocess.run(
@@ -205,7 +211,7 @@ def test_a_disk_without_room_for_both_stages_is_refused_before_anything_moves(
     rows = 10_000 * ROW.itemsize
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1.5 * rows))
     with pytest.raises(WrongUse, match=rf"the disk has {1.5 * rows / 1e6:.1f} MB free"):
-        PartFile(tmp_path / "a.h5", HEADER, 10_000)
+        RecordingWriter(tmp_path / "a.h5", HEADER, 10_000)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -229,15 +235,15 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
     (tmp_path / "a.h5").touch()
     (tmp_path / "b.h5.part").touch()
     with pytest.raises(WrongUse, match="--force"):
-        check_target(tmp_path / "a.h5", force=False)
+        check_output(tmp_path / "a.h5", force=False)
     with pytest.raises(WrongUse, match="--force"):
-        check_part(tmp_path / "b.h5")
+        check_unfinished(tmp_path / "b.h5")
 
 
 def test_looking_whether_a_name_is_free_removes_nothing(tmp_path: Path) -> None:
     for name in ("a.h5", "a.h5.part"):
         (tmp_path / name).write_text("data")
-    check_target(tmp_path / "a.h5", force=True)
+    check_output(tmp_path / "a.h5", force=True)
     assert sorted(item.read_text() for item in tmp_path.iterdir()) == ["data", "data"]
 
 
@@ -245,19 +251,19 @@ def test_what_is_read_is_never_overwritten_whatever_it_is_called(tmp_path: Path)
     (tmp_path / "a.csv").write_text("data")
     (tmp_path / "b.csv").symlink_to("a.csv")
     for name in ("a.csv", "b.csv", "../" + tmp_path.name + "/a.csv"):
-        with pytest.raises(WrongUse, match="what is read"):
-            check_target(tmp_path / name, force=True, inputs=[tmp_path / "a.csv"])
+        with pytest.raises(WrongUse, match="is also an input"):
+            check_output(tmp_path / name, force=True, inputs=[tmp_path / "a.csv"])
 
 
 def test_a_left_over_part_can_be_given_up_and_a_live_one_cannot(tmp_path: Path) -> None:
-    give_up(tmp_path / "a.h5")  # there is none
+    remove_unfinished(tmp_path / "a.h5")  # there is none
     part = recorded(tmp_path / "a.h5", 5)
     with pytest.raises(WrongUse, match="is being recorded"):
-        give_up(tmp_path / "a.h5")
+        remove_unfinished(tmp_path / "a.h5")
     with Recording(part.path) as recording:
         assert len(recording) == 5
     part.close()
-    give_up(tmp_path / "a.h5")
+    remove_unfinished(tmp_path / "a.h5")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -265,8 +271,8 @@ def test_a_live_part_of_another_process_is_not_given_up(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"
         "from hil.errors import WrongUse\n"
-        "from hil.recording.output import give_up\n"
-        "try: give_up(Path(sys.argv[1]))\n"
+        "from hil.recording.output import remove_unfinished\n"
+        "try: remove_unfinished(Path(sys.argv[1]))\n"
         "except WrongUse as error: print(error)\n"
     )
     with recorded(tmp_path / "a.h5", 5) as part:
@@ -284,8 +290,8 @@ def test_a_live_part_can_be_watched_with_any_reader(tmp_path: Path) -> None:
 
 def test_two_recorders_never_share_a_file(tmp_path: Path) -> None:
     with recorded(tmp_path / "a.h5", 5) as first:
-        with pytest.raises(Taken, match="File exists"):
-            PartFile(tmp_path / "a.h5", HEADER, 5)
+        with pytest.raises(NameTaken, match="File exists"):
+            RecordingWriter(tmp_path / "a.h5", HEADER, 5)
         with Recording(first.path) as recording:
             assert len(recording) == 5
 
@@ -302,7 +308,7 @@ def test_what_took_the_place_of_the_part_is_not_finished_in_its_stead(tmp_path: 
 
 
 def test_a_part_is_discarded_only_where_it_is_ours(tmp_path: Path) -> None:
-    part = PartFile(tmp_path / "a.h5", HEADER, 5)
+    part = RecordingWriter(tmp_path / "a.h5", HEADER, 5)
     part.path.unlink()
     part.path.write_text("somebody else's")
     part.discard()
@@ -318,7 +324,7 @@ def test_a_temporary_file_of_somebody_elses_is_left_alone(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("planned", [0, 40])
 def test_a_part_without_a_row_is_recovered_as_an_empty_recording(tmp_path: Path, planned: int) -> None:
-    part = PartFile(tmp_path / "a.h5", HEADER, planned)
+    part = RecordingWriter(tmp_path / "a.h5", HEADER, planned)
     part.close()
     assert finalise(part.path, tmp_path / "a.h5") == 0
     with Recording(tmp_path / "a.h5") as recording:
@@ -351,16 +357,16 @@ def test_a_disk_that_fails_under_a_run_is_said_in_a_sentence(
         assert len(recording) == 12
 
 
-def recorded_more(part: PartFile, rows: int) -> None:
+def recorded_more(part: RecordingWriter, rows: int) -> None:
     for seq in range(len(part), len(part) + rows):
         part.append(row(seq))
 
 
 def test_a_target_without_a_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(WrongUse, match="is not a folder"):
-        check_target(tmp_path / "none" / "a.h5", force=False)
+        check_output(tmp_path / "none" / "a.h5", force=False)
     with pytest.raises(WrongUse, match="is a folder"):
-        check_target(tmp_path, force=True)
+        check_output(tmp_path, force=True)
 
 
 def _not_hdf5(path: Path) -> None:
@@ -379,7 +385,8 @@ def _foreign(path: Path) -> None:
 def _other_version(path: Path) -> None:
     recorded(path, 5).finish("done")
     with h5py.File(path, "r+") as file:
-        file.attrs["schema"] = "hil-recording/2"
+        file.attrs["schema"] = "hil-recording/9"
+        file.attrs["software"] = json.dumps({"hil": "7.1.0"})
 
 
 def _unequal(path: Path) -> None:
@@ -433,7 +440,7 @@ def _nothing(path: Path) -> None:
         (_not_hdf5, "is not HDF5"),
         (_empty_file, "is not HDF5"),
         (_foreign, "hil import"),
-        (_other_version, "hil-recording/2"),
+        (_other_version, "'hil-recording/9', written by hil 7.1.0; this hil reads hil-recording/1, hil-recording/2"),
         (_unequal, "unequal length"),
         (_lacking, "lacks dtheta"),
         (_text_channel, "one column of numbers"),
@@ -481,7 +488,28 @@ def test_a_checkout_that_was_not_installed_records_too(tmp_path: Path, monkeypat
     assert software["numpy"] == np.__version__
 
 
-def test_a_missing_row_holds_its_number_and_nothing_else() -> None:
-    seq, *readings, status = missing_row(4)
+def test_a_row_without_readings_holds_its_number_only() -> None:
+    seq, *readings, status = Row(4)
     assert (seq, status) == (4, 0)
     assert np.isnan(readings).all()
+
+
+@pytest.mark.parametrize("name", ["version1.h5", "version1.h5.part"])
+def test_a_recording_of_the_first_schema_is_read_by_the_names_of_today(tmp_path: Path, name: str) -> None:
+    """The files were written by the last hil of schema 1: `hil record --profile chirp --soft 0.1`, 41 samples."""
+    path = tmp_path / name
+    path.write_bytes(gzip.decompress((DATA / f"{name}.gz").read_bytes()))
+    finalise(path, tmp_path / "new.h5")
+    with Recording(path) as old, Recording(tmp_path / "new.h5") as new:
+        assert old.attributes["schema"] == "hil-recording/1"
+        assert new.attributes["schema"] == SCHEMA
+        assert (old.live, len(old), len(new)) == (name.endswith(".part"), 41, 41)
+        assert new.profile == old.profile
+        assert {"mode": "torque", "fade": 0.1, "kind": "chirp"}.items() <= old.profile.items()
+        assert not {"soft", "quantity"} & set(old.profile)
+        assert [event.message for event in new.events()] == ["half of it"]
+        assert old.truth() == new.truth() != {}
+        assert old.verify()
+        assert new.verify()
+        for channel in CHANNELS:
+            np.testing.assert_array_equal(new.channel(channel), old.channel(channel))

@@ -17,7 +17,8 @@ import pytest
 from drivers.clock import Clock, VirtualClock
 from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity
 from hil.errors import WrongUse
-from hil.recording.reader import CHANNELS, Array, Recording
+from hil.recording.channels import CHANNELS
+from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
 from hil.signals.prepare import prepare
 from hil.stand.devices import Device

@@ -1,0 +1,70 @@
+"""The channels of a recording: one table from which rows, their form on disk and their descriptions follow."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated, NamedTuple, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Channel(NamedTuple):
+    """The unit of a channel, and a description of it."""
+
+    unit: str
+    description: str
+
+
+class Row(NamedTuple):
+    """One row of a recording, a field a channel. `Row(seq)` is a row in which nothing was read."""
+
+    seq: Annotated[int, Channel("1", "row number since the start")]
+    time: Annotated[float, Channel("s", "when the set-point was sent, from the start")] = math.nan
+    command: Annotated[
+        float, Channel("N*m or rad", "set-point at the joint: torque or position, as the profile's mode says")
+    ] = math.nan
+    torque: Annotated[
+        float,
+        Channel("N*m", "torque at the joint: the joint's cell, or the motor's torque times the gear ratio, as read"),
+    ] = math.nan
+    dtheta: Annotated[
+        float,
+        Channel("rad", "deflection: motor position over gear ratio, less the joint's, less their value at rest"),
+    ] = math.nan
+    dtheta_dot: Annotated[
+        float, Channel("rad/s", "rate of the deflection as the drive reports it, late by its own filter")
+    ] = math.nan
+    motor_position: Annotated[float, Channel("rad", "at the motor shaft")] = math.nan
+    motor_velocity: Annotated[float, Channel("rad/s", "at the motor shaft, as the drive reports it")] = math.nan
+    motor_torque: Annotated[float, Channel("N*m", "at the motor shaft, as the drive reports it")] = math.nan
+    joint_position: Annotated[float, Channel("rad", "at the locked joint")] = math.nan
+    joint_torque: Annotated[float, Channel("N*m", "at the locked joint")] = math.nan
+    read_time: Annotated[float, Channel("s", "midpoint of the bus read, from the start")] = math.nan
+    joint_time: Annotated[
+        float, Channel("s", "when the joint was read, where another device reads it, from the start")
+    ] = math.nan
+    temperature: Annotated[float, Channel("degC", "of the winding, as the drive reports it")] = math.nan
+    status: Annotated[int, Channel("1", "bits: 1 no reply, 2 bad reply, 4 late, 8 saturated, 16 stale")] = 0
+
+
+_FIELDS = {name: get_args(hint) for name, hint in get_type_hints(Row, include_extras=True).items()}
+
+CHANNELS: Mapping[str, Channel] = MappingProxyType({name: channel for name, (_, channel) in _FIELDS.items()})
+ROW = np.dtype([(name, "<u8" if kind is int else "<f8") for name, (kind, _) in _FIELDS.items()])
+LATER = frozenset({"joint_time"})
+"""Channels that the first recordings do not have; they read as NaN."""
+END_MARK = 2**64 - 1
+"""The `seq` of a row that is reserved and not written yet."""
+
+Rows = NDArray[np.void]
+
+_pack = struct.Struct("<" + "".join("Q" if kind is int else "d" for kind, _ in _FIELDS.values())).pack
+
+
+def packed(rows: list[Row]) -> bytes:
+    """Return the bytes of rows as ROW lays them out, which takes half the time of an array."""
+    return b"".join([_pack(*row) for row in rows])
