@@ -1,0 +1,262 @@
+"""The dynamic stiffness G = K' + i 2 pi f B' of a joint, without a model: stiffness and damping in bands of frequency.
+
+Torque and deflection are cut into overlapping segments, and G is the quotient of their cross spectra with an
+instrument, summed over the segments and the lines of a band (Pintelon and Schoukens, System Identification, 2012,
+section 2.7): the commanded deflection where it was recorded, whose errors have nothing to do with those of the
+readings, else the deflection itself, whose noise then makes K' too low. Within a band K' and B' count as constant.
+Damping is what follows the rate and not i 2 pi f times the deflection, so that a window leaves a spring and damper
+exactly what they are. Intervals are of the scatter of the lines about G, each line counting as often as Hann's window
+and the overlap allow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.uncertainty.effects import Recorded
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_BANDS: Final = 12  # at most
+_CYCLES: Final = 3.0  # of the lowest frequency in a segment
+_SEGMENTS: Final = 8  # at least, in all
+_SHORTEST: Final = 32  # samples of a segment
+_LINES: Final = 4  # of a band: the main lobe of Hann's window
+_ALIKE: Final = 2.05  # neighbouring lines and overlapping segments that count as one
+_WEAK: Final = 1e-3  # of the mean power of the deflection in the bands, below which a band was not excited
+_APART: Final = 1.5  # times the deflection of the smaller half, from which the amplitudes count as different
+_PERIODIC: Final = 0.98  # correlation of a deflection with itself a period later
+_EXCITED: Final = 1e-3  # of the strongest line's amplitude, from which on a line is excited
+_HARMONICS: Final = 3.0  # times the upper end of the band, up to which distortion is looked for
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """Stiffness N m/rad and damping N m s/rad in bands of mean frequency (b,) Hz, with half their 95 % intervals.
+
+    coherence: the share (b,) of the torque's power in the band that follows from the deflection, 0 to 1.
+    deflection: rad, r.m.s. of the segments.
+    """
+
+    frequency: Array
+    stiffness: Array
+    stiffness_half_width: Array
+    damping: Array
+    damping_half_width: Array
+    coherence: Array
+    deflection: float
+
+
+@dataclass(frozen=True, slots=True)
+class Distortion:
+    """The torque at frequencies that a periodic excitation does not contain, r.m.s., relative to the whole torque.
+
+    noise: the same of what differs from period to period. period: s.
+    """
+
+    level: float
+    noise: float
+    period: float
+
+
+@dataclass(frozen=True, slots=True)
+class DynamicStiffness:
+    """bands: of all segments. by_amplitude: of the half with the smaller and the larger deflection, none where they
+    are alike. instrument: "command" or "deflection". distortion: None where the excitation is not periodic.
+    """
+
+    bands: Bands
+    by_amplitude: tuple[Bands, ...]
+    instrument: str
+    distortion: Distortion | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Spectra:
+    """Of each segment (s, l): torque, deflection, rate and instrument at frequencies (l,) Hz; deflection: rms (s,)."""
+
+    frequency: Array
+    torque: Complex
+    moved: Complex
+    rate: Complex
+    instrument: Complex
+    deflection: Array
+
+    def of(self, segments: NDArray[np.bool_]) -> _Spectra:
+        return _Spectra(
+            self.frequency,
+            self.torque[segments],
+            self.moved[segments],
+            self.rate[segments],
+            self.instrument[segments],
+            self.deflection[segments],
+        )
+
+
+def dynamic_stiffness(
+    recorded: Recorded, band: tuple[float, float], command: Array | None = None
+) -> DynamicStiffness | None:
+    """Return the dynamic stiffness in the band, Hz, that moved; None where the recording is too short for a segment.
+
+    command: (n,), what was commanded (rad or N m), in the order of the samples; one with gaps or that never changes is
+    not used.
+    """
+    usable = command is not None and bool(np.isfinite(command).all()) and float(np.ptp(command)) > 0.0
+    instrument = command if command is not None and usable else recorded.deflection
+    spectra = _spectra(recorded, instrument, band)
+    if spectra is None:
+        return None
+    bands = _in_bands(spectra, band)
+    if not bands.frequency.size:
+        return None
+    return DynamicStiffness(
+        bands=bands,
+        by_amplitude=_by_amplitude(spectra, band),
+        instrument="command" if usable else "deflection",
+        distortion=_distortion(recorded, band, bands),
+    )
+
+
+def _even(recorded: Recorded, part: slice, values: Array) -> Array:
+    """Values of a stretch on an even grid."""
+    time = recorded.time[part]
+    count = 1 + round(float(time[-1] - time[0]) / recorded.step)
+    return np.interp(np.linspace(time[0], time[-1], count), time, values[part])
+
+
+def _spectra(recorded: Recorded, instrument: Array, band: tuple[float, float]) -> _Spectra | None:
+    step = recorded.step
+    length = min(round(_CYCLES / (band[0] * step)), 2 * len(recorded) // (_SEGMENTS + 1))
+    if length < _SHORTEST:
+        return None
+    window = np.hanning(length + 1)[:-1]
+    found: list[list[Array]] = []
+    for part in recorded.stretches():
+        if part.stop - part.start < length:
+            continue
+        four = (recorded.torque, recorded.deflection, recorded.rate, instrument)
+        even = [_even(recorded, part, values) for values in four]
+        for first in range(0, len(even[0]) - length + 1, length // 2):
+            cut = [values[first : first + length] for values in even]
+            found.append([one - one.mean() for one in cut])
+    if len(found) < _SEGMENTS // 2:
+        return None
+    segments = np.array(found)
+    lines = np.fft.rfft(segments * window, axis=2)
+    deflection = np.sqrt(np.mean(segments[:, 1] ** 2, axis=1))
+    frequency = np.asarray(np.fft.rfftfreq(length, step), dtype=np.float64)
+    torque, moved, rate, instrumental = np.moveaxis(lines, 1, 0)
+    return _Spectra(frequency, torque, moved, rate, instrumental, np.asarray(deflection))
+
+
+def _edges(frequency: Array, band: tuple[float, float]) -> NDArray[np.int64]:
+    """Where bands begin and end, in lines: of equal ratio, each with room for a main lobe."""
+    low, high = np.searchsorted(frequency, band)
+    first = max(1, int(low) - 2)
+    last = max(int(high) + 2, first + _LINES)
+    ideal = np.geomspace(first, last, _BANDS + 1)
+    edges = [first]
+    for edge in ideal[1:]:
+        if round(edge) - edges[-1] >= _LINES:
+            edges.append(round(edge))
+    edges[1 if len(edges) == 1 else -1 :] = [last]
+    return np.array(edges)
+
+
+def _in_bands(spectra: _Spectra, band: tuple[float, float]) -> Bands:
+    edges = _edges(spectra.frequency, band)
+    inside = slice(int(edges[0]), int(edges[-1]))
+    usual = float(np.mean(np.abs(spectra.moved[:, inside]) ** 2)) if len(edges) > 1 else 0.0
+    rows = []
+    for first, last in pairwise(edges.tolist()):
+        if float(np.mean(np.abs(spectra.moved[:, first:last]) ** 2)) > _WEAK * usual:
+            rows.append(_band(spectra, slice(first, last)))
+    frequency, stiffness, of_stiffness, damping, of_damping, coherence = np.array(rows).reshape(-1, 6).T
+    moved = float(np.sqrt(np.mean(spectra.deflection**2)))
+    return Bands(frequency, stiffness, of_stiffness, damping, of_damping, coherence, moved)
+
+
+def _band(spectra: _Spectra, lines: slice) -> tuple[float, ...]:
+    """Frequency Hz, K', half its interval, B', half its interval, coherence."""
+    from scipy.special import stdtrit
+
+    torque, moved, rate = spectra.torque[:, lines], spectra.moved[:, lines], spectra.rate[:, lines]
+    weights = np.conj(spectra.instrument[:, lines])
+    total, turning = (moved * weights).sum(), (rate * weights).sum()
+    right = (torque * weights).sum()
+    system = np.array([[total.real, turning.real], [total.imag, turning.imag]])
+    stiffness, damping = np.linalg.solve(system, [right.real, right.imag]).tolist()
+    left = torque - stiffness * moved - damping * rate
+    scores = np.abs(left * weights / abs(total)) ** 2
+    variance = float(scores.sum()) / 2.0 * _ALIKE
+    freedom = max(1.0, float(scores.sum() ** 2 / max(float((scores**2).sum()), 1e-300)) * 2.0 / _ALIKE - 2.0)
+    half = float(stdtrit(freedom, 0.975)) * np.sqrt(variance * freedom / max(freedom - 1.0, 0.5))
+    mean_speed = float(abs(turning / total))
+    coherence = 1.0 - float(np.sum(np.abs(left) ** 2)) / float(np.sum(np.abs(torque) ** 2))
+    return mean_speed / (2.0 * np.pi), stiffness, half, damping, half / mean_speed, max(0.0, coherence)
+
+
+def _by_amplitude(spectra: _Spectra, band: tuple[float, float]) -> tuple[Bands, ...]:
+    large = spectra.deflection > np.median(spectra.deflection)
+    if not large.any() or spectra.deflection[large].mean() < _APART * spectra.deflection[~large].mean():
+        return ()
+    return tuple(_in_bands(spectra.of(chosen), band) for chosen in (~large, large))
+
+
+def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> Distortion | None:
+    """The distortion, of the longest stretch."""
+    part = max(recorded.stretches(), key=lambda one: one.stop - one.start)
+    torque, moved = (_even(recorded, part, values) for values in (recorded.torque, recorded.deflection))
+    samples = _period(moved, int(0.5 / (band[1] * recorded.step)))
+    if samples is None:
+        return None
+    count = int(len(moved) / samples + 0.01)
+    length = int(samples)
+    grid = np.arange(count * length) * (samples / length)
+    cut = [np.interp(grid, np.arange(len(moved)), values).reshape(count, length) for values in (torque, moved)]
+    lines = [np.fft.rfft(one, axis=1) for one in cut]
+    frequency = np.fft.rfftfreq(length, samples / length * recorded.step)
+    speed = 2j * np.pi * frequency
+    joined = (
+        np.interp(frequency, bands.frequency, bands.stiffness),
+        np.interp(frequency, bands.frequency, bands.damping),
+    )
+    left = lines[0] - (joined[0] + speed * joined[1]) * lines[1]
+    mean, size = left.mean(axis=0), np.abs(lines[1].mean(axis=0))
+    noise = np.var(left, axis=0, ddof=1) / count
+    looked = (frequency > 0.0) & (frequency < _HARMONICS * band[1]) & (size < _EXCITED * size[1:].max())
+    whole = float(np.sum(np.abs(lines[0].mean(axis=0)[1:]) ** 2))
+    power, chance = float(np.sum(np.abs(mean[looked]) ** 2)), float(noise[looked].sum())
+    return Distortion(
+        level=float(np.sqrt(max(0.0, power - chance) / whole)),
+        noise=float(np.sqrt(chance / whole)),
+        period=samples * recorded.step,
+    )
+
+
+def _period(values: Array, shortest: int) -> float | None:
+    """The period in samples, fractional; None where there are no two of them."""
+    centred = values - values.mean()
+    count = len(values)
+    size = 1 << int(np.ceil(np.log2(2 * count)))
+    alike = np.fft.irfft(np.abs(np.fft.rfft(centred, size)) ** 2)[: count // 2 + 2]
+    squares = np.concatenate([[0.0], np.cumsum(centred**2)])
+    lags = np.arange(len(alike))
+    energy = np.sqrt(squares[count - lags] * (squares[-1] - squares[lags]))
+    similar = alike / np.maximum(energy, 1e-300)
+    peaks = np.flatnonzero(
+        (similar[1:-1] >= similar[:-2]) & (similar[1:-1] > similar[2:]) & (similar[1:-1] > _PERIODIC)
+    )
+    peaks = 1 + peaks[peaks >= shortest]
+    if not peaks.size:
+        return None
+    at = int(peaks[0])
+    before, here, after = similar[at - 1 : at + 2].tolist()
+    bend = before - 2.0 * here + after
+    return at + 0.5 * (before - after) / bend if bend < 0.0 else float(at)

@@ -1,0 +1,269 @@
+"""The signatures of effects that a model of the coupling may have left out: columns that residuals are held against.
+
+Each effect says, for one recording, which torque it would add per unit: what a Maxwell branch, an inertia or friction
+in proportion to the torque would look like in the residuals. Effects with a time constant or a length have a column for
+each of a few values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_CONSTANTS: Final = (0.003, 0.01, 0.03, 0.1, 0.3)  # s, of a Maxwell branch
+_PARTS: Final = (0.02, 0.07, 0.25, 0.8)  # of the largest deflection, over which friction or a gap acts
+_SOFT: Final = 0.02  # of the r.m.s. rate, within which friction turns
+_SIXTH: Final = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0]) / 20.0
+NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
+"""The variance that `reading_noise` makes of white noise of variance one."""
+
+_LAG: Final = 1e-3  # s: a lag or delay this short looks like any other short one
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Arrays (n,) of one length: time s, torque of the coupling N m, deflection rad, rate rad/s.
+
+    starts: where a new stretch begins, 0 first: nothing is carried from one stretch to the next.
+    """
+
+    time: Array
+    torque: Array
+    deflection: Array
+    rate: Array
+    starts: tuple[int, ...] = (0,)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def at(self, rows: NDArray[np.int64], starts: set[int]) -> Recorded:
+        """Return the samples at `rows`, rising; starts: where stretches begin among them besides those there are."""
+        known = np.searchsorted(rows, self.starts).tolist()
+        begin = tuple(sorted(start for start in {0, *starts, *known} if start < len(rows)))
+        return Recorded(self.time[rows], self.torque[rows], self.deflection[rows], self.rate[rows], begin)
+
+    def stretches(self) -> Iterator[slice]:
+        """Yield the samples of each stretch."""
+        ends = [*(at for at in self.starts if at < len(self)), len(self)]
+        return (slice(first, last) for first, last in pairwise(ends) if last > first)
+
+    @property
+    def step(self) -> float:
+        """The usual time between two samples, s."""
+        return float(np.median(np.diff(self.time)))
+
+    def delayed(self, values: Array, delay: float) -> Array:
+        """Return values (n,) as they were `delay` s before; the ends of a stretch continue."""
+        found = np.empty(len(self))
+        for part in self.stretches():
+            found[part] = np.interp(self.time[part] - delay, self.time[part], values[part])
+        return found
+
+    def slope(self, values: Array) -> Array:
+        """Return how fast values (n,) change, per second."""
+        found = np.zeros(len(self))
+        for part in self.stretches():
+            if part.stop - part.start > 1:
+                found[part] = np.gradient(values[part], self.time[part])
+        return found
+
+    def convolved(self, values: Array, weights: Array, centre: int) -> Array:
+        """Return values (n,) filtered by weights (m,), of which that at `centre` acts at once; ends are held."""
+        found = np.empty(len(self))
+        for part in self.stretches():
+            padded = np.pad(values[part], (len(weights) - 1 - centre, centre), mode="edge")
+            size = 1 << int(np.ceil(np.log2(len(padded) + len(weights))))
+            spectrum = np.fft.rfft(padded, size) * np.fft.rfft(weights, size)
+            found[part] = np.fft.irfft(spectrum, size)[len(weights) - 1 :][: part.stop - part.start]
+        return found
+
+    def low_passed(self, values: Array, constant: float) -> Array:
+        """Return values (n,) behind a first-order lag of `constant` s, which has settled at the first sample."""
+        ratio = self.step / constant
+        weights = np.exp(-ratio * np.arange(1 + int(8.0 / ratio)))
+        return self.convolved(values, weights / weights.sum(), 0)
+
+    def smoothed(self, values: Array, frequency: float) -> Array:
+        """Return what of values (n,) lies below `frequency`, Hz, without a phase shift (a Gaussian window)."""
+        width = np.sqrt(np.log(2.0)) / (2.0 * np.pi * frequency * self.step)
+        half = int(np.ceil(3.0 * width))
+        weights = np.exp(-0.5 * (np.arange(-half, half + 1) / width) ** 2)
+        return self.convolved(values, weights / weights.sum(), half)
+
+    def centred(self) -> Array:
+        """Return the deflection, rad, about the middle of its range."""
+        return self.deflection - 0.5 * float(self.deflection.max() + self.deflection.min())
+
+    def elapsed(self) -> Array:
+        """Return the time (n,) as a part of the whole, about its mean."""
+        return np.asarray((self.time - self.time.mean()) / max(float(np.ptp(self.time)), self.step))
+
+    def presliding(self, length: float) -> Array:
+        """Return the friction of Dahl (1976), -1 to 1, that is reached over `length` rad after a reversal."""
+        moves = np.diff(self.time, prepend=self.time[0]) * self.rate
+        moves[list(self.starts)] = 0.0
+        keeps, ends = np.exp(-np.abs(moves) / length), np.sign(moves)
+        state, found = 0.0, []
+        for keep, end in zip(keeps.tolist(), ends.tolist(), strict=True):
+            state = end + (state - end) * keep
+            found.append(state)
+        return np.array(found)
+
+    def sign(self) -> Array:
+        """Return the sign of the rate, rounded where it is slow."""
+        usual = float(np.sqrt(np.mean(self.rate**2)))
+        return np.tanh(self.rate / (_SOFT * usual)) if usual > 0.0 else np.zeros(len(self))
+
+
+Signature = Callable[[Recorded, Array], list[Array]]
+"""The candidates (n, k) of an effect for a recording and the torque (n,), N m, that the model gives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """An effect that residuals may look like. name: for people; advice: the model or experiment to try.
+
+    in_deflection: whether it lies in the reading of the deflection, so that it moves Bc by way of a false skew.
+    """
+
+    code: str
+    name: str
+    advice: str
+    signature: Signature
+    in_deflection: bool = False
+
+
+def _columns(*columns: Array) -> Array:
+    return np.stack(columns, axis=1)
+
+
+def _relaxing(recorded: Recorded, _model: Array) -> list[Array]:
+    constants = (constant for constant in _CONSTANTS if constant > 2.0 * recorded.step)
+    return [
+        _columns(recorded.deflection - recorded.low_passed(recorded.deflection, constant)) for constant in constants
+    ]
+
+
+def _sensor_lag(recorded: Recorded, model: Array) -> list[Array]:
+    return [_columns(recorded.low_passed(model, max(_LAG, 2.0 * recorded.step)) - model)]
+
+
+def _delay(recorded: Recorded, model: Array) -> list[Array]:
+    return [_columns(recorded.slope(model))]
+
+
+def _inertia(recorded: Recorded, _model: Array) -> list[Array]:
+    return [_columns(recorded.slope(recorded.rate))]
+
+
+def _hysteresis(recorded: Recorded, _model: Array) -> list[Array]:
+    reach = float(np.abs(recorded.centred()).max())
+    return [_columns(recorded.presliding(part * reach)) for part in _PARTS]
+
+
+def _gap(recorded: Recorded, _model: Array) -> list[Array]:
+    angle = recorded.centred()
+    reach = float(np.abs(angle).max())
+    return [_columns(np.clip(angle, -part * reach, part * reach)) for part in _PARTS]
+
+
+def _periodic(recorded: Recorded, _model: Array) -> list[Array]:
+    phases = [2.0 * np.pi * turns * recorded.centred() / np.ptp(recorded.deflection) for turns in (2.0, 4.0, 8.0)]
+    return [_columns(np.cos(phase), np.sin(phase)) for phase in phases]
+
+
+def reading_noise(recorded: Recorded) -> Array:
+    """Return what of the deflection (n,), rad, no smooth motion makes: its sixth difference, 1 for a single spike."""
+    found = np.zeros(len(recorded))
+    for part in recorded.stretches():
+        values = recorded.deflection[part]
+        found[part] = np.convolve(values - values[0], _SIXTH, mode="same")
+        found[part][:3] = found[part][-3:] = 0.0
+    return found
+
+
+def _reading_noise(recorded: Recorded, _model: Array) -> list[Array]:
+    # a delay in the model takes the reading of a neighbour
+    noise, step = reading_noise(recorded), recorded.step
+    return [np.stack([recorded.delayed(noise, shift * step) for shift in range(-5, 6)], axis=1)]
+
+
+EFFECTS: Final = (
+    Effect("offset", "an offset of the torque", "--model linear+offset", lambda r, _m: [_columns(np.ones(len(r)))]),
+    Effect("drift", "a drift of the torque", "--model linear+offset+drift", lambda r, _m: [_columns(r.elapsed())]),
+    Effect("skew", "a time shift between torque and angle", "--model linear+skew", _delay),
+    Effect(
+        "sensor-lag",
+        "a torque cell with a low bandwidth",
+        "a faster cell, or the filter of the cell switched off",
+        _sensor_lag,
+    ),
+    Effect(
+        "viscoelastic",
+        "a viscoelastic coupling, whose stiffness rises with frequency",
+        "read K'(f) and B'(f) in the dynamic stiffness, or record a narrower band",
+        _relaxing,
+    ),
+    Effect("inertia", "an inertia in the torque", "--model linear+inertia, or motor_inertia in the stand", _inertia),
+    Effect("coulomb", "dry friction", "--model linear+offset+coulomb", lambda r, _m: [_columns(r.sign())]),
+    Effect(
+        "hysteresis",
+        "friction that builds up over a distance (LuGre, Bouc-Wen)",
+        "record two amplitudes: Kc then falls with the larger one",
+        _hysteresis,
+    ),
+    Effect(
+        "capstan",
+        "friction in proportion to the torque, as of a tendon in its sheath",
+        "record at several amplitudes and pre-loads",
+        lambda r, m: [_columns(np.abs(m - np.median(m)) * r.sign())],
+    ),
+    Effect(
+        "quadratic-damping",
+        "damping that rises with the rate",
+        "record at several amplitudes: Bc then rises with them",
+        lambda r, _m: [_columns(r.rate * np.abs(r.rate))],
+    ),
+    Effect(
+        "cubic", "a spring that stiffens", "--model linear+offset+cubic", lambda r, _m: [_columns(r.centred() ** 3)]
+    ),
+    Effect("backlash", "a gap or dead band", "--model linear+offset+backlash", _gap),
+    Effect(
+        "asymmetry",
+        "a stiffness that differs between the two directions",
+        "record each direction by itself; --model linear+offset+slack for a single tendon",
+        lambda r, _m: [_columns(np.abs(r.centred())), _columns(r.centred() ** 2)],
+    ),
+    Effect(
+        "stiffness-drift",
+        "a stiffness that changes during the recording",
+        "record for longer at one temperature, or identify parts of the recording",
+        lambda r, _m: [_columns(r.elapsed() * r.centred())],
+    ),
+    Effect(
+        "damping-drift",
+        "a damping that changes during the recording",
+        "record for longer at one temperature, or identify parts of the recording",
+        lambda r, _m: [_columns(r.elapsed() * r.rate)],
+    ),
+    Effect(
+        "periodic",
+        "a torque that repeats with the angle: cogging, or an encoder out of centre",
+        "record over a larger angle, and calibrate the encoder",
+        _periodic,
+    ),
+    Effect(
+        "deflection-noise",
+        "noise or counts in the deflection",
+        "a larger amplitude, a finer encoder, or --model without skew",
+        _reading_noise,
+        in_deflection=True,
+    ),
+)

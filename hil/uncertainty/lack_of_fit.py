@@ -1,0 +1,368 @@
+"""Test whether a model describes its recording: which part of the residuals follows from the motion, and how.
+
+The test holds regressors that the model does not have against the residuals: Kc and Bc of one part of the samples
+(Chow 1960; Hausman 1978), the earlier motion, powers, signs and products of the motion, waves over the angle, time.
+The part of a regressor that the model's own columns can make is removed first; its product with the residuals is then a
+score (Rao 1948), which is summed over blocks in time. If the model is right, each block's sum may as well have the
+other sign, however the residuals within a block are correlated and distributed. Random signs for the blocks therefore
+show how large the scores are by chance. Holm's (1979) correction accounts for the number of tests. The share of the
+residuals that ridge regression predicts in blocks that it was not fitted to says how much the misfit matters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, Recorded, reading_noise
+from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
+
+Array = NDArray[np.float64]
+
+FALSE_ALARMS: Final = 0.005
+"""Probability that any test calls a model wrong that is right."""
+
+_CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
+_GROSS: Final = 10.0  # the same where the size of an effect is estimated
+_EXACT: Final = 1e-9  # of the torque, below which residuals are rounding
+_FLIPS: Final = 8191  # of the blocks' signs
+_MOST, _FEWEST, _SHORTEST = 64, 13, 25  # blocks, at most and at least; samples of one
+_APART: Final = 8.0  # correlation times of the residuals in a block
+_LIMIT: Final = 20_000  # samples that are looked at
+_DENSE: Final = 40.0  # samples a period that are enough
+_PIECES: Final = 16  # stretches that are taken of longer recordings
+_RIDGES: Final = (1e-4, 1e-2, 1.0)  # of the features' mean power
+_FOLDS: Final = 10
+_DEPENDENT: Final = 1e-6  # of a feature's power, that must be new, for it to be one
+_SHARE: Final = 0.02  # of the residuals' power, below which what is predicted is of no size
+_AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
+_EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
+_ACCURATE: Final = 5e-4  # of Kc and Bc, within which the rate is known
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """The fit that is tested, in SI. residuals: (n,) N m; columns: (n, p), how the torque changes with each parameter.
+
+    coupling: the places of Kc and Bc among them, None for a model without. half_width: of their intervals. skew: s.
+    """
+
+    residuals: Array
+    columns: Array
+    coupling: tuple[int, int] | None
+    values: tuple[float, float]
+    half_width: tuple[float, float]
+    skew: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Respect:
+    """One test. p: the probability by chance, corrected for the number of tests.
+
+    Kc, Bc: by how much they differ between the two parts, relative; None where the test compares no parts.
+    """
+
+    code: str
+    name: str
+    p: float
+    Kc: float | None = None
+    Bc: float | None = None
+
+    @property
+    def fails(self) -> bool:
+        """Whether the model is rejected in this respect."""
+        return self.p < FALSE_ALARMS
+
+
+@dataclass(frozen=True, slots=True)
+class Suspect:
+    """An effect that the residuals look like. share: of the residuals' power that it explains.
+
+    Kc, Bc: by how much they would change with it in the model, relative.
+    """
+
+    effect: Effect
+    share: float
+    Kc: float
+    Bc: float
+
+
+@dataclass(frozen=True, slots=True)
+class LackOfFit:
+    """What the tests found. share: of the residuals' power, predicted in blocks that were not seen.
+
+    Kc, Bc: the size of the misfit, relative: the largest change by a suspect or between parts; without one, the change
+    that would make as much torque as is predicted. outside: whether that leaves the interval of Kc or Bc.
+    lags (l,) s and correlation (l, 2): of the residuals with the deflection and rate of `lags` before. plane: mean
+    residual, N m, in cells of equal counts of deflection (rows, rising) and rate (columns, rising), NaN where none is.
+    """
+
+    respects: tuple[Respect, ...]
+    share: float
+    suspects: tuple[Suspect, ...]
+    Kc: float
+    Bc: float
+    outside: bool
+    samples: int
+    lags: Array
+    correlation: Array
+    plane: Array
+
+    @property
+    def failed(self) -> tuple[Respect, ...]:
+        """The respects in which the model is rejected, the surest first."""
+        return tuple(sorted((one for one in self.respects if one.fails), key=lambda one: one.p))
+
+    @property
+    def misfit(self) -> bool:
+        """Whether the model is rejected, and by an amount that matters."""
+        return bool(self.failed) and (self.outside or self.share >= _SHARE)
+
+
+def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
+    """Test a fit; None where the recording is too short for it, or the fit leaves nothing.
+
+    Raises ValueError where the arrays differ in length.
+    """
+    if not len(recorded) == len(fitted.residuals) == len(fitted.columns):
+        raise ValueError(f"{len(recorded)} samples, {len(fitted.residuals)} residuals, {len(fitted.columns)} rows")
+    if len(recorded) < _FEWEST * _SHORTEST or np.ptp(recorded.deflection) == 0.0:
+        return None
+    if float(np.std(fitted.residuals)) <= _EXACT * float(np.std(recorded.torque)):
+        return None
+    return _Tests(*_fewer(recorded, fitted)).result()
+
+
+class _Tests:
+    """One recording with its residuals' scores, and what is worked out from them."""
+
+    def __init__(self, recorded: Recorded, fitted: Fitted) -> None:
+        self._recorded, self._fitted = recorded, fitted
+        self._basis = _basis(fitted.columns)
+        self._scores = _scores(fitted.residuals, self._basis, _CLIPPED)
+        self._left = _scores(fitted.residuals, self._basis, _GROSS)  # clipped more, they would make effects too small
+        self._model = recorded.torque - fitted.residuals
+        at = fitted.coupling
+        own = fitted.columns[:, list(at)] if at else np.stack([recorded.deflection, recorded.rate], axis=1)
+        self._coupling = own - own.mean(axis=0)  # where an encoder has its zero says nothing
+        self._firsts = _blocks(self._scores)
+        self._signs = np.random.default_rng(0).integers(0, 2, (_FLIPS, len(self._firsts))) * 2.0 - 1.0
+
+    def result(self) -> LackOfFit:
+        """Do all tests."""
+        features = {name: self._new(values) for name, values in regressors(self._recorded, self._model).items()}
+        everything = np.concatenate(list(features.values()), axis=1)
+        compared = [self._compared(*cut) for cut in cuts(self._recorded)]
+        found = [one for one in compared if one is not None]
+        found += [Respect(code, NAMES[code], self._chance(values)) for code, values in features.items()]
+        found.append(Respect("any", NAMES["any"], self._chance(everything)))
+        respects = _corrected(found)
+        share, predicted = self._predicted(everything)
+        suspects = self._suspects(share) if any(one.fails for one in respects) else ()
+        sizes = self._sizes(respects, suspects, predicted)
+        lags, correlation = self._correlation()
+        return LackOfFit(
+            respects=respects,
+            share=share,
+            suspects=suspects,
+            Kc=float(sizes[0]),
+            Bc=float(sizes[1]),
+            outside=self._is_outside(sizes),
+            samples=len(self._recorded),
+            lags=lags,
+            correlation=correlation,
+            plane=mean_over_plane(self._recorded, self._scores),
+        )
+
+    def _new(self, features: Array) -> Array:
+        """What of features (n, k) the model's columns cannot make, each of mean square one, those with nothing new left
+        out.
+        """
+        power = np.einsum("nk,nk->k", features, features)
+        left = features - self._basis @ (self._basis.T @ features)
+        kept = np.einsum("nk,nk->k", left, left)
+        there = kept > _DEPENDENT * np.maximum(power, np.finfo(float).tiny)
+        return np.asarray(left[:, there] / np.sqrt(kept[there] / len(features)))
+
+    def _chance(self, features: Array) -> float:
+        """The probability that the scores of features (n, k) are so large by chance."""
+        if not features.shape[1]:
+            return 1.0
+        sums = np.add.reduceat(features * self._scores[:, None], self._firsts, axis=0)
+        values, vectors = np.linalg.eigh(features.T @ features)
+        whitened = sums @ (vectors / np.sqrt(values.clip(0.0) + _RIDGES[1] * values.mean()))
+        total = float(np.sum(whitened.sum(axis=0) ** 2))
+        by_chance = np.sum((self._signs @ whitened) ** 2, axis=1)
+        return float((1 + np.count_nonzero(by_chance >= total * (1.0 - 1e-9))) / (1 + _FLIPS))
+
+    def _compared(self, code: str, weights: Array | float) -> Respect | None:
+        """Compare Kc and Bc of the samples that weights (n,) mark, or of the band below so many Hz, with the rest."""
+        own = self._coupling
+        if isinstance(weights, float):
+            part = np.stack([self._recorded.smoothed(column, weights) for column in own.T], axis=1)
+        else:
+            part = own * weights[:, None]
+        left = part - self._basis @ (self._basis.T @ part)
+        if not (np.linalg.norm(left, axis=0) > 1e-2 * np.linalg.norm(part, axis=0)).all():
+            return None
+        differences = np.linalg.lstsq(left, self._left, rcond=None)[0]
+        scale = np.linalg.norm(left, axis=0) / np.sqrt(len(left))
+        return Respect(code, NAMES[code], self._chance(left / scale), *self._relative(np.asarray(differences)))
+
+    def _predicted(self, features: Array) -> tuple[float, float]:
+        """The share of the scores' power that is predicted in blocks not seen, and what that is, N m r.m.s."""
+        fold = np.arange(len(features)) * _FOLDS // len(features)
+        parts = [(features[fold == k], self._scores[fold == k]) for k in range(_FOLDS)]
+        grams = np.array([part.T @ part for part, _ in parts])
+        sums = np.array([part.T @ left for part, left in parts])
+        power, best = float(self._scores @ self._scores), 0.0
+        for ridge in _RIDGES:
+            penalty = ridge * len(features) * np.eye(features.shape[1])
+            weights = np.linalg.solve(grams.sum(axis=0) - grams + penalty, (sums.sum(axis=0) - sums)[:, :, None])
+            gained = sum(
+                2.0 * float(own @ weight) - float(weight @ gram @ weight)
+                for own, weight, gram in zip(sums, weights[:, :, 0], grams, strict=True)
+            )
+            best = max(best, gained / power)
+        return best, float(np.sqrt(best * power / len(features)))
+
+    def _suspects(self, share: float) -> tuple[Suspect, ...]:
+        """The effects that explain most of what can be predicted, the best first."""
+        found = [one for effect in EFFECTS if (one := self._suspect(effect)) is not None]
+        most = max((one.share for one in found), default=0.0)
+        least = max(_AS_GOOD * most, _EXPLAINS * share)
+        return tuple(sorted((one for one in found if one.share >= least), key=lambda one: -one.share)[:3])
+
+    def _suspect(self, effect: Effect) -> Suspect | None:
+        power, best = float(self._left @ self._left), None
+        for columns in effect.signature(self._recorded, self._model):
+            left = columns - self._basis @ (self._basis.T @ columns)
+            if not (np.linalg.norm(left, axis=0) > 1e-3 * np.linalg.norm(columns, axis=0)).all():
+                continue
+            factors = np.linalg.lstsq(left, self._left, rcond=None)[0]
+            share = 1.0 - float(np.sum((self._left - left @ factors) ** 2)) / power
+            if best is None or share > best.share:
+                best = Suspect(effect, share, *self._moved(effect, columns @ factors))
+        return best
+
+    def _moved(self, effect: Effect, torque: Array) -> tuple[float, float]:
+        """By how much Kc and Bc change, relative, once a torque (n,) is no longer theirs to make."""
+        if self._fitted.coupling is None:
+            return 0.0, 0.0
+        moved = -np.linalg.lstsq(self._fitted.columns, torque, rcond=None)[0][list(self._fitted.coupling)]
+        if effect.in_deflection:  # it makes Kc too low, and Bc wrong by way of the skew that averages it away
+            noise = float(np.var(reading_noise(self._recorded))) / NOISE_GAIN
+            moved[0] = self._fitted.values[0] * noise / float(np.var(self._recorded.deflection))
+            moved[1] = -self._fitted.skew * self._fitted.values[0]
+        return self._relative(np.asarray(moved))
+
+    def _relative(self, changes: Array) -> tuple[float, float]:
+        """Changes (2,) of Kc and Bc, relative; infinite ones count as none."""
+        values = np.abs(self._fitted.values)
+        first, second = np.divide(changes, values, out=np.zeros(2), where=values > 0.0).tolist()
+        return first, second
+
+    def _sizes(self, respects: tuple[Respect, ...], suspects: tuple[Suspect, ...], torque: float) -> Array:
+        """The size of the misfit in Kc and Bc (2,), relative, not negative; torque: N m r.m.s. that is predicted."""
+        if not any(one.fails for one in respects):
+            return np.zeros(2)
+        found = [(abs(one.Kc), abs(one.Bc)) for one in suspects]
+        found += [(0.5 * abs(one.Kc), 0.5 * abs(one.Bc or 0.0)) for one in respects if one.fails and one.Kc is not None]
+        if found:
+            return np.asarray(np.max(found, axis=0), dtype=np.float64)
+        alone = np.linalg.norm(_apart(self._coupling), axis=0) / np.sqrt(len(self._coupling))
+        own = np.abs(self._fitted.values) * alone
+        return np.asarray(np.divide(torque, own, out=np.zeros(2), where=own > 0.0))
+
+    def _is_outside(self, sizes: Array) -> bool:
+        values = np.abs(self._fitted.values)
+        return bool((sizes * values > np.maximum(self._fitted.half_width, _ACCURATE * values)).any())
+
+    def _correlation(self) -> tuple[Array, Array]:
+        """The correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""
+        lags = np.linspace(-0.1, 0.3, 41)
+        size = float(np.linalg.norm(self._scores))
+        found = [[self._alike(values, lag) / size for values in self._coupling.T] for lag in lags.tolist()]
+        return lags, np.array(found)
+
+    def _alike(self, values: Array, lag: float) -> float:
+        then = self._recorded.delayed(values - values.mean(), lag)
+        size = float(np.linalg.norm(then))
+        return float(self._scores @ then) / size if size > 0.0 else 0.0
+
+
+def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
+    """At most about `_LIMIT` samples: first less densely, then stretches spread over the recording."""
+    if len(recorded) <= _LIMIT:
+        return recorded, fitted
+    speed = np.sqrt(np.mean(recorded.rate**2) / np.var(recorded.deflection))  # rad/s, of a sine that moves alike
+    dense = 2.0 * np.pi / (speed * recorded.step * _DENSE) if speed > 0.0 else 1.0
+    rows = np.arange(0, len(recorded), max(1, min(len(recorded) // _LIMIT, int(dense))))
+    starts: set[int] = set()
+    if len(rows) > _LIMIT:
+        length = _LIMIT // _PIECES
+        firsts = np.linspace(0, len(rows) - length, _PIECES).astype(int)
+        rows = rows[(firsts[:, None] + np.arange(length)).ravel()]
+        starts = set(range(0, len(rows), length))
+    return recorded.at(rows, starts), replace(fitted, residuals=fitted.residuals[rows], columns=fitted.columns[rows])
+
+
+def _basis(columns: Array) -> Array:
+    """An orthonormal basis (n, r) of the columns (n, p)."""
+    sizes = np.linalg.norm(columns, axis=0)
+    left, values, _ = np.linalg.svd(columns[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
+    return np.asarray(left[:, values > 1e-9 * values.max(initial=0.0)])
+
+
+def _apart(coupling: Array) -> Array:
+    """What each of two columns (n, 2) has that the other has not."""
+    first, second = coupling.T
+    product = float(first @ second)
+    return np.stack(
+        [
+            first - second * product / max(float(second @ second), 1e-300),
+            second - first * product / max(float(first @ first), 1e-300),
+        ],
+        axis=1,
+    )
+
+
+def _scores(residuals: Array, basis: Array, clipped_at: float) -> Array:
+    """The residuals (n,) N m of Huber's (1964) estimate, beside which outliers count little, clipped, orthogonal to the
+    basis.
+    """
+    left = residuals
+    for _ in range(4):
+        limit = clipped_at * 1.4826 * float(np.median(np.abs(left)))
+        clipped = np.clip(left, -limit, limit)
+        inside = max(0.5, float(np.mean(np.abs(left) < limit)))
+        left = left - basis @ (basis.T @ clipped) / inside
+    clipped = np.clip(left, -limit, limit)
+    return np.asarray(clipped - basis @ (basis.T @ clipped))
+
+
+def _blocks(scores: Array) -> NDArray[np.int64]:
+    """Where blocks begin that are long beside the time over which the residuals follow each other."""
+    count = len(scores)
+    spectrum = np.abs(np.fft.rfft(scores, 2 * count)) ** 2
+    alike = np.fft.irfft(spectrum)[:count]
+    alike /= alike[0] if alike[0] > 0.0 else 1.0
+    until = int(np.argmax(alike < 0.05)) or 1
+    together = 1.0 + 2.0 * float(alike[1:until].sum())
+    length = int(max(_APART * together, _SHORTEST, count / _MOST))
+    number = max(_FEWEST, min(_MOST, count // length))
+    return (np.arange(number) * count) // number
+
+
+def _corrected(respects: list[Respect]) -> tuple[Respect, ...]:
+    """Holm's correction for the number of tests."""
+    order, worst = sorted(range(len(respects)), key=lambda at: respects[at].p), 0.0
+    found = list(respects)
+    for rank, at in enumerate(order):
+        one = respects[at]
+        worst = max(worst, min(1.0, one.p * (len(respects) - rank)))
+        found[at] = Respect(one.code, one.name, worst, one.Kc, one.Bc)
+    return tuple(found)

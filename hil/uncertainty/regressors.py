@@ -1,0 +1,92 @@
+"""Regressors that residuals are held against, parts of the samples to compare, and the plane of deflection and rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.uncertainty.effects import Recorded
+
+Array = NDArray[np.float64]
+
+_LAGS: Final = (0.002, 0.005, 0.012, 0.03, 0.08, 0.2)  # s
+_AHEAD: Final = -0.005  # s: readings that were interpolated know what comes
+_TURNS: Final = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # of a wave over half the range of the angle
+_CELLS: Final = 7  # a side of the plane of deflection and rate
+_PRESLIDING: Final = (0.03, 0.2)  # of the largest deflection
+
+NAMES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "band": "between slow and fast motion",
+        "amplitude": "between small and large deflection",
+        "direction": "between loading and unloading",
+        "half": "between the first and the second half",
+        "memory": "the torque depends on the motion of before",
+        "shape": "the torque is not in proportion to deflection and rate",
+        "angle": "the torque repeats with the angle",
+        "time": "the torque changes with time",
+        "any": "the motion predicts the residuals",
+    }
+)
+"""The respects in which a model is tested, by their codes."""
+
+
+def cuts(recorded: Recorded) -> list[tuple[str, Array | float]]:
+    """Return the parts to compare Kc and Bc between: weights (n,) of one part, or the Hz that split the band."""
+    angle, rate = recorded.centred(), recorded.rate
+    speed = float(np.sqrt(np.mean(rate**2) / np.mean(angle**2)))  # rad/s
+    size = np.abs(angle)
+    return [
+        ("band", speed / (2.0 * np.pi)),
+        ("amplitude", (size > np.median(size)).astype(np.float64)),
+        ("direction", (angle * rate > 0.0).astype(np.float64)),
+        ("half", (np.arange(len(angle)) >= len(angle) // 2).astype(np.float64)),
+    ]
+
+
+def regressors(recorded: Recorded, model: Array) -> dict[str, Array]:
+    """Return regressors (n, k) for each respect; model: the torque (n,) N m that the model gives."""
+    angle, rate = recorded.centred(), recorded.rate
+    x, v = angle / np.abs(angle).max(), rate / max(float(np.abs(rate).max()), 1e-300)
+    return {
+        "memory": _of_before(recorded, x, v),
+        "shape": _shapes(recorded, x, v, np.abs(model - np.median(model))),
+        "angle": np.stack([wave(2.0 * np.pi * turns * x) for turns in _TURNS for wave in (np.cos, np.sin)], axis=1),
+        "time": _in_time(recorded, x, v),
+    }
+
+
+def _of_before(recorded: Recorded, x: Array, v: Array) -> Array:
+    step = recorded.step
+    lags = [lag for lag in _LAGS if lag >= step] + [-step, step, _AHEAD]
+    delayed = [recorded.delayed(values, lag) for values in (x, v) for lag in lags]
+    return np.stack([*delayed, recorded.slope(v)], axis=1)
+
+
+def _shapes(recorded: Recorded, x: Array, v: Array, carried: Array) -> Array:
+    sign, reach = recorded.sign(), float(np.abs(recorded.centred()).max())
+    powers = [np.ones_like(x), np.abs(x), x * x, x**3, x**5, np.abs(v), v * v, v * np.abs(v), v**3]
+    products = [x * v, np.abs(x) * v, x * x * v, x * v * v]
+    friction = [sign, np.abs(x) * sign, x * x * sign, carried * sign]
+    return np.stack([*powers, *products, *friction, *(recorded.presliding(p * reach) for p in _PRESLIDING)], axis=1)
+
+
+def _in_time(recorded: Recorded, x: Array, v: Array) -> Array:
+    late = recorded.elapsed()
+    return np.stack([late**power * values for power in (1, 2) for values in (np.ones_like(x), x, v)], axis=1)
+
+
+def mean_over_plane(recorded: Recorded, residuals: Array) -> Array:
+    """Return the mean residual, N m, in cells of deflection (rows) and rate (columns), NaN in empty ones."""
+    at = []
+    for values in (recorded.deflection, recorded.rate):
+        edges = np.quantile(values, np.linspace(0.0, 1.0, _CELLS + 1)[1:-1])
+        at.append(np.searchsorted(edges, values))
+    cell = at[0] * _CELLS + at[1]
+    counts = np.bincount(cell, minlength=_CELLS**2)
+    sums = np.bincount(cell, weights=residuals, minlength=_CELLS**2)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).reshape(_CELLS, _CELLS)

@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
+from hil.uncertainty.effects import Recorded
+
+Array = NDArray[np.float64]
+
+KC, BC, RATE, BAND = 0.3, 3e-3, 500.0, (0.3, 12.0)
+TIME = np.arange(10_000) / RATE
+LINES = np.unique(np.round(np.geomspace(*BAND, 40) * 5.0)) / 5.0  # Hz, of a period of 5 s
+
+
+def waves(seed: int = 0) -> tuple[Array, Array]:
+    """Complex waves (n, l), rad, of a multisine whose real parts add up to the deflection, and their speeds (l,)."""
+    speeds = 2.0 * np.pi * LINES
+    phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(LINES))
+    return np.asarray(0.03 * np.exp(1j * (np.outer(TIME, speeds) + phases))), speeds
+
+
+def noise(seed: int, size: float) -> Array:
+    return size * np.random.default_rng([seed, 1]).standard_normal(len(TIME))
+
+
+def measured(torque: Array, deflection: Array, rate: Array, command: Array | None = None) -> DynamicStiffness:
+    found = dynamic_stiffness(Recorded(TIME, torque, deflection, rate), BAND, command)
+    assert found is not None
+    return found
+
+
+def spring_and_damper(seed: int) -> tuple[Array, Array, Array]:
+    parts, speeds = waves(seed)
+    deflection, rate = parts.real.sum(axis=1), -(parts.imag @ speeds)
+    return KC * deflection + BC * rate + noise(seed, 1e-3), deflection, rate
+
+
+def test_a_spring_and_damper_have_the_same_stiffness_in_every_band() -> None:
+    torque, deflection, rate = spring_and_damper(0)
+
+    bands = measured(torque - noise(0, 1e-3), deflection, rate).bands
+
+    assert len(bands.frequency) >= 5
+    np.testing.assert_allclose(bands.stiffness, KC, rtol=1e-9)
+    np.testing.assert_allclose(bands.damping, BC, rtol=1e-7)
+    assert (bands.coherence > 0.999999).all()
+
+
+def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    inside = []
+    for seed in range(40):
+        bands = measured(*spring_and_damper(seed)).bands
+        inside += (np.abs(bands.stiffness - KC) < bands.stiffness_half_width).tolist()
+        inside += (np.abs(bands.damping - BC) < bands.damping_half_width).tolist()
+
+    assert 0.9 < np.mean(inside) < 0.99
+
+
+def test_a_standard_linear_solid_has_the_stiffness_of_its_closed_form() -> None:
+    share, constant = 0.3, 0.02
+    parts, speeds = waves()
+    branch = share * KC * 1j * speeds * constant / (1.0 + 1j * speeds * constant)
+    torque = (parts @ (KC + 1j * speeds * BC + branch)).real
+    rate = -(parts.imag @ speeds)
+
+    bands = measured(torque, parts.real.sum(axis=1), rate).bands
+
+    turned = 2.0 * np.pi * bands.frequency * constant
+    stiffness = KC * (1.0 + share * turned**2 / (1.0 + turned**2))
+    damping = BC + share * KC * constant / (1.0 + turned**2)
+    np.testing.assert_allclose(bands.stiffness, stiffness, rtol=0.02)
+    np.testing.assert_allclose(bands.damping, damping, rtol=0.05)
+
+
+def test_noise_in_the_deflection_does_not_lower_the_stiffness_where_the_command_is_known() -> None:
+    torque, deflection, rate = spring_and_damper(0)
+    noisy = deflection + noise(7, 0.3)
+
+    alone = measured(torque, noisy, rate).bands
+    commanded = measured(torque, noisy, rate, command=deflection)
+
+    assert commanded.instrument == "command"
+    assert np.mean(alone.stiffness) < 0.97 * KC
+    error = np.abs(commanded.bands.stiffness - KC)
+    assert (error < 1.5 * commanded.bands.stiffness_half_width).all()
+
+
+@pytest.mark.parametrize("command", [np.zeros(len(TIME)), np.full(len(TIME), np.nan)])
+def test_a_command_that_says_nothing_is_not_used(command: Array) -> None:
+    assert measured(*spring_and_damper(0), command=command).instrument == "deflection"
+
+
+def test_a_stiffness_that_rises_with_the_deflection_differs_between_amplitudes() -> None:
+    _, deflection, rate = spring_and_damper(0)
+    envelope = np.repeat([0.3, 1.0], len(TIME) // 2)
+    deflection, rate = envelope * deflection, envelope * rate
+
+    small, large = measured(KC * deflection + 5.0 * deflection**3 + BC * rate, deflection, rate).by_amplitude
+
+    assert small.deflection < large.deflection
+    assert np.mean(large.stiffness) > 1.05 * np.mean(small.stiffness)
+
+
+def test_distortion_is_that_of_the_harmonics_of_a_cubic_spring() -> None:
+    angle = 0.2 * np.sin(2.0 * np.pi * TIME)
+    rate = 0.4 * np.pi * np.cos(2.0 * np.pi * TIME)
+    torque = KC * angle + 2.0 * angle**3 + noise(0, 1e-5)
+
+    found = dynamic_stiffness(Recorded(TIME, torque, angle, rate), (0.9, 1.1))
+
+    assert found is not None
+    assert found.distortion is not None
+    assert found.distortion.period == pytest.approx(1.0, rel=1e-3)
+    third = 2.0 * 0.2**3 / 4.0  # sin^3 = (3 sin - sin of three times the angle)/4
+    assert found.distortion.level == pytest.approx(third / (KC * 0.2 + 3.0 * third), rel=0.02)
+    assert found.distortion.noise < 1e-3
+
+
+def test_a_spring_and_damper_do_not_distort() -> None:
+    distortion = measured(*spring_and_damper(0)).distortion
+
+    assert distortion is not None
+    assert distortion.period == pytest.approx(5.0, rel=1e-3)
+    assert distortion.level < distortion.noise
+
+
+def test_a_recording_shorter_than_a_segment_has_no_dynamic_stiffness() -> None:
+    few = slice(0, 100)
+    torque, deflection, rate = (values[few] for values in spring_and_damper(0))
+
+    assert dynamic_stiffness(Recorded(TIME[few], torque, deflection, rate), BAND) is None

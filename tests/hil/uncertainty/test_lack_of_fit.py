@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hil.uncertainty.effects import Recorded
+from hil.uncertainty.lack_of_fit import Fitted, LackOfFit, lack_of_fit
+
+Array = NDArray[np.float64]
+
+KC, BC, NOISE = 0.3, 3e-3, 1e-3
+TIME = np.arange(8000) / 500.0
+
+
+def moved() -> tuple[Array, Array, Array]:
+    """A multisine's deflection rad, rate rad/s and acceleration rad/s^2."""
+    speeds = 2.0 * np.pi * np.geomspace(0.3, 12.0, 25)
+    waves = 0.02 * np.exp(1j * (np.outer(TIME, speeds) + np.arange(25) ** 2))
+    return waves.real.sum(axis=1), -(waves.imag @ speeds), -(waves.real @ speeds**2)
+
+
+X, V, A = moved()
+LINEAR = np.stack([X, V, np.ones_like(X)], axis=1)
+
+
+def judged(torque: Array, columns: Array = LINEAR) -> LackOfFit:
+    """The test of a least-squares fit of columns (n, p), Kc and Bc first, to a torque (n,)."""
+    values = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    residuals = torque - columns @ values
+    half = 1.96 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * np.var(residuals))
+    fitted = Fitted(residuals, columns, (0, 1), (values[0], values[1]), (half[0], half[1]))
+    found = lack_of_fit(Recorded(TIME, torque, X, V), fitted)
+    assert found is not None
+    return found
+
+
+def noise(seed: int, colour: str = "white") -> Array:
+    rng = np.random.default_rng(seed)
+    if colour == "heavy":
+        return NOISE * rng.standard_t(3.0, len(TIME))
+    white = NOISE * rng.standard_normal(len(TIME) + 200)
+    if colour == "white":
+        return white[200:]
+    return np.convolve(white, np.exp(-np.arange(200) / 20.0))[200 : 200 + len(TIME)] * 0.3
+
+
+def relaxed(share: float, constant: float) -> Array:
+    """The torque, N m, of a Maxwell branch of `share` of Kc, by steps of its differential equation."""
+    force, found = 0.0, np.zeros(len(TIME))
+    keep = np.exp(-(TIME[1] - TIME[0]) / constant)
+    for at in range(1, len(TIME)):
+        force = keep * force + share * KC * (X[at] - X[at - 1]) * np.sqrt(keep)
+        found[at] = force
+    return found
+
+
+PLAIN = KC * X + BC * V
+WRONG = {
+    "viscoelastic": PLAIN + relaxed(0.1, 0.02),
+    "capstan": PLAIN * (1.0 + 0.1 * np.sign(V) * np.sign(PLAIN)),
+    "quadratic-damping": PLAIN + 5e-4 * V * np.abs(V),
+    "cubic": PLAIN + 1.0 * X**3,
+    "inertia": PLAIN + 1e-5 * A,
+    "stiffness-drift": PLAIN * (1.0 - 0.1 * TIME / TIME[-1]),
+    "coulomb": PLAIN + 1e-3 * np.sign(V),
+    "offset": PLAIN + 2e-3,
+}
+
+
+@pytest.mark.parametrize("colour", ["white", "coloured", "heavy"])
+def test_a_model_that_describes_its_recording_is_not_rejected(colour: str) -> None:
+    rejected = sum(judged(PLAIN + noise(seed, colour)).misfit for seed in range(25))
+
+    assert rejected <= 1  # two of 25 come once in a hundred and fifty where the rate is one in 200
+
+
+@pytest.mark.parametrize("effect", list(WRONG))
+def test_an_effect_that_the_model_leaves_out_is_found_and_named(effect: str) -> None:
+    columns = LINEAR[:, :2] if effect == "offset" else LINEAR
+
+    found = judged(WRONG[effect] + noise(1), columns)
+
+    assert found.misfit
+    assert effect in [one.effect.code for one in found.suspects]
+
+
+def test_the_change_that_an_effect_makes_of_bc_is_told() -> None:
+    found = judged(WRONG["quadratic-damping"] + noise(1))
+    values = np.linalg.lstsq(LINEAR, WRONG["quadratic-damping"], rcond=None)[0]
+
+    suspect = next(one for one in found.suspects if one.effect.code == "quadratic-damping")
+
+    assert suspect.Bc == pytest.approx(BC / values[1] - 1.0, abs=0.05)
+    assert found.outside
+
+
+def test_kc_of_the_second_half_is_compared_with_that_of_the_first() -> None:
+    torque = PLAIN - 0.06 * PLAIN * np.repeat([0.0, 1.0], len(TIME) // 2)
+
+    half = next(one for one in judged(torque + noise(1)).respects if one.code == "half")
+
+    assert half.fails
+    assert half.Kc == pytest.approx(-0.06, abs=0.01)
+
+
+def test_the_predicted_share_is_that_of_the_effect_in_the_residuals() -> None:
+    torque = PLAIN + 1e-3 * np.sign(V)
+    left = torque - LINEAR @ np.linalg.lstsq(LINEAR, torque, rcond=None)[0]
+    share = np.var(left) / (np.var(left) + NOISE**2)
+
+    assert judged(torque + noise(3)).share == pytest.approx(share, abs=0.05)
+
+
+def test_outliers_do_not_hide_a_misfit() -> None:
+    hit = np.random.default_rng(0).random(len(TIME)) < 0.01
+
+    assert judged(WRONG["capstan"] + noise(1) + 0.1 * hit).misfit
+
+
+def test_where_the_encoder_has_its_zero_changes_nothing() -> None:
+    torque = WRONG["cubic"] + noise(1)
+    columns = np.stack([X + 6.0, V, np.ones_like(X)], axis=1)
+    values = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    fitted = Fitted(torque - columns @ values, columns, (0, 1), (values[0], values[1]), (1e-4, 1e-5))
+
+    moved_away = lack_of_fit(Recorded(TIME, torque, X + 6.0, V), fitted)
+
+    assert moved_away is not None
+    here = judged(torque)
+    assert [one.p for one in moved_away.respects] == pytest.approx([one.p for one in here.respects], abs=2e-3)
+    assert moved_away.share == pytest.approx(here.share, rel=1e-3)
+
+
+def test_a_model_without_kc_and_bc_is_tested_too() -> None:
+    torque = WRONG["quadratic-damping"] + noise(1)
+    residuals = torque - LINEAR @ np.linalg.lstsq(LINEAR, torque, rcond=None)[0]
+
+    found = lack_of_fit(Recorded(TIME, torque, X, V), Fitted(residuals, LINEAR, None, (np.nan, np.nan), (0.0, 0.0)))
+
+    assert found is not None
+    assert found.misfit
+
+
+def test_a_long_recording_is_judged_by_some_of_its_stretches() -> None:
+    times = 20
+    joined = Recorded(
+        np.arange(times * len(TIME)) / 500.0,
+        np.tile(WRONG["capstan"], times),
+        np.tile(X, times),
+        np.tile(V, times),
+    )
+    joined = replace(joined, torque=joined.torque + np.concatenate([noise(seed) for seed in range(times)]))
+    columns = np.tile(LINEAR, (times, 1))
+    values = np.linalg.lstsq(columns, joined.torque, rcond=None)[0]
+
+    found = lack_of_fit(
+        joined, Fitted(joined.torque - columns @ values, columns, (0, 1), (values[0], values[1]), (1e-4, 1e-5))
+    )
+
+    assert found is not None
+    assert found.samples <= 20_000
+    assert found.misfit
+
+
+def test_a_recording_that_is_too_short_is_not_judged() -> None:
+    few = slice(0, 200)
+    recorded = Recorded(TIME[few], PLAIN[few], X[few], V[few])
+
+    assert lack_of_fit(recorded, Fitted(noise(1)[few], LINEAR[few], (0, 1), (KC, BC), (1e-4, 1e-5))) is None
+
+
+def test_a_fit_that_leaves_nothing_is_not_judged() -> None:
+    recorded = Recorded(TIME, PLAIN, X, V)
+
+    assert lack_of_fit(recorded, Fitted(np.zeros_like(X), LINEAR, (0, 1), (KC, BC), (0.0, 0.0))) is None
+
+
+def test_arrays_of_unequal_length_are_refused() -> None:
+    with pytest.raises(ValueError, match="8000 samples, 10 residuals"):
+        lack_of_fit(Recorded(TIME, PLAIN, X, V), Fitted(np.zeros(10), LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
