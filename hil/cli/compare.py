@@ -37,9 +37,9 @@ def compare(
     if as_json:
         print_json(to_json(found))
     else:
-        out_table(comparison_table(found))
         for parameter in found.parameters:
             out(parameter.verdict)
+        out_table(comparison_table(found))
     if report is not None:
         draw(found, report)
         say(f"wrote {report}")

@@ -55,7 +55,7 @@ def design(
     from hil.experiment_design.assessment import assess, check_limits, task_of
     from hil.experiment_design.search import best
     from hil.report.design import as_json as to_json
-    from hil.report.design import design_lines, error_table, limit_table
+    from hil.report.design import design_lines, error_table, headline, limit_table
 
     opened = stand_of(backend, stand)
     made = excitation_of(
@@ -71,6 +71,7 @@ def design(
     if as_json:
         print_json(to_json(task, judged, general, words))
     else:
+        out(headline(judged))
         out_table(error_table(task, judged))
         out_table(limit_table(task, judged))
         for line in design_lines(task, judged, words):

@@ -26,8 +26,8 @@ def inspect(
     if as_json:
         print_json(inspection_json(seen))
     else:
-        out_table(inspection_table(seen))
         out("usable" if seen.usable else "not usable")
+        out_table(inspection_table(seen))
     print_diagnostics(seen.diagnostics)
     if not seen.usable:
         raise typer.Exit(UNTRUSTWORTHY)

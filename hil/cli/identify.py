@@ -13,7 +13,6 @@ from hil.cli.options import DEFAULT_SEED, Checkpoint, Force, Json, Seed, Workers
 from hil.cli.progress import progress
 from hil.cli.terminal import (
     UNTRUSTWORTHY,
-    columns,
     exit_interrupted,
     out,
     out_table,
@@ -61,6 +60,7 @@ def identify(
     report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture (PNG).")] = None,
     force: Force = False,
     as_json: Json = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Also show the optimiser's repeatability.")] = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
     from hil.recording.output import check_output
@@ -83,7 +83,7 @@ def identify(
         checkpoint=checkpoint,
     )
     chosen = model_of(model or ("linear" if fixed else "auto"))
-    identify_and_show(recordings, chosen, search, report, fixture=fixture, as_json=as_json)
+    identify_and_show(recordings, chosen, search, report, fixture=fixture, as_json=as_json, verbose=verbose)
 
 
 def search_of(
@@ -118,6 +118,7 @@ def identify_and_show(
     *,
     fixture: Path | None = None,
     as_json: bool = False,
+    verbose: bool = False,
 ) -> None:
     """Search with a progress bar, print the result, write the page where one is asked for.
 
@@ -145,7 +146,7 @@ def identify_and_show(
     if as_json:
         print_json(to_json(found))
     else:
-        _show(found)
+        _show(found, verbose=verbose)
     if report is not None:
         for path in write_page(found, report):
             say(f"wrote {path}")
@@ -156,13 +157,21 @@ def identify_and_show(
         raise typer.Exit(UNTRUSTWORTHY)
 
 
-def _show(found: Identification) -> None:
-    from hil.report.identification import identification_lines, identification_tables, ladder_table
+def _show(found: Identification, *, verbose: bool) -> None:
+    from hil.report.identification import (
+        estimates_table,
+        headline,
+        identification_lines,
+        ladder_table,
+        repeatability_table,
+    )
 
+    out(headline(found))
+    out_table(estimates_table(found))
     if found.rungs:
         out_table(ladder_table(found))
-    for table in identification_tables(found, columns()):
-        out_table(table)
+    if verbose:
+        out_table(repeatability_table(found))
     for line in identification_lines(found):
         out(line)
 

@@ -41,13 +41,6 @@ def _write(text: str, stream: TextIO) -> None:
         os.close(nowhere)
 
 
-def columns() -> int:
-    """Return the width of standard output in characters, 80 where it is no terminal."""
-    from rich.console import Console
-
-    return Console().width
-
-
 def out_table(table: Table) -> None:
     """Print a table to standard output."""
     from rich.console import Console

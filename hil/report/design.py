@@ -20,12 +20,21 @@ SCHEMA = "hil-design/2"
 """Version 1 had the warning not-identifiable under another code, and its default model was linear."""
 
 
+def headline(judged: Mapping[str, Assessment]) -> str:
+    """Return the relative standard errors of Kc and Bc for each of the excitations, in one line."""
+    errors = (
+        f"{name} {one['Kc'].error / one['Kc'].rough:.2%}, {one['Bc'].error / one['Bc'].rough:.2%}"
+        for name, one in judged.items()
+    )
+    return f"predicted standard errors of Kc, Bc: {'; '.join(errors)}"
+
+
 def error_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
     """Return the predicted standard error of every parameter, a column for each of the excitations by name."""
     from rich.box import SIMPLE
     from rich.table import Table
 
-    table = Table(title=f"{task.model}: predicted standard errors", box=SIMPLE, pad_edge=False)
+    table = Table(title=task.model, box=SIMPLE, pad_edge=False)
     table.add_column("", no_wrap=True)
     for name, one in judged.items():
         table.add_column(f"{name}: {described(one.profile)}", justify="right")

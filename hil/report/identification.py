@@ -122,34 +122,54 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def identification_tables(found: Identification, width: int) -> list[Table]:
-    """Table 1 of the paper, with the exact optimum and its interval beside the search.
-
-    One table where it fits into `width` characters, two that are narrower where it does not.
-    """
-    from rich.console import Console
-
-    title = f"{found.model.name}, {found.samples} samples, {len(found.trials.fitness)} trials"
-    headings = ("best trial", "mean ± std", "exact", "95 % interval")
-    table = _estimates(found, headings, title)
-    if Console(width=1000).measure(table).maximum <= width:
-        return [table]
-    return [_estimates(found, headings[:2], title), _estimates(found, headings[2:], "")]
+def headline(found: Identification) -> str:
+    """Return Kc and Bc with half of their 95 % intervals, in one line."""
+    parts = []
+    for estimate in found.estimates[:2]:
+        factor, unit = people_unit(estimate.unit, milli=_milli(found))
+        half = 0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor
+        known = estimate.identifiable and math.isfinite(half)
+        interval = f"± {half:.1g} {unit}" if known else f"{unit} (not identifiable)"
+        parts.append(f"{estimate.name} = {estimate.value * factor:#.4g} {interval}")
+    return ",  ".join(parts)
 
 
-def _estimates(found: Identification, headings: Sequence[str], title: str) -> Table:
+def estimates_table(found: Identification) -> Table:
+    """Return the table of values and 95 % intervals."""
+    rows = []
+    for estimate in found.estimates:
+        factor, unit = people_unit(estimate.unit, milli=_milli(found))
+        low, high = (end * factor for end in estimate.ci95)
+        interval = f"{low:.5g} to {high:.5g}" if math.isfinite(low) else "not identifiable"
+        name = estimate.name if estimate.identifiable else f"{estimate.name} (not identifiable)"
+        rows.append((name, f"{estimate.value * factor:.5g}", interval, unit))
+    return _table(f"{found.model.name}, {found.samples} samples", ("value", "95 % interval"), rows)
+
+
+def repeatability_table(found: Identification) -> Table:
+    """Return the table of optimiser repeatability: the paper's Table 1 beside the exact optimum. No uncertainty."""
+    rows = []
+    for estimate in found.estimates:
+        factor, unit = people_unit(estimate.unit, milli=_milli(found))
+        std = (
+            f" ± {estimate.trials_std * factor:.0e}" if math.isfinite(estimate.trials_std) else ""
+        )  # of one trial: none
+        trials = f"{estimate.value * factor:.5g}", f"{estimate.trials_mean * factor:.5g}{std}"
+        rows.append((estimate.name, *trials, f"{estimate.exact * factor:.5g}", unit))
+    title = f"optimiser repeatability, {len(found.trials.fitness)} trials"
+    return _table(title, ("best trial", "mean ± std", "exact"), rows)
+
+
+def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     from rich.box import SIMPLE
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(title) if title else None, box=SIMPLE, pad_edge=False)
+    table = Table(title=Text(title), box=SIMPLE, pad_edge=False)
     for heading in ("", *headings, ""):
         table.add_column(heading, justify="right" if heading else "left", overflow="fold")
-    for estimate in found.estimates:
-        factor, unit = people_unit(estimate.unit, milli=_milli(found))
-        cells = _cells(estimate, factor)
-        name = estimate.name if estimate.identifiable else f"{estimate.name} ?"
-        table.add_row(name, *(cells[heading] for heading in headings), unit)
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
@@ -160,8 +180,8 @@ def ladder_table(found: Identification) -> Table:
 
     milli = _milli(found)
     torque, kc, bc = (people_unit(unit, milli=milli) for unit in ("N*m", "N*m/rad", "N*m*s/rad"))
-    table = Table(title="which terms the recording asks for", box=SIMPLE, pad_edge=False)
-    for heading in ("term", f"error, {torque[1]}", "held out", "gain", f"Kc, {kc[1]}", f"Bc, {bc[1]}", ""):
+    table = Table(title="model selection", box=SIMPLE, pad_edge=False)
+    for heading in ("term", f"error, {torque[1]}", "held-out", "gain", f"Kc, {kc[1]}", f"Bc, {bc[1]}", ""):
         table.add_column(heading, justify="right" if heading not in {"term", ""} else "left")
     for rung in found.rungs:
         table.add_row(
@@ -171,22 +191,9 @@ def ladder_table(found: Identification) -> Table:
             f"{rung.gain:.3g}" if math.isfinite(rung.gain) else "",
             f"{rung.Kc * kc[0]:.5g}",
             f"{rung.Bc * bc[0]:.4g}",
-            "taken" if rung.taken else "not taken",
+            "included" if rung.taken else "rejected",
         )
     return table
-
-
-def _cells(estimate: Estimate, factor: float) -> dict[str, str]:
-    low, high = (end * factor for end in estimate.ci95)
-    spread = (
-        f" ± {estimate.trials_std * factor:.0e}" if math.isfinite(estimate.trials_std) else ""
-    )  # of one trial: none
-    return {
-        "best trial": f"{estimate.value * factor:.5g}",
-        "mean ± std": f"{estimate.trials_mean * factor:.5g}{spread}",
-        "exact": f"{estimate.exact * factor:.5g}",
-        "95 % interval": f"{low:.5g} to {high:.5g}" if math.isfinite(low) else "cannot be told",
-    }
 
 
 def identification_lines(found: Identification) -> list[str]:
@@ -194,16 +201,13 @@ def identification_lines(found: Identification) -> list[str]:
     factor, unit = people_unit("N*m", milli=_milli(found))
     return [
         f"mean |torque error| {found.fitness * factor:.5g} {unit}; exact minimum {found.optimum * factor:.5g} {unit}; "
-        f"the search's own error is {found.relative_gap:.1e} of it",
-        f"held-out fifth: {found.holdout.fitness * factor:.3g} {unit}; RMS {found.holdout.nrmse:.2%} of the torque's",
+        f"optimiser gap {found.relative_gap:.1e}",
+        f"validation on 20 % held-out data: {found.holdout.fitness * factor:.3g} {unit}; RMS {found.holdout.nrmse:.2%} "
+        "of the torque's",
         *_scatter_lines(found),
         *_fixture_lines(found),
-        *(
-            []
-            if found.rungs
-            else ["the intervals are those of this model: --model auto asks what else the stand shows"]
-        ),
-        f"moved {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
+        *([] if found.rungs else ["the intervals assume this model: --model auto selects its terms from the data"]),
+        f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s",
     ]
 
@@ -247,7 +251,7 @@ def inspection_table(seen: Inspection) -> Table:
         "deflection": f"{seen.deflection:.4g} rad peak to peak, smallest step {seen.deflection_lsb:.2g} rad",
         "torque": f"{seen.torque * factor:.4g} {unit} peak to peak, from {seen.torque_from}",
         "torque noise": f"{seen.torque_noise * factor:.3g} {unit}; signal to noise {seen.snr:.0f} dB",
-        "moved": f"{seen.band[0]:.3g} to {seen.band[1]:.3g} Hz (99 % of the rate's power)",
+        "excited band": f"{seen.band[0]:.3g} to {seen.band[1]:.3g} Hz (99 % of the rate's power)",
         "rate from": f"a local polynomial over {seen.rate_window * 1e3:.3g} ms" if seen.rate_window else "the file",
     }
     for name, text in rows.items():
@@ -283,7 +287,7 @@ def draw(found: Identification, path: Path) -> None:
     time = signals.time
     panels["torque"].plot(time, signals.torque * factor, lw=0.8, color="0.65", label="measured")
     panels["torque"].plot(time, model * factor, lw=0.6, color="C0", label=found.model.name)
-    panels["torque"].set(ylabel=f"torque at the joint [{unit}]", title=_title(found))
+    panels["torque"].set(ylabel=f"torque at the joint [{unit}]", title=headline(found))
     panels["torque"].legend(loc="upper right")
     panels["left"].plot(time, (signals.torque - model) * factor, lw=0.4, color="C3")
     panels["left"].set(xlabel="time [s]", ylabel=f"error [{unit}]")
@@ -303,15 +307,6 @@ def _modelled(found: Identification) -> NDArray[np.float64]:
     columns = found.model.columns(signals.motion, shape)
     known = signals.torque - found.model.target(signals.motion, signals.torque, shape)
     return np.asarray(known + columns @ values[: len(found.model.linear)])
-
-
-def _title(found: Identification) -> str:
-    parts = []
-    for estimate in found.estimates[:2]:
-        factor, unit = people_unit(estimate.unit, milli=_milli(found))
-        half = 0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor
-        parts.append(f"{estimate.name} = {estimate.value * factor:#.4g} ± {half:.1g} {unit}")
-    return ",  ".join(parts)
 
 
 def page_files(path: Path) -> tuple[Path, Path]:

@@ -41,7 +41,7 @@ def test_an_interrupted_search_goes_on_to_the_result_of_one_in_one_go(
     part = json.loads(out)
     assert part["evaluations"] < 3 * 3_000_000
     assert "interrupted" in [warning["code"] for warning in part["warnings"]]
-    assert f"go on with: hil {' '.join(words)} --checkpoint {state}" in err
+    assert f"resume with: hil {' '.join(words)} --checkpoint {state}" in err
 
     assert run([*words, "--checkpoint", str(state)]) == 0
     gone_on = json.loads(capfd.readouterr().out)
@@ -72,7 +72,7 @@ def test_an_interrupted_replication_goes_on_when_the_command_is_given_again(
     out, err = capfd.readouterr()
     assert json.loads(out)["interrupted"]
     state = tmp_path / "search-2x3000000-seed0.npz"
-    assert f"{state} keeps the search" in err
+    assert f"{state} holds the progress" in err
     assert state.exists()
     assert run(words) == 0
     found = json.loads(capfd.readouterr().out)

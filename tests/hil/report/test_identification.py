@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from ga.model.terms import parse
 from hil.errors import WrongUse
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification
-from hil.report.identification import draw, identification_tables, page_files, write_page
+from hil.report.identification import draw, estimates_table, headline, page_files, repeatability_table, write_page
 
 from ..conftest import Maker
 
@@ -29,7 +30,7 @@ def found(path: Path, *, trials: int = 3, model: str = "linear") -> Identificati
 def text(result: Identification, width: int) -> str:
     console = Console(width=width)
     with console.capture() as drawn:
-        for table in identification_tables(result, width):
+        for table in (estimates_table(result), repeatability_table(result)):
             console.print(table)
     return drawn.get()
 
@@ -99,8 +100,8 @@ def test_the_pictures_title_has_the_value_and_half_the_interval(
         assert match[2 * index + 2] == f"{half:.1g}"
 
 
-@pytest.mark.parametrize("width", [60, 80, 120])
-@pytest.mark.filterwarnings("ignore:invalid value encountered in sqrt")  # of an interval that cannot be told
+@pytest.mark.parametrize("width", [72, 80, 120])
+@pytest.mark.filterwarnings("ignore:invalid value encountered in sqrt")  # of an interval that is not identifiable
 def test_a_table_is_whole_on_any_terminal(make_recording: Maker, width: int) -> None:
     result = found(make_recording(noise=2e-4), model="linear+offset+drift+coulomb+cubic")
     shown = text(result, width)
@@ -109,8 +110,17 @@ def test_a_table_is_whole_on_any_terminal(make_recording: Maker, width: int) -> 
     for estimate in result.estimates:
         assert f"{estimate.value * 1e3:.5g}" in shown
         assert f"± {estimate.trials_std * 1e3:.0e}" in shown
-    if width == 120:
-        assert f"{result['Kc'].ci95[0] * 1e3:.5g} to {result['Kc'].ci95[1] * 1e3:.5g}" in shown
+        assert f"{estimate.exact * 1e3:.5g}" in shown
+    assert f"{result['Kc'].ci95[0] * 1e3:.5g} to {result['Kc'].ci95[1] * 1e3:.5g}" in shown
+
+
+def test_a_parameter_that_is_not_identifiable_is_said_to_be_in_every_place(make_recording: Maker) -> None:
+    result = found(make_recording(noise=2e-4))
+    kc, bc = result.estimates
+    doubted = replace(result, estimates=(kc, replace(bc, identifiable=False)))
+    assert "Bc (not identifiable)" in text(doubted, 100)
+    assert "(not identifiable)" not in text(result, 100) + headline(result)
+    assert headline(doubted).endswith("mN m s/rad (not identifiable)")
 
 
 def test_one_trial_has_a_mean_and_no_spread(make_recording: Maker) -> None:
