@@ -22,13 +22,13 @@ from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
 
 Array = NDArray[np.float64]
 
-FALSE_ALARMS: Final = 0.005
+FALSE_ALARMS: Final = 0.003
 """Probability that any test calls a model wrong that is right."""
 
 _CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
 _GROSS: Final = 10.0  # the same where the size of an effect is estimated
 _EXACT: Final = 1e-9  # of the torque, below which residuals are rounding
-_FLIPS: Final = 8191  # of the blocks' signs
+_FLIPS: Final = 16383  # of the blocks' signs
 _MOST, _FEWEST, _SHORTEST = 64, 13, 25  # blocks, at most and at least; samples of one
 _APART: Final = 8.0  # correlation times of the residuals in a block
 _LIMIT: Final = 20_000  # samples that are looked at

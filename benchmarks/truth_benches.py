@@ -1,0 +1,165 @@
+"""Is `hil identify` ever confidently wrong on the benches people have? `python benchmarks/truth_benches.py`.
+
+Each bench of `benches` is recorded `--seeds` times and identified as `hil identify REC.h5 --json` does it. A result is
+confidently wrong where the command ends with 0, warns of no misfit, and Kc or Bc is further from the truth than 1.5
+times half its interval. `--short` takes few seeds; both end with 1 where a bench breaks a promise: at most 2 % of a
+bench confidently wrong, and at most 1 % of the benches that a model describes flagged as misfit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from benches import DESCRIBED, ROWS, record, write_recording
+
+from hil.cli import app as cli
+
+SEEDS, SHORT = 200, 3
+WRONG, ALARMS = 0.02, 0.01  # shares that are allowed
+BEYOND = 1.5  # times half the interval
+BENCHES = {**DESCRIBED, **ROWS}
+
+
+class Job(NamedTuple):
+    """One recording to identify, by the name of its bench."""
+
+    seed: int
+    bench: str
+
+
+def identified(path: Path) -> dict[str, Any]:
+    """Return what `hil identify` says of a recording: status, model, codes, and value and ci95 of Kc and Bc."""
+    output, messages = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(messages):
+        status = cli.run(["identify", str(path), "--json", "--workers", "1", "--trials", "1"])
+    found = json.loads(output.getvalue()) if output.getvalue() else {}
+    said = [*found.get("warnings", []), *found.get("errors", [])]
+    return {
+        "status": status,
+        "model": found.get("model", ""),
+        "codes": sorted({one["code"] for one in said}),
+        "Kc": _parameter(found, "Kc"),
+        "Bc": _parameter(found, "Bc"),
+        "message": messages.getvalue().strip()[:100] if not found else "",
+    }
+
+
+def _parameter(found: dict[str, Any], name: str) -> dict[str, float] | None:
+    stated = found.get("parameters", {}).get(name)
+    if stated is None or None in stated["ci95"]:
+        return None
+    low, high = stated["ci95"]
+    return {"value": 0.5 * (low + high), "half": 0.5 * (high - low)}
+
+
+def judge(job: Job) -> dict[str, Any]:
+    """Record one bench, identify it and hold the result against the truth."""
+    bench, began = BENCHES[job.bench], time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "one.h5"
+        write_recording(record(bench, job.seed), path)
+        found = identified(path)
+    errors = {name: _error(found[name], truth) for name, truth in (("Kc", bench.stiffness), ("Bc", bench.damping))}
+    wrong = any(error is not None and abs(error[0]) > BEYOND * error[1] for error in errors.values())
+    flagged = "misfit" in found["codes"]
+    return {
+        **job._asdict(),
+        **found,
+        "errors": errors,
+        "flagged": flagged,
+        "wrong": wrong and found["status"] == 0 and not flagged,
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def _error(found: dict[str, float] | None, truth: float) -> tuple[float, float] | None:
+    """The error and half the interval, both relative to the truth."""
+    return None if found is None else ((found["value"] - truth) / truth, found["half"] / truth)
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Return the results as a table, a bench a line."""
+    lines = [
+        "| bench | n | model (share) | Kc error | Bc error | exit 0 | misfit | confidently wrong |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name in BENCHES:
+        mine = [row for row in rows if row["bench"] == name]
+        if mine:
+            lines.append(_line(name, mine))
+    return "\n".join(lines)
+
+
+def _line(name: str, rows: list[dict[str, Any]]) -> str:
+    models = [row["model"] for row in rows]
+    usual = max(set(models), key=models.count)
+    exits = sum(row["status"] == 0 for row in rows)
+    flagged, wrong = (sum(row[key] for row in rows) for key in ("flagged", "wrong"))
+    return (
+        f"| {name} | {len(rows)} | {usual or 'none'} ({models.count(usual)}) | {_typical(rows, 'Kc')} | "
+        f"{_typical(rows, 'Bc')} | {exits} | {flagged} | {wrong} |"
+    )
+
+
+def _typical(rows: list[dict[str, Any]], name: str) -> str:
+    """The median error with the median of half the interval, in percent."""
+    known = [row["errors"][name] for row in rows if row["errors"][name] is not None]
+    if not known:
+        return "-"
+    error, half = (float(np.median([one[at] for one in known])) for at in (0, 1))
+    return f"{error:+.1%} ± {half:.1%}"
+
+
+def breaches(rows: list[dict[str, Any]]) -> list[str]:
+    """Return a sentence for each promise that is broken."""
+    found = []
+    for name in BENCHES:
+        mine = [row for row in rows if row["bench"] == name]
+        wrong = sum(row["wrong"] for row in mine)
+        if wrong > max(WRONG * len(mine), 0):
+            found.append(f"{name}: {wrong} of {len(mine)} are confidently wrong")
+    described = [row for row in rows if row["bench"] in DESCRIBED]
+    alarms = sum(row["flagged"] for row in described)
+    if alarms > max(1, ALARMS * len(described)):
+        found.append(f"{alarms} of {len(described)} recordings that a model describes are flagged as misfit")
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Truth study of hil identify on the benches people have")
+    parser.add_argument("--seeds", type=int, help=f"recordings of each bench; {SEEDS}, or {SHORT} with --short")
+    parser.add_argument("--short", action="store_true", help="few seeds")
+    parser.add_argument("--bench", action="append", choices=list(BENCHES), help="only these")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--results", type=Path, help="file that one JSON line a recording is appended to")
+    options = parser.parse_args()
+    seeds = options.seeds or (SHORT if options.short else SEEDS)
+    jobs = [Job(seed, name) for seed in range(seeds) for name in options.bench or BENCHES]
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    rows = []
+    with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
+        for row in pool.imap_unordered(judge, jobs):
+            rows.append(row)
+            print(f"{len(rows)} of {len(jobs)}", end="\r", file=sys.stderr, flush=True)
+            if options.results:
+                with options.results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(row) + "\n")
+    print(table(rows))
+    broken = breaches(rows)
+    print("\n".join(broken) or "no promise is broken")
+    sys.exit(1 if broken else 0)
+
+
+if __name__ == "__main__":
+    main()
