@@ -1,7 +1,7 @@
-"""What the motor is asked to do: set-points at the joint as a function of time.
+"""Excitations: set-points at the joint as a function of time.
 
 A profile is a pure function of time, so a run of any length is made block by block. Amplitudes are at the joint:
-N m in the coupling for torque, rad of deflection for position.
+N m in the coupling for torque, rad of deflection for position. A new kind is one sampler and one line in EXCITATIONS.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,40 +22,46 @@ from hil.errors import WrongUse
 
 Array = NDArray[np.float64]
 Shape = Callable[[Array], Array]
+"""Set-points of amplitude one at times (n,) s."""
+Sampler = Callable[[tuple[float, float], float, int], Shape]
+"""Makes the shape from the band (Hz), the duration (s) and the seed."""
 
 _EDGE = 0.02  # s; a torque step through a cable is eased over this long, so that the cable does not whip
 _SHORTEST_FADE = 0.1  # s
 _LINES_BLOCK = 256  # of a multisine, worked out at a time
 _LINES_PERIOD = 20.0  # s; the longest base period of a multisine, so that its lines stay few
+_PRBS_BITS = 15  # of the register
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """One kind of profile: the sentence that explains it, and the band (Hz) it has when none is given."""
+class Excitation:
+    """One kind of excitation.
+
+    explanation: a line for --list-profiles. band: the default, Hz. sampler: None follows the CSV of --setpoints.
+    smooth: whether its derivatives exist, so that its band says how finely it must be sampled. speeds: at how many
+    speeds it drives the joint: at one, at as many as its band is wide, or at many whatever its band.
+    one_frequency: whether both ends of its band must be the same. from_zero: whether its spectrum begins at zero
+    whatever its band. searched: whether `hil design` may propose it; the search varies the lower end of its band,
+    unless from_zero, and the upper end.
+    """
 
     explanation: str
     band: tuple[float, float]
-
-
-KINDS: Mapping[str, Kind] = MappingProxyType(
-    {
-        "chirp": Kind("a sine whose frequency rises through the band, the same time in every octave", (0.1, 15.0)),
-        "multisine": Kind("all the band's frequencies at once, phased for a low peak (Schroeder)", (0.1, 15.0)),
-        "sine": Kind("one frequency: --band 2", (1.0, 1.0)),
-        "steps": Kind("a staircase 0, 1/2, 1, 1/2, 0 and its mirror, repeated at the band's lower end", (0.25, 0.25)),
-        "ramp": Kind("a slow triangle at the band's lower end: the static curve and its friction loop", (0.05, 0.05)),
-        "prbs": Kind("a pseudo-random binary sequence, flat up to the band's upper end", (0.1, 15.0)),
-        "file": Kind("a CSV of time (s) and set-point, joined by straight lines: --setpoints FILE", (0.0, 0.0)),
-    }
-)
+    sampler: Sampler | None
+    smooth: bool = False
+    speeds: Literal["one", "band", "many"] = "many"
+    one_frequency: bool = False
+    from_zero: bool = False
+    searched: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
     """Set-points over time.
 
-    amplitude: largest magnitude, N m or rad at the joint. duration: s. band: Hz. fade: s of raised-cosine start and
-    stop. seed: what is random in it (the phase of a PRBS). setpoints: the CSV behind kind "file".
+    kind: a key of EXCITATIONS. mode: torque or position. amplitude: largest magnitude, N m or rad at the joint.
+    duration: s. band: Hz. fade: s of raised-cosine start and stop. seed: of its random part (the phase of a PRBS).
+    setpoints: the CSV that it follows, "" without one.
     """
 
     kind: str
@@ -67,16 +74,21 @@ class Profile:
     setpoints: str
     shape: Shape
 
+    @property
+    def excitation(self) -> Excitation:
+        """The record of its kind."""
+        return EXCITATIONS[self.kind]
+
     def at(self, time: Array) -> Array:
-        """The set-points at `time` (n,) s since the start, (n,) N m or rad; zero before the start and after the end."""
+        """Return the set-points at `time` (n,) s since the start, (n,) N m or rad; zero outside the duration."""
         inside = (time >= 0.0) & (time <= self.duration)
-        held = np.clip(time, 0.0, self.duration)
-        edge = np.minimum(held, self.duration - held) / self.fade
+        clipped = np.clip(time, 0.0, self.duration)
+        edge = np.minimum(clipped, self.duration - clipped) / self.fade
         envelope = 0.5 - 0.5 * np.cos(np.pi * np.minimum(edge, 1.0))
-        return np.where(inside, self.amplitude * envelope * self.shape(held), 0.0)
+        return np.where(inside, self.amplitude * envelope * self.shape(clipped), 0.0)
 
     def attributes(self) -> dict[str, str | float]:
-        """Everything that makes this profile again, for the recording's /profile group."""
+        """Return the attributes of the recording's /profile group, from which the profile can be made again."""
         return {
             "kind": self.kind,
             "mode": self.mode.value,
@@ -103,32 +115,33 @@ def make(
     seed: int = 0,
     setpoints: Path | None = None,
 ) -> Profile:
-    """A checked profile.
+    """Return a checked profile.
 
-    amplitude N m or rad at the joint (None: `default_amplitude`, and the file's own peak for kind "file"); duration s
-    (None: 20 s, or as long as the file); band Hz; rate Hz, for the Nyquist check; fade s.
-    Raises WrongUse, saying what is wrong and what would do.
+    amplitude N m or rad at the joint (None: `default_amplitude`, or the file's own peak); duration s (None: 20 s, or as
+    long as the file); band Hz; rate Hz, for the Nyquist check; fade s. Raises WrongUse.
     """
-    if kind not in KINDS:
-        raise WrongUse(f"unknown profile {kind!r}: known are {', '.join(KINDS)} (see: hil record --list-profiles)")
-    if (kind == "file") != (setpoints is not None):
+    if kind not in EXCITATIONS:
+        known = ", ".join(EXCITATIONS)
+        raise WrongUse(f"unknown profile {kind!r}: known are {known} (see: hil record --list-profiles)")
+    excitation = EXCITATIONS[kind]
+    if (excitation.sampler is None) != (setpoints is not None):
         raise WrongUse("--profile file and --setpoints FILE.csv go together: give both or neither")
+    if setpoints is not None and band is not None:
+        raise WrongUse("--band has no meaning with --profile file: the set-points are the file's; leave it out")
+    shape: Shape | None = None
+    peak, end = default_amplitude, 20.0
     if setpoints is not None:
-        if band is not None:
-            raise WrongUse("--band has no meaning with --profile file: the set-points are the file's; leave it out")
         shape, peak, end = _from_file(setpoints)
-        amplitude = peak if amplitude is None else amplitude
-        duration = end if duration is None else duration
-        chosen = KINDS[kind].band
-    else:
-        amplitude = default_amplitude if amplitude is None else amplitude
-        duration = 20.0 if duration is None else duration
-        chosen = _checked_band(kind, KINDS[kind].band if band is None else band, rate)
-        _check_positive(amplitude, duration, fade)
-        shape = _SHAPES[kind](chosen, duration, seed)
+    amplitude = peak if amplitude is None else amplitude
+    duration = end if duration is None else duration
     _check_positive(amplitude, duration, fade)
+    band = excitation.band if band is None else band
+    if excitation.sampler is not None:
+        _check_band(excitation, band, rate)
+        shape = excitation.sampler(band, duration, seed)
+    assert shape is not None  # noqa: S101 - one of the two has made it
     fade = min(fade, duration / 4.0)
-    return Profile(kind, mode, amplitude, duration, chosen, fade, seed, str(setpoints or ""), shape)
+    return Profile(kind, mode, amplitude, duration, band, fade, seed, str(setpoints or ""), shape)
 
 
 def _check_positive(amplitude: float, duration: float, fade: float) -> None:
@@ -139,20 +152,19 @@ def _check_positive(amplitude: float, duration: float, fade: float) -> None:
         raise WrongUse(f"--fade {fade:g}: it must be at least {_SHORTEST_FADE:g} s, so that no torque is switched")
 
 
-def _checked_band(kind: str, band: tuple[float, float], rate: float) -> tuple[float, float]:
+def _check_band(excitation: Excitation, band: tuple[float, float], rate: float) -> None:
     low, high = band
     if not (math.isfinite(low) and math.isfinite(high) and low > 0.0):
         raise WrongUse(f"--band {low:g}:{high:g}: both ends must be numbers above zero, in Hz")
     if high < low:
         raise WrongUse(f"--band {low:g}:{high:g} is reversed: write --band {high:g}:{low:g}")
-    if kind == "sine" and high != low:
+    if excitation.one_frequency and high != low:
         raise WrongUse(f"a sine has one frequency: write --band {low:g}, or use --profile chirp for a range")
     if high > rate / 4.0:
         raise WrongUse(
             f"--band up to {high:g} Hz needs a rate of at least {4.0 * high:g} Hz: "
             f"raise --rate (now {rate:g}) or lower the band"
         )
-    return low, high
 
 
 def _chirp(band: tuple[float, float], duration: float, seed: int) -> Shape:
@@ -181,11 +193,11 @@ def _multisine(band: tuple[float, float], duration: float, seed: int) -> Shape:
     omega = 2.0 * np.pi * lines / period
 
     def total(time: Array) -> Array:
-        found = np.zeros_like(time)
+        values = np.zeros_like(time)
         for first in range(0, lines.size, _LINES_BLOCK):  # a wide band has 50,000 lines, too many for one table
             some = slice(first, first + _LINES_BLOCK)
-            found += np.cos(np.outer(time, omega[some]) + phases[some]).sum(axis=1)
-        return found
+            values += np.cos(np.outer(time, omega[some]) + phases[some]).sum(axis=1)
+        return values
 
     # sixteen points a period of the fastest line find the peak to within 2 %, which the scale leaves room for
     points = 16 * int(lines[-1])
@@ -216,31 +228,26 @@ def _ramp(band: tuple[float, float], duration: float, seed: int) -> Shape:
 
 def _prbs(band: tuple[float, float], duration: float, seed: int) -> Shape:
     """A maximum-length sequence from x^15 + x^14 + 1, one bit each 1/(2.5 f_high), flat within 1 dB to f_high."""
-    clock = 2.5 * band[1]
-    register = 1 + seed % 32767
-    bits = np.empty(32767)
-    for index in range(bits.size):
-        bit = ((register >> 14) ^ (register >> 13)) & 1
-        register = ((register << 1) | bit) & 0x7FFF
-        bits[index] = 2.0 * bit - 1.0
-    edge = min(_EDGE, 0.5 / clock)
+    from scipy.signal import max_len_seq
+
     del duration
+    clock = 2.5 * band[1]
+    length = 2**_PRBS_BITS - 1
+    register = 1 + seed % length
+    state = [register >> place & 1 for place in reversed(range(_PRBS_BITS))]
+    bits = 2.0 * np.roll(max_len_seq(_PRBS_BITS, state=state, taps=[1])[0], -_PRBS_BITS) - 1.0
+    edge = min(_EDGE, 0.5 / clock)
 
     def sequence(time: Array) -> Array:
         index = np.floor(time * clock).astype(np.int64)
         blend = 0.5 - 0.5 * np.cos(np.pi * np.clip((time - index / clock) / edge, 0.0, 1.0))
-        return np.asarray((1.0 - blend) * bits[(index - 1) % 32767] + blend * bits[index % 32767])
+        return np.asarray((1.0 - blend) * bits[(index - 1) % length] + blend * bits[index % length])
 
     return sequence
 
 
-_SHAPES: Mapping[str, Callable[[tuple[float, float], float, int], Shape]] = MappingProxyType(
-    {"chirp": _chirp, "sine": _sine, "multisine": _multisine, "steps": _steps, "ramp": _ramp, "prbs": _prbs}
-)
-
-
 def _from_file(path: Path) -> tuple[Shape, float, float]:
-    """The shape in a CSV of two columns, its peak (N m or rad) and its end (s)."""
+    """Return the shape in a CSV of two columns, its peak (N m or rad) and its end (s)."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -270,3 +277,48 @@ def _is_number(cell: str) -> bool:
         return math.isfinite(float(cell))
     except ValueError:
         return False
+
+
+EXCITATIONS: Mapping[str, Excitation] = MappingProxyType(
+    {
+        "chirp": Excitation(
+            "a sine whose frequency rises through the band, the same time in every octave",
+            (0.1, 15.0),
+            _chirp,
+            smooth=True,
+            speeds="band",
+            searched=True,
+        ),
+        "multisine": Excitation(
+            "all the band's frequencies at once, phased for a low peak (Schroeder)",
+            (0.1, 15.0),
+            _multisine,
+            smooth=True,
+            speeds="band",
+            searched=True,
+        ),
+        "sine": Excitation("one frequency: --band 2", (1.0, 1.0), _sine, smooth=True, speeds="one", one_frequency=True),
+        "steps": Excitation(
+            "a staircase 0, 1/2, 1, 1/2, 0 and its mirror, repeated at the band's lower end", (0.25, 0.25), _steps
+        ),
+        "ramp": Excitation(
+            "a slow triangle at the band's lower end: the static curve and its friction loop",
+            (0.05, 0.05),
+            _ramp,
+            speeds="one",
+        ),
+        "prbs": Excitation(
+            "a pseudo-random binary sequence, flat up to the band's upper end",
+            (0.1, 15.0),
+            _prbs,
+            from_zero=True,
+            searched=True,
+        ),
+        "file": Excitation(
+            "a CSV of time (s) and set-point, joined by straight lines: --setpoints FILE",
+            (0.0, 0.0),
+            None,
+        ),
+    }
+)
+"""Every kind of excitation, by the name that --profile takes."""

@@ -148,10 +148,10 @@ def check_outcome(outcome: Outcome) -> None:
 
 
 def _list_kinds(*, profiles: bool) -> None:
-    from hil.acquisition.excitation import KINDS
+    from hil.acquisition.excitation import EXCITATIONS
     from hil.stand.devices import BACKENDS
 
-    for name, kind in (KINDS if profiles else BACKENDS).items():
+    for name, kind in (EXCITATIONS if profiles else BACKENDS).items():
         out(f"{name:10} {kind.explanation}")
 
 

@@ -11,7 +11,6 @@ from hil.diagnostics import Diagnostic
 from hil.experiment_design.assessment import Assessment, Task
 
 _CONFUSED = 30.0  # variance inflation from which two parameters look alike, as in `hil identify`
-_ONE_SPEED = ("sine", "ramp")  # a triangle has one speed, and a sine hardly any other
 _FEW_SPEEDS = 4.0  # the ratio of a band's ends below which friction and damping look alike
 
 
@@ -83,7 +82,7 @@ def _near_limits(judged: Assessment) -> list[Diagnostic]:
 def _corner(task: Task, judged: Assessment) -> list[Diagnostic]:
     low, high = judged.profile.band
     corner = task.joint.corner
-    if judged.profile.kind == "file" or low <= corner <= high or (judged.profile.kind == "prbs" and corner <= high):
+    if judged.profile.setpoints or low <= corner <= high or (judged.profile.excitation.from_zero and corner <= high):
         return []
     where = "above" if corner > high else "below"
     weak, remedy = ("Bc", "widen --band upwards") if corner > high else ("Kc", "widen --band downwards")
@@ -99,8 +98,8 @@ def _corner(task: Task, judged: Assessment) -> list[Diagnostic]:
 
 def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
     profile, found = judged.profile, []
-    swept = profile.kind in {"chirp", "multisine", "sine"}
-    if profile.kind in _ONE_SPEED or (swept and profile.band[1] < _FEW_SPEEDS * profile.band[0]):
+    speeds, narrow = profile.excitation.speeds, profile.band[1] < _FEW_SPEEDS * profile.band[0]
+    if speeds == "one" or (speeds == "band" and narrow):
         found.append(
             Diagnostic(
                 "one-speed",
@@ -154,7 +153,7 @@ def _not_identifiable(judged: Assessment) -> list[Diagnostic]:
 
 def described(profile: Profile) -> str:
     """Return the excitation in a few words, such as "chirp 0.1 to 15 Hz"."""
-    if profile.kind == "file":
+    if profile.setpoints:
         return profile.setpoints
     low, high = profile.band
     return f"{profile.kind} {low:g} Hz" if low == high else f"{profile.kind} {low:g} to {high:g} Hz"
@@ -164,7 +163,7 @@ def command(judged: Assessment, stand: str, rate: float) -> str:
     """Return the command that records the excitation at `rate` Hz. stand: its options, such as "--backend sim"."""
     profile = judged.profile
     words = f"hil record {stand} --profile {profile.kind}"
-    if profile.kind == "file":
+    if profile.setpoints:
         words += f" --setpoints {shlex.quote(profile.setpoints)}"
     else:
         low, high = profile.band

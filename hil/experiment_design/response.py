@@ -155,8 +155,8 @@ class _Course:
 
 
 def _course(profile: Profile, rate: float) -> _Course:
-    smooth = profile.kind in {"chirp", "sine", "multisine"}
-    steps = max(1, math.ceil(_POINTS * profile.band[1] / rate)) if smooth else _FEWEST
+    fine = max(1, math.ceil(_POINTS * profile.band[1] / rate))
+    steps = fine if profile.excitation.smooth else _FEWEST
     step = 1.0 / (rate * steps)
     dtheta = profile.at(np.arange(round(profile.duration * rate) * steps + 1, dtype=np.float64) * step)
     velocity = np.gradient(dtheta, step)

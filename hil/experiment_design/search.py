@@ -11,7 +11,7 @@ import math
 from dataclasses import replace
 
 from hil.acquisition import excitation
-from hil.acquisition.excitation import Profile
+from hil.acquisition.excitation import EXCITATIONS, Profile
 from hil.errors import WrongUse
 from hil.experiment_design.assessment import Assessment, Task, assess, rounded, worst_shares
 from hil.experiment_design.fisher import covariance, sensitivities
@@ -19,7 +19,7 @@ from hil.experiment_design.response import respond
 
 _SEED = 0  # of a PRBS, the default of `hil record`
 
-_KINDS = ("chirp", "multisine", "prbs")
+_KINDS = tuple(name for name, excitation in EXCITATIONS.items() if excitation.searched)
 _OCTAVES = 2.0  # the narrowest band searched: friction and damping look alike at one speed
 _PERIODS = 2.0  # of the lowest frequency in the run, at least
 _TICKS = 10.0  # in a period of the highest frequency, for which the narrowest window's rate is within 0.5 %
@@ -72,7 +72,7 @@ class _Search:
     def judge(self, kind: str, low: float, high: float) -> None:
         """Assess the nearest band within reach, unless it is too narrow or was tried before."""
         low, high = rounded(max(low, self._reach[0])), rounded(min(high, self._reach[1]))
-        if kind == "prbs":  # its spectrum begins at zero whatever its band
+        if EXCITATIONS[kind].from_zero:
             low = self._reach[0]
         if high >= low * 2.0**_OCTAVES and (kind, (low, high)) not in self.errors:
             self.errors[kind, (low, high)] = _error(self._task, kind, (low, high), *self._times)

@@ -1,4 +1,4 @@
-"""Profiles, checked against closed forms and against what the issue of a profile promises: band, peak, soft ends."""
+"""Excitations, checked against closed forms and against what each record promises: band, peak, faded ends."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 
 from drivers.servo import Quantity
 from hil.acquisition import excitation
-from hil.acquisition.excitation import Array, Profile
+from hil.acquisition.excitation import EXCITATIONS, Array, Profile
 from hil.errors import WrongUse
 
 RATE = 500.0
-GENERATED = [kind for kind in excitation.KINDS if kind != "file"]
+GENERATED = [kind for kind, record in EXCITATIONS.items() if record.sampler is not None]
 
 
 def make(kind: str, **changes: object) -> Profile:
@@ -115,6 +115,32 @@ def test_a_prbs_repeats_only_after_its_full_length() -> None:
     assert abs(bits[1000 : 1000 + 32767].sum()) == 1.0  # a maximum-length sequence has one bit more of one kind
     for shorter in (7, 31, 151, 217, 1057, 4681):  # the divisors of 32767
         assert not np.array_equal(bits[100 : 10000 - shorter], bits[100 + shorter : 10000])
+
+
+def test_a_prbs_follows_its_polynomial() -> None:
+    """x^15 + x^14 + 1: every bit is the exclusive or of the bits 14 and 15 before it."""
+    profile = make("prbs", band=(1.0, 100.0), duration=140.0, seed=12)
+    bits = np.sign(profile.at(np.asarray((np.arange(2000) + 1000.75) / 250.0, dtype=np.float64)))
+    np.testing.assert_array_equal(bits[15:], -bits[1:-14] * bits[:-15])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in GENERATED if EXCITATIONS[kind].smooth])
+def test_a_smooth_excitation_has_derivatives_that_its_band_bounds(kind: str) -> None:
+    profile = make(kind)
+    time = np.arange(2.0, 18.0, 1e-4)
+    rate = np.gradient(profile.at(time), time)
+    acceleration = np.gradient(rate, time)[3:-3]
+    assert np.abs(acceleration).max() <= 1.01 * (2 * np.pi * profile.band[1]) ** 2 * profile.amplitude
+    assert np.abs(np.diff(acceleration)).max() <= 0.02 * np.abs(acceleration).max()
+
+
+@pytest.mark.parametrize("kind", [kind for kind in GENERATED if EXCITATIONS[kind].speeds == "one"])
+def test_an_excitation_of_one_speed_has_one(kind: str) -> None:
+    """A triangle's speed is constant; a sine's is within a factor of two of its largest most of the time."""
+    profile = make(kind)
+    time = np.arange(2.0, 18.0, 1e-3)
+    speed = np.abs(np.gradient(profile.at(time), time))
+    assert np.quantile(speed, 0.35) >= 0.5 * speed.max()
 
 
 def test_another_seed_gives_another_prbs() -> None:
