@@ -1,6 +1,6 @@
 """The optimisers of others, each with the settings that did best here, behind one fitness that is watched.
 
-Each searches the unit square, which the watched fitness maps onto the box, or, of those that are told, onto the cube
+Each searches the unit square, which the watched fitness maps onto the box, or, if informed, onto the cube
 around the least-squares solution that our `default` begins in (`ga.start`), in its coordinates. Each hands over a whole
 generation at a time through what its public interface offers for that (the comments name it), and its own stop rules
 are off. Of the population sizes 10, 20, 50 and 100 (differential evolution: 6 to 30, CMA-ES: 6 to 24) each has the one
@@ -113,12 +113,12 @@ class Ended(BaseException):
 class Watched:
     """The fitness the others call, a generation at a time; it keeps the book on targets and cap.
 
-    told: whether the unit square is the cube that ours begins in, or the whole box.
+    informed: whether the unit square is the cube that ours begins in, or the whole box.
     """
 
     data: Data
     cap: float
-    told: bool = False
+    informed: bool = False
     evaluations: int = 0
     reached: dict[float, Reached] = field(default_factory=dict)
 
@@ -127,7 +127,7 @@ class Watched:
         self.columns = np.ascontiguousarray(self.data.columns.T)
         bounds, start = self.data.bounds, self.data.start
         self.corner, self.sides = bounds.low, np.diag(bounds.high - bounds.low)
-        if self.told:
+        if self.informed:
             self.sides = 2.0 * start.reach * start.backward
             self.corner = start.centre - self.sides @ [0.5, 0.5]
 

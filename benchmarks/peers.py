@@ -44,12 +44,12 @@ BAR, BAR_TARGET, BAR_SAMPLES = 10.0, 1e-6, 2500
 PACKAGES = ("numpy", "numba", "scipy", "pymoo", "pygad", "deap", "cma", "cmaes")
 NEVER = Reached(math.inf, math.inf)
 
-TOLD = ", told"
+INFORMED = ", informed"
 """Behind the name of a method that is given the cube ours begins in."""
 
 OURS: Mapping[str, Settings] = {  # every stop rule is off, ours as well as theirs
     "hil, default": replace(PRESETS["default"], tolerance=None),
-    "hil, default, not told": replace(PRESETS["default"], tolerance=None, start="uniform"),
+    "hil, default, uninformed": replace(PRESETS["default"], tolerance=None, start="uniform"),
     "hil, paper": PRESETS["paper"],
 }
 
@@ -62,8 +62,8 @@ class Outcome:
     gave_up: bool = False
 
 
-def watch(peer: Callable[[Watched, int], None], data: Data, seed: int, cap: float, *, told: bool) -> Outcome:
-    fitness = Watched(data, cap, told)
+def watch(peer: Callable[[Watched, int], None], data: Data, seed: int, cap: float, *, informed: bool) -> Outcome:
+    fitness = Watched(data, cap, informed)
     try:
         peer(fitness, seed)
     except Ended:
@@ -111,7 +111,7 @@ class Round:
 
     data: Data
     runs: dict[str, list[Outcome]] = field(
-        default_factory=lambda: {name: [] for name in [*PEERS, *(name + TOLD for name in PEERS), *OURS]}
+        default_factory=lambda: {name: [] for name in [*PEERS, *(name + INFORMED for name in PEERS), *OURS]}
     )
     shipped: list[tuple[float, float, float]] = field(default_factory=list)
     single: list[float] = field(default_factory=list)
@@ -138,8 +138,8 @@ class Round:
     def take(self, seed: int, cap: float) -> None:
         """Every method once."""
         for name, peer in PEERS.items():
-            self.runs[name].append(watch(peer, self.data, seed, cap, told=False))
-            self.runs[name + TOLD].append(watch(peer, self.data, seed, cap, told=True))
+            self.runs[name].append(watch(peer, self.data, seed, cap, informed=False))
+            self.runs[name + INFORMED].append(watch(peer, self.data, seed, cap, informed=True))
         for name, settings in OURS.items():
             self.runs[name].append(clock(settings, self.data, seed, cap))
         found, seconds = call(self.data, PRESETS["default"], seed)
@@ -198,9 +198,9 @@ def verdict(n: int, one: Round, cap: float) -> list[str]:
         ]
     lines = [compared(one, cap, "hil, default", list(PEERS), "the fastest of the others")]
     lines.append(
-        compared(one, cap, "hil, default", [name + TOLD for name in PEERS], "the fastest that is told as much")
+        compared(one, cap, "hil, default", [name + INFORMED for name in PEERS], "the fastest that is equally informed")
     )
-    lines.append(compared(one, cap, "hil, default, not told", list(PEERS), "the fastest of those not told either"))
+    lines.append(compared(one, cap, "hil, default, uninformed", list(PEERS), "the fastest of those uninformed too"))
     fixed = statistics.median(one.single)
     each = (ours.seconds - fixed) / ours.evaluations
     lines.append(
@@ -277,7 +277,7 @@ PROSE = (
     "advantage they keep. Stop rules are off, ours too.",
     "",
     "Our `default` takes its start from the data: a cube of four standard errors around the least-squares solution,",
-    "which it works out on its clock. `not told` is the same without, uniform in the box. For the others, `told` means",
+    "which it works out on its clock. `uninformed` is uniform in the box. For the others, `informed` means",
     "that their unit square is that cube, in its own coordinates, worked out before their clock starts.",
 )
 
@@ -305,7 +305,7 @@ def draw(rounds: Mapping[int, Round], cap: float) -> None:
             worst = [min(max(r.seconds for r in one.times(name, t)), cap) for t in TARGETS]
             spread = [[0.0] * len(TARGETS), [w - m for w, m in zip(worst, median, strict=True)]]
             ours = {"linewidth": 2.5, "linestyle": "-" if "default" in name else "--", "color": "black"}
-            style = ours if name in OURS else {"linewidth": 1.2, "linestyle": ":" if name.endswith(TOLD) else "-"}
+            style = ours if name in OURS else {"linewidth": 1.2, "linestyle": ":" if name.endswith(INFORMED) else "-"}
             axes.errorbar(TARGETS, median, yerr=spread, marker="o", capsize=3, label=name, **style)
         axes.axhline(cap, color="grey", linestyle=":")
         axes.set(xscale="log", yscale="log", title=f"{n:,} samples", xlabel="within, relative to the optimum")

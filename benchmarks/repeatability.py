@@ -48,16 +48,16 @@ def intervals(values: Array, errors: Array) -> tuple[list[Interval], Interval]:
 
 def row(count: int, ratio: float, seeds: int) -> str:
     rng = np.random.default_rng([count, round(10 * ratio)])
-    held, width, told = np.zeros(len(METHODS)), np.zeros(len(METHODS)), 0
+    held, width, covered = np.zeros(len(METHODS)), np.zeros(len(METHODS)), 0
     for _ in range(seeds):
         errors = rng.uniform(0.5, 1.5, count)
         values = ratio * rng.standard_normal(count) + errors * rng.standard_normal(count)
         found, span = intervals(values, errors)
         held += [abs(centre) <= half for centre, half in found]
         width += [2.0 * half for _, half in found]
-        told += span[0] <= ratio <= span[1]
+        covered += span[0] <= ratio <= span[1]
     cells = " | ".join(f"{100 * hit / seeds:.1f} ({wide / seeds:.2g})" for hit, wide in zip(held, width, strict=True))
-    return f"| {count} | {ratio:g} | {cells} | {100 * told / seeds:.1f} |"
+    return f"| {count} | {ratio:g} | {cells} | {100 * covered / seeds:.1f} |"
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
     python benchmarks/scaling.py [--longest 10000000]
 
-One search, one core. Its first million generations grow the boxes; the next million are timed. Beside them stands the
+One search, one core. Its first million generations grow the cell tree; the next million are timed. Beside it stands the
 dense engine, which looks at every sample.
 """
 
@@ -31,12 +31,12 @@ TRUTH = np.array([17.75e-3, 0.19e-3, 1e-3, 5e-4, 0.05])
 
 
 class Cost(NamedTuple):
-    """growing: s, the first million generations, the data's preparation included. boxes, dense: s an evaluation."""
+    """growing: s, the first million generations, the data's preparation included. cells, dense: s an evaluation."""
 
     samples: int
     parameters: int
     growing: float
-    boxes: float
+    cells: float
     dense: float
     exact: float
 
@@ -84,11 +84,11 @@ def _dense_seconds(columns: NDArray[np.float64], torque: NDArray[np.float64], ge
 
 def _table(costs: list[Cost]) -> str:
     lines = [
-        "| samples | parameters | boxes, ns | dense, ns | growing the boxes, s | exact optimum, s |",
+        "| samples | parameters | cell tree, ns | dense, ns | growing the cell tree, s | exact optimum, s |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     lines += [
-        f"| {c.samples:,} | {c.parameters} | {c.boxes * 1e9:.0f} | {c.dense * 1e9:,.0f} | {c.growing:.2f} | "
+        f"| {c.samples:,} | {c.parameters} | {c.cells * 1e9:.0f} | {c.dense * 1e9:,.0f} | {c.growing:.2f} | "
         f"{c.exact:.2g} |"
         for c in costs
     ]
@@ -103,7 +103,7 @@ def _draw(costs: list[Cost]) -> None:
     for p in sorted({c.parameters for c in costs}):
         of_p = [c for c in costs if c.parameters == p]
         samples = [c.samples for c in of_p]
-        (line,) = axes.loglog(samples, [c.boxes * 1e9 for c in of_p], "o-", label=f"boxes, {p} parameters")
+        (line,) = axes.loglog(samples, [c.cells * 1e9 for c in of_p], "o-", label=f"cell tree, {p} parameters")
         axes.loglog(samples, [c.dense * 1e9 for c in of_p], "--", color=line.get_color(), label=f"dense, {p}")
     axes.set_xlabel("samples")
     axes.set_ylabel("one evaluation, ns of one core")
@@ -133,7 +133,7 @@ def main() -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     at = {(c.samples, c.parameters): c for c in costs}
     ratios = [
-        f"{at[longest_n, p].boxes / at[2500, p].boxes:.2f} for {p}"
+        f"{at[longest_n, p].cells / at[2500, p].cells:.2f} for {p}"
         for p in (2, 3, 4, 5)
         for longest_n in (10**6,)
         if (longest_n, p) in at
@@ -142,7 +142,7 @@ def main() -> None:
         "scaling",
         "## The cost of an evaluation against the length of the recording\n\n"
         "`python benchmarks/scaling.py` writes this section. One search of the `paper` preset on one core: its first "
-        "million generations grow the boxes, the next million are timed. Beside them stands the dense engine, which "
+        "million generations grow the cell tree, the next million are timed. Beside it stands the dense engine, which "
         "looks at every sample. The data are five seconds of a chirp, however finely sampled, with 0.2 mN m of noise."
         f"\n\nMeasured on {machine()}; {time.perf_counter() - began:.0f} s in all, at most {peak:.0f} MiB resident.\n\n"
         f"![Cost of an evaluation](pictures/scaling.png)\n\n{_table(costs)}\n\n"

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from truth_cases import CASES, RATE, case_named
-from truth_page import UNTOLD, write_page
+from truth_page import UNIDENTIFIABLE, write_page
 from truth_recordings import SOURCES
 
 from drivers.servo import Status
@@ -33,8 +33,8 @@ from hil.identification.dataset import stand_of
 from hil.recording.reader import Recording
 
 ROOT = Path(__file__).parent.parent
-UNTOLD_PART = 5  # one seed in so many also makes the recordings that cannot tell the parameters
-TOLD_EVERY = 5.0  # s between two lines of progress
+UNIDENTIFIABLE_PART = 5  # one seed in so many also makes the recordings that cannot identify the parameters
+REPORT_EVERY = 5.0  # s between two lines of progress
 
 
 class Job(NamedTuple):
@@ -71,11 +71,11 @@ def estimate(path: Path, model: str) -> dict[str, Any]:
 
 def _parameter(said: dict[str, Any]) -> dict[str, Any]:
     low, high = said["ci95"]
-    told = low is not None and high is not None
-    width = (high - low) / (2.0 * 1.959964) if told else None
+    known = low is not None and high is not None
+    width = (high - low) / (2.0 * 1.959964) if known else None
     return {
         "value": said["value"],
-        "ci95": [low, high] if told else None,
+        "ci95": [low, high] if known else None,
         "standard_error": said.get("standard_error", width),
         "identifiable": said["identifiable"],
     }
@@ -146,12 +146,12 @@ def study(jobs: list[Job], workers: int, results: Path) -> None:
 
 
 def _with_progress(rows: Iterator[dict[str, Any]], count: int) -> Iterator[dict[str, Any]]:
-    began = told = time.monotonic()
+    began = reported = time.monotonic()
     for number, row in enumerate(rows, start=1):
         yield row
         now = time.monotonic()
-        if now - told > TOLD_EVERY or number == count:
-            told = now
+        if now - reported > REPORT_EVERY or number == count:
+            reported = now
             left = (now - began) / number * (count - number)
             print(f"{number} of {count} recordings, {left / 60.0:.1f} min left", file=sys.stderr, flush=True)
 
@@ -177,7 +177,7 @@ def main() -> None:
         for case in CASES
         for source in options.source or SOURCES
         if case.name in (options.case or [case.name])
-        and (case.bars != UNTOLD or seed * UNTOLD_PART < options.seeds)  # what no recording tells is soon seen
+        and (case.bars != UNIDENTIFIABLE or seed * UNIDENTIFIABLE_PART < options.seeds)  # a few suffice
     ]
     jobs = missing(rows_of(results), wanted)
     print(f"{len(wanted)} recordings of {RATE:g} Hz, {len(wanted) - len(jobs)} done before; results in {results}")

@@ -70,7 +70,7 @@ class Case:
 
     free: the parameters of the true model, for the Cramer-Rao bound. position_lsb: rad at the joint, 0 for none.
     lost: probability of a lost reply. jitter: s, of the instant and, again, of its stamp. outliers: share of torques
-    moved by 20 mN m. sim_amplitude: N m where torque is commanded, else rad. sim_soft: s of soft start and stop, 0.1 at
+    moved by 20 mN m. sim_amplitude: N m where torque is commanded, else rad. sim_soft: s of fade in and out, 0.1 at
     least; the shortest lets 15 Hz be reached at full amplitude. bars: which row of the promise holds.
     """
 
@@ -124,12 +124,12 @@ def bound(case: Case) -> dict[str, float]:
     time = np.arange(SAMPLES) / RATE
     columns = np.stack([_slope(case, name, time) for name in case.free], axis=1)
     size = np.linalg.norm(columns, axis=0)
-    told = size > 0.0
-    scaled = columns[:, told] / size[told]
+    sensitive = size > 0.0
+    scaled = columns[:, sensitive] / size[sensitive]
     information = scaled.T @ scaled / NOISE**2 * (1.0 - case.lost)
     errors = np.full(len(case.free), np.inf)
     if np.linalg.cond(information) < 1e12:
-        errors[told] = np.sqrt(np.diag(np.linalg.inv(information))) / size[told]
+        errors[sensitive] = np.sqrt(np.diag(np.linalg.inv(information))) / size[sensitive]
     return dict(zip(case.free, errors.tolist(), strict=True))
 
 
@@ -259,13 +259,13 @@ CASES: tuple[Case, ...] = (
     ),
     Case(
         "too slow",
-        "clean, but a chirp of 0.01 to 0.02 Hz: no estimator can tell Bc, whose bound is two thirds of it",
-        "as clean, but 0.13 rad and 5 s of soft start and stop: a run ends at rest, and a quick way there tells Bc",
+        "clean, but a chirp of 0.01 to 0.02 Hz: no estimator can identify Bc, whose bound is two thirds of it",
+        "as clean, but 0.13 rad and 5 s of fade in and out: a run ends at rest, and a fast end would identify Bc",
         "as clean; ends where it is",
         band=(0.01, 0.02),
         sim_amplitude=0.13,
         sim_soft=5.0,
-        bars="untold",
+        bars="unidentifiable",
     ),
     Case(
         "standing still",
@@ -277,7 +277,7 @@ CASES: tuple[Case, ...] = (
         with_rate=False,
         stands_still=True,
         sim_amplitude=1e-6,
-        bars="untold",
+        bars="unidentifiable",
     ),
 )
 

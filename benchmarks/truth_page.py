@@ -13,7 +13,7 @@ from truth_cases import BC, CASES, KC, Array, Case, bound
 from truth_recordings import SOURCES
 
 TRUE = {"Kc": KC, "Bc": BC}
-UNTOLD = "untold"
+UNIDENTIFIABLE = "unidentifiable"
 
 # mean and worst error, %, and the range of the coverage, %: the promise's table; a wide row has one bar for both
 BARS = {
@@ -102,7 +102,7 @@ def misses(case: Case, name: str, found: Figures) -> list[str]:
     return missed
 
 
-def told_line(case: Case, source: str, rows: list[Row]) -> str:
+def error_line(case: Case, source: str, rows: list[Row]) -> str:
     """The line of a case whose recordings tell both parameters."""
     cells, missed = [f"| {case.name} | {source} | {len(rows)}"], []
     if sum(_has(row, "Kc") for row in rows) < len(rows):
@@ -123,17 +123,23 @@ def told_line(case: Case, source: str, rows: list[Row]) -> str:
     return " | ".join([*cells, "pass" if not missed else "miss: " + ", ".join(missed)]) + " |"
 
 
-def untold_line(case: Case, source: str, rows: list[Row]) -> str:
-    """The line of a case that must be told as not identifiable, with exit 1."""
+def unidentifiable_line(case: Case, source: str, rows: list[Row]) -> str:
+    """The line of a case that must be found not identifiable, with exit 1."""
 
     def share(hits: int) -> str:
         return f"{100.0 * hits / len(rows):.1f}"
 
-    told = {name: sum(row.get(name, {}).get("identifiable", False) for row in rows) for name in TRUE}
+    identified = {name: sum(row.get(name, {}).get("identifiable", False) for row in rows) for name in TRUE}
     ones = sum(row["status"] == 1 for row in rows)
-    silent = told["Bc"] if case.name == "too slow" else max(told.values())
+    silent = identified["Bc"] if case.name == "too slow" else max(identified.values())
     passed = ones == len(rows) and silent == 0
-    cells = [case.name, source, str(len(rows)), share(len(rows) - told["Kc"]), share(len(rows) - told["Bc"])]
+    cells = [
+        case.name,
+        source,
+        str(len(rows)),
+        share(len(rows) - identified["Kc"]),
+        share(len(rows) - identified["Bc"]),
+    ]
     return f"| {' | '.join([*cells, share(ones), 'pass' if passed else 'miss'])} |"
 
 
@@ -151,11 +157,11 @@ def chosen_line(case: Case, source: str, rows: list[Row]) -> str:
     return f"| {case.name} | {source} | {models} | {ones:.1f} | {warned} | {median:.2f} |"
 
 
-TOLD_HEAD = (
+ERROR_HEAD = (
     "| case | source | runs | Kc mean | worst | spread (bound) | coverage | Bc mean | worst | spread (bound) "
     "| coverage | plain Kc | plain Bc | bars |\n|" + " --- |" * 14
 )
-UNTOLD_HEAD = (
+UNIDENTIFIABLE_HEAD = (
     "| case | source | runs | Kc not identifiable, % | Bc not identifiable, % | exit 1, % | bar |\n|" + " --- |" * 7
 )
 CHOSEN_HEAD = "| case | source | models chosen | exit not 0, % | warned of | seconds, median |\n|" + " --- |" * 6
@@ -164,7 +170,7 @@ STUDY = """\
 through the recorder, and a closed form (a prescribed deflection, its exact derivatives, the torque from them). Kc 17.75
 mN m/rad, Bc 0.19 mN m s/rad, 500 Hz, 20 s, chirp of 0.35 rad from 0.1 to 15 Hz, torque noise of 0.2 mN m; results go
 to a file and a study that was stopped goes on. But for what a case names the simulated stand has no friction, a rigid
-fixture, 2^24 counts, no delay, no jitter and no loss; it is driven in position with a soft start and stop of 0.1 s
+fixture, 2^24 counts, no delay, no jitter and no loss; it is driven in position with a fade in and out of 0.1 s
 (`benchmarks/truth_cases.py` has every number)."""
 CASES_HEAD = "| case | what is wrong | simulator | closed form |\n| --- | --- | --- | --- |"
 
@@ -186,15 +192,15 @@ def tables(model: str, rows: list[Row]) -> str:
         for source in SOURCES
         if (chosen := [row for row in rows if (row["case"], row["source"]) == (case.name, source)])
     ]
-    told = [told_line(*group) for group in groups if group[0].bars != UNTOLD]
-    untold = [untold_line(*group) for group in groups if group[0].bars == UNTOLD]
+    identifiable = [error_line(*group) for group in groups if group[0].bars != UNIDENTIFIABLE]
+    unidentifiable = [unidentifiable_line(*group) for group in groups if group[0].bars == UNIDENTIFIABLE]
     return "\n\n".join(
         [
             f"## `--model {model}`",
             f"{machine()}.",
             EXPLANATION,
-            "\n".join([TOLD_HEAD, *told]),
-            "\n".join([UNTOLD_HEAD, *untold]),
+            "\n".join([ERROR_HEAD, *identifiable]),
+            "\n".join([UNIDENTIFIABLE_HEAD, *unidentifiable]),
             "\n".join([CHOSEN_HEAD, *(chosen_line(*group) for group in groups)]),
             f"![errors of each case](pictures/{picture_name(model)})",
         ]
@@ -218,10 +224,10 @@ def picture_name(model: str) -> str:
 
 
 def draw(model: str, rows: list[Row]) -> None:
-    """The errors of every told case, 5 to 95 % as a bar, the worst as dots, logarithmic beyond 0.1 %."""
+    """The errors of every identifiable case, 5 to 95 % as a bar, the worst as dots, logarithmic beyond 0.1 %."""
     from matplotlib.figure import Figure
 
-    shown = [case for case in CASES if case.bars != UNTOLD]
+    shown = [case for case in CASES if case.bars != UNIDENTIFIABLE]
     figure = Figure(figsize=(9.0, 6.5), layout="constrained")
     for axes, (name, true) in zip(figure.subplots(2, 1, sharex=True), TRUE.items(), strict=True):
         for shift, source in zip((-0.17, 0.17), SOURCES, strict=True):

@@ -93,7 +93,7 @@ def test_the_bound_of_the_clean_case_is_the_textbooks(study: Study) -> None:
     assert [found["Kc"], found["Bc"]] == pytest.approx(errors.tolist(), rel=1e-6)
 
 
-def test_no_estimator_can_tell_the_damping_of_the_cases_that_must_not_be_told(study: Study) -> None:
+def test_no_estimator_can_identify_the_damping_of_the_unidentifiable_cases(study: Study) -> None:
     bounds = [study.cases.bound(study.cases.case_named(name))["Bc"] for name in ("too slow", "standing still")]
     assert min(bounds) > 0.5 * BC
 
@@ -133,7 +133,7 @@ def test_a_seed_makes_the_same_recording_again_and_another_does_not(study: Study
     assert not np.array_equal(first, other)
 
 
-def test_a_recording_of_nothing_is_told_as_untrustworthy(study: Study, tmp_path: Path) -> None:
+def test_a_recording_of_nothing_is_found_untrustworthy(study: Study, tmp_path: Path) -> None:
     study.recordings.closed_form(study.cases.case_named("standing still"), 0, tmp_path / "one.h5")
     assert study.truth.estimate(tmp_path / "one.h5", "linear")["status"] == 1
 

@@ -52,14 +52,14 @@ def test_an_interrupted_search_goes_on_to_the_result_of_one_in_one_go(
     assert gone_on == whole
 
 
-def test_an_interrupted_search_without_a_checkpoint_still_says_what_it_found(
+def test_an_interrupted_search_without_a_checkpoint_still_prints_its_result(
     make_recording: Maker, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("hil.cli.identify.progress", interrupting)
     assert run(["identify", str(make_recording(noise=1e-4)), *LONG]) == 130
     out, err = capfd.readouterr()
     assert json.loads(out)["parameters"]["Kc"]["value"] > 0.0
-    assert "--checkpoint FILE" in err
+    assert "use --checkpoint to be able to resume" in err
 
 
 def test_an_interrupted_replication_goes_on_when_the_command_is_given_again(
@@ -67,7 +67,7 @@ def test_an_interrupted_replication_goes_on_when_the_command_is_given_again(
 ) -> None:
     words = ["replicate", "--evaluations", "3000000", "--trials", "2", "-o", str(tmp_path), "--json"]
     with monkeypatch.context() as patch:
-        patch.setattr("hil.cli.demo.progress", interrupting)
+        patch.setattr("hil.cli.replicate.progress", interrupting)
         assert run(words) == 130
     out, err = capfd.readouterr()
     assert json.loads(out)["interrupted"]

@@ -1,4 +1,4 @@
-"""docs/data.md is run, not believed: its log, its stand file and its commands."""
+"""The commands and the code of docs/data.md and docs/paper.md run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from hil.cli.app import run
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, write
 
-PAGE = (Path(__file__).parent.parent.parent / "docs" / "data.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parent.parent.parent / "docs"
+PAGE = (DOCS / "data.md").read_text(encoding="utf-8")
 
 
 def block(mark: str, language: str) -> str:
@@ -46,3 +47,13 @@ def test_recordings_are_compared_as_shown(tmp_path: Path, monkeypatch: pytest.Mo
         write(tmp_path / f"{name}.h5", Header({"kind": "chirp"}), {"time": time, "torque": torque, "dtheta": angle})
     assert run(shlex.split(block("compare", "sh"))[1:]) == 0
     assert (tmp_path / "abc.png").exists()
+
+
+def test_the_code_of_the_papers_page_makes_a_row_for_every_reading(capsys: pytest.CaptureFixture[str]) -> None:
+    """With a thousandth of its generations."""
+    (code,) = re.findall(r"```python\n(.+?)\n```", (DOCS / "paper.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert code.count("200_000") == 1
+    exec(compile(code.replace("200_000", "200"), "paper.md", "exec"), {})  # noqa: S102 - our own page
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) == 2 * 2 * 4 + 1
+    assert all(float(row.split("|")[-2]) >= 0.0 for row in rows)  # the gap to the exact optimum
