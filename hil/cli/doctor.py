@@ -15,7 +15,7 @@ from hil.errors import WrongUse
 
 if TYPE_CHECKING:
     from drivers.ports import Port
-    from hil.doctor.checks import Check, Examination
+    from hil.doctor.checks import Check, CheckList
 
 
 def doctor(
@@ -33,7 +33,7 @@ def doctor(
     The drive is connected, read for a second, armed at zero torque and stopped again.
     """
     from drivers.ports import can_interfaces, serial_ports
-    from hil.doctor.checks import Examination
+    from hil.doctor.checks import CheckList
     from hil.doctor.examine import examine
     from hil.stand.file import load
 
@@ -41,18 +41,18 @@ def doctor(
         raise WrongUse(f"--amplitude {amplitude:g}: it must be above 0")
     opened = None if stand is None else load(stand)
     ports, interfaces = serial_ports(), can_interfaces()
-    found = Examination()
+    checks = CheckList()
     if not as_json:
         _print_ports("serial port", ports)
         _print_ports("CAN interface", interfaces)
-        found.tell = _print_check
+        checks.on_check = _print_check
     if opened is not None:
-        examine(found, opened, mode, rate=rate, move=move, amplitude=amplitude)
+        examine(checks, opened, mode, rate=rate, move=move, amplitude=amplitude)
     if as_json:
-        print_json(_as_json(found, {"serial": ports, "can": interfaces}))
-    if found.signal:
-        raise typer.Exit(128 + found.signal)
-    if not found.ok:
+        print_json(_as_json(checks, {"serial": ports, "can": interfaces}))
+    if checks.signal:
+        raise typer.Exit(128 + checks.signal)
+    if not checks.ok:
         raise typer.Exit(STAND_FAILED)
 
 
@@ -69,15 +69,15 @@ def _print_check(check: Check) -> None:
     out(f"{check.verdict:11} {check.name}: {check.message}")
 
 
-def _as_json(found: Examination, ports: dict[str, list[Port]]) -> dict[str, Any]:
-    info = None if found.info is None else asdict(found.info) | {"quantities": sorted(found.info.quantities)}
+def _as_json(checks: CheckList, ports: dict[str, list[Port]]) -> dict[str, Any]:
+    info = None if checks.info is None else asdict(checks.info) | {"quantities": sorted(checks.info.quantities)}
     if info is not None:
         info = {key: None if value != value else value for key, value in info.items()}  # noqa: PLR0124 - JSON has no NaN
     return {
-        "schema": "hil-doctor/1",
-        "ok": found.ok,
+        "schema": "hil-doctor/2",
+        "ok": checks.ok,
         "ports": {kind: [asdict(port) for port in listed] for kind, listed in ports.items()},
         "drive": info,
-        "bus": None if found.bus is None else asdict(found.bus),
-        "checks": [asdict(check) for check in found.checks],
+        "bus": None if checks.bus is None else asdict(checks.bus),
+        "checks": [asdict(check) for check in checks.checks],
     }

@@ -1,4 +1,4 @@
-"""What an examination of a stand finds: checks, each with a verdict and the remedy, and the figures of the link."""
+"""Diagnostic checks of a stand: each with a verdict and the remedy, and the figures of the link."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from drivers.servo import ServoInfo
 
 
 class Verdict(StrEnum):
-    """How a check came out."""
+    """The outcome of a check."""
 
     OK = "ok"
-    NOTE = "note"
-    PROBLEM = "problem"
+    WARNING = "warning"
+    ERROR = "error"
     SKIPPED = "not checked"
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at: its name, how it came out, and a sentence that holds the remedy."""
+    """One check: its name, its verdict, and a sentence with the remedy."""
 
     name: str
     verdict: Verdict
@@ -28,7 +28,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class BusFigures:
+class LinkFigures:
     """The link at its fastest: round trips and lost replies; rate Hz; median, p99 and longest round trip, s."""
 
     exchanges: int
@@ -39,30 +39,38 @@ class BusFigures:
     longest: float
 
 
-def _tell_nobody(check: Check) -> None:
+def _ignore(check: Check) -> None:
     del check
 
 
 @dataclass(slots=True)
-class Examination:
-    """What was found so far. `tell` hears of every check as it is made.
+class CheckList:
+    """The checks so far. on_check: is called with each as it is made.
 
     info and bus are None where it did not get so far; signal: the one that ended it early, or 0.
     """
 
-    tell: Callable[[Check], None] = _tell_nobody
+    on_check: Callable[[Check], None] = _ignore
     checks: list[Check] = field(default_factory=list)
     info: ServoInfo | None = None
-    bus: BusFigures | None = None
+    bus: LinkFigures | None = None
     signal: int = 0
 
     @property
     def ok(self) -> bool:
-        """Whether no problem was found."""
-        return all(check.verdict is not Verdict.PROBLEM for check in self.checks)
+        """Whether no check is an error."""
+        return all(check.verdict is not Verdict.ERROR for check in self.checks)
 
     def add(self, name: str, verdict: Verdict, message: str) -> None:
-        """Keep a check, and tell of it."""
+        """Add a check."""
         check = Check(name, verdict, message)
         self.checks.append(check)
-        self.tell(check)
+        self.on_check(check)
+
+    def passed(self, name: str, message: str) -> None:
+        """Add a check that found nothing wrong."""
+        self.add(name, Verdict.OK, message)
+
+    def failed(self, name: str, message: str) -> None:
+        """Add a check that found an error."""
+        self.add(name, Verdict.ERROR, message)

@@ -1,6 +1,6 @@
-"""What `hil doctor` does with a stand: connect, listen, arm and stop, and on request move a little and look.
+"""The checks of `hil doctor`: connect, test the link, arm and stop, and on request jog the motor.
 
-Every way out leads through `disarm` and `close`; the move is a run of the recorder, under its guard, with the stand's
+Every way out leads through `disarm` and `close`; the jog is a run of the recorder, under its guard, with the stand's
 limits.
 """
 
@@ -15,10 +15,10 @@ from drivers.gate import confirm_torque_off
 from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
 from hil.acquisition.interrupt import StopRequest
-from hil.doctor.checks import Examination, Verdict
-from hil.doctor.jog import Movement, move_a_little
-from hil.doctor.link_test import judge_readings, listen, manageable
-from hil.doctor.stop_path import exercise_stop, fall_silent
+from hil.doctor.checks import CheckList, Verdict
+from hil.doctor.jog import Jog, run_jog
+from hil.doctor.link_test import check_link, check_readings, reachable
+from hil.doctor.stop_path import check_stop, check_watchdog
 from hil.stand.devices import check_backend, found_by_search
 from hil.stand.file import Stand
 from hil.stand.opening import open_servo
@@ -28,33 +28,33 @@ _SMALL = 1.0 / 20.0  # of a limit
 
 
 def examine(
-    found: Examination, stand: Stand, quantity: Quantity, *, rate: float, move: bool, amplitude: float | None = None
+    checks: CheckList, stand: Stand, mode: Quantity, *, rate: float, move: bool, amplitude: float | None = None
 ) -> None:
-    """Look at everything, as far as it goes; what is wrong goes into `found`. The torque is off on return.
+    """Make every check that the stand allows and add it to `checks`. The torque is off on return.
 
-    rate: Hz that the link is to manage. move: whether the motor may be driven, by `amplitude` N m or rad at the joint
+    rate: Hz that the link must reach. move: whether the motor may be driven, by `amplitude` N m or rad at the joint
     (None: a twentieth of the limit). Raises WrongUse where the stand file does not suffice.
     """
     stand.checked_limits()
     check_backend(stand.stand.backend)
-    _look_at_the_port(found, stand)
+    _check_port(checks, stand)
     with StopRequest().listening() as stop:
-        with _connected(found, stand, quantity) as servo:
-            samples = [] if servo is None else listen(found, servo, rate, stop)
-            if servo is not None and samples and not stop.count and judge_readings(found, stand, samples):
+        with _connected(checks, stand, mode) as servo:
+            samples = [] if servo is None else check_link(checks, servo, rate, stop)
+            if servo is not None and samples and not stop.count and check_readings(checks, stand, samples):
                 limits = Transmission.of(stand.stand).motor_limits(stand.checked_limits(), samples[-1].motor_position)
-                exercise_stop(found, servo, limits, quantity)
+                check_stop(checks, servo, limits, mode)
                 if move and not stop.count:
-                    _move(found, stand, servo, (quantity, amplitude, rate), stop)
+                    _move(checks, stand, servo, (mode, amplitude, rate), stop)
                 if not stop.count:  # last, since it may leave a fault that only cutting the power clears
-                    fall_silent(found, servo, limits, _watchdog(stand))
-        found.signal = stop.number
-    if found.ok and not move:
-        found.add("signs, lock", Verdict.SKIPPED, "nothing was moved: add --move, with nobody's hand in the joint")
+                    check_watchdog(checks, servo, limits, _watchdog(stand))
+        checks.signal = stop.number
+    if checks.ok and not move:
+        checks.add("signs, lock", Verdict.SKIPPED, "nothing was moved: add --move, with nobody's hand in the joint")
 
 
-def _look_at_the_port(found: Examination, stand: Stand) -> None:
-    """The serial port or the CAN interface that the drive's table names, where it is this machine's."""
+def _check_port(checks: CheckList, stand: Stand) -> None:
+    """Check the serial port or the CAN interface that the drive's table names, where it is this machine's."""
     table = stand.devices.get(str(stand.stand.backend))
     interface = getattr(table, "interface", None)
     name = getattr(table, "port", None) if interface is None else getattr(table, "channel", None)
@@ -67,48 +67,48 @@ def _look_at_the_port(found: Examination, stand: Stand) -> None:
         problem = seen.get(name, f"there is no CAN interface {name}: plug its adapter in, or correct the channel")
     else:
         return
-    found.add("port", Verdict.PROBLEM if problem else Verdict.OK, problem or f"{name} can be used")
+    checks.add("port", Verdict.ERROR if problem else Verdict.OK, problem or f"{name} can be used")
 
 
 def _watchdog(stand: Stand) -> float:
-    """s of silence after which the drive stops by itself, 0 where it does not."""
+    """Return the s of silence after which the drive stops by itself, 0 where it does not."""
     if stand.stand.backend == "sim":
         return float(stand.sim.link.watchdog)
     return float(getattr(stand.devices.get(str(stand.stand.backend)), "watchdog", 0.0) or 0.0)
 
 
 @contextmanager
-def _connected(found: Examination, stand: Stand, quantity: Quantity) -> Iterator[Servo | None]:
-    """The servo, its torque off and let go of afterwards; None where it cannot be had."""
+def _connected(checks: CheckList, stand: Stand, mode: Quantity) -> Iterator[Servo | None]:
+    """Yield the servo, or None where it cannot be opened. Its torque is off and its link closed afterwards."""
     try:
-        servo, _ = open_servo(stand, quantity=quantity)
+        servo, _ = open_servo(stand, quantity=mode)
     except DriverError as error:
-        found.add("connection", Verdict.PROBLEM, f"{error}{_searched(stand, error)}")
+        checks.failed("connection", f"{error}{_searched(stand, error)}")
         yield None
         return
     try:
-        found.info = servo.info
-        found.add("connection", Verdict.OK, _identity(servo.info))
+        checks.info = servo.info
+        checks.passed("connection", _identity(servo.info))
         yield servo
     except DriverError as error:
-        found.add("drive", Verdict.PROBLEM, str(error))
+        checks.failed("drive", str(error))
     finally:
         try:
-            _torque_off(found, servo)
+            _torque_off(checks, servo)
         finally:
             servo.close()
 
 
-def _torque_off(found: Examination, servo: Servo) -> None:
+def _torque_off(checks: CheckList, servo: Servo) -> None:
     result = confirm_torque_off(servo)
     if not result.confirmed:
-        found.add("torque off", Verdict.PROBLEM, result.alarm)
+        checks.failed("torque off", result.alarm)
     if result.error is not None and not isinstance(result.error, Exception):
         raise result.error
 
 
 def _searched(stand: Stand, error: DriverError) -> str:
-    """Who else answers on a link where the one that was asked does not."""
+    """Return a sentence about the devices that answer where the one in the stand file does not, "" without any."""
     name = check_backend(stand.stand.backend)
     if not isinstance(error, NoReply | BadReply):
         return ""
@@ -120,41 +120,41 @@ def _searched(stand: Stand, error: DriverError) -> str:
 
 
 def _move(
-    found: Examination,
+    checks: CheckList,
     stand: Stand,
     servo: Servo,
     wanted: tuple[Quantity, float | None, float],
     stop: StopRequest,
 ) -> None:
-    quantity, amplitude, rate = wanted
+    mode, amplitude, rate = wanted
     limits = stand.checked_limits()
-    limit = limits.torque if quantity is Quantity.TORQUE else limits.deflection
+    limit = limits.torque if mode is Quantity.TORQUE else limits.deflection
     size = min(limit, limit * _SMALL if amplitude is None else amplitude)
-    if found.bus is not None:
-        rate = manageable(found.bus, rate)
-    outcome, movement = move_a_little(stand, servo, quantity, stop, amplitude=size, rate=rate)
+    if checks.bus is not None:
+        rate = reachable(checks.bus, rate)
+    outcome, jog = run_jog(stand, servo, mode, stop, amplitude=size, rate=rate)
     if outcome.error is not None:
-        found.add("move", Verdict.PROBLEM, str(outcome.error))
-    elif movement is None:
-        found.add("move", Verdict.PROBLEM, "it was stopped before anything could be told")
+        checks.failed("move", str(outcome.error))
+    elif jog is None:
+        checks.failed("move", "it was stopped before enough was read")
     else:
-        _judge_movement(found, movement, servo.info)
+        _check_jog(checks, jog, servo.info)
 
 
-def _judge_movement(found: Examination, movement: Movement, info: ServoInfo) -> None:
-    if not movement.moved(info.position_lsb):
-        said = f"the motor moved by {movement.motor:.2g} rad only: raise --amplitude, or look for what blocks it"
-        found.add("move", Verdict.PROBLEM, said)
+def _check_jog(checks: CheckList, jog: Jog, info: ServoInfo) -> None:
+    if not jog.moved(info.position_lsb):
+        message = f"the motor moved by {jog.motor:.2g} rad only: raise --amplitude, or look for what blocks it"
+        checks.failed("move", message)
         return
-    found.add("move", Verdict.OK, f"{movement.deflection:.3g} rad of deflection, {movement.torque * 1e3:.3g} mN m")
-    wrong = movement.wrong_signs()
+    checks.passed("move", f"{jog.deflection:.3g} rad of deflection, {jog.torque * 1e3:.3g} mN m")
+    wrong = jog.wrong_signs()
     right = (
         "command, position and torque agree; the first swing was a positive command: if that went the way you call "
-        "negative, turn the sign in the drive's table"
+        "negative, set sign = -1 in [{info.backend}]"
     )
-    found.add("signs", Verdict.PROBLEM if wrong else Verdict.OK, "; ".join(wrong) or right)
-    locked, said = movement.locked()
-    found.add("lock", Verdict.OK if locked else Verdict.PROBLEM, said)
+    checks.add("signs", Verdict.ERROR if wrong else Verdict.OK, "; ".join(wrong) or right)
+    locked, reason = jog.locked()
+    checks.add("lock", Verdict.OK if locked else Verdict.ERROR, reason)
 
 
 def _identity(info: ServoInfo) -> str:

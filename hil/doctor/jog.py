@@ -1,4 +1,4 @@
-"""A small move on request, and what it shows: whether the signs agree and whether the joint is locked."""
+"""The jog: a small move on request, which shows whether the signs agree and whether the joint is locked."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from hil.stand.file import Stand
 
 Array = NDArray[np.float64]
 
-_FREQUENCY, _DURATION, _SOFT = 1.0, 3.0, 0.5  # Hz, s, s: two whole swings, begun and ended gently
+_FREQUENCY, _DURATION, _FADE = 1.0, 3.0, 0.5  # Hz, s, s: two whole swings between the fades
 _FEW_COUNTS = 3.0
-_ELASTIC = 0.7  # correlation of torque with deflection, from which the joint counts as a spring that is held
-_LEFT_OVER = 0.5  # of the swing, that may be left when the torque is gone
-_GIVES = 0.2  # of the motor's swing, that a locked joint may turn
+_ELASTIC = 0.7  # correlation of torque with deflection from which the joint counts as a locked spring
+_RESIDUAL = 0.5  # of the swing, that may be left when the torque is zero again
+_YIELDS = 0.2  # of the motor's swing, that a locked joint may turn
 
 
 @dataclass(frozen=True, slots=True)
-class Movement:
-    """One small swing, peak to peak: motor rad, deflection rad, torque N m at the joint; joint rad, NaN if not seen.
+class Jog:
+    """The readings of a jog, peak to peak: motor, deflection and joint rad (joint NaN if not read), joint torque N m.
 
-    follows: correlation of the deflection with the command. torque_follows: of the torque with the command.
-    elastic: of the torque with the deflection. left: the deflection at the end over its swing. joint_follows: of the
-    joint's own torque with the motor's, NaN without both. quantity: what was commanded.
+    mode: of the command. follows: correlation of the deflection with the command. torque_follows: of the torque with
+    the command. elastic: of the torque with the deflection. residual: the deflection at the end over its swing.
+    joint_follows: of the joint's own torque with the motor's, NaN without both.
     """
 
-    quantity: Quantity
+    mode: Quantity
     motor: float
     deflection: float
     torque: float
@@ -41,72 +41,71 @@ class Movement:
     follows: float
     torque_follows: float
     elastic: float
-    left: float
+    residual: float
     joint_follows: float
 
     def moved(self, position_lsb: float) -> bool:
-        """Whether the motor moved by more than its counts, `position_lsb` rad (NaN where not known)."""
+        """Return whether the motor moved by more than its counts, `position_lsb` rad (NaN where not known)."""
         return self.motor > _FEW_COUNTS * (position_lsb if math.isfinite(position_lsb) else 1e-4)
 
     def wrong_signs(self) -> list[str]:
-        """A sentence for each pair of readings that go against each other."""
+        """Return a sentence for each pair of readings with opposite signs."""
         wrong = []
         if self.follows < 0.0:
-            wrong.append(f"a positive {self.quantity} turns the motor backwards: its encoder and its command disagree")
-        if self.quantity is Quantity.TORQUE and self.torque_follows < 0.0:
-            wrong.append("the torque reading has the opposite sign of the command: turn the sign of the torque source")
+            wrong.append(f"a positive {self.mode} turns the motor backwards: its encoder and its command disagree")
+        if self.mode is Quantity.TORQUE and self.torque_follows < 0.0:
+            wrong.append("the torque reading has the opposite sign of the command: invert the sign of its source")
         if self.joint_follows < 0.0:
-            wrong.append("the joint's sensor has the opposite sign of the motor: turn its sign in [joint_sensor]")
+            wrong.append("the joint's sensor has the opposite sign of the motor: invert its sign in [joint_sensor]")
         return wrong
 
     def locked(self) -> tuple[bool, str]:
-        """Whether the joint is locked, and how that is known."""
+        """Return whether the joint is locked, and a sentence with the reason."""
         if math.isfinite(self.joint):
             share = self.joint / max(self.deflection + self.joint, 1e-12)
-            if share > _GIVES:
-                return False, f"the joint turned by {self.joint:.2g} rad, {share:.0%} of the motor's way: lock it"
-        if abs(self.elastic) < _ELASTIC or self.left > _LEFT_OVER:
+            if share > _YIELDS:
+                return False, f"the joint turned by {self.joint:.2g} rad, {share:.0%} of the motor's motion: lock it"
+        if abs(self.elastic) < _ELASTIC or self.residual > _RESIDUAL:
             return False, (
-                f"torque and deflection do not go together as on a spring (correlation {self.elastic:.2f}, "
-                f"{self.left:.0%} of the swing is left): lock the joint, tighten the cable, or raise --amplitude"
+                f"torque and deflection are not related as on a spring (correlation {self.elastic:.2f}, "
+                f"{self.residual:.0%} of the swing remains): lock the joint, tighten the cable, or raise --amplitude"
             )
         stiffness = self.torque / max(self.deflection, 1e-12)
-        return True, f"locked: it comes back like a spring, of about {stiffness * 1e3:.3g} mN m/rad"
+        return True, f"locked: it returns like a spring of about {stiffness * 1e3:.3g} mN m/rad"
 
 
-def move_a_little(
-    stand: Stand, servo: Servo, quantity: Quantity, stop: StopRequest, *, amplitude: float, rate: float
-) -> tuple[Outcome, Movement | None]:
-    """Two swings of `amplitude` N m or rad at the joint, recorded at `rate` Hz; how it went, and what was seen.
+def run_jog(
+    stand: Stand, servo: Servo, mode: Quantity, stop: StopRequest, *, amplitude: float, rate: float
+) -> tuple[Outcome, Jog | None]:
+    """Drive two swings of `amplitude` N m or rad at the joint, at `rate` Hz, under the recorder's guard.
 
-    The servo is disarmed on return. The movement is None where too little was recorded.
+    The servo is disarmed on return. The jog is None where too few replies came.
     """
     profile = excitation.make(
         "sine",
-        quantity,
+        mode,
         amplitude=amplitude,
         default_amplitude=amplitude,
         duration=_DURATION,
         band=(_FREQUENCY, _FREQUENCY),
         rate=rate,
-        fade=_SOFT,
+        fade=_FADE,
     )
     rows = Memory()
     outcome = Recorder(stand, servo, profile, rate, rows).run(stop)
     if outcome.error is not None or outcome.samples - outcome.lost < tick_count(profile, rate) // 2:
         return outcome, None
-    return outcome, _seen(rows, stand, quantity)
+    return outcome, _evaluated(rows, stand, mode)
 
 
-def _seen(recording: Memory, stand: Stand, quantity: Quantity) -> Movement:
+def _evaluated(rows: Memory, stand: Stand, mode: Quantity) -> Jog:
     names = ("command", "torque", "dtheta", "motor_position", "motor_torque", "joint_position", "joint_torque")
-    columns = {name: recording.channel(name) for name in names}
-    rows = np.isfinite(columns["dtheta"])
-    command, torque, dtheta, motor, motor_torque, joint, joint_torque = (columns[name][rows] for name in names)
+    answered = np.isfinite(rows.channel("dtheta"))
+    command, torque, dtheta, motor, motor_torque, joint, joint_torque = (rows.channel(n)[answered] for n in names)
     if stand.stand.torque_source == "motor" and not np.isfinite(torque).any():
         torque = command
-    return Movement(
-        quantity=quantity,
+    return Jog(
+        mode=mode,
         motor=float(np.ptp(motor)),
         deflection=float(np.ptp(dtheta)),
         torque=_swing(torque),
@@ -114,7 +113,7 @@ def _seen(recording: Memory, stand: Stand, quantity: Quantity) -> Movement:
         follows=_correlation(command, dtheta),
         torque_follows=_correlation(command, torque),
         elastic=_correlation(torque, dtheta),
-        left=float(abs(np.mean(dtheta[-5:]) - np.mean(dtheta[:5]))) / max(float(np.ptp(dtheta)), 1e-12),
+        residual=float(abs(np.mean(dtheta[-5:]) - np.mean(dtheta[:5]))) / max(float(np.ptp(dtheta)), 1e-12),
         joint_follows=_correlation(motor_torque, joint_torque),
     )
 
@@ -125,7 +124,7 @@ def _swing(values: Array) -> float:
 
 
 def _correlation(a: Array, b: Array) -> float:
-    """Of two channels (n,), over the rows where both are numbers; NaN where one is missing or never changes."""
+    """Return the correlation of two channels (n,) over the rows where both are numbers; NaN where one is constant."""
     both = np.isfinite(a) & np.isfinite(b)
     if np.count_nonzero(both) < 2 or np.ptp(a[both]) == 0.0 or np.ptp(b[both]) == 0.0:
         return math.nan

@@ -1,4 +1,4 @@
-"""`hil doctor` against the emulated servo: what it finds right, what it finds wrong, and that nothing is left on."""
+"""`hil doctor` against the emulated servo: its verdicts on sound and faulty stands, and that no torque is left on."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from drivers.dynamixel.scan import search
 from drivers.dynamixel.servo import DynamixelServo
 from drivers.servo import Command, DriverError, Quantity, Sample, Servo
 from hil.cli.app import run
-from hil.doctor.checks import Examination
+from hil.doctor.checks import CheckList
 from hil.doctor.examine import examine
 from hil.stand.file import Stand, parse
 from sim_backend.parameters import CouplingParameters
@@ -28,6 +28,10 @@ from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.regulator import joint_at_horn
 from sim_backend.wire.dynamixel.tables import MODELS
 from sim_backend.wire.faults import DropReplies, Unplug
+
+from ...drivers.conftest import new_rig, nothing_is_left_behind
+
+__all__ = ["nothing_is_left_behind"]
 
 STAND = """
 [stand]
@@ -42,7 +46,7 @@ port = "{port}"
 model = "xl330-m288"
 """
 
-Examine = Callable[..., Examination]
+Examine = Callable[..., CheckList]
 
 
 def stand_at(port: object) -> Stand:
@@ -50,26 +54,31 @@ def stand_at(port: object) -> Stand:
 
 
 @pytest.fixture
+def make_rig() -> Callable[..., Any]:
+    return new_rig
+
+
+@pytest.fixture
 def examine_rig(monkeypatch: pytest.MonkeyPatch) -> Examine:
-    def run_it(rig: Any, quantity: Quantity = Quantity.TORQUE, **words: Any) -> Examination:
+    def run_it(rig: Any, quantity: Quantity = Quantity.TORQUE, **words: Any) -> CheckList:
         def opened(stand: Stand, *, quantity: Quantity) -> tuple[Servo, dict[str, float]]:
             table = replace(stand.devices["dynamixel"], port="loopback").for_quantity(quantity)
             return rig.open(mode=table.mode), {}
 
         monkeypatch.setattr(hil.doctor.examine, "open_servo", opened)
-        found = Examination()
-        examine(found, stand_at("loop://"), quantity, **{"rate": 400.0, "move": True} | words)
-        return found
+        checks = CheckList()
+        examine(checks, stand_at("loop://"), quantity, **{"rate": 400.0, "move": True} | words)
+        return checks
 
     return run_it
 
 
-def verdicts(found: Examination) -> dict[str, str]:
-    return {check.name: check.verdict.value for check in found.checks}
+def verdicts(checks: CheckList) -> dict[str, str]:
+    return {check.name: check.verdict.value for check in checks.checks}
 
 
-def message(found: Examination, name: str) -> str:
-    return next(check.message for check in found.checks if check.name == name)
+def message(checks: CheckList, name: str) -> str:
+    return next(check.message for check in checks.checks if check.name == name)
 
 
 @pytest.mark.parametrize("quantity", list(Quantity))
@@ -77,105 +86,112 @@ def test_a_sound_stand_passes_every_check_and_is_left_with_its_torque_off(
     make_rig: Callable[..., Any], examine_rig: Examine, quantity: Quantity
 ) -> None:
     rig = make_rig()
-    found = examine_rig(rig, quantity)
+    checks = examine_rig(rig, quantity)
     names = ["connection", "bus", "readings", "stop", "move", "signs", "lock", "watchdog"]
-    assert verdicts(found) == dict.fromkeys(names, "ok")
-    assert found.info is not None
-    assert found.info.model == "xl330-m288"
-    assert found.bus is not None
+    assert verdicts(checks) == dict.fromkeys(names, "ok")
+    assert checks.info is not None
+    assert checks.info.model == "xl330-m288"
+    assert checks.bus is not None
     # 14 + 38 bytes at 1 Mbaud and 1 ms in the adapter, and the loopback reads in steps of its poll
-    assert 400.0 < found.bus.rate < 1.0 / (52e-5 + 1e-3)
+    assert 400.0 < checks.bus.rate < 1.0 / (52e-5 + 1e-3)
     assert not rig.device.torque_on
     assert rig.port.opened == 0
 
 
-def test_nothing_moves_unless_it_was_asked_for(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
+def test_the_jog_writes_no_file(
+    make_rig: Callable[..., Any], examine_rig: Examine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("h5py.File", lambda *_, **__: pytest.fail("a file was opened"))
+    assert examine_rig(make_rig()).ok
+
+
+def test_nothing_moves_without_the_option(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
-    found = examine_rig(rig, move=False)
-    assert verdicts(found)["signs, lock"] == "not checked"
-    assert found.ok
+    checks = examine_rig(rig, move=False)
+    assert verdicts(checks)["signs, lock"] == "not checked"
+    assert checks.ok
     assert rig.device.motor.position == 0.0
 
 
-def test_a_joint_that_is_not_locked_is_found_out(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
+def test_a_joint_that_is_not_locked_is_an_error(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
     free = joint_at_horn(MODELS["xl330-m288"], CouplingParameters(stiffness=1e-5, damping=1e-6, coulomb_friction=0.0))
     rig.bus.devices[0] = DynamixelDevice(
         "xl330-m288", parameters=replace(free, motor=replace(free.motor, inertia=3e-4))
     )
-    found = examine_rig(rig)
-    assert verdicts(found)["lock"] == "problem"
-    assert "lock the joint" in message(found, "lock")
+    checks = examine_rig(rig)
+    assert verdicts(checks)["lock"] == "error"
+    assert "lock the joint" in message(checks, "lock")
     assert not rig.device.torque_on
 
 
-def test_a_watchdog_that_does_nothing_is_found_out(
+def test_a_watchdog_that_does_not_trip_is_an_error(
     make_rig: Callable[..., Any], examine_rig: Examine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = make_rig()
     monkeypatch.setattr(rig.device, "_trip", lambda: None)
-    found = examine_rig(rig, move=False)
-    assert verdicts(found)["watchdog"] == "problem"
-    assert "keep a switch" in message(found, "watchdog")
+    checks = examine_rig(rig, move=False)
+    assert verdicts(checks)["watchdog"] == "error"
+    assert "keep a switch" in message(checks, "watchdog")
     assert not rig.device.torque_on
 
 
-def test_a_drive_whose_torque_does_not_go_off_is_cried_out(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
+def test_a_torque_that_does_not_go_off_raises_the_alarm(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
     rig.device.ignores_torque_off = True
-    found = examine_rig(rig, move=False)
-    assert verdicts(found)["torque off"] == "problem"
-    assert "CUT THE POWER" in message(found, "torque off")
+    checks = examine_rig(rig, move=False)
+    assert verdicts(checks)["torque off"] == "error"
+    assert "CUT THE POWER" in message(checks, "torque off")
 
 
-def test_a_torque_off_that_is_not_heard_is_asked_for_again(
+def test_a_torque_off_that_is_not_confirmed_is_requested_again(
     make_rig: Callable[..., Any], examine_rig: Examine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = make_rig()
     disarm = DynamixelServo.disarm
     refused: list[int] = []
 
-    def deaf(self: DynamixelServo) -> None:
+    def unconfirmed(self: DynamixelServo) -> None:
         if rig.device.torque_on and len(refused) < 5:
             refused.append(1)
             raise DriverError("it is still on")
         disarm(self)
 
-    monkeypatch.setattr(DynamixelServo, "disarm", deaf)
-    found = examine_rig(rig, move=False)
+    monkeypatch.setattr(DynamixelServo, "disarm", unconfirmed)
+    checks = examine_rig(rig, move=False)
     assert len(refused) == 5
-    assert "torque off" not in verdicts(found)
+    assert "torque off" not in verdicts(checks)
     assert not rig.device.torque_on
 
 
-def test_a_latched_fault_is_told_with_its_remedy(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
+def test_a_latched_fault_is_reported_with_its_remedy(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
     rig.device.fail(0x04)
-    found = examine_rig(rig)
-    assert verdicts(found)["drive"] == "problem"
-    assert "too hot" in message(found, "drive")
+    checks = examine_rig(rig)
+    assert verdicts(checks)["drive"] == "error"
+    assert "too hot" in message(checks, "drive")
 
 
-def test_a_link_that_loses_many_replies_is_a_problem(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
+def test_a_link_that_loses_many_replies_is_an_error(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
     rig.bus.faults.inject(DropReplies(after=20, count=40))
-    found = examine_rig(rig, move=False)
-    assert verdicts(found)["bus"] == "problem"
-    assert "40 lost" in message(found, "bus")
+    checks = examine_rig(rig, move=False)
+    assert verdicts(checks)["bus"] == "error"
+    assert "40 lost" in message(checks, "bus")
 
 
-def test_a_link_that_is_too_slow_is_told_with_the_rate_it_manages(
+def test_a_link_that_is_too_slow_is_a_warning_with_the_rate_it_reaches(
     make_rig: Callable[..., Any], examine_rig: Examine
 ) -> None:
     rig = make_rig(baudrate=57600)
     rig.config = replace(rig.config, baudrate=57600)
-    found = examine_rig(rig)
-    assert verdicts(found)["bus"] == "note"
-    assert "record with --rate" in message(found, "bus")
-    assert verdicts(found)["lock"] == "ok"
+    checks = examine_rig(rig)
+    assert verdicts(checks)["bus"] == "warning"
+    assert "record with --rate" in message(checks, "bus")
+    assert verdicts(checks)["lock"] == "ok"
 
 
-def test_an_order_to_stop_in_the_middle_of_the_move_leaves_the_torque_off(
+def test_a_signal_in_the_middle_of_the_jog_leaves_the_torque_off(
     make_rig: Callable[..., Any], examine_rig: Examine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = make_rig()
@@ -190,9 +206,9 @@ def test_an_order_to_stop_in_the_middle_of_the_move_leaves_the_torque_off(
         return exchange(self, command)
 
     monkeypatch.setattr(DynamixelServo, "exchange", interrupting)
-    found = examine_rig(rig)
-    assert found.signal == signal.SIGTERM
-    assert "watchdog" not in verdicts(found)
+    checks = examine_rig(rig)
+    assert checks.signal == signal.SIGTERM
+    assert "watchdog" not in verdicts(checks)
     assert not rig.device.torque_on
 
 
@@ -207,7 +223,7 @@ def test_servos_are_found_at_other_baud_rates_and_ids(make_rig: Callable[..., An
     assert not any(device.torque_on for device in rig.bus.devices)
 
 
-def test_the_command_says_where_the_servo_really_is(
+def test_the_command_names_the_settings_at_which_a_servo_answers(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drivers.dynamixel.bus._ROLL_CALL", 0.1)
@@ -225,10 +241,17 @@ def test_the_command_gives_one_json_object(tmp_path: Path, capfd: pytest.Capture
     stand.write_text(STAND.format(port=link) + "reply_timeout = 0.3\nwatchdog = 1.0\n")
     with serve(link, "xl330-m288", timing=DynamixelTiming()):
         assert run(["doctor", str(stand), "--json"]) == 0
-    told = json.loads(capfd.readouterr().out)
-    assert (told["schema"], told["ok"], told["drive"]["model"]) == ("hil-doctor/1", True, "xl330-m288")
-    assert told["bus"]["exchanges"] > 10
-    assert {check["name"] for check in told["checks"]} >= {"port", "connection", "bus", "readings", "stop", "watchdog"}
+    answer = json.loads(capfd.readouterr().out)
+    assert (answer["schema"], answer["ok"], answer["drive"]["model"]) == ("hil-doctor/2", True, "xl330-m288")
+    assert answer["bus"]["exchanges"] > 10
+    assert {check["name"] for check in answer["checks"]} >= {
+        "port",
+        "connection",
+        "bus",
+        "readings",
+        "stop",
+        "watchdog",
+    }
 
 
 def test_a_stand_whose_port_is_not_there_is_a_stand_that_failed(
@@ -240,11 +263,11 @@ def test_a_stand_whose_port_is_not_there_is_a_stand_that_failed(
     assert "is not there: check the cable" in capfd.readouterr().out
 
 
-def test_a_drive_that_dies_in_the_middle_is_a_problem_and_no_traceback(
+def test_a_link_that_is_lost_in_the_middle_is_an_error_and_no_traceback(
     make_rig: Callable[..., Any], examine_rig: Examine
 ) -> None:
     rig = make_rig()
     rig.bus.faults.inject(Unplug(after=50))
-    found = examine_rig(rig)
-    assert verdicts(found)["drive"] == "problem"
+    checks = examine_rig(rig)
+    assert verdicts(checks)["drive"] == "error"
     assert rig.port.opened == 0
