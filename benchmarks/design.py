@@ -81,7 +81,7 @@ def found(case: Case, stand: Stand, seed: int, folder: Path) -> NDArray[np.float
     assert outcome.error is None, outcome.error
     search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
     estimates = identify([path], parse_model(case.model), search)
-    return np.array([estimates[name].exact for name in ("Kc", "Bc")])
+    return np.array([estimates[name].value for name in ("Kc", "Bc")])
 
 
 def rows(case: Case, seeds: int) -> list[str]:

@@ -72,7 +72,7 @@ def report(path: Path) -> None:
         f"{found['samples']:,} samples, {path.stat().st_size / 1e9:.2f} GB: {took:.0f} s and "
         f"**{memory:.2f} GiB** of resident memory at the most (bar: 2 GiB). "
         f"Kc {kc['value'] * 1e3:.5f} (made with {KC * 1e3:g}) mN m/rad, Bc {bc['value'] * 1e3:.6f} (made with "
-        f"{BC * 1e3:g}) mN m s/rad; gap to the exact optimum {found['fitness']['relative_gap']:.1e}; "
+        f"{BC * 1e3:g}) mN m s/rad; gap to the exact optimum {found['fitness']['optimiser_gap']:.1e}; "
         f"{found['evaluations']:,} evaluations."
     )
     print(text)

@@ -25,9 +25,8 @@ from ga.lad.exact import least_absolute_deviations
 from ga.trials.trials import run_trials
 from hil.acquisition import excitation
 from hil.acquisition.run import run
-from hil.identification.dataset import stand_of
-from hil.recording.reader import Recording
 from hil.signals.prepare import prepare
+from hil.signals.source import open_sources
 from hil.stand.file import SIMULATED, parse
 
 Array = NDArray[np.float64]
@@ -56,9 +55,9 @@ def recording(folder: Path, seed: int, *, sim: str = "", amplitude: float = 0.00
 
 
 def columns_of(path: Path) -> tuple[Array, Array]:
-    with Recording(path) as recording:
-        signals = prepare(recording, stand_of(recording))
-    return np.column_stack([signals.dtheta, signals.dtheta_dot]), signals.torque
+    with open_sources([path]) as (source,):
+        signals = prepare(source.recording, source.table)
+    return np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot]), signals.torque
 
 
 def row(what: str, varies: str, genes: Array) -> str:

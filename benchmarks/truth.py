@@ -29,8 +29,7 @@ from truth_recordings import SOURCES
 
 from drivers.servo import Status
 from hil.cli import app as cli
-from hil.identification.dataset import stand_of
-from hil.recording.reader import Recording
+from hil.signals.source import open_sources
 
 ROOT = Path(__file__).parent.parent
 UNIDENTIFIABLE_PART = 5  # one seed in so many also makes the recordings that cannot identify the parameters
@@ -86,9 +85,9 @@ def plain(path: Path) -> dict[str, float]:
 
     Lost rows are dropped. Torque of the motor is taken through equation 1 with gradients of gradients.
     """
-    with Recording(path) as recording:
-        stand = stand_of(recording)
-        channels = {name: recording.channel(name) for name in ("read_time", "dtheta", "torque", "status")}
+    with open_sources([path]) as (source,):
+        stand = source.table
+        channels = {name: source.recording.channel(name) for name in ("read_time", "dtheta", "torque", "status")}
     answered = (channels["status"].astype(np.int64) & int(Status.NO_REPLY | Status.BAD_REPLY)) == 0
     when, angle, torque = (channels[name][answered] for name in ("read_time", "dtheta", "torque"))
     rate = np.gradient(angle, when)

@@ -124,20 +124,17 @@ def identify_and_show(
 
     Raises typer.Exit where the search was interrupted or the result must not be trusted.
     """
-    from dataclasses import replace
-
-    from hil.identification import identify as engine
-    from hil.identification.fixture import check_rig, without_fixture
+    from hil.identification.fixture import identify_without_fixture
+    from hil.identification.identify import identify as identify_recordings
     from hil.report.identification import as_json as to_json
     from hil.report.identification import unusable_json, write_page
 
-    beside = [] if fixture is None else check_rig(recordings, fixture, model)
     try:
         with progress() as show:
-            found = engine.identify(recordings, model, search, show)
-            if fixture is not None:
-                rig = engine.identify([fixture], model, replace(search, checkpoint=None), show)
-                found = without_fixture(replace(found, diagnostics=(*found.diagnostics, *beside)), rig)
+            if fixture is None:
+                found = identify_recordings(recordings, model, search, show)
+            else:
+                found = identify_without_fixture(recordings, fixture, model, search, show)
     except Untrustworthy as error:
         if as_json:
             name = "auto" if model is None else model.name
@@ -168,7 +165,7 @@ def _show(found: Identification, *, verbose: bool) -> None:
 
     out(headline(found))
     out_table(estimates_table(found))
-    if found.rungs:
+    if found.steps:
         out_table(ladder_table(found))
     if verbose:
         out_table(repeatability_table(found))

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.experiment_design.response import Joint, Motion
-from hil.signals.prepare import excited_band, narrowed, windows
 from hil.signals.savitzky_golay import kernel
+from hil.signals.windows import excited_band, narrowed, windows
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]

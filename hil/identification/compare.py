@@ -1,4 +1,4 @@
-"""Several recordings of one joint side by side: does it repeat, does it drift, and what is one recording worth."""
+"""Several recordings of one joint side by side: whether Kc and Bc repeat and drift, and the error of one recording."""
 
 from __future__ import annotations
 
@@ -12,32 +12,31 @@ import numpy as np
 
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
-from hil.identification.dataset import torque_uncertainty
 from hil.identification.disk_table import Progress
-from hil.identification.identify import Search, identify
+from hil.identification.identify import Search, identify_sources
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Identification
-from hil.identification.same_stand import check_together
-from hil.recording.reader import Recording
+from hil.identification.same_stand import same_stand_diagnostics
+from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 
 COMPARED = ("Kc", "Bc")
-"""What is compared: the coupling; other terms are of the stand."""
+"""The parameters that are compared: the coupling's; other terms belong to the stand."""
 
 _NORMAL = 1.959964  # half a 95 % interval in standard errors
 _CHANCE = 0.05
-_CARRIED = 1.96  # by which an interval carries the torque's uncertainty (`Spread.carrying`)
+_SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_torque_uncertainty` has it
 _ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
 _HOUR = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What one recording tells. created: UTC, None where it is not known. hours: since the first of all.
+    """The result of one recording. created: UTC, None where it is not known. hours: since the first of all.
 
-    estimates: of COMPARED, by name; {} where the recording could not be used. told: the names of those that the
-    recording can tell. model: that was fitted. uncertainty: of the torque's scale, relative, one standard deviation: it
-    is in the intervals of all recordings of a stand alike, and so in no difference between them.
+    estimates: of COMPARED, by name; {} where the recording could not be used. identifiable: the names of those that it
+    identifies. model: the model that was fitted. torque_uncertainty: of the torque's scale, relative, one standard
+    deviation: it widens the intervals of all recordings of a stand alike, and is in no difference between them.
     """
 
     path: Path
@@ -45,23 +44,23 @@ class Measured:
     hours: float
     model: str
     estimates: dict[str, Estimate]
-    told: frozenset[str]
-    uncertainty: float = 0.0
+    identifiable: frozenset[str]
+    torque_uncertainty: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Repeated:
-    """One parameter over all recordings that tell it.
+    """One parameter over all recordings that identify it.
 
-    pooled: None with fewer than two recordings; the torque's uncertainty is in its error and interval, and not in what
-    lies within. drift: per hour, in the parameter's unit; None with fewer than three.
-    repeats: whether nothing lies between the recordings that their own errors do not explain; None where it cannot be
-    told. verdict: a sentence or two.
+    pooled: None with fewer than two recordings; the torque's uncertainty is in its error and interval, and not in its
+    variance components. drift: per hour, in the parameter's unit; None with fewer than three.
+    repeats: whether the recordings' own errors explain all differences; None where that cannot be decided. verdict: a
+    sentence or two.
     """
 
     name: str
     unit: str
-    told_by: tuple[Path, ...]
+    recordings: tuple[Path, ...]
     pooled: Pooled | None
     drift: Drift | None
     repeats: bool | None
@@ -70,7 +69,7 @@ class Repeated:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What `hil compare` found."""
+    """The result of `hil compare`."""
 
     model: str
     recordings: tuple[Measured, ...]
@@ -86,76 +85,73 @@ class Comparison:
 def compare(
     paths: Sequence[Path], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Comparison:
-    """Identify `model` in each recording on its own, and tell what lies within them from what lies between.
+    """Identify `model` in each recording on its own, and separate the variance within recordings from that between.
 
     progress is called with the fraction that is done. Raises WrongUse for fewer than two recordings, for different
-    stands, for the same run twice and for a model without Kc and Bc. A recording that cannot be used is left out, and
-    said to be.
+    stands, for the same run twice and for a model without Kc and Bc. A recording that cannot be used is left out, with
+    a warning.
     """
     if len(paths) < 2:
         raise WrongUse("a comparison needs at least two recordings")
     if model is not None:
-        names = [parameter.name for parameter in (*model.linear, *model.shape)]
-        if not set(COMPARED) <= set(names):
-            raise WrongUse(
-                f"{' and '.join(COMPARED)} are compared, and model {model.name!r} has {', '.join(names)}: name them so "
-                "in the model"
-            )
-    diagnostics = check_together(paths)
-    created, imported = zip(*(_origin(path) for path in paths), strict=True)
-    if any(imported):
-        diagnostics.append(
-            Diagnostic("time-unknown", "an imported recording does not say when it was made: no drift is told with it")
-        )
-    first = min((moment for moment in created if moment is not None), default=None)
-    measured = []
-    for index, path in enumerate(paths):
-        found = _identified(path, model, search, diagnostics, _share(progress, index, len(paths)))
-        hours = (created[index] - first).total_seconds() / _HOUR if created[index] and first else math.nan
-        measured.append(
-            replace(_measured(path, created[index], hours, model, found), uncertainty=torque_uncertainty(path))
-        )
-    diagnostics += _of_scale(measured)
-    models = {one.model for one in measured if one.estimates}
-    if len(models) > 1:
-        said = ", ".join(sorted(models))
-        diagnostics.append(
-            Diagnostic(
-                "models-differ", f"the recordings were fitted with different models ({said}): name one with --model"
-            )
-        )
+        _check_names(model)
+    with open_sources(paths) as sources:
+        diagnostics = same_stand_diagnostics(sources)
+        created, imported = zip(*(_origin(source) for source in sources), strict=True)
+        if any(imported):
+            text = "an imported recording does not say when it was made: no drift is estimated with it"
+            diagnostics.append(Diagnostic("time-unknown", text))
+        first = min((moment for moment in created if moment is not None), default=None)
+        measured = []
+        for index, source in enumerate(sources):
+            found = _identified(source, model, search, diagnostics, _share(progress, index, len(paths)))
+            hours = (created[index] - first).total_seconds() / _HOUR if created[index] and first else math.nan
+            measured.append(_measured(source, created[index], hours, model, found))
+    models = sorted({one.model for one in measured if one.estimates})
     repeated = tuple(_repeated(name, measured) for name in COMPARED)
+    diagnostics += _common_scale(measured)
+    if len(models) > 1:
+        text = f"the recordings were fitted with different models ({', '.join(models)}): name one with --model"
+        diagnostics.append(Diagnostic("models-differ", text))
     diagnostics += [
         Diagnostic("cannot-compare", one.verdict, one.name, is_error=True) for one in repeated if one.pooled is None
     ]
-    return Comparison(" or ".join(sorted(models)) or _name(model), tuple(measured), repeated, tuple(diagnostics))
+    return Comparison(" or ".join(models) or _name(model), tuple(measured), repeated, tuple(diagnostics))
+
+
+def _check_names(model: Coupling) -> None:
+    names = [parameter.name for parameter in (*model.linear, *model.shape)]
+    if not set(COMPARED) <= set(names):
+        raise WrongUse(
+            f"{' and '.join(COMPARED)} are compared, and model {model.name!r} has {', '.join(names)}: name them so "
+            "in the model"
+        )
 
 
 def _name(model: Coupling | None) -> str:
     return "auto" if model is None else model.name
 
 
-def _origin(path: Path) -> tuple[datetime | None, bool]:
+def _origin(source: Source) -> tuple[datetime | None, bool]:
     """When a recording was made, None where it is not known; and whether it was imported, at another time."""
-    with Recording(path) as recording:
-        if recording.profile.get("kind") == "imported":
-            return None, True
-        try:
-            moment = datetime.fromisoformat(str(recording.attributes.get("created", "")))
-        except ValueError:
-            return None, False
-        return (moment if moment.tzinfo else None), False
+    if source.recording.profile.get("kind") == "imported":
+        return None, True
+    try:
+        moment = datetime.fromisoformat(str(source.recording.attributes.get("created", "")))
+    except ValueError:
+        return None, False
+    return (moment if moment.tzinfo else None), False
 
 
-def _of_scale(measured: Sequence[Measured]) -> list[Diagnostic]:
-    common = max(one.uncertainty for one in measured)
+def _common_scale(measured: Sequence[Measured]) -> list[Diagnostic]:
+    common = max(one.torque_uncertainty for one in measured)
     if not common:
         return []
     return [
         Diagnostic(
             "scale-in-common",
-            f"the torque's scale is uncertain by {common:.2g} of itself, in all recordings alike: that is in the "
-            "intervals, and not in what lies within and between the recordings",
+            f"the torque's scale is uncertain by {common:.2g} of itself, in all recordings alike: the intervals "
+            "include it, the standard deviations within and between the recordings do not",
         )
     ]
 
@@ -163,56 +159,59 @@ def _of_scale(measured: Sequence[Measured]) -> list[Diagnostic]:
 def _share(progress: Progress | None, index: int, count: int) -> Progress | None:
     if progress is None:
         return None
-    told = progress
-    return lambda what, done: told(what, (index + done) / count)
+    report = progress
+    return lambda what, done: report(what, (index + done) / count)
 
 
 def _identified(
-    path: Path, model: Coupling | None, search: Search, diagnostics: list[Diagnostic], progress: Progress | None
+    source: Source, model: Coupling | None, search: Search, diagnostics: list[Diagnostic], progress: Progress | None
 ) -> Identification | None:
     try:
-        found = identify([path], model, search, progress)
+        found = identify_sources([source], model, search, progress)
     except Untrustworthy as error:
         diagnostics.append(Diagnostic("left-out", f"{error}; it is left out"))
         return None
-    # of one recording among several: the comparison's own trust is judged by what is left
-    diagnostics += [Diagnostic(one.code, f"{path}: {one.message}", one.parameter) for one in found.diagnostics]
+    # only warnings here: the comparison has its own errors, by the recordings that remain
+    diagnostics += [Diagnostic(one.code, f"{source.path}: {one.message}", one.parameter) for one in found.diagnostics]
     return found
 
 
 def _measured(
-    path: Path, created: datetime | None, hours: float, model: Coupling | None, found: Identification | None
+    source: Source, created: datetime | None, hours: float, model: Coupling | None, found: Identification | None
 ) -> Measured:
+    scale = source.torque_uncertainty
     if found is None:
-        return Measured(path, created, hours, _name(model), {}, frozenset())
+        return Measured(source.path, created, hours, _name(model), {}, frozenset(), scale)
     estimates = {name: found[name] for name in COMPARED}
     doubted = {diagnostic.parameter for diagnostic in found.diagnostics if diagnostic.is_error}
-    told = {name for name, estimate in estimates.items() if estimate.identifiable and not {name, None} & doubted}
-    return Measured(path, created, hours, found.model.name, estimates, frozenset(told))
+    names = {name for name, estimate in estimates.items() if estimate.identifiable and not {name, None} & doubted}
+    return Measured(source.path, created, hours, found.model.name, estimates, frozenset(names), scale)
 
 
 def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
-    told = [one for one in measured if name in one.told]
-    estimates = [one.estimates[name] for one in told]
-    values = np.array([estimate.exact for estimate in estimates])
-    errors = np.array([standard_error(one.estimates[name], one.uncertainty) for one in told])
-    paths = tuple(one.path for one in told)
+    usable = [one for one in measured if name in one.identifiable]
+    values = np.array([one.estimates[name].value for one in usable])
+    errors = np.array([standard_error(one.estimates[name], one.torque_uncertainty) for one in usable])
+    paths = tuple(one.path for one in usable)
     unit = next((one.estimates[name].unit for one in measured if name in one.estimates), "")
-    if len(told) < 2:
-        verdict = f"{name} cannot be compared: {len(told)} of {len(measured)} recordings tell it, and it takes two."
+    if len(usable) < 2:
+        verdict = (
+            f"{name} cannot be compared: {len(usable)} of {len(measured)} recordings identify it, and it takes two."
+        )
         return Repeated(name, unit, paths, None, None, None, verdict)
     pooled = between(values, errors)
-    hours = np.array([one.hours for one in told])
-    slope = drift(hours, values, errors) if len(told) > 2 and np.isfinite(hours).all() and np.ptp(hours) > 0 else None
+    hours = np.array([one.hours for one in usable])
+    slope = drift(hours, values, errors) if len(usable) > 2 and np.isfinite(hours).all() and np.ptp(hours) > 0 else None
     repeats = pooled.p_alike >= _CHANCE and (slope is None or slope.p >= _CHANCE)
-    verdict = _verdict(name, pooled, slope, len(told))
-    return Repeated(name, unit, paths, _carrying(pooled, max(one.uncertainty for one in told)), slope, repeats, verdict)
+    verdict = _verdict(name, pooled, slope, len(usable))
+    widened = _with_scale(pooled, max(one.torque_uncertainty for one in usable))
+    return Repeated(name, unit, paths, widened, slope, repeats, verdict)
 
 
-def _carrying(pooled: Pooled, uncertainty: float) -> Pooled:
-    """The same with the uncertainty of the torque's scale in its error and interval."""
+def _with_scale(pooled: Pooled, uncertainty: float) -> Pooled:
+    """The pooled value with the uncertainty of the torque's scale in its error and interval."""
     scale = uncertainty * abs(pooled.value)
-    half = math.hypot(0.5 * (pooled.ci95[1] - pooled.ci95[0]), _CARRIED * scale)
+    half = math.hypot(0.5 * (pooled.ci95[1] - pooled.ci95[0]), _SCALE_NORMAL * scale)
     error = math.hypot(pooled.standard_error, scale)
     return replace(pooled, standard_error=error, ci95=(pooled.value - half, pooled.value + half))
 
@@ -220,8 +219,8 @@ def _carrying(pooled: Pooled, uncertainty: float) -> Pooled:
 def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
     """An estimate's own standard error, in its unit, from its 95 % interval without the torque's uncertainty."""
     half = 0.5 * (estimate.ci95[1] - estimate.ci95[0])
-    half = math.sqrt(max(half**2 - (_CARRIED * uncertainty * estimate.exact) ** 2, 0.0))
-    return float(max(half / _NORMAL, _ROUNDING * abs(estimate.exact), math.ulp(0.0)))
+    half = math.sqrt(max(half**2 - (_SCALE_NORMAL * uncertainty * estimate.value) ** 2, 0.0))
+    return float(max(half / _NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))
 
 
 def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:
@@ -229,23 +228,23 @@ def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:
     within, apart = pooled.within * scale, pooled.between * scale
     low, high = (end * scale for end in pooled.between_ci95)
     if pooled.p_alike < _CHANCE:
-        said = (
+        verdict = (
             f"{name} does not repeat: it differs from recording to recording by {apart:.2g} % (standard deviation; "
             f"95 %: {low:.2g} to {high:.2g} %), and one recording's own error is {within:.2g} %. Quote the pooled "
             "interval, never one recording's"
         )
     elif high < 0.1 * within:
-        said = f"{name} repeats, more closely than the recordings' own errors of {within:.2g} % would have it"
+        verdict = f"{name} repeats, more closely than the recordings' own errors of {within:.2g} % let expect"
     elif high > 2.0 * within:
-        said = (
+        verdict = (
             f"{name} agrees within the recordings' own errors of {within:.2g} %, but {count} of them cannot rule out "
             f"that it differs by up to {high:.2g} %: record more"
         )
     else:
-        said = (
-            f"{name} repeats: what lies between the recordings is at most {high:.2g} %, and one recording's own error "
-            f"is {within:.2g} %"
+        verdict = (
+            f"{name} repeats: the recordings differ by at most {high:.2g} % (standard deviation), and one recording's "
+            f"own error is {within:.2g} %"
         )
     if slope is not None and slope.p < _CHANCE:
-        said += f". It drifts by {slope.slope * scale:+.2g} % an hour (p = {slope.p:.2g})"
-    return f"{said}."
+        verdict += f". It drifts by {slope.slope * scale:+.2g} % an hour (p = {slope.p:.2g})"
+    return f"{verdict}."

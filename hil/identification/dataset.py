@@ -1,195 +1,134 @@
-"""From recordings to what the search takes: the signals in memory where they fit, columns on disk where they do not."""
+"""From recordings to the searched data: signals in memory where they fit, else a table of columns on disk."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnostics import Diagnostic, driven_by_position
-from hil.errors import Untrustworthy
-from hil.identification.disk_table import Progress, Spool
+from hil.diagnostics import Diagnostic
+from hil.identification.disk_table import DiskTable, Progress
 from hil.identification.model_choice import Choice
-from hil.recording.reader import Recording
-from hil.signals.prepare import Signals, glimpse, joined, prepare, stream
-from hil.signals.quality import assess
-from hil.stand.file import StandTable, parse
+from hil.signals.prepare import Defects, Signals, glimpse, joined, prepare, stream
+from hil.signals.quality import assess, recording_diagnostics
+from hil.signals.source import Source
+from hil.uncertainty.blocks import Blocks
 
 Array = NDArray[np.float64]
-Keep = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 Choose = Callable[[Signals, bool], Choice]
-Table = Callable[[Keep | None], Iterable[tuple[Array, Array]]]
-"""Columns (m, p) and torque (m,) N m of all rows in order, of those whose numbers `Keep` says are kept."""
+"""Return the model for signals; the second argument tells whether they are all the signals."""
 
 IN_MEMORY = 4_000_000
 """Rows, of all recordings together, up to which they are held in memory."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Dataset:
     """The recordings, pooled.
 
-    choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones. told: which of the
-    signals the model says something about. samples: how many of all that are. whole: whether the signals are all.
-    uncertainty: of the torque's scale, relative, one standard deviation. edges: where each recording ends, in samples.
-    diagnostics: what is to be said of them.
+    choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones; whole: whether they
+    are all. used (n,): which of these signals are fitted. blocks: columns of the linear parameters, and torque, of all
+    fitted samples. edges: where each recording ends in them. uncertainty: of the torque's scale, relative, one standard
+    deviation.
     """
 
     choice: Choice
     signals: Signals
-    told: NDArray[np.bool_]
-    samples: int
+    used: NDArray[np.bool_]
     whole: bool
-    uncertainty: float
+    blocks: Blocks
     edges: tuple[int, ...]
+    uncertainty: float
     diagnostics: list[Diagnostic]
-    _table: Table
 
-    def blocks(self, keep: Keep | None = None) -> Iterable[tuple[Array, Array]]:
-        """Columns and torque of all samples in order, of those whose numbers (m,) `keep` says are kept.
-
-        Of a model that is not linear in its parameters, those of its shape left at zero.
-        """
-        return self._table(keep)
+    @property
+    def samples(self) -> int:
+        """The number of samples that are fitted."""
+        return self.blocks.rows
 
 
 @contextmanager
-def open_dataset(paths: list[Path], choose: Choose, progress: Progress | None = None) -> Iterator[Dataset]:
-    """The recordings at `paths` with the model that `choose` says, from signals and whether they are all of them.
+def open_dataset(sources: Sequence[Source], choose: Choose, progress: Progress | None = None) -> Iterator[Dataset]:
+    """Pool the recordings with the model that `choose` returns.
 
-    progress is told of every going through recordings that do not fit in memory. Raises WrongUse, Untrustworthy as
-    reading and `prepare` do.
+    progress is called at every pass through recordings that do not fit in memory. Raises WrongUse, Untrustworthy as
+    `Source.verify`, reading and `prepare`.
     """
-    rows = _rows(paths)
+    for source in sources:
+        source.verify()
+    rows = sum(len(source.recording) for source in sources)
     if rows <= IN_MEMORY:
-        yield _in_memory(paths, choose)
+        yield _in_memory(sources, choose)
         return
-    signals = _glimpsed(paths)
+    glimpses = [glimpse(source.recording, source.table) for source in sources]
+    signals = joined([stretch for stretches in glimpses for stretch in stretches])
     choice = choose(signals, False)
-    with Spool(paths[0], rows, len(choice.model.linear), progress) as spool:
-        edges, diagnostics = _spooled(paths, choice, spool, rows, progress)
-        uncertainty = max(torque_uncertainty(path) for path in paths)
-        told = choice.told(signals.motion)
-        yield Dataset(choice, signals, told, spool.rows, False, uncertainty, edges, diagnostics, spool.blocks)
+    with DiskTable(sources[0].path, rows, len(choice.model.linear), progress) as table:
+        edges, diagnostics = _to_disk(sources, glimpses, choice, table, progress)
+        used = choice.told(signals.motion)
+        yield Dataset(choice, signals, used, False, table.blocks, edges, _uncertainty(sources), diagnostics)
 
 
-def table(columns: Array, torque: Array) -> Table:
-    """Columns (n, p) and torque (n,) as `Dataset.blocks` gives them."""
-
-    def blocks(keep: Keep | None) -> Iterable[tuple[Array, Array]]:
-        chosen = slice(None) if keep is None else keep(np.arange(len(torque)))
-        return [(columns[chosen], torque[chosen])]
-
-    return blocks
-
-
-def _rows(paths: list[Path]) -> int:
-    total = 0
-    for path in paths:
-        with Recording(path) as recording:
-            total += len(recording)
-    return total
-
-
-def stand_of(recording: Recording) -> StandTable | None:
-    """The stand that a recording was made on, None where the file names none. Raises WrongUse for a damaged one."""
-    text = recording.stand_toml
-    return parse(text, f"{recording.path}: stand_toml").stand if text else None
-
-
-def torque_uncertainty(path: Path) -> float:
-    """Of the torque's scale, relative, one standard deviation, as the stand of a recording says; 0 without one."""
-    with Recording(path) as recording:
-        stand = stand_of(recording)
-    return 0.0 if stand is None else stand.torque_uncertainty
-
-
-def recording_diagnostics(recording: Recording, signals: Signals) -> list[Diagnostic]:
-    """What any use of a recording must say of it: that it did not end, what was dropped, what was mended."""
-    found = []
-    if not recording.complete:
-        why = str(recording.attributes.get("end_reason", "")) or "it never ended"
-        found.append(
-            Diagnostic("unfinished", f"{recording.path} is not a whole run ({why}): its {len(recording)} rows are used")
-        )
-    if signals.lost:
-        lost = f"{signals.lost} of {len(recording)} replies were lost and are left out: hil doctor shows how often"
-        found.append(Diagnostic("lost-samples", lost))
-    if signals.not_numbers:
-        found.append(
-            Diagnostic(
-                "not-a-number",
-                f"{signals.not_numbers} of {len(recording)} rows hold a NaN and are left out: hil export shows which",
-            )
-        )
-    if signals.near_gaps:
-        gaps = f"{signals.near_gaps} rows lie beside a gap, where no rate can be told: record without a pause"
-        found.append(Diagnostic("near-gaps", gaps))
-    if signals.coarse_clock:
-        found.append(
-            Diagnostic(
-                "coarse-clock",
-                "several rows share a time stamp: they were spread evenly up to the next stamp; a finer clock tells Bc "
-                "better",
-            )
-        )
-    if signals.torque_from == "motor" and recording.profile.get("mode") == "position":
-        found.append(driven_by_position(is_error=True))
-    return found
-
-
-def _in_memory(paths: list[Path], choose: Choose) -> Dataset:
+def _in_memory(sources: Sequence[Source], choose: Choose) -> Dataset:
     parts, diagnostics = [], []
-    for path in paths:
-        with Recording(path) as recording:
-            if not recording.verify():
-                raise Untrustworthy(f"{path}: the samples are not the ones that were written (sha256 differs)")
-            parts.append(prepare(recording, stand_of(recording)))
-            diagnostics += recording_diagnostics(recording, parts[-1]) + assess(recording, parts[-1]).diagnostics()
+    for source in sources:
+        part = prepare(source.recording, source.table)
+        parts.append(part)
+        diagnostics += _diagnostics(source, [part], part.defects)
     signals = joined(parts)
     choice = choose(signals, True)
-    told, motion = choice.told(signals.motion), signals.motion
-    columns, torque = choice.model.columns(motion)[told], choice.model.target(motion, signals.torque)[told]
-    uncertainty = max(torque_uncertainty(path) for path in paths)
-    edges = tuple(np.cumsum(told)[np.cumsum([len(part) for part in parts]) - 1].tolist())
-    diagnostics += _slow(len(told) - len(torque), len(told))
-    return Dataset(choice, signals, told, len(torque), True, uncertainty, edges, diagnostics, table(columns, torque))
+    used = choice.told(signals.motion)
+    blocks = Blocks.of(*_rows(choice, signals, used))
+    edges = tuple(np.cumsum(used)[np.cumsum([len(part) for part in parts]) - 1].tolist())
+    diagnostics += _slow(len(used) - blocks.rows, len(used))
+    return Dataset(choice, signals, used, True, blocks, edges, _uncertainty(sources), diagnostics)
+
+
+def _to_disk(
+    sources: Sequence[Source],
+    glimpses: Sequence[list[Signals]],
+    choice: Choice,
+    table: DiskTable,
+    progress: Progress | None,
+) -> tuple[tuple[int, ...], list[Diagnostic]]:
+    """Write all columns and torque to the table; return where each recording ends in it, and the diagnostics."""
+    edges, diagnostics, read = [], [], 0
+    rows = sum(len(source.recording) for source in sources)
+    for source, stretches in zip(sources, glimpses, strict=True):
+        defects = Defects()
+        for part in stream(source.recording, source.table):
+            table.extend(*_rows(choice, part, choice.told(part.motion)))
+            defects += part.defects
+            read += len(part)
+            if progress is not None:
+                progress("reading", min(1.0, read / rows))
+        edges.append(table.rows)
+        diagnostics += _diagnostics(source, stretches, defects)
+    return tuple(edges), diagnostics + _slow(read - table.rows, read)
+
+
+def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Columns (m, p) and torque (m,) of the samples that are used; nonlinear parameters are left at zero."""
+    model, motion = choice.model, signals.motion
+    return model.columns(motion)[used], model.target(motion, signals.torque)[used]
+
+
+def _diagnostics(source: Source, stretches: list[Signals], defects: Defects) -> list[Diagnostic]:
+    return recording_diagnostics(source.recording, assess(source.recording, stretches, defects))
+
+
+def _uncertainty(sources: Sequence[Source]) -> float:
+    return max(source.torque_uncertainty for source in sources)
 
 
 def _slow(left_out: int, samples: int) -> list[Diagnostic]:
     if not left_out:
         return []
-    text = f"{left_out} of {samples} samples, so slow that friction may hold the joint, are left out: drive faster"
+    text = (
+        f"{left_out} of {samples} samples, so slow that friction may hold the joint, are left out: no Kc or Bc can be "
+        "estimated from them; drive faster"
+    )
     return [Diagnostic("slow-samples", text)]
-
-
-def _glimpsed(paths: list[Path]) -> Signals:
-    parts = []
-    for path in paths:
-        with Recording(path) as recording:
-            parts.append(glimpse(recording, stand_of(recording)))
-    return joined(parts)
-
-
-def _spooled(
-    paths: list[Path], choice: Choice, spool: Spool, rows: int, progress: Progress | None
-) -> tuple[tuple[int, ...], list[Diagnostic]]:
-    """Write all columns and torque to the spool; where each recording ends in it, and what is to be said of them."""
-    edges, diagnostics, read = [], [], 0
-    for path in paths:
-        with Recording(path) as recording:
-            counts = []
-            for part in stream(recording, stand_of(recording)):
-                told, motion = choice.told(part.motion), part.motion
-                spool.extend(choice.model.columns(motion)[told], choice.model.target(motion, part.torque)[told])
-                counts.append(part.thinned(len(part)))
-                read += len(part)
-                if progress is not None:
-                    progress("reading", min(1.0, read / rows))
-            edges.append(spool.rows)
-            diagnostics += recording_diagnostics(recording, joined(counts))
-    return tuple(edges), diagnostics + _slow(read - spool.rows, read)

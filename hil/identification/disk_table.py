@@ -1,4 +1,4 @@
-"""Columns and torque on disk, for recordings that do not fit in memory: worked out once, gone through many times."""
+"""Columns and torque on disk, for recordings that do not fit in memory: computed once, read many times."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.recording.output import check_space, writing
+from hil.uncertainty.blocks import Block, Blocks
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
-"""Told what is being done, in a word or three, and the part of it that is done, 0 to 1."""
+"""Called with what is being done, in a few words, and the fraction of it that is done."""
 
 _ROWS = 1 << 18  # rows read at a time
 
 
-class Spool:
-    """A table of rows (columns, torque), in SI, in an unnamed file beside `beside`; gone when closed.
+class DiskTable:
+    """Rows of columns and torque, in SI, in an unnamed file beside `beside`, deleted when closed.
 
-    progress is told how far each going through is. Raises WrongUse where the disk has no room for `rows` rows of
-    `width` columns.
+    progress is called during each pass. Raises WrongUse where the disk has no room for `rows` rows of `width` columns.
     """
 
     def __init__(self, beside: Path, rows: int, width: int, progress: Progress | None = None) -> None:
@@ -31,7 +31,7 @@ class Spool:
         self._progress = progress
         check_space(beside, rows * self._width * 8)
         with writing(beside):
-            self._file = tempfile.TemporaryFile(dir=beside.parent, buffering=0)  # noqa: SIM115 - closed by close()
+            self._file = tempfile.TemporaryFile(dir=beside.parent, buffering=0)  # noqa: SIM115 - closed by __exit__
         self.rows = 0
 
     def __enter__(self) -> Self:
@@ -47,18 +47,17 @@ class Spool:
             self._file.write(table.tobytes())
         self.rows += len(table)
 
-    def blocks(
-        self, keep: Callable[[NDArray[np.int64]], NDArray[np.bool_]] | None = None
-    ) -> Iterable[tuple[Array, Array]]:
-        """The rows in order: columns (m, p), torque (m,), of those whose numbers (m,) `keep` says are kept."""
+    @property
+    def blocks(self) -> Blocks:
+        """The rows written so far, in order."""
+        return Blocks(self.rows, self._read)
+
+    def _read(self) -> Iterable[Block]:
         for start in range(0, self.rows, _ROWS):
             count = min(_ROWS, self.rows - start)
             self._file.seek(start * self._width * 8)
-            table = np.frombuffer(self._file.read(count * self._width * 8), dtype=np.float64).reshape(
-                count, self._width
-            )
-            if keep is not None:
-                table = table[keep(np.arange(start, start + count))]
+            data = self._file.read(count * self._width * 8)
+            table = np.frombuffer(data, dtype=np.float64).reshape(count, self._width)
             yield np.ascontiguousarray(table[:, :-1]), np.ascontiguousarray(table[:, -1])
             if self._progress is not None:
-                self._progress("going through the samples", (start + count) / self.rows)
+                self._progress("reading the samples again", (start + count) / self.rows)

@@ -1,57 +1,73 @@
-"""A result without the compliance of the fixture that held the joint, which a recording of the empty rig tells."""
+"""Kc and Bc of the joint without the compliance of its fixture, which an empty-rig recording identifies."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification.compare import standard_error
-from hil.identification.dataset import torque_uncertainty
+from hil.identification.disk_table import Progress
 from hil.identification.identifiability import TOLD
+from hil.identification.identify import Search, identify_sources
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Fixture, Identification
-from hil.identification.same_stand import check_together
+from hil.identification.same_stand import same_stand_diagnostics
+from hil.signals.source import open_sources
 from hil.uncertainty.series_compliance import Element, Excitation, corrected
 
 _NORMAL = 1.96
 _CORRECTED = ("Kc", "Bc")
 
 
-def check_rig(recordings: list[Path], rig: Path, model: Coupling | None) -> list[Diagnostic]:
-    """What is to be said of an empty-rig recording beside those of the joint.
+def identify_without_fixture(
+    paths: Sequence[Path], empty_rig: Path, model: Coupling | None, search: Search, progress: Progress | None = None
+) -> Identification:
+    """Fit a model to the recordings of the joint and to the empty-rig recording, and remove the fixture's compliance.
 
-    Raises WrongUse where it is of another stand or one of them, and for a model without Kc and Bc.
+    Raises as `hil.identification.identify.identify`, WrongUse where the empty rig is another stand or one of the
+    recordings, and for a model without Kc and Bc; Untrustworthy as `without_fixture`.
     """
+    _check_names(model)
+    with open_sources([*paths, empty_rig]) as (*sources, rig):
+        stands = same_stand_diagnostics([sources[0], rig])
+        found = identify_sources(sources, model, search, progress)
+        fixture = identify_sources([rig], model, replace(search, checkpoint=None), progress)
+    return without_fixture(replace(found, diagnostics=(*found.diagnostics, *stands)), fixture)
+
+
+def _check_names(model: Coupling | None) -> None:
     names = _CORRECTED if model is None else [parameter.name for parameter in (*model.linear, *model.shape)]
     if model is not None and not set(_CORRECTED) <= set(names):
         raise WrongUse(
-            f"--fixture is taken off Kc and Bc, and model {model.name!r} has {', '.join(names)}: name them so in the "
+            f"--fixture corrects Kc and Bc, and model {model.name!r} has {', '.join(names)}: name them so in the "
             "model, or leave the option out"
         )
-    return check_together([recordings[0], rig])
 
 
 def without_fixture(found: Identification, fixture: Identification) -> Identification:
-    """Kc and Bc of the joint alone, with the errors of both recordings in their intervals.
+    """Return Kc and Bc of the joint alone, with the errors of both recordings in their intervals.
 
-    What there is to say of the fixture's recording is in the diagnostics, and so is a parameter that cannot be told any
-    more. Raises Untrustworthy where the fixture is softer than the joint, or its own recording does not tell Kc.
+    The diagnostics of the empty-rig recording are among the result's, with an error for a parameter that is no longer
+    identifiable. Raises Untrustworthy where the fixture is softer than the joint, or its recording does not identify
+    its stiffness.
     """
     if not fixture["Kc"].identifiable:
-        why = next((one.message for one in fixture.diagnostics if one.is_error), "it is not told from noise")
-        raise Untrustworthy(f"{fixture.recordings[0]} cannot tell the stiffness of the fixture: {why}")
+        why = next((one.message for one in fixture.diagnostics if one.is_error), "it is as small as its noise")
+        raise Untrustworthy(f"{fixture.recordings[0]} does not identify the stiffness of the fixture: {why}")
     signals = found.signals
+    motion = signals.motion
     one = len(found.recordings) == 1 and len(signals) >= found.samples
-    moved = Excitation.of(signals.time, signals.dtheta) if one else Excitation.flat(signals.band)
-    # the torque's scale is wrong by the same part in both, and so in what is left
-    common = max(torque_uncertainty(path) for path in found.recordings)
-    alone = corrected(_element(found, common), _element(fixture, common), moved)
+    excitation = Excitation.of(motion.time, motion.dtheta) if one else Excitation.flat(signals.band)
+    # the torque's scale has the same relative error in both, and so in the difference
+    common = found.torque_uncertainty
+    alone = corrected(_element(found, common), _element(fixture, common), excitation)
     corrections = {"Kc": (alone.stiffness, alone.stiffness_error), "Bc": (alone.damping, alone.damping_error)}
     estimates = tuple(
-        _moved(estimate, *corrections[estimate.name], common) if estimate.name in corrections else estimate
+        _corrected(estimate, *corrections[estimate.name], common) if estimate.name in corrections else estimate
         for estimate in found.estimates
     )
     lost = [
@@ -68,7 +84,7 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
 
 
 def _of_fixture(fixture: Identification) -> list[Diagnostic]:
-    """What was found of the fixture; a damping of it that cannot be told is in the intervals and ends nothing."""
+    """The diagnostics of the fixture; an unidentifiable damping is no error, since the intervals include it."""
     return [
         Diagnostic(
             one.code,
@@ -83,8 +99,8 @@ def _of_fixture(fixture: Identification) -> list[Diagnostic]:
 def _lost(estimate: Estimate) -> Diagnostic:
     return Diagnostic(
         "not-identifiable",
-        f"{estimate.name} of the joint cannot be told from what the fixture gives: without it, the 95 % interval is as "
-        "wide as the value; stiffen the fixture, or record both for longer and over a wider band",
+        f"{estimate.name} of the joint cannot be separated from the fixture's: corrected, its 95 % interval is as wide "
+        "as the value; stiffen the fixture, or record both for longer and over a wider band",
         estimate.name,
         is_error=True,
     )
@@ -92,16 +108,16 @@ def _lost(estimate: Estimate) -> Diagnostic:
 
 def _element(found: Identification, common: float) -> Element:
     kc, bc = found["Kc"], found["Bc"]
-    return Element(kc.exact, bc.exact, standard_error(kc, common), standard_error(bc, common))
+    return Element(kc.value, bc.value, standard_error(kc, common), standard_error(bc, common))
 
 
-def _moved(estimate: Estimate, exact: float, error: float, common: float) -> Estimate:
-    shift, half = exact - estimate.exact, _NORMAL * math.hypot(error, common * exact)
+def _corrected(estimate: Estimate, value: float, error: float, common: float) -> Estimate:
+    shift, half = value - estimate.value, _NORMAL * math.hypot(error, common * value)
+    trials = estimate.optimiser
     return replace(
         estimate,
-        value=estimate.value + shift,
-        exact=exact,
-        ci95=(exact - half, exact + half),
-        trials_mean=estimate.trials_mean + shift,
-        identifiable=estimate.identifiable and bool(half < TOLD * exact),
+        value=value,
+        ci95=(value - half, value + half),
+        optimiser=replace(trials, best=trials.best + shift, mean=trials.mean + shift),
+        identifiable=estimate.identifiable and bool(half < TOLD * value),
     )

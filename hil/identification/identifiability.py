@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from ga.trials.trials import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
-from hil.identification.result import Estimate, Holdout
+from hil.identification.result import Estimate, Repeatability, Validation
 from hil.identification.stepwise import Rung
 from hil.signals.prepare import Signals
-from hil.uncertainty.confidence import Spread
-from hil.uncertainty.pooling import Scatter
+from hil.uncertainty.confidence import ConfidenceIntervals
+from hil.uncertainty.stationarity import VarianceComponents
 
 Array = NDArray[np.float64]
 
@@ -44,13 +44,13 @@ class Evidence:
     signals: Signals
     columns: Array
     values: Array
-    errors: Spread
-    scattered: tuple[Scatter | None, ...]
+    errors: ConfidenceIntervals
+    scattered: tuple[VarianceComponents | None, ...]
     trials: Trials
     low: Array
     high: Array
     gap: float
-    holdout: Holdout
+    holdout: Validation
     unmoved: str = ""
 
     @property
@@ -77,10 +77,10 @@ class Evidence:
         The square of the cosine between the rate and its sign. 0 for a user's own model, which may have one by any
         name.
         """
-        power = float(np.mean(self.signals.dtheta_dot**2))
+        power = float(np.mean(self.signals.motion.dtheta_dot**2))
         if "Fc" in self.names or not self.model.linear or power == 0.0:
             return 0.0
-        return float(np.mean(np.abs(self.signals.dtheta_dot))) ** 2 / power
+        return float(np.mean(np.abs(self.signals.motion.dtheta_dot))) ** 2 / power
 
     def at_bound(self, at: int) -> str | None:
         """Which end of its bounds the exact optimum lies at or beyond, None for neither."""
@@ -94,20 +94,19 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
     """All parameters, in the model's order."""
     found = []
     for at, parameter in enumerate((*evidence.model.linear, *evidence.model.shape)):
-        exact, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
+        value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
+        best, mean, std = (float(of[at]) for of in (evidence.trials.best, evidence.trials.mean, evidence.trials.std))
         found.append(
             Estimate(
                 name=parameter.name,
                 unit=parameter.unit,
-                value=float(evidence.trials.best[at]),
-                exact=exact,
-                ci95=(exact - half, exact + half),
-                trials_mean=float(evidence.trials.mean[at]),
-                trials_std=float(evidence.trials.std[at]),
+                value=value,
+                ci95=(value - half, value + half),
+                optimiser=Repeatability(best, mean, std),
                 identifiable=evidence.told(at),
                 at_bound=evidence.at_bound(at),
                 bounds=(float(evidence.low[at]), float(evidence.high[at])),
-                scatter=evidence.scattered[at],
+                components=evidence.scattered[at],
             )
         )
     return tuple(found)
@@ -152,7 +151,7 @@ def rivals(rungs: tuple[Rung, ...], found: tuple[Estimate, ...]) -> list[Diagnos
                     Diagnostic(
                         "model-dependent",
                         f"with {rung.term}, which this recording neither asks for nor rules out, {estimate.name} would "
-                        f"be {value / estimate.exact - 1.0:+.2%} from here, outside its interval: a wider band or a "
+                        f"be {value / estimate.value - 1.0:+.2%} from here, outside its interval: a wider band or a "
                         "larger amplitude would tell",
                         estimate.name,
                     )

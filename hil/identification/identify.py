@@ -1,10 +1,10 @@
-"""From recordings to Kc and Bc: signals, model, genetic search, exact optimum, and what may be believed of them."""
+"""From recordings to Kc and Bc: signals, model, genetic search, exact optimum, confidence intervals, diagnostics."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.evolution.evolution import Settings
 from ga.lad.exact import Optimum
-from ga.lad.out_of_core import Blocks, Reduced, reduce
+from ga.lad.out_of_core import Reduced, reduce
 from ga.model.separable import Problem, descend, fit
 from ga.model.terms import Parameter
 from ga.trials.checkpoint import WrongCheckpoint
@@ -22,31 +22,32 @@ from ga.trials.nonlinear import search_shapes
 from ga.trials.trials import Trials, run_trials
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
-from hil.identification.dataset import Dataset, Table, open_dataset, table
+from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.disk_table import Progress
 from hil.identification.identifiability import Evidence, estimates, judge, rivals
 from hil.identification.model_choice import Choice, Coupling, choose
-from hil.identification.result import Holdout, Identification
-from hil.identification.same_stand import check_together
+from hil.identification.result import Estimate, Identification, Validation
+from hil.identification.same_stand import same_stand_diagnostics
+from hil.identification.stepwise import Rung
 from hil.signals.prepare import Signals
-from hil.uncertainty.confidence import spread
-from hil.uncertainty.pooling import scatter
-from hil.uncertainty.stationarity import unsteady
+from hil.signals.source import Source, open_sources
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import confidence_intervals
+from hil.uncertainty.stationarity import pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
 
 _FOLDS = 10  # blocks in time; every fifth is held out
-_TRIALS, _SHAPE_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
+_TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
 _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording in which nothing moved
-_COUNTED = 1 << 18  # samples looked at a time
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """How to search. bounds: the parameters whose range was given, SI.
+    """The settings of a search. bounds: the parameters whose range was given, SI.
 
-    trials: independent searches; None: as many as the paper's 30 where that is a matter of milliseconds, else fewer.
-    checkpoint: a file that keeps the state of the search, which goes on from it where it is there already.
+    trials: independent searches; None: the paper's 30, or 5 for a model with nonlinear parameters.
+    checkpoint: a file that keeps the state of the search; where it exists, the search continues from it.
     """
 
     preset: str
@@ -59,12 +60,11 @@ class Search:
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
-    """What the search and the exact solution came to.
+class _Solution:
+    """The result of the search and of the exact solution.
 
-    values: (p + q,), of the exact solution. low and high: (p + q,), the bounds of the parameters that were searched,
-    NaN for the others. columns: (m, p + q), of the signals. blocks: the linear problem that the neighbourhood of the
-    solution looks like.
+    values (p + q,): of the exact solution. low and high (p + q,): the bounds of the parameters that were searched, NaN
+    for the others. columns (m, p + q): of the signals. blocks: the linear problem around the solution.
     """
 
     values: Array
@@ -74,104 +74,122 @@ class _Found:
     trials: Trials
     seconds: float
     columns: Array
-    blocks: Table
+    blocks: Blocks
 
 
 def identify(
-    paths: list[Path], model: Coupling | None, search: Search, progress: Progress | None = None
+    paths: Sequence[Path], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
-    """Fit a model, None: the one the ladder chooses, to the recordings, pooled.
+    """Fit a model to the recordings, pooled; None: the model that model selection chooses.
 
-    Ctrl-C while it searches ends the search only: what came of it is returned, with the trials marked as interrupted.
-    Raises WrongUse, and Untrustworthy where the recordings cannot be used at all; what is doubtful but usable is in
-    the diagnostics.
+    Ctrl-C during the search ends the search only: its result so far is returned, with the trials marked as interrupted.
+    Raises WrongUse, and Untrustworthy where the recordings cannot be used at all; lesser doubts are in the diagnostics.
     """
+    with open_sources(paths) as sources:
+        return identify_sources(sources, model, search, progress)
+
+
+def identify_sources(
+    sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None = None
+) -> Identification:
+    """Do what `identify` does with recordings that are open already."""
     began = time.perf_counter()
-    together = check_together(paths)
+    stands = same_stand_diagnostics(sources)
 
     def chosen(signals: Signals, whole: bool) -> Choice:
         if progress is not None and model is None:
             progress("choosing the model", 0.0)
         return choose(model, signals, straight=not whole or search.preset == "paper")
 
-    with open_dataset(paths, chosen, progress) as data:
-        found = (_curved if data.choice.model.shape else _straight)(data, search, progress)
-        parameters = (*data.choice.model.linear, *data.choice.model.shape)
-        scales = np.array([parameter.scales for parameter in parameters])
-        within = spread(lambda: found.blocks(None), found.values)
-        apart, scattered = scatter(found.blocks, data.edges, within)
-        errors = apart.carrying(data.uncertainty, found.values, scales)
-        fitness = float(found.trials.fitness.min())
-        holdout = _hold_out(data, found)
-        evidence = Evidence(
-            model=data.choice.model,
-            signals=data.signals,
-            columns=found.columns,
-            values=found.values,
-            errors=errors,
-            scattered=scattered,
-            trials=found.trials,
-            low=found.low,
-            high=found.high,
-            gap=found.optimum.relative_gap(fitness),
-            holdout=holdout,
-            unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
-        )
-        judged = estimates(evidence)
+    with open_dataset(sources, chosen, progress) as data:
+        solution = (_nonlinear if data.choice.model.shape else _linear)(data, search, progress)
+        evidence = _evidence(data, solution)
+        found = estimates(evidence)
+        steps = _with_result(data.choice.rungs, found, solution)
         return Identification(
-            recordings=tuple(paths),
+            recordings=tuple(source.path for source in sources),
             model=data.choice.model,
-            rungs=data.choice.rungs,
+            steps=steps,
             preset=search.preset,
             seed=search.seed,
-            estimates=judged,
-            fitness=fitness,
-            optimum=found.optimum.fitness,
-            relative_gap=evidence.gap,
+            estimates=found,
+            fitness=float(solution.trials.fitness.min()),
+            optimum=solution.optimum.fitness,
+            optimiser_gap=evidence.gap,
             samples=data.samples,
-            trials=found.trials,
+            trials=solution.trials,
             seconds=time.perf_counter() - began,
-            search_seconds=found.seconds,
-            holdout=holdout,
+            search_seconds=solution.seconds,
+            validation=evidence.holdout,
             diagnostics=tuple(
-                together
-                + data.diagnostics
-                + _of_parts(data, found, parameters)
-                + judge(evidence)
-                + rivals(data.choice.rungs, judged)
+                stands + data.diagnostics + _stationarity(data, solution) + judge(evidence) + rivals(steps, found)
             ),
             signals=data.signals,
+            torque_uncertainty=data.uncertainty,
         )
 
 
-def _of_parts(data: Dataset, found: _Found, parameters: tuple[Parameter, ...]) -> list[Diagnostic]:
-    """What parts of the recordings say against the whole; a recording that does not fit in memory is not gone through
-    once more for it.
+def _evidence(data: Dataset, solution: _Solution) -> Evidence:
+    """The intervals, the validation and the gap, by which the result is judged."""
+    parameters = (*data.choice.model.linear, *data.choice.model.shape)
+    scales = np.array([parameter.scales for parameter in parameters])
+    sampling = confidence_intervals(solution.blocks, solution.values)
+    pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
+    return Evidence(
+        model=data.choice.model,
+        signals=data.signals,
+        columns=solution.columns,
+        values=solution.values,
+        errors=pooled.with_torque_uncertainty(data.uncertainty, solution.values, scales),
+        scattered=components,
+        trials=solution.trials,
+        low=solution.low,
+        high=solution.high,
+        gap=solution.optimum.relative_gap(float(solution.trials.fitness.min())),
+        holdout=_validation(data, solution),
+        unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
+    )
+
+
+def _with_result(steps: Sequence[Rung], found: Sequence[Estimate], solution: _Solution) -> tuple[Rung, ...]:
+    """The steps of model selection, the last included one with the values of the result.
+
+    Model selection sees the samples before those where the joint may stick are left out, and of a recording that does
+    not fit in memory only a part, so that its own values differ in the last digits.
     """
-    names = _names(parameters)
-    return unsteady(found.blocks, data.edges, names.index("Kc")) if data.whole and "Kc" in names else []
+    if not steps:
+        return ()
+    last = max(at for at, step in enumerate(steps) if step.taken)
+    final = replace(steps[last], fitness=solution.optimum.fitness, Kc=found[0].value, Bc=found[1].value)
+    return (*steps[:last], final, *steps[last + 1 :])
 
 
-def _straight(data: Dataset, search: Search, progress: Progress | None) -> _Found:
-    """A model that is linear in its parameters: all of them are searched."""
+def _stationarity(data: Dataset, solution: _Solution) -> list[Diagnostic]:
+    """The check of Kc over each recording; left out where the samples would have to be read from disk again for it."""
     model = data.choice.model
-    columns, torque = next(iter(data.blocks(None))) if data.whole else _glimpsed(data)
-    bounds = _bounds(model, search, columns, torque)
-    reduced = _exact(lambda: data.blocks(None), data.samples)
+    names = _names((*model.linear, *model.shape))
+    return stationarity_errors(solution.blocks, data.edges, names.index("Kc")) if data.whole and "Kc" in names else []
+
+
+def _linear(data: Dataset, search: Search, progress: Progress | None) -> _Solution:
+    """The solution of a model that is linear in its parameters: all of them are searched."""
+    columns, torque = next(iter(data.blocks())) if data.whole else _glimpsed(data)
+    bounds = _bounds(data.choice.model, search, columns, torque)
+    reduced = _exact(data.blocks)
     began = time.perf_counter()
     trials = _search(data, reduced, bounds, search, progress)
     seconds = time.perf_counter() - began
     optimum = reduced.optimum
-    return _Found(optimum.genes, optimum, bounds.low, bounds.high, trials, seconds, columns, data.blocks)
+    return _Solution(optimum.genes, optimum, bounds.low, bounds.high, trials, seconds, columns, data.blocks)
 
 
 def _glimpsed(data: Dataset) -> tuple[Array, Array]:
     model, motion = data.choice.model, data.signals.motion
-    return model.columns(motion)[data.told], model.target(motion, data.signals.torque)[data.told]
+    return model.columns(motion)[data.used], model.target(motion, data.signals.torque)[data.used]
 
 
-def _curved(data: Dataset, search: Search, progress: Progress | None) -> _Found:
-    """A model with a shape: that is searched, and the linear parameters are solved for exactly inside."""
+def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Solution:
+    """The solution of a model with nonlinear parameters: they are searched, and the linear ones solved for exactly."""
     model, motion = data.choice.model, data.signals.motion
     if search.checkpoint is not None:
         names = ", ".join(_names(model.shape))
@@ -180,51 +198,47 @@ def _curved(data: Dataset, search: Search, progress: Progress | None) -> _Found:
     low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
     low, high = _narrowed(low, high, search, _names((*model.linear, *model.shape)), model.name)
     _check_population(search, len(model.shape))
-    problem = Problem(model, motion, data.signals.torque, low[p:], high[p:]).of(data.told)
+    problem = Problem(model, motion, data.signals.torque, low[p:], high[p:]).of(data.used)
     began = time.perf_counter()
     trials = search_shapes(
         problem,
         search.settings,
-        trials=search.trials or _SHAPE_TRIALS,
+        trials=search.trials or _NONLINEAR_TRIALS,
         seed=search.seed,
         workers=search.workers,
         progress=None if progress is None else partial(progress, "searching"),
     )
     seconds = time.perf_counter() - began
     try:
-        # a user's own model has no valleys that are known beforehand: where its best trial ended is its bottom
+        # the valleys of a user's own model are not known beforehand: its optimum is where its best trial ended
         exact = problem.solve(trials.best[p:]) if model.linear else descend(problem, trials.best)
         if model.linear:
             exact = min(exact, fit(problem), key=lambda found: found.fitness)
     except RuntimeError as error:
-        raise Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model") from error
+        raise _unproven(error) from error
     columns, target = problem.linearised(exact)
-    return _Found(
-        values=exact.values,
-        optimum=exact.optimum,
-        low=low,
-        high=high,
-        trials=trials,
-        seconds=seconds,
-        columns=columns,
-        blocks=table(columns, target),
-    )
+    blocks = Blocks.of(columns, target)
+    return _Solution(exact.values, exact.optimum, low, high, trials, seconds, columns, blocks)
 
 
-def _exact(blocks: Blocks, samples: int) -> Reduced:
+def _exact(blocks: Blocks) -> Reduced:
     try:
-        return reduce(blocks, samples)
+        return reduce(blocks, blocks.rows)
     except RuntimeError as error:
-        raise Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model") from error
+        raise _unproven(error) from error
+
+
+def _unproven(error: RuntimeError) -> Untrustworthy:
+    return Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model")
 
 
 def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, progress: Progress | None) -> Trials:
-    """The trials on the data, or on what stands for them where they do not fit in memory; fitness in N m of the whole.
+    """The trials on the data, or on the reduced data where they do not fit in memory; fitness in N m of the whole.
 
     Raises WrongUse for a population that is too small, or a checkpoint that is of another search or cannot be written.
     """
     _check_population(search, len(bounds.low))
-    columns, torque = next(iter(data.blocks(None))) if data.whole else (reduced.columns, reduced.torque)
+    columns, torque = next(iter(data.blocks())) if data.whole else (reduced.columns, reduced.torque)
     try:
         trials = run_trials(
             columns,
@@ -236,7 +250,7 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
             workers=search.workers,
             start=None if data.whole else reduced.start,
             progress=None if progress is None else partial(progress, "searching"),
-            stop=lambda: False,  # with one, Ctrl-C keeps what was found
+            stop=lambda: False,  # given one, the search ends at Ctrl-C and keeps its result
             checkpoint=search.checkpoint,
         )
     except WrongCheckpoint as error:
@@ -247,7 +261,7 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
 
 
 def _bounds(model: Coupling, search: Search, columns: Array, torque: Array) -> Bounds:
-    """The box to search: given ranges first, then the paper's for its preset, then the data's own."""
+    """The bounds of the search: the given ranges, else the paper's for its preset, else those from the data."""
     found = bounds_from_data(columns, torque)
     low, high = found.low.copy(), found.high.copy()
     if search.preset == "paper":
@@ -257,7 +271,7 @@ def _bounds(model: Coupling, search: Search, columns: Array, torque: Array) -> B
 
 
 def _narrowed(low: Array, high: Array, search: Search, names: tuple[str, ...], model: str) -> tuple[Array, Array]:
-    """The bounds (p,) with the ranges that were given. Raises WrongUse for an unknown one, or one that is none."""
+    """The bounds (p,) with the given ranges. Raises WrongUse for an unknown parameter or an empty range."""
     low, high = low.copy(), high.copy()
     for name, (lowest, highest) in search.bounds.items():
         if name not in names:
@@ -279,23 +293,33 @@ def _names(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:
     return tuple(parameter.name for parameter in parameters)
 
 
-def _hold_out(data: Dataset, found: _Found) -> Holdout:
+def _validation(data: Dataset, solution: _Solution) -> Validation:
+    """Fit 80 % of the samples and compute the error of the other 20 %, blocks in time."""
+
     def is_out(number: NDArray[np.int64]) -> NDArray[np.bool_]:
         return np.asarray(number * _FOLDS // data.samples % 5 == 2)
 
     def is_in(number: NDArray[np.int64]) -> NDArray[np.bool_]:
         return ~is_out(number)
 
-    firsts = range(0, data.samples, _COUNTED)  # the numbers of all samples at once would not fit in memory either
-    kept = sum(int(is_in(np.arange(at, min(at + _COUNTED, data.samples))).sum()) for at in firsts)
-    genes = _exact(lambda: found.blocks(is_in), kept).optimum.genes
-    count, absolute, square, total, power = 0, 0.0, 0.0, 0.0, 0.0
-    for columns, torque in found.blocks(is_out):
-        left = torque - columns @ genes
-        count += len(torque)
-        absolute += float(np.abs(left).sum())
-        square += float(left @ left)
-        total += float(torque.sum())
-        power += float(torque @ torque)
-    variance = power / count - (total / count) ** 2
-    return Holdout(absolute / count, float(np.sqrt(square / count / variance)) if variance > 0.0 else np.nan)
+    genes = _exact(solution.blocks.where(is_in)).optimum.genes
+    count, absolute, square = 0, 0.0, 0.0
+    for columns, target in solution.blocks.where(is_out)():
+        residuals = target - columns @ genes
+        count += len(target)
+        absolute += float(np.abs(residuals).sum())
+        square += float(residuals @ residuals)
+    if data.whole:  # the torque itself: of a nonlinear model, the blocks hold the target of its linearisation
+        variance = _variance([data.signals.coupling_torque[data.used][is_out(np.arange(data.samples))]])
+    else:
+        variance = _variance(torque for _, torque in data.blocks.where(is_out)())
+    return Validation(absolute / count, float(np.sqrt(square / count / variance)) if variance > 0.0 else np.nan)
+
+
+def _variance(parts: Iterable[Array]) -> float:
+    count, total, power = 0, 0.0, 0.0
+    for part in parts:
+        count += len(part)
+        total += float(part.sum())
+        power += float(part @ part)
+    return power / count - (total / count) ** 2

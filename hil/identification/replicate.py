@@ -112,7 +112,7 @@ def _record(folder: Path, seed: int) -> Path:
 
 def _numpy_seconds(signals: Signals) -> float:
     """The processor time of one fitness evaluation as one writes it with NumPy, s: the best of many."""
-    dtheta, rate, torque = signals.dtheta, signals.dtheta_dot, signals.torque
+    dtheta, rate, torque = signals.motion.dtheta, signals.motion.dtheta_dot, signals.torque
     best, end = float("inf"), time.process_time() + _MEASURE
     while time.process_time() < end:
         began = time.process_time()
@@ -137,16 +137,16 @@ def as_json(done: Replication) -> dict[str, Any]:
         "evaluations_per_second": done.evaluations_per_second,
         "numpy_seconds_per_evaluation": done.numpy_seconds,
         "ratio_to_numpy": done.ratio_to_numpy,
-        "relative_gap": found.relative_gap,
+        "relative_gap": found.optimiser_gap,
         "interrupted": found.trials.interrupted,
         "parameters": {
             estimate.name: {
                 "unit": estimate.unit,
                 "true": done.truth[estimate.name],
-                "best": estimate.value,
-                "mean": estimate.trials_mean,
-                "std": estimate.trials_std if len(found.trials.fitness) > 1 else None,
-                "exact": estimate.exact,
+                "best": estimate.optimiser.best,
+                "mean": estimate.optimiser.mean,
+                "std": estimate.optimiser.std if len(found.trials.fitness) > 1 else None,
+                "exact": estimate.value,
                 "paper_mean": PAPER[estimate.name][0],
                 "paper_std": PAPER[estimate.name][1],
             }
@@ -161,10 +161,14 @@ def table(done: Replication) -> list[str]:
     rows = [
         ("", "Kc [mN m/rad]", "Bc [mN m s/rad]"),
         ("real parameters (simulated stand)", f"{done.truth['Kc'] * 1e3:.2f}", f"{done.truth['Bc'] * 1e3:.3f}"),
-        ("best of the trials", f"{kc.value * 1e3:.4f}", f"{bc.value * 1e3:.5f}"),
-        ("trials, mean ± std", _spread(kc.trials_mean, kc.trials_std), _spread(bc.trials_mean, bc.trials_std)),
+        ("best of the trials", f"{kc.optimiser.best * 1e3:.4f}", f"{bc.optimiser.best * 1e3:.5f}"),
+        (
+            "trials, mean ± std",
+            _spread(kc.optimiser.mean, kc.optimiser.std),
+            _spread(bc.optimiser.mean, bc.optimiser.std),
+        ),
         ("the paper's, mean ± std", *(_spread(*PAPER[name]) for name in ("Kc", "Bc"))),
-        ("exact optimum of these data", f"{kc.exact * 1e3:.4f}", f"{bc.exact * 1e3:.5f}"),
+        ("exact optimum of these data", f"{kc.value * 1e3:.4f}", f"{bc.value * 1e3:.5f}"),
     ]
     return [f"{what:36}{first:>20}{second:>22}" for what, first, second in rows]
 

@@ -1,4 +1,4 @@
-"""What an identification found, as the report reads it."""
+"""The result of an identification, as the report reads it."""
 
 from __future__ import annotations
 
@@ -10,35 +10,45 @@ from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
 from hil.identification.stepwise import Rung
 from hil.signals.prepare import Signals
-from hil.uncertainty.pooling import Scatter
+from hil.uncertainty.stationarity import VarianceComponents
+
+
+@dataclass(frozen=True, slots=True)
+class Repeatability:
+    """One parameter over the optimiser's trials: the best of them, their mean and standard deviation.
+
+    It shows how well the optimiser repeats; the uncertainty is the confidence interval. std: NaN for a single trial.
+    """
+
+    best: float
+    mean: float
+    std: float
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter in SI. value: of the best trial. exact: of the exact optimum. ci95: around the exact optimum.
+    """One parameter in SI. value: of the exact optimum; ci95: around it.
 
-    trials_std: NaN for a single trial. bounds: NaN where the parameter was solved for and not searched.
-    scatter: within and between pooled recordings, None for one, or where fewer than two tell it.
+    bounds: NaN where the parameter was solved for and not searched. components: within and between pooled recordings,
+    None for a single recording and where fewer than two can estimate the parameter.
     """
 
     name: str
     unit: str
     value: float
-    exact: float
     ci95: tuple[float, float]
-    trials_mean: float
-    trials_std: float
+    optimiser: Repeatability
     identifiable: bool
     at_bound: str | None
     bounds: tuple[float, float]
-    scatter: Scatter | None = None
+    components: VarianceComponents | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Holdout:
-    """A fit to four fifths of the run, judged on the rest.
+class Validation:
+    """The error on 20 % held-out data of a fit to the other 80 %.
 
-    fitness: mean |error|, N m. nrmse: RMS error over the torque's spread, NaN where it has none.
+    fitness: mean |error|, N m. nrmse: RMS error over the torque's standard deviation, NaN where that is zero.
     """
 
     fitness: float
@@ -47,7 +57,7 @@ class Holdout:
 
 @dataclass(frozen=True, slots=True)
 class Fixture:
-    """What held the joint, by a recording of the empty rig: its Kc and Bc, which are taken off those of the result."""
+    """The compliance that holds the joint, from an empty-rig recording; its Kc and Bc are removed from the result's."""
 
     recording: Path
     model: str
@@ -56,28 +66,31 @@ class Fixture:
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What `hil identify` found. fitness and optimum: N m. relative_gap: the search's own error, as a ratio.
+    """The result of `hil identify`.
 
-    rungs: the ladder that the model was chosen from, none where it was named. seconds: all of it; search_seconds: the
-    trials alone. fixture: whose compliance was taken off, None where it counts as rigid.
+    fitness: mean |error| of the best trial, optimum: of the exact solution, N m; optimiser_gap: how far the former is
+    above the latter, relative. steps: of model selection, empty where the model was named. seconds: in all;
+    search_seconds: for the trials alone. torque_uncertainty: of the torque's scale, relative, one standard deviation.
+    fixture: the fixture that was removed, None where it counts as rigid.
     """
 
     recordings: tuple[Path, ...]
     model: Coupling
-    rungs: tuple[Rung, ...]
+    steps: tuple[Rung, ...]
     preset: str
     seed: int
     estimates: tuple[Estimate, ...]
     fitness: float
     optimum: float
-    relative_gap: float
+    optimiser_gap: float
     samples: int
     trials: Trials
     seconds: float
     search_seconds: float
-    holdout: Holdout
+    validation: Validation
     diagnostics: tuple[Diagnostic, ...]
     signals: Signals
+    torque_uncertainty: float = 0.0
     fixture: Fixture | None = None
 
     def __getitem__(self, name: str) -> Estimate:

@@ -1,4 +1,4 @@
-"""What recordings that are taken together must have in common: one stand, and no run among them twice."""
+"""What recordings that are pooled or compared must share: one stand, and no run twice."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from typing import Any
 
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
-from hil.recording.reader import Recording
-from hil.stand.file import parse
+from hil.signals.source import Source
+from hil.stand.file import Stand
 
 
-def check_together(paths: Sequence[Path]) -> list[Diagnostic]:
-    """What is to be said of the stands of recordings that are pooled or compared.
+def same_stand_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
+    """Return a warning for each stand that differs from the first, and for recordings that name none.
 
     Raises WrongUse where two are of stands with different names, or are the same run.
     """
     seen: dict[str, Path] = {}
     stands: list[tuple[Path, dict[str, Any]]] = []
     unknown = []
-    for path in paths:
-        with Recording(path) as recording:
-            uid = str(recording.attributes.get("uid", "")) or str(path.resolve())
-            if uid in seen:
-                raise WrongUse(f"{path} is the same run as {seen[uid]}: name it once")
-            seen[uid] = path
-            if recording.stand_toml:
-                stands.append((path, _facts(recording)))
-            else:
-                unknown.append(str(path))
+    for source in sources:
+        path = source.path
+        uid = str(source.recording.attributes.get("uid", "")) or str(path.resolve())
+        if uid in seen:
+            raise WrongUse(f"{path} is the same run as {seen[uid]}: name it once")
+        seen[uid] = path
+        if source.stand is None:
+            unknown.append(str(path))
+        else:
+            stands.append((path, _facts(source.stand)))
     found = [diagnostic for path, facts in stands[1:] for diagnostic in _compared(*stands[0], path, facts)]
     if stands and unknown:
         found.append(
@@ -41,9 +41,8 @@ def check_together(paths: Sequence[Path]) -> list[Diagnostic]:
     return found
 
 
-def _facts(recording: Recording) -> dict[str, Any]:
-    """What the stand file says of the stand and its limits, key by key; the backend drives it and is not it."""
-    stand = parse(recording.stand_toml, f"{recording.path}: stand_toml")
+def _facts(stand: Stand) -> dict[str, Any]:
+    """The keys and values of [stand] and [limits], without the backend, which only drives the stand."""
     facts: dict[str, Any] = stand.stand.model_dump(exclude={"backend"})
     if stand.limits is not None:
         facts |= {f"limits.{name}": value for name, value in stand.limits.model_dump().items()}

@@ -36,10 +36,10 @@ def _recording(one: Measured) -> dict[str, Any]:
         "model": one.model,
         "parameters": {
             name: {
-                "value": estimate.exact,
+                "value": estimate.value,
                 "unit": estimate.unit,
                 "ci95": [_number(end) for end in estimate.ci95],
-                "identifiable": name in one.told,
+                "identifiable": name in one.identifiable,
             }
             for name, estimate in one.estimates.items()
         },
@@ -50,7 +50,7 @@ def _parameter(one: Repeated) -> dict[str, Any]:
     pooled, drift = one.pooled, one.drift
     return {
         "unit": one.unit,
-        "recordings": len(one.told_by),
+        "recordings": len(one.recordings),
         "value": None if pooled is None else pooled.value,
         "standard_error": None if pooled is None else pooled.standard_error,
         "ci95": None if pooled is None else list(pooled.ci95),
@@ -70,7 +70,7 @@ def _number(value: float) -> float | None:
 
 def _scale(found: Comparison, unit: str) -> tuple[float, str]:
     """In mN m where the joint is as soft as a hand's, as in the paper."""
-    kc = [abs(one.estimates["Kc"].exact) for one in found.recordings if one.estimates]
+    kc = [abs(one.estimates["Kc"].value) for one in found.recordings if one.estimates]
     return people_unit(unit, milli=not kc or min(kc) < 1.0)
 
 
@@ -101,8 +101,8 @@ def _cell(found: Comparison, one: Measured, name: str) -> str:
     estimate = one.estimates[name]
     factor = _scale(found, estimate.unit)[0]
     half = 0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor
-    shown = f"{estimate.exact * factor:.5g} ± {half:.1g}" if math.isfinite(half) else f"{estimate.exact * factor:.3g}"
-    return shown if name in one.told else f"{shown} ?"
+    shown = f"{estimate.value * factor:.5g} ± {half:.1g}" if math.isfinite(half) else f"{estimate.value * factor:.3g}"
+    return shown if name in one.identifiable else f"{shown} ?"
 
 
 def _together(found: Comparison, one: Repeated) -> list[str]:
@@ -127,14 +127,14 @@ def draw(found: Comparison, path: Path) -> None:
     panels = figure.subplots(len(COMPARED), 1, sharex=True)
     for panel, parameter in zip(panels, found.parameters, strict=True):
         factor, unit = _scale(found, parameter.unit)
-        told = [
+        shown = [
             (index, one.estimates[parameter.name])
             for index, one in enumerate(found.recordings)
-            if parameter.name in one.told
+            if parameter.name in one.identifiable
         ]
-        halves = [0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor for _, estimate in told]
-        values = [estimate.exact * factor for _, estimate in told]
-        panel.errorbar([index for index, _ in told], values, halves, fmt="o", capsize=4)
+        halves = [0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor for _, estimate in shown]
+        values = [estimate.value * factor for _, estimate in shown]
+        panel.errorbar([index for index, _ in shown], values, halves, fmt="o", capsize=4)
         if parameter.pooled is not None:
             low, high = (end * factor for end in parameter.pooled.ci95)
             panel.axhspan(low, high, color="C1", alpha=0.2, label="pooled, 95 %")

@@ -50,16 +50,16 @@ def as_json(found: Identification) -> dict[str, Any]:
         "fitness": {
             "value": found.fitness,
             "exact_optimum": found.optimum,
-            "relative_gap": found.relative_gap,
+            "relative_gap": found.optimiser_gap,
             "unit": "N*m",
         },
         "samples": found.samples,
         "trials": len(found.trials.fitness),
         "evaluations": found.trials.evaluations,
         "seconds": found.seconds,
-        "holdout": {"fitness": _number(found.holdout.fitness), "nrmse": _number(found.holdout.nrmse)},
+        "holdout": {"fitness": _number(found.validation.fitness), "nrmse": _number(found.validation.nrmse)},
         "warnings": [diagnostic.as_json() for diagnostic in found.diagnostics],
-        "ladder": [_rung(rung) for rung in found.rungs],
+        "ladder": [_rung(rung) for rung in found.steps],
         "fixture": None if found.fixture is None else _fixture(found.fixture),
     }
 
@@ -91,17 +91,17 @@ def unusable_json(recordings: Sequence[Path], model: str, preset: str, seed: int
 
 def _parameter(estimate: Estimate) -> dict[str, Any]:
     return {
-        "value": estimate.value,
+        "value": estimate.optimiser.best,
         "unit": estimate.unit,
         "ci95": [_number(end) for end in estimate.ci95],
-        "exact": estimate.exact,
-        "trials_mean": estimate.trials_mean,
-        "trials_std": _number(estimate.trials_std),
+        "exact": estimate.value,
+        "trials_mean": estimate.optimiser.mean,
+        "trials_std": _number(estimate.optimiser.std),
         "identifiable": estimate.identifiable,
         "at_bound": estimate.at_bound,
         "bounds": [_number(end) for end in estimate.bounds],
-        "within_std": None if estimate.scatter is None else estimate.scatter.within,
-        "between_std": None if estimate.scatter is None else estimate.scatter.between,
+        "within_std": None if estimate.components is None else estimate.components.within,
+        "between_std": None if estimate.components is None else estimate.components.between,
     }
 
 
@@ -152,10 +152,10 @@ def repeatability_table(found: Identification) -> Table:
     for estimate in found.estimates:
         factor, unit = people_unit(estimate.unit, milli=_milli(found))
         std = (
-            f" ± {estimate.trials_std * factor:.0e}" if math.isfinite(estimate.trials_std) else ""
+            f" ± {estimate.optimiser.std * factor:.0e}" if math.isfinite(estimate.optimiser.std) else ""
         )  # of one trial: none
-        trials = f"{estimate.value * factor:.5g}", f"{estimate.trials_mean * factor:.5g}{std}"
-        rows.append((estimate.name, *trials, f"{estimate.exact * factor:.5g}", unit))
+        trials = f"{estimate.optimiser.best * factor:.5g}", f"{estimate.optimiser.mean * factor:.5g}{std}"
+        rows.append((estimate.name, *trials, f"{estimate.value * factor:.5g}", unit))
     title = f"optimiser repeatability, {len(found.trials.fitness)} trials"
     return _table(title, ("best trial", "mean ± std", "exact"), rows)
 
@@ -183,7 +183,7 @@ def ladder_table(found: Identification) -> Table:
     table = Table(title="model selection", box=SIMPLE, pad_edge=False)
     for heading in ("term", f"error, {torque[1]}", "held-out", "gain", f"Kc, {kc[1]}", f"Bc, {bc[1]}", ""):
         table.add_column(heading, justify="right" if heading not in {"term", ""} else "left")
-    for rung in found.rungs:
+    for rung in found.steps:
         table.add_row(
             rung.term if rung.term == "linear" else f"+ {rung.term}",
             f"{rung.fitness * torque[0]:.4g}",
@@ -201,12 +201,12 @@ def identification_lines(found: Identification) -> list[str]:
     factor, unit = people_unit("N*m", milli=_milli(found))
     return [
         f"mean |torque error| {found.fitness * factor:.5g} {unit}; exact minimum {found.optimum * factor:.5g} {unit}; "
-        f"optimiser gap {found.relative_gap:.1e}",
-        f"validation on 20 % held-out data: {found.holdout.fitness * factor:.3g} {unit}; RMS {found.holdout.nrmse:.2%} "
-        "of the torque's",
+        f"optimiser gap {found.optimiser_gap:.1e}",
+        f"validation on 20 % held-out data: {found.validation.fitness * factor:.3g} {unit}; "
+        f"RMS {found.validation.nrmse:.2%} of the torque's",
         *_scatter_lines(found),
         *_fixture_lines(found),
-        *([] if found.rungs else ["the intervals assume this model: --model auto selects its terms from the data"]),
+        *([] if found.steps else ["the intervals assume this model: --model auto selects its terms from the data"]),
         f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s",
     ]
@@ -214,7 +214,7 @@ def identification_lines(found: Identification) -> list[str]:
 
 def _scatter_lines(found: Identification) -> list[str]:
     """What pooled recordings say of Kc and Bc: how far one is from another, beside its own error."""
-    told = [(estimate, estimate.scatter) for estimate in found.estimates[:2] if estimate.scatter is not None]
+    told = [(estimate, estimate.components) for estimate in found.estimates[:2] if estimate.components is not None]
     return [
         f"{estimate.name}, standard deviation between the {len(found.recordings)} recordings: "
         f"{scatter.between * factor:.2g} {unit}; within one: {scatter.within * factor:.2g} {unit}"
@@ -228,7 +228,7 @@ def _fixture_lines(found: Identification) -> list[str]:
     if found.fixture is None:
         return []
     told = [
-        f"{estimate.name} {estimate.exact * factor:.4g} {unit}"
+        f"{estimate.name} {estimate.value * factor:.4g} {unit}"
         for estimate in found.fixture.estimates
         for factor, unit in [people_unit(estimate.unit, milli=_milli(found))]
     ]
@@ -284,15 +284,15 @@ def draw(found: Identification, path: Path) -> None:
     factor, unit = people_unit("N*m", milli=_milli(found))
     figure = Figure(figsize=(10, 6), layout="constrained")
     panels = figure.subplot_mosaic([["torque", "loop"], ["left", "loop"]], width_ratios=[3, 2], height_ratios=[2, 1])
-    time = signals.time
+    time = signals.motion.time
     panels["torque"].plot(time, signals.torque * factor, lw=0.8, color="0.65", label="measured")
     panels["torque"].plot(time, model * factor, lw=0.6, color="C0", label=found.model.name)
     panels["torque"].set(ylabel=f"torque at the joint [{unit}]", title=headline(found))
     panels["torque"].legend(loc="upper right")
     panels["left"].plot(time, (signals.torque - model) * factor, lw=0.4, color="C3")
     panels["left"].set(xlabel="time [s]", ylabel=f"error [{unit}]")
-    panels["loop"].plot(signals.dtheta, signals.torque * factor, ".", ms=1, color="0.65")
-    panels["loop"].plot(signals.dtheta, model * factor, lw=0.3, color="C0")
+    panels["loop"].plot(signals.motion.dtheta, signals.torque * factor, ".", ms=1, color="0.65")
+    panels["loop"].plot(signals.motion.dtheta, model * factor, lw=0.3, color="C0")
     panels["loop"].set(xlabel="deflection [rad]", ylabel=f"torque at the joint [{unit}]")
     for panel in panels.values():
         panel.grid(visible=True, lw=0.3)

@@ -1,4 +1,4 @@
-"""Whether a recording can be used: its rate, gaps, saturation, excitation and noise."""
+"""The summary of a recording: its rate, gaps, saturation, excited band and noise, and whether it can be used."""
 
 from __future__ import annotations
 
@@ -6,26 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.servo import Status
-from hil.diagnostics import Diagnostic, lateness
-from hil.errors import Untrustworthy
-from hil.identification.dataset import recording_diagnostics, stand_of
-from hil.recording.reader import Recording
+from hil.diagnostics import Diagnostic
 from hil.signals.prepare import prepare
-from hil.signals.quality import assess
-
-Array = NDArray[np.float64]
+from hil.signals.quality import assess, recording_diagnostics
+from hil.signals.source import open_sources
 
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """What a recording holds.
+    """The summary of a recording.
 
     rate Hz (median), jitter s (99 % of the intervals are within it of the median), longest_gap s, deflection rad and
-    torque N m (peak to peak), deflection_lsb rad (smallest step seen), torque_noise N m (standard deviation of what is
-    left of the torque after a local polynomial), snr dB (torque's variance over that noise's), band Hz, rate_window s.
+    torque N m (peak to peak), deflection_lsb rad (smallest step seen), torque_noise N m (standard deviation of the
+    torque about a local polynomial), snr dB (torque's variance over that noise's), band Hz, rate_window s.
     """
 
     path: Path
@@ -58,18 +52,16 @@ class Inspection:
 
 
 def inspect(path: Path) -> Inspection:
-    """Look at one recording, finished or not. Raises WrongUse, and Untrustworthy where there is nothing to measure."""
-    with Recording(path) as recording:
-        if not recording.verify():
-            raise Untrustworthy(f"{path}: the samples are not the ones that were written (sha256 differs)")
-        signals = prepare(recording, stand_of(recording))
-        status = recording.channel("status").astype(np.int64)
-        late = int(np.count_nonzero(status & int(Status.LATE)))
-        intervals = np.diff(signals.time)
+    """Summarise one recording, finished or not. Raises WrongUse, and Untrustworthy where no signals can be made."""
+    with open_sources([path]) as (source,):
+        source.verify()
+        recording = source.recording
+        signals = prepare(recording, source.table)
+        intervals = np.diff(signals.motion.time)
         read = recording.channel("read_time")
         stamps = np.where(np.isfinite(read), read, recording.channel("time"))
         stamps = stamps[np.isfinite(stamps)]
-        quality = assess(recording, signals)
+        quality = assess(recording, [signals], signals.defects)
         return Inspection(
             path=path,
             kind=str(recording.profile.get("kind", "unknown")),
@@ -79,12 +71,12 @@ def inspect(path: Path) -> Inspection:
             duration=float(stamps[-1] - stamps[0]),
             rate=1.0 / float(np.median(intervals)),
             jitter=float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99)),
-            lost=signals.lost,
-            not_numbers=signals.not_numbers,
+            lost=signals.defects.lost,
+            not_numbers=signals.defects.not_numbers,
             longest_gap=float(intervals.max()),
             saturated=quality.saturated,
-            late=late,
-            deflection=float(np.ptp(signals.dtheta)),
+            late=quality.late,
+            deflection=quality.deflection,
             deflection_lsb=quality.deflection_lsb,
             torque=float(np.ptp(signals.torque)),
             torque_noise=quality.torque_noise,
@@ -92,7 +84,5 @@ def inspect(path: Path) -> Inspection:
             band=signals.band,
             rate_window=signals.rate_window,
             torque_from=signals.torque_from,
-            diagnostics=tuple(
-                recording_diagnostics(recording, signals) + quality.diagnostics() + lateness(late, len(recording))
-            ),
+            diagnostics=tuple(recording_diagnostics(recording, quality)),
         )

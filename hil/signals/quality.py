@@ -1,16 +1,17 @@
-"""How well a recording was made: what was lost, saturated, counted too coarsely or drowned in noise."""
+"""The quality of a recording: replies lost, torque saturated, ticks late, few encoder counts, noise."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.servo import Status
-from hil.diagnostics import Diagnostic
+from hil.diagnostics import Diagnostic, driven_by_position, lateness
 from hil.recording.reader import Recording
-from hil.signals.prepare import Signals
+from hil.signals.prepare import Defects, Signals
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
 
 Array = NDArray[np.float64]
@@ -20,77 +21,122 @@ _POOR_SNR = 20.0  # dB
 _MANY_LOST = 0.02
 _MANY_SATURATED = 0.01
 _GAIN_ERROR = 5e-3
+_ROWS = 1 << 20  # rows of the status read at a time
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """samples: of the file. lost, saturated: rows of them. deflection: rad, peak to peak; deflection_lsb: rad, the
-    smallest step seen. torque_noise: N m, standard deviation of what is left of the torque after a local polynomial.
-    snr: dB, the torque's variance over that noise's; infinite without noise.
+    """samples: rows of the file. saturated, late: rows of them. torque_from: as of `Signals`. deflection: rad, peak to
+    peak; deflection_lsb: rad, the smallest step seen. torque_noise: N m, standard deviation of the torque about a local
+    polynomial. snr: dB, the torque's variance over that noise's; infinite without noise.
     """
 
     samples: int
-    lost: int
+    defects: Defects
     saturated: int
+    late: int
+    torque_from: str
     deflection: float
     deflection_lsb: float
     torque_noise: float
     snr: float
 
-    def diagnostics(self) -> list[Diagnostic]:
-        """What is to be said of it."""
-        counts, lost = self.deflection / self.deflection_lsb, self.lost / self.samples
-        saturated, found = self.saturated / self.samples, []
-        if lost > _MANY_LOST:
-            found.append(Diagnostic("many-lost", f"{lost:.1%} of the replies were lost: check cable and baud rate"))
-        if saturated > _MANY_SATURATED:
-            found.append(
-                Diagnostic(
-                    "saturated",
-                    f"the torque limit acted in {saturated:.1%} of the rows: lower --amplitude",
-                )
-            )
-        if counts < _FEW_COUNTS:
-            found.append(
-                Diagnostic(
-                    "few-counts",
-                    f"the deflection spans {counts:.0f} counts of the encoder: raise --amplitude",
-                    is_error=counts < 3.0,
-                )
-            )
-        if self.snr < _POOR_SNR:
-            found.append(
-                Diagnostic(
-                    "poor-snr",
-                    f"the torque stands only {self.snr:.0f} dB above its noise: raise --amplitude",
-                    is_error=self.snr < 3.0,
-                )
-            )
-        return found
 
-
-def assess(recording: Recording, signals: Signals) -> Quality:
-    """The quality of a recording and of the signals that it gave."""
-    status = recording.channel("status").astype(np.int64)
-    noise = _noise(signals)
+def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects) -> Quality:
+    """Return the quality of a recording from all its signals, or from some stretches of them, and all its defects."""
+    noise = float(np.median([_noise(stretch) for stretch in stretches]))
+    dtheta = np.concatenate([stretch.motion.dtheta for stretch in stretches])
+    variance = float(np.var(np.concatenate([stretch.torque for stretch in stretches])))
+    saturated, late = _flagged(recording, Status.SATURATED, Status.LATE)
     return Quality(
         samples=len(recording),
-        lost=signals.lost,
-        saturated=int(np.count_nonzero(status & int(Status.SATURATED))),
-        deflection=float(np.ptp(signals.dtheta)),
-        deflection_lsb=_smallest_step(signals.dtheta),
+        defects=defects,
+        saturated=saturated,
+        late=late,
+        torque_from=stretches[0].torque_from,
+        deflection=float(np.ptp(dtheta)),
+        deflection_lsb=_smallest_step(dtheta),
         torque_noise=noise,
-        snr=10.0 * float(np.log10(np.var(signals.torque) / noise**2)) if noise > 0.0 else float("inf"),
+        snr=10.0 * float(np.log10(variance / noise**2)) if noise > 0.0 else float("inf"),
     )
 
 
+def recording_diagnostics(recording: Recording, quality: Quality) -> list[Diagnostic]:
+    """Return the warnings and errors about one recording, the same for `hil inspect` and `hil identify`."""
+    by_position = quality.torque_from == "motor" and recording.profile.get("mode") == "position"
+    return [
+        *_unfinished(recording),
+        *_unused_rows(quality),
+        *([driven_by_position(is_error=True)] if by_position else []),
+        *_weaknesses(quality),
+        *lateness(quality.late, quality.samples),
+    ]
+
+
+def _unfinished(recording: Recording) -> list[Diagnostic]:
+    if recording.complete:
+        return []
+    why = str(recording.attributes.get("end_reason", "")) or "it never ended"
+    return [
+        Diagnostic("unfinished", f"{recording.path} is not a whole run ({why}): its {len(recording)} rows are used")
+    ]
+
+
+def _unused_rows(quality: Quality) -> list[Diagnostic]:
+    defects, rows, found = quality.defects, quality.samples, []
+    if defects.lost:
+        lost = f"{defects.lost} of {rows} replies were lost and are left out: hil doctor shows how often"
+        found.append(Diagnostic("lost-samples", lost))
+    if defects.not_numbers:
+        numbers = f"{defects.not_numbers} of {rows} rows hold a NaN and are left out: hil export shows which"
+        found.append(Diagnostic("not-a-number", numbers))
+    if defects.near_gaps:
+        gaps = f"{defects.near_gaps} rows beside a gap have no rate and are left out: record without a pause"
+        found.append(Diagnostic("near-gaps", gaps))
+    if defects.coarse_clock:
+        found.append(
+            Diagnostic(
+                "coarse-clock",
+                "several rows share a time stamp: they were spread evenly up to the next stamp, which makes Bc less "
+                "certain; record with a finer clock",
+            )
+        )
+    return found
+
+
+def _weaknesses(quality: Quality) -> list[Diagnostic]:
+    counts, found = quality.deflection / quality.deflection_lsb, []
+    lost, saturated = quality.defects.lost / quality.samples, quality.saturated / quality.samples
+    if lost > _MANY_LOST:
+        found.append(Diagnostic("many-lost", f"{lost:.1%} of the replies were lost: check cable and baud rate"))
+    if saturated > _MANY_SATURATED:
+        text = f"the torque limit acted in {saturated:.1%} of the rows: lower --amplitude"
+        found.append(Diagnostic("saturated", text))
+    if counts < _FEW_COUNTS:
+        text = f"the deflection spans {counts:.0f} counts of the encoder: raise --amplitude"
+        found.append(Diagnostic("few-counts", text, is_error=counts < 3.0))
+    if quality.snr < _POOR_SNR:
+        text = f"the torque stands only {quality.snr:.0f} dB above its noise: raise --amplitude"
+        found.append(Diagnostic("poor-snr", text, is_error=quality.snr < 3.0))
+    return found
+
+
+def _flagged(recording: Recording, *flags: Status) -> list[int]:
+    """Count the rows with each of the flags."""
+    counts = [0] * len(flags)
+    for start in range(0, len(recording), _ROWS):
+        status = recording.channel("status", start, start + _ROWS).astype(np.int64)
+        counts = [count + int(np.count_nonzero(status & int(flag))) for count, flag in zip(counts, flags, strict=True)]
+    return counts
+
+
 def _noise(signals: Signals) -> float:
-    """Standard deviation of the torque, N m, about a local polynomial over what moved; robust to outliers."""
-    time = signals.time
+    """Standard deviation of the torque, N m, about a local polynomial up to the excited band; robust to outliers."""
+    time = signals.motion.time
     cycles = signals.band[1] * (time[-1] - time[0]) / (len(time) - 1)
     half = widest(0, cycles, max(2, (len(time) - 1) // 8), _GAIN_ERROR)
-    left = signals.torque - local_polynomial(time, signals.torque, half)[0]
-    return 1.4826 * float(np.median(np.abs(left))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
+    residual = signals.torque - local_polynomial(time, signals.torque, half)[0]
+    return 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
 
 
 def _smallest_step(values: Array) -> float:

@@ -1,77 +1,78 @@
-"""How far the parameters can be told from one recording: the sampling error of a least-absolute-deviations fit.
+"""Confidence intervals of the parameters: the sampling error of a least-absolute-deviations fit.
 
 For residuals e and columns X the estimate is asymptotically normal with covariance A^-1 B A^-1 (Koenker, Quantile
 Regression, 2005, section 4.3), where A is twice the sum of x x' weighted with the residuals' density at zero (Powell's
-kernel estimate) and B the covariance of the sum of x sign(e), from the spectrum of the signs: residuals that follow
-each other, as they do on any real stand, widen the interval instead of being counted as news.
+kernel estimate) and B the covariance of the sum of x sign(e), from the spectrum of the signs: correlated residuals, as
+on any real stand, widen the interval.
 
-This is the error of the data, given the model. What the model leaves out of the stand is not in it.
+This is the error of the data, given the model. It does not include effects that the model leaves out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.residual_spectrum import ResidualSpectrum, measure
 
 Array = NDArray[np.float64]
-Blocks = Callable[[], Iterable[tuple[Array, Array]]]
-"""The data as often as it is asked for, in order: columns (m, p) and torque (m,) N m of any number of rows."""
 
-_QUANTILES = 1 << 16  # residuals from which the spread of all is read
+_QUANTILES = 1 << 16  # residuals from which the quantiles of all are estimated
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
-    """Per parameter: half the width of its 95 % interval (p,), and its variance inflation (p,).
+class ConfidenceIntervals:
+    """Half the width of each parameter's 95 % interval (p,), in SI, and its variance inflation (p,).
 
-    inflation: how many times larger the parameter's variance is than if no other column looked like its own.
+    inflation: how many times larger the parameter's variance is than if its column were orthogonal to all others.
     """
 
     half_width: Array
     inflation: Array
 
-    def carrying(self, uncertainty: float, values: Array, scales: NDArray[np.bool_]) -> Spread:
-        """The same with the uncertainty of the torque's scale, relative, one standard deviation, carried in.
+    def with_torque_uncertainty(
+        self, uncertainty: float, values: Array, scales: NDArray[np.bool_]
+    ) -> ConfidenceIntervals:
+        """Return the intervals widened by the uncertainty of the torque's scale, relative, one standard deviation.
 
         An error of the scale goes one to one into every parameter (p,) that `scales` with the torque.
         """
         carried = np.where(scales, 1.96 * uncertainty * np.abs(values), 0.0)
-        return Spread(np.hypot(self.half_width, carried), self.inflation)
+        return ConfidenceIntervals(np.hypot(self.half_width, carried), self.inflation)
 
 
-def spread(blocks: Blocks, genes: Array) -> Spread:
-    """The intervals around the exact optimum `genes` (p,) of the data in `blocks`, which is gone through three times.
+def confidence_intervals(blocks: Blocks, genes: Array) -> ConfidenceIntervals:
+    """Return the intervals around the exact optimum `genes` (p,) of the data in `blocks`, which are read three times.
 
-    A parameter that the columns cannot tell at all has an infinite half-width and inflation.
+    A parameter that the columns do not determine has an infinite half-width and inflation.
     """
     from scipy.special import stdtrit  # Student's quantile; scipy.stats would cost half a second of start-up
 
     sums = _first_pass(blocks, genes)
     scale = np.sqrt(np.diag(sums.gram) / sums.count)
-    told = scale > 0.0
+    excited = scale > 0.0
     half, inflation = np.full(len(genes), np.inf), np.full(len(genes), np.inf)
-    gram = sums.gram[np.ix_(told, told)] / np.outer(scale[told], scale[told]) / sums.count
-    if not told.any() or np.linalg.cond(gram) > 1e12:
-        return Spread(half, inflation)
+    gram = sums.gram[np.ix_(excited, excited)] / np.outer(scale[excited], scale[excited]) / sums.count
+    if not excited.any() or np.linalg.cond(gram) > 1e12:
+        return ConfidenceIntervals(half, inflation)
     kernel, spectrum = _second_pass(blocks, genes, sums)
-    units = np.outer(scale[told], scale[told])
+    units = np.outer(scale[excited], scale[excited])
     bread = np.zeros_like(kernel)
-    bread[np.ix_(told, told)] = np.linalg.inv(kernel[np.ix_(told, told)] / units) / units
-    variance = np.diag(bread @ spectrum.covariance @ bread)[told]  # negative by rounding: the columns tell nothing
-    quantile = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[told]), 0.975)
-    half[told] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.inf))
-    inflation[told] = np.diag(np.linalg.inv(gram))
-    return Spread(half, inflation)
+    bread[np.ix_(excited, excited)] = np.linalg.inv(kernel[np.ix_(excited, excited)] / units) / units
+    variance = np.diag(bread @ spectrum.covariance @ bread)[excited]  # negative by rounding: nearly dependent columns
+    quantile = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[excited]), 0.975)
+    half[excited] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.inf))
+    inflation[excited] = np.diag(np.linalg.inv(gram))
+    return ConfidenceIntervals(half, inflation)
 
 
 @dataclass(frozen=True, slots=True)
 class _Sums:
-    """gram: sum of x x' (p, p). residuals: every so many-th, N m. rounding: N m, below which residuals are the same."""
+    """gram: sum of x x' (p, p). residuals: a regular subset, N m. rounding: N m, below which one is zero."""
 
     count: int
     gram: Array
@@ -96,7 +97,7 @@ def _first_pass(blocks: Blocks, genes: Array) -> _Sums:
 
 
 def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, ResidualSpectrum]:
-    """Powell's estimate of twice the sum of f(0) x x' (p, p), and how the signs of the residuals follow each other."""
+    """Powell's estimate of twice the sum of f(0) x x' (p, p), and the spectrum of the residuals' signs."""
     width, kernel = _kernel_width(sums), np.zeros_like(sums.gram)
 
     def signed() -> Iterator[tuple[Array, Array]]:
@@ -113,8 +114,8 @@ def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, Resi
 def _kernel_width(sums: _Sums) -> float:
     """The residuals that count as near zero, N m: the bandwidth of Bofinger (1975) for the median.
 
-    In quantiles it is n^(-1/5) (4.5 phi(0)^4)^(1/5), the least mean square error of the density, which parameters that
-    few rows tell need; never so narrow that fewer than a hundred rows remain.
+    In quantiles it is n^(-1/5) (4.5 phi(0)^4)^(1/5), the least mean square error of the density, which is needed by
+    parameters that few rows determine; never so narrow that fewer than a hundred rows remain.
     """
     from scipy.special import ndtri
 

@@ -1,12 +1,12 @@
-"""What the fixture gives: a coupling measured against a fixture that is not rigid, corrected by an empty-rig recording.
+"""The coupling of a joint whose fixture is not rigid, from its own recording and an empty-rig recording.
 
 The fixture holds the joint, so the coupling and the fixture carry the same torque and their deflections add:
 1/Z_measured = 1/Z_coupling + 1/Z_fixture, each Z = K + j w B. At rest that is 1/K_measured = 1/Kc + 1/K_fixture, and
 slowly B_measured/K_measured^2 = Bc/Kc^2 + B_fixture/K_fixture^2. But two such elements in series are not one of the
-kind: their stiffness rises with frequency, and what a fit of K and B gives depends on what moved. `series` is that fit,
-the least squares over the spectrum of the deflection; `corrected` finds the coupling for which it gives what was
-measured. The closed forms above are its limit where 2 pi f B/K is small for both; over the paper's band, up to its
-joint's corner at 15 Hz, they miss by a third of what they correct.
+kind: their stiffness rises with frequency, and a fit of K and B depends on the excitation. `series` is that fit, the
+least squares over the spectrum of the deflection; `corrected` finds the coupling for which it gives the measured K, B.
+The closed forms above are its limit where 2 pi f B/K is small for both; over the paper's band, up to its joint's corner
+at 15 Hz, they miss by a third of the correction.
 
 It holds while the joint's own inertia, between the two springs, carries little of the torque: well below
 sqrt((Kc + K_fixture)/J)/(2 pi).
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 _ROUNDS = 50
 _CONVERGED = 1e-12
-_TAPER = 40  # the part of a deflection over which it is faded in, and out
+_TAPER = 40  # the part of a deflection over which it is tapered at each end
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,20 +40,20 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
-    """What moved: frequency (n,) Hz, and the deflection's power there (n,), in any unit."""
+    """The excitation: frequency (n,) Hz, and the deflection's power there (n,), in any unit."""
 
     frequency: Array
     power: Array
 
     @classmethod
     def flat(cls, band: tuple[float, float]) -> Excitation:
-        """The same at every frequency of the band, Hz, as in a linear chirp of the deflection."""
+        """Return equal power at every frequency of the band, Hz, as in a linear chirp of the deflection."""
         frequency = np.linspace(*band, 200)
         return cls(frequency, np.ones_like(frequency))
 
     @classmethod
     def of(cls, time: Array, dtheta: Array) -> Excitation:
-        """That of one recording's deflection (n,) rad at times (n,) s, which need not be even."""
+        """Return the excitation of a recording: deflection (n,) rad at times (n,) s, which need not be even."""
         even = np.interp(np.linspace(time[0], time[-1], len(time)), time, dtheta)
         # flat but for its ends: a window over all of it would weigh a sweep's frequencies by their hour
         rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, len(even) // _TAPER + 1) / (len(even) // _TAPER + 1))
@@ -63,11 +63,11 @@ class Excitation:
 
 
 def corrected(measured: Element, fixture: Element, excitation: Excitation) -> Element:
-    """The coupling alone, with the errors of both recordings carried in to first order.
+    """Return the coupling alone, with the errors of both recordings propagated to first order.
 
-    measured: from the recording of the joint; fixture: from one of the empty rig, the joint taken out; excitation: of
-    the recording of the joint. Where the error of a damping is infinite, since it cannot be told, so is that of the
-    coupling's damping. Raises Untrustworthy where the fixture is softer than the coupling.
+    measured: from the recording of the joint; fixture: from the empty-rig recording; excitation: of the recording of
+    the joint. Where a damping is not identifiable, its error is infinite, and so is that of the coupling's damping.
+    Raises Untrustworthy where the fixture is softer than the coupling.
     """
     _refuse_soft(measured, fixture)
     target = np.array([measured.stiffness, measured.damping])
@@ -75,18 +75,18 @@ def corrected(measured: Element, fixture: Element, excitation: Excitation) -> El
     found = _closed_form(target, held)
     small = _CONVERGED * target[0] * np.array([1.0, 1.0 / (2.0 * np.pi * excitation.frequency.max())])
     for _ in range(_ROUNDS):
-        step = np.linalg.solve(_slope(found, held, excitation), target - series(found, held, excitation))
+        step = np.linalg.solve(_jacobian(found, held, excitation), target - series(found, held, excitation))
         found = found + step
         if np.all(np.abs(step) <= small):
             break
     else:
-        raise Untrustworthy("the fixture's correction does not settle: its damping is too large for its stiffness")
-    errors = _carried(found, held, excitation, measured, fixture)
+        raise Untrustworthy("the fixture's correction does not converge: its damping is too large for its stiffness")
+    errors = _propagated(found, held, excitation, measured, fixture)
     return Element(float(found[0]), float(found[1]), *errors)
 
 
 def series(first: Array, second: Array, excitation: Excitation) -> Array:
-    """K and B (2,) that least squares find for two elements (2,) in series, over what moved."""
+    """Return K and B (2,) by least squares over the excitation, for two elements (2,) in series."""
     omega = 2.0 * np.pi * excitation.frequency
     one, other = (element[0] + 1j * omega * element[1] for element in (first, second))
     together = one * other / (one + other)
@@ -101,7 +101,7 @@ def _closed_form(target: Array, held: Array) -> Array:
     return np.array([stiffness, damping])
 
 
-def _slope(first: Array, second: Array, excitation: Excitation) -> Array:
+def _jacobian(first: Array, second: Array, excitation: Excitation) -> Array:
     """The derivative (2, 2) of `series` with respect to the first element: (Z2/(Z1 + Z2))^2 times dZ1."""
     omega = 2.0 * np.pi * excitation.frequency
     one, other = (element[0] + 1j * omega * element[1] for element in (first, second))
@@ -112,21 +112,21 @@ def _slope(first: Array, second: Array, excitation: Excitation) -> Array:
     return found
 
 
-def _carried(
+def _propagated(
     found: Array, held: Array, excitation: Excitation, measured: Element, fixture: Element
 ) -> tuple[float, float]:
     """Standard errors of the corrected stiffness and damping, from the independent ones of both recordings."""
-    of_measured = np.linalg.inv(_slope(found, held, excitation))
-    of_fixture = -of_measured @ _slope(held, found, excitation)
+    of_measured = np.linalg.inv(_jacobian(found, held, excitation))
+    of_fixture = -of_measured @ _jacobian(held, found, excitation)
     errors = np.array(
         [measured.stiffness_error, measured.damping_error, fixture.stiffness_error, fixture.damping_error]
     )
     known = np.isfinite(errors)
     square = (np.hstack([of_measured, of_fixture])[:, known] * errors[known]) ** 2
     stiffness, damping = np.sqrt(square.sum(axis=1))
-    told_stiffness = bool(known[[0, 2]].all())
+    stiffness_known = bool(known[[0, 2]].all())
     return (
-        float(stiffness) if told_stiffness else np.inf,
+        float(stiffness) if stiffness_known else np.inf,
         float(damping) if known.all() else np.inf,
     )
 

@@ -1,7 +1,8 @@
-"""Whether Kc is the same from one end of a recording to the other: a unit that changed, a cable that slipped."""
+"""Whether the parameters stay the same: over one recording, and from one pooled recording to the next."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -9,30 +10,67 @@ from numpy.typing import NDArray
 
 from ga.lad.out_of_core import reduce
 from hil.diagnostics import Diagnostic
-from hil.identification.dataset import Table
-from hil.uncertainty.confidence import spread
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
+from hil.uncertainty.random_effects import between
 
-_PARTS = 4  # of a recording, each of which tells Kc by itself
-_DIFFERENT = 3.0  # times, between two parts that tell it
-_TOLD = 0.2  # half the width of a part's interval, as a part of its value, up to which the part tells Kc
+Array = NDArray[np.float64]
+
+_NORMAL = 1.96
+_PARTS = 4  # of a recording, each of which gives its own estimate of Kc
+_DIFFERENT = 3.0  # ratio of the largest to the smallest of these estimates
+_PRECISE = 0.2  # half the width of a part's interval over its value, above which its Kc is not compared
 
 
-def unsteady(blocks: Table, edges: tuple[int, ...], at: int) -> list[Diagnostic]:
-    """What is to be said where parts of a recording differ in Kc, the parameter at that place, by a multiple.
+@dataclass(frozen=True, slots=True)
+class VarianceComponents:
+    """Standard deviations of one parameter, in its unit: within a recording (its standard error), and between them."""
 
-    blocks: the linear problem that the neighbourhood of the solution looks like; edges: where each recording ends.
+    within: float
+    between: float
+
+
+def pooled_intervals(
+    blocks: Blocks, edges: tuple[int, ...], intervals: ConfidenceIntervals
+) -> tuple[ConfidenceIntervals, tuple[VarianceComponents | None, ...]]:
+    """Return the intervals widened by what differs between the recordings, and each parameter's variance components.
+
+    blocks: the pooled linear problem; edges: where each recording ends, in rows. A parameter that fewer than two
+    recordings can estimate on their own keeps its interval, and its components are None.
+    """
+    if len(edges) < 2:
+        return intervals, (None,) * len(intervals.half_width)
+    fitted = [_fitted(blocks.between(start, stop)) for start, stop in pairwise((0, *edges))]
+    widened, components = intervals.half_width.copy(), list[VarianceComponents | None]()
+    for at in range(len(widened)):
+        usable = [
+            (values[at], half[at] / _NORMAL) for values, half in fitted if at < len(half) and 0.0 < half[at] < np.inf
+        ]
+        if len(usable) < 2:
+            components.append(None)
+            continue
+        pooled = between(*np.array(usable).T)
+        components.append(VarianceComponents(pooled.within, pooled.between))
+        widened[at] = max(widened[at], 0.5 * (pooled.ci95[1] - pooled.ci95[0]))
+    return ConfidenceIntervals(widened, intervals.inflation), tuple(components)
+
+
+def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list[Diagnostic]:
+    """Return an error for each recording of which two quarters differ in Kc by more than a factor of three.
+
+    blocks: the linear problem around the solution; edges: where each recording ends, in rows; kc: the column of Kc.
     """
     found = []
     for first, last in pairwise((0, *edges)):
         cuts = np.linspace(first, last, _PARTS + 1).astype(int).tolist()
-        values = [_stiffness(blocks, start, stop, at) for start, stop in pairwise(cuts)]
-        told = [value for value in values if value is not None]
-        if told and max(told) > _DIFFERENT * min(told):
+        values = [value for start, stop in pairwise(cuts) for value in _stiffness(blocks.between(start, stop), kc)]
+        if values and max(values) > _DIFFERENT * min(values):
             found.append(
                 Diagnostic(
-                    "unsteady",
-                    f"Kc is {min(told):.3g} N m/rad in one quarter of the recording and {max(told):.3g} in another: a "
-                    "unit changed, a cable slipped or came loose; look at it with --report, and import or record again",
+                    "not-stationary",
+                    f"Kc is {min(values):.3g} N m/rad in one quarter of the recording and {max(values):.3g} N m/rad in "
+                    "another: a unit changed, a cable slipped or came loose, and no single Kc describes both; look at "
+                    "it with --report, and import or record again",
                     "Kc",
                     is_error=True,
                 )
@@ -40,15 +78,16 @@ def unsteady(blocks: Table, edges: tuple[int, ...], at: int) -> list[Diagnostic]
     return found
 
 
-def _stiffness(blocks: Table, start: int, stop: int, at: int) -> float | None:
-    """Kc, N m/rad, of some of the samples; None where they do not tell it."""
-
-    def keep(number: NDArray[np.int64]) -> NDArray[np.bool_]:
-        return np.asarray((number >= start) & (number < stop))
-
+def _fitted(blocks: Blocks) -> tuple[Array, Array]:
+    """The exact optimum (p,) and half the width of its intervals (p,); both empty where the columns are dependent."""
     try:
-        values = reduce(lambda: blocks(keep), stop - start).optimum.genes
-    except RuntimeError:  # the columns are too much alike there
-        return None
-    half = spread(lambda: blocks(keep), values).half_width
-    return float(values[at]) if half[at] < _TOLD * values[at] else None
+        values = reduce(blocks, blocks.rows).optimum.genes
+    except RuntimeError:
+        return np.zeros(0), np.zeros(0)
+    return values, confidence_intervals(blocks, values).half_width
+
+
+def _stiffness(blocks: Blocks, kc: int) -> list[float]:
+    """Kc, N m/rad; empty where the rows do not estimate it well enough to be compared."""
+    values, half = _fitted(blocks)
+    return [float(values[kc])] if len(values) and half[kc] < _PRECISE * values[kc] else []

@@ -78,9 +78,9 @@ def held_to_theory(found: Identification, torque_count: float, period: float = 0
     its weights' magnitudes times these; a skew's effect on the torque is a column of its own.
     """
     motion = found.signals.motion
-    rate = found.signals.dtheta_dot
+    rate = found.signals.motion.dtheta_dot
     late = KC * rate + BC * np.gradient(rate, motion.time)
-    design = np.column_stack([found.signals.dtheta, rate, np.ones_like(rate), late])
+    design = np.column_stack([found.signals.motion.dtheta, rate, np.ones_like(rate), late])
     worst = np.abs(np.linalg.pinv(design)) @ (0.5 * (torque_count + KC * COUNT + period * np.abs(late)))
     value = {estimate.name: estimate.value for estimate in found.estimates}
     assert worst[0] < 0.03 * KC

@@ -55,7 +55,11 @@ def test_the_commands_of_the_page_run_on_its_stand_file(tmp_path: Path, monkeypa
         signals = prepare(recording, parse(stand).stand)
         joint = recording.channel("joint_torque")
     assert np.isfinite(joint).mean() > 0.9
-    kc = float(np.linalg.lstsq(np.column_stack([signals.dtheta, signals.dtheta_dot]), signals.torque, rcond=None)[0][0])
+    kc = float(
+        np.linalg.lstsq(
+            np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot]), signals.torque, rcond=None
+        )[0][0]
+    )
     assert kc == pytest.approx(17.75e-3, rel=0.1)
 
 

@@ -66,7 +66,7 @@ def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(
     assert (outcome.end_reason, outcome.lost, outcome.late) == ("done", 0, 0)
     with Recording(path) as recording:
         signals = prepare(recording, stand.stand)
-    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
     (kc, bc), *_ = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)
     # Theory. A torque is off by up to half a count of current, a deflection by half a count of position, which Kc turns
     # into torque: whatever their signs, least squares passes on no more than the sum of its weights' magnitudes. And a

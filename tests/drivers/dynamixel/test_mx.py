@@ -408,7 +408,7 @@ def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(make_rig: Mak
     assert (outcome.end_reason, outcome.lost) == ("done", 0)
     with Recording(tmp_path / "run.h5") as recording:
         signals = prepare(recording, stand.stand)
-    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
     found, *_ = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)
     # half a count of current and of position, whatever their signs, and half a period of skew in Bc
     worst = 0.5 * (kt * 4.5e-3 + kc * COUNT) * np.abs(np.linalg.pinv(design)).sum(axis=1)

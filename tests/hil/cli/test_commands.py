@@ -108,7 +108,7 @@ def test_every_reported_number_is_what_its_name_says(hil: Hil, make_recording: M
         signals = prepare(recording, None)
     value = [found["parameters"][name]["value"] for name in ("Kc", "Bc")]
     exact = [found["parameters"][name]["exact"] for name in ("Kc", "Bc")]
-    columns = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    columns = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
 
     def mean_error(genes: list[float]) -> float:
         return float(np.mean(np.abs(signals.torque - columns @ genes)))

@@ -73,7 +73,7 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
     assert not link.is_symlink()
     with Recording(recording) as made:
         signals = prepare(made, load(stand).stand)
-    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
     kc = float(np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0][0])
     assert kc == pytest.approx(17.75e-3, rel=0.1)
 
@@ -104,7 +104,7 @@ def test_a_drive_on_can_is_recorded_over_a_serial_adapter(tmp_path: Path, name: 
         assert process.wait(20.0) == 0
     with Recording(recording) as made:
         signals = prepare(made, load(stand).stand)
-    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
     kc = float(np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0][0])
     assert kc == pytest.approx(17.75e-3 * scale, rel=0.1)
 

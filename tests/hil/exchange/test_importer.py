@@ -142,7 +142,7 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
     with Recording(tmp_path / "a.h5") as recording:
         signals = prepare(recording, parse(recording.stand_toml).stand)
     assert signals.torque_from == "motor"
-    columns_of = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    columns_of = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
     found = np.linalg.lstsq(columns_of, signals.coupling_torque, rcond=None)[0]
     np.testing.assert_allclose(found, [kc, bc], rtol=0.01)
 

@@ -22,9 +22,8 @@ from hil.experiment_design.advice import of_profile, of_task
 from hil.experiment_design.assessment import Assessment, Task, assess, rounded, task_of
 from hil.experiment_design.response import respond
 from hil.experiment_design.search import best
-from hil.identification.dataset import stand_of
-from hil.recording.reader import Recording
 from hil.signals.prepare import Signals, prepare
+from hil.signals.source import open_sources
 from hil.stand.file import SIMULATED, parse
 
 REAL = SIMULATED.replace('backend = "sim"\n', "").replace("motor_inertia = 2.0e-7\n", "")
@@ -53,8 +52,8 @@ def judged(asked: Task, kind: str, band: tuple[float, float], amplitude: float, 
 
 
 def signals_of(path: Path) -> Signals:
-    with Recording(path) as recording:
-        return prepare(recording, stand_of(recording))
+    with open_sources([path]) as (source,):
+        return prepare(source.recording, source.table)
 
 
 def test_the_predicted_errors_are_those_of_recordings_on_the_simulated_stand(tmp_path: Path) -> None:
@@ -66,7 +65,7 @@ def test_the_predicted_errors_are_those_of_recordings_on_the_simulated_stand(tmp
         path, outcome = run(stand, made.profile, rate=250.0, seed=seed, output=tmp_path / "a.h5", force=True)
         assert outcome.error is None
         seen = signals_of(path)
-        columns = np.stack([seen.dtheta, seen.dtheta_dot], axis=1)
+        columns = np.stack([seen.motion.dtheta, seen.motion.dtheta_dot], axis=1)
         genes.append(least_absolute_deviations(columns, seen.coupling_torque).genes)
     predicted = [made["Kc"].error, made["Bc"].error]
     assert np.std(genes, axis=0, ddof=1) == pytest.approx(predicted, rel=0.35)
@@ -122,7 +121,7 @@ def test_the_command_it_prints_records_without_passing_a_limit(
     assert set(found["profiles"]) == {"given", "best"}
     chosen = found["profiles"]["best"]
     assert hil([*shlex.split(chosen["command"])[1:], "-o", "a.h5"]) == 0
-    reached = float(np.abs(signals_of(Path("a.h5")).dtheta).max())
+    reached = float(np.abs(signals_of(Path("a.h5")).motion.dtheta).max())
     assert reached == pytest.approx(chosen["limits"]["deflection"]["peak"], rel=0.02)
 
 

@@ -16,13 +16,15 @@ import pytest
 from ga.evolution.evolution import PRESETS
 from ga.model.terms import parse as parse_model
 from hil.cli.app import run
+from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table
 from hil.exchange.row_filter import RowFilter
 from hil.identification.compare import Comparison, compare, standard_error
 from hil.identification.identify import Search
-from hil.identification.result import Estimate
-from hil.identification.same_stand import check_together
+from hil.identification.result import Estimate, Repeatability
+from hil.identification.same_stand import same_stand_diagnostics
+from hil.signals.source import open_sources
 
 from ..conftest import Maker
 
@@ -106,14 +108,14 @@ def test_a_recording_that_cannot_tell_a_parameter_is_left_out_of_it(make_recordi
     good = [stamped(make_recording(f"{name}.h5", noise=1e-5, seed=seed)) for seed, name in enumerate("ab")]
     paths = [*good, stamped(make_recording("c.h5", change=still))]
     found = compare(paths, parse_model("linear"), SEARCH)
-    assert found.parameters[0].told_by == tuple(good)
+    assert found.parameters[0].recordings == tuple(good)
     assert found.recordings[2].estimates == {}
     assert "left-out" in {diagnostic.code for diagnostic in found.diagnostics}
     assert found.trustworthy
     alone = compare(paths[1:], parse_model("linear"), SEARCH)
     assert not alone.trustworthy
     assert alone.parameters[0].repeats is None
-    assert "1 of 2 recordings tell it" in alone.parameters[0].verdict
+    assert "1 of 2 recordings identify it" in alone.parameters[0].verdict
 
 
 def test_the_hour_of_an_import_is_not_taken_for_the_hour_of_the_run(make_recording: Maker) -> None:
@@ -151,12 +153,18 @@ def test_the_real_runs_of_one_actuator_agree(tmp_path: Path, locked_output: Path
 
 @pytest.mark.parametrize(("half", "error"), [(1.959964, 1.0), (0.0, 2e-8), (math.inf, math.inf)])
 def test_a_standard_error_is_the_intervals_and_never_zero(half: float, error: float) -> None:
-    estimate = Estimate("Kc", "N*m/rad", 20.0, 20.0, (20.0 - half, 20.0 + half), 20.0, 0.0, True, None, (0.0, 99.0))
+    trials = Repeatability(20.0, 20.0, 0.0)
+    estimate = Estimate("Kc", "N*m/rad", 20.0, (20.0 - half, 20.0 + half), trials, True, None, (0.0, 99.0))
     assert standard_error(estimate) == pytest.approx(error)
-    assert standard_error(replace(estimate, exact=0.0, ci95=(0.0, 0.0))) > 0.0
+    assert standard_error(replace(estimate, value=0.0, ci95=(0.0, 0.0))) > 0.0
 
 
-# --- what recordings must have in common -----------------------------------------------------------------------------
+# --- one stand -------------------------------------------------------------------------------------------------------
+
+
+def check_together(paths: list[Path]) -> list[Diagnostic]:
+    with open_sources(paths) as sources:
+        return same_stand_diagnostics(sources)
 
 
 def test_recordings_of_different_stands_are_refused(make_recording: Maker) -> None:
@@ -255,4 +263,4 @@ def test_a_comparison_nothing_can_be_said_of_ends_with_status_1(hil: Hil, make_r
     status, out, err = hil("compare", "a.h5", "b.h5", "--trials", 2, "--json")
     assert status == 1
     assert json.loads(out)["parameters"]["Kc"]["value"] is None
-    assert "error [cannot-compare]: Kc cannot be compared: 0 of 2 recordings tell it" in err
+    assert "error [cannot-compare]: Kc cannot be compared: 0 of 2 recordings identify it" in err

@@ -19,6 +19,7 @@ from hil.identification.model_choice import Choice
 from hil.identification.result import Identification
 from hil.recording.reader import Array
 from hil.signals.prepare import Signals, glimpse
+from hil.signals.source import open_sources
 
 from ..conftest import Maker
 
@@ -44,13 +45,13 @@ def test_on_disk_and_in_memory_give_the_same_answer(recordings: list[Path], monk
     assert parts.samples == whole.samples > 13_500
     assert parts.optimum == pytest.approx(whole.optimum, rel=1e-10)
     assert parts.fitness == pytest.approx(whole.fitness, rel=1e-6)
-    assert parts.holdout.fitness == pytest.approx(whole.holdout.fitness, rel=1e-9)
-    assert parts.holdout.nrmse == pytest.approx(whole.holdout.nrmse, rel=1e-9)
+    assert parts.validation.fitness == pytest.approx(whole.validation.fitness, rel=1e-9)
+    assert parts.validation.nrmse == pytest.approx(whole.validation.nrmse, rel=1e-9)
     assert [diagnostic.code for diagnostic in parts.diagnostics] == [
         diagnostic.code for diagnostic in whole.diagnostics
     ]
     for one, other in zip(parts.estimates, whole.estimates, strict=True):
-        assert one.exact == pytest.approx(other.exact, rel=1e-9)
+        assert one.value == pytest.approx(other.value, rel=1e-9)
         assert one.ci95 == pytest.approx(other.ci95, rel=1e-6)
         assert one.identifiable == other.identifiable
 
@@ -66,7 +67,7 @@ def test_only_a_part_of_what_is_on_disk_is_held_in_memory(
         return Choice(parse_model("linear").anchored(signals.motion))
 
     monkeypatch.setattr(dataset, "glimpse", partial(glimpse, parts=2, rows=500))
-    with open_dataset(recordings, choose) as data:
+    with open_sources(recordings) as sources, open_dataset(sources, choose) as data:
         assert seen == [(len(data.signals), False)]
         assert 1500 < len(data.signals) < 2000
         assert sum(len(torque) for _, torque in data.blocks()) == data.samples > 13_500

@@ -87,7 +87,7 @@ def test_a_recording_that_cannot_tell_the_fixture_cannot_correct_for_it(
     status, found = identified(capfd, joint, rig)
     assert status == 1
     assert {said["code"] for said in found["warnings"]} == {"unusable"}
-    assert f"{rig} cannot tell the stiffness of the fixture: " in found["warnings"][0]["message"]
+    assert f"{rig} does not identify the stiffness of the fixture: " in found["warnings"][0]["message"]
 
 
 def test_a_damping_lost_in_that_of_the_fixture_is_not_identifiable(

@@ -9,7 +9,7 @@ from ga.model.terms import parse
 from hil.diagnostics import Diagnostic
 from hil.identification.identifiability import rivals
 from hil.identification.identify import Search, identify
-from hil.identification.result import Estimate, Identification
+from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.stepwise import Rung
 from hil.recording.reader import Array
 
@@ -22,8 +22,10 @@ def rung(term: str, bc: float, gain: float = -5.0, *, taken: bool = False) -> Ru
     return Rung(f"linear+{term}", term, 1e-4, 1e-4, gain, 0.02, bc, taken)
 
 
-def estimate(name: str, exact: float, half: float) -> Estimate:
-    return Estimate(name, "", exact, exact, (exact - half, exact + half), exact, 0.0, True, None, (0.0, 1.0))
+def estimate(name: str, value: float, half: float) -> Estimate:
+    return Estimate(
+        name, "", value, (value - half, value + half), Repeatability(value, value, 0.0), True, None, (0.0, 1.0)
+    )
 
 
 FOUND = (estimate("Kc", 0.02, 1e-5), estimate("Bc", 2e-4, 1e-6))
@@ -66,7 +68,7 @@ def of_damping(found: Identification) -> list[Diagnostic]:
 
 def test_a_damping_seen_at_one_speed_is_not_told_from_dry_friction(make_recording: Maker) -> None:
     found = identify([make_recording(change=triangle)], parse("linear"), SEARCH)
-    assert found["Bc"].exact > 4.0 * 2e-4  # friction is in it, and its interval knows nothing of that
+    assert found["Bc"].value > 4.0 * 2e-4  # friction is in it, and its interval knows nothing of that
     assert found["Kc"].identifiable
     assert not found["Bc"].identifiable
     (said,) = of_damping(found)
@@ -118,11 +120,11 @@ def test_a_unit_that_changes_in_the_middle_of_a_recording_is_found(make_recordin
 
     found = identify([make_recording(noise=1e-5, change=change)], parse("linear"), SEARCH)
     assert not found.trustworthy
-    (said,) = [diagnostic for diagnostic in found.diagnostics if diagnostic.code == "unsteady"]
+    (said,) = [diagnostic for diagnostic in found.diagnostics if diagnostic.code == "not-stationary"]
     assert said.parameter == "Kc"
-    assert "Kc is 0.02 N m/rad in one quarter of the recording and 20 in another" in said.message
+    assert "Kc is 0.02 N m/rad in one quarter of the recording and 20 N m/rad in another" in said.message
     steady = identify([make_recording("b.h5", noise=1e-4)], parse("linear"), SEARCH)
-    assert not [diagnostic for diagnostic in steady.diagnostics if diagnostic.code == "unsteady"]
+    assert not [diagnostic for diagnostic in steady.diagnostics if diagnostic.code == "not-stationary"]
 
 
 def test_friction_that_is_not_there_cannot_be_told_from_zero(make_recording: Maker) -> None:

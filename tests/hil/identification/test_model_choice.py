@@ -128,5 +128,6 @@ def test_a_model_without_friction_takes_all_samples() -> None:
 
 
 def test_noise_that_hides_which_samples_are_slow_leaves_none_out() -> None:
-    noisy = replace(recorded(1e-3), rate_noise=1.0)
+    quiet = recorded(1e-3)
+    noisy = replace(quiet, motion=replace(quiet.motion, rate_noise=1.0))
     assert not choose(model_of("linear+coulomb"), noisy, straight=False).held

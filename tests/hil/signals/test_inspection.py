@@ -82,7 +82,7 @@ def test_samples_that_were_altered_are_not_measured(make_recording: Maker) -> No
     path = make_recording()
     with h5py.File(path, "r+") as file:
         file["samples"]["torque"][7] += 1e-9
-    with pytest.raises(Untrustworthy, match="sha256 differs"):
+    with pytest.raises(Untrustworthy, match="SHA-256 differs"):
         inspect(path)
 
 
@@ -92,7 +92,7 @@ def test_a_window_may_span_a_gap_of_half_its_width_and_no_more(
 ) -> None:
     """A window of 2h periods may reach over half as much again: h-1 rows lost in a row leave it sound, h+1 do not."""
     with Recording(make_recording()) as recording:
-        half = round(float(prepare(recording, None).time[0]) * 500.0)  # the widest window is not whole before
+        half = round(float(prepare(recording, None).motion.time[0]) * 500.0)  # the widest window is not whole before
     assert half > 3
 
     def lose(channels: dict[str, Array]) -> None:
@@ -103,5 +103,5 @@ def test_a_window_may_span_a_gap_of_half_its_width_and_no_more(
 
     with Recording(make_recording(change=lose)) as recording:
         signals = prepare(recording, None)
-    assert signals.lost == half + missing
-    assert (signals.near_gaps > 0) == dropped
+    assert signals.defects.lost == half + missing
+    assert (signals.defects.near_gaps > 0) == dropped

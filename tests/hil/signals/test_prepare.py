@@ -12,7 +12,8 @@ import pytest
 from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
-from hil.signals.prepare import excited_band, prepare, spread_stamps, stream
+from hil.signals.prepare import joined, prepare, spread_stamps, stream
+from hil.signals.windows import excited_band
 from hil.stand.file import StandTable
 
 from ..conftest import Maker
@@ -58,11 +59,11 @@ def test_signals_of_a_clean_recording_are_its_closed_form(make_recording: Maker)
     """torque = kc*dtheta + bc*rate holds to the gain of the local polynomial."""
     with Recording(make_recording(kc=0.02, bc=2e-4)) as recording:
         signals = prepare(recording, None)
-    left = signals.torque - 0.02 * signals.dtheta - 2e-4 * signals.dtheta_dot
+    left = signals.torque - 0.02 * signals.motion.dtheta - 2e-4 * signals.motion.dtheta_dot
     assert 1900 < len(signals) < 2000  # without those at the ends
-    assert signals.near_gaps == 0
+    assert signals.defects.near_gaps == 0
     assert signals.torque_from == "given"
-    assert np.abs(left).max() < 5e-4 * 2e-4 * np.abs(signals.dtheta_dot).max()
+    assert np.abs(left).max() < 5e-4 * 2e-4 * np.abs(signals.motion.dtheta_dot).max()
 
 
 def test_rows_with_a_nan_are_dropped_and_counted(make_recording: Maker) -> None:
@@ -72,14 +73,14 @@ def test_rows_with_a_nan_are_dropped_and_counted(make_recording: Maker) -> None:
 
     with Recording(make_recording(change=spoil)) as recording:
         signals = prepare(recording, None)
-    assert (signals.not_numbers, signals.lost, signals.near_gaps) == (4, 0, 0)
+    assert (signals.defects.not_numbers, signals.defects.lost, signals.defects.near_gaps) == (4, 0, 0)
 
 
 def test_a_rate_that_came_with_the_data_is_used_as_it_is(make_recording: Maker) -> None:
     path = make_recording(change=lambda channels: channels.update(dtheta_dot=np.full(2000, 3.0)))
     with Recording(path) as recording:
         signals = prepare(recording, None)
-    assert set(signals.dtheta_dot) == {3.0}
+    assert set(signals.motion.dtheta_dot) == {3.0}
     assert signals.rate_window == 0.0
 
 
@@ -89,9 +90,9 @@ def test_rows_beside_a_gap_have_no_rate_and_are_left_out(make_recording: Maker) 
 
     with Recording(make_recording(change=cut)) as recording:
         signals = prepare(recording, None)
-    assert 0 < signals.near_gaps < 100
-    assert len(signals) < 2000 - signals.near_gaps
-    assert not np.any(np.abs(signals.time - 2.25) < 0.25)
+    assert 0 < signals.defects.near_gaps < 100
+    assert len(signals) < 2000 - signals.defects.near_gaps
+    assert not np.any(np.abs(signals.motion.time - 2.25) < 0.25)
 
 
 def test_torque_from_the_motor_is_equation_one(tmp_path: Path) -> None:
@@ -114,7 +115,7 @@ def test_torque_from_the_motor_is_equation_one(tmp_path: Path) -> None:
     with Recording(path) as recording:
         signals = prepare(recording, stand)
     assert signals.torque_from == "motor"
-    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
     found = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0]
     assert found[0] == pytest.approx(kc, rel=5e-4)
     assert found[1] == pytest.approx(bc, rel=5e-4)
@@ -127,7 +128,7 @@ def test_the_drives_own_velocity_is_not_trusted_where_there_is_a_position(tmp_pa
     path = tmp_path / "v.h5"
     write(path, Header(profile={"kind": "imported"}), channels | {"motor_position": dtheta})
     with Recording(path) as recording:
-        assert np.ptp(prepare(recording, None).dtheta_dot) > 2.0
+        assert np.ptp(prepare(recording, None).motion.dtheta_dot) > 2.0
 
 
 @pytest.mark.parametrize(
@@ -171,12 +172,13 @@ def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source
     with Recording(path) as recording:
         whole, parts = prepare(recording, stand), list(stream(recording, stand, block=1700))
     assert len(parts) == 4
-    for name in ("time", "torque", "dtheta", "dtheta_dot", "dtheta_ddot", "known"):
-        joined = np.concatenate([getattr(part, name) for part in parts])
-        np.testing.assert_allclose(joined, getattr(whole, name), rtol=1e-9, atol=1e-12)
-    for name in ("lost", "not_numbers", "near_gaps"):
-        assert sum(getattr(part, name) for part in parts) == getattr(whole, name)
-    assert whole.not_numbers > 50
+    together = joined(parts)
+    np.testing.assert_allclose(together.torque, whole.torque, rtol=1e-9, atol=1e-12)
+    for name in ("time", "dtheta", "dtheta_dot", "dtheta_ddot", "known"):
+        found, expected = getattr(together.motion, name), getattr(whole.motion, name)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    assert together.defects == whole.defects
+    assert whole.defects.not_numbers > 50
 
 
 def test_the_window_is_as_narrow_as_the_noise_of_the_deflection_allows(make_recording: Maker) -> None:
@@ -190,9 +192,9 @@ def test_the_window_is_as_narrow_as_the_noise_of_the_deflection_allows(make_reco
         path = make_recording(f"{number}.h5", change=partial(noisy, size=size))
         with Recording(path) as recording:
             found = prepare(recording, None)
-        usual = float(np.sqrt(np.mean(found.dtheta_dot**2)))
-        assert found.rate_noise is not None
-        widths.append((found.rate_window, found.rate_noise / usual))
+        usual = float(np.sqrt(np.mean(found.motion.dtheta_dot**2)))
+        assert found.motion.rate_noise is not None
+        widths.append((found.rate_window, found.motion.rate_noise / usual))
     assert widths[0][0] < widths[1][0] < widths[2][0]
     assert widths[0][0] == pytest.approx(13.0 * 2e-3, rel=0.01)
     assert 0.005 < widths[1][1] <= 0.01

@@ -196,7 +196,7 @@ def test_a_slow_and_late_sensor_leaves_stiffness_and_damping_what_they_are(tmp_p
     write(path, Header(profile={"kind": "imported"}), channels)
     with Recording(path) as recording:
         signals = prepare(recording, parse('[stand]\ntorque_source = "joint"\n').stand)
-    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
     found = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0]
     assert 700 < len(signals) <= 800
     assert found == pytest.approx([kc, bc], rel=2e-3)

@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 
 from ga.lad.exact import least_absolute_deviations
-from hil.uncertainty.confidence import Array, Blocks, spread
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import confidence_intervals
 
 RUNS = 300
 
 
-def at_once(columns: Array, torque: Array) -> Blocks:
-    return lambda: [(columns, torque)]
-
-
 def coverage(correlation: float, seed: int) -> tuple[float, float]:
-    """The share of runs whose interval holds the truth, and the mean half-width over the estimates' spread."""
+    """The share of runs whose interval holds the truth, and the mean half-width over its expectation."""
     rng = np.random.default_rng(seed)
     time = np.arange(2000) / 500.0
     columns = np.column_stack([np.sin(9 * time) + np.sin(40 * time), 9 * np.cos(9 * time) + 40 * np.cos(40 * time)])
@@ -30,7 +27,7 @@ def coverage(correlation: float, seed: int) -> tuple[float, float]:
             noise[index] += correlation * noise[index - 1]
         torque = columns @ truth + 2e-4 * noise
         genes = least_absolute_deviations(columns, torque).genes
-        half = spread(at_once(columns, torque), genes).half_width
+        half = confidence_intervals(Blocks.of(columns, torque), genes).half_width
         held.append(np.abs(genes - truth) <= half)
         halves.append(half)
         found.append(genes)
@@ -46,35 +43,37 @@ def test_the_interval_holds_the_truth_as_often_as_it_says(correlation: float) ->
     assert 0.85 <= ratio <= 1.25
 
 
-def test_a_column_of_nothing_cannot_be_told() -> None:
+def test_a_column_of_zeros_has_an_infinite_interval() -> None:
     rng = np.random.default_rng(0)
     columns = np.column_stack([rng.standard_normal(500), np.zeros(500)])
-    told = spread(at_once(columns, columns[:, 0] + rng.standard_normal(500)), np.array([1.0, 0.0]))
-    assert np.isfinite(told.half_width).tolist() == [True, False]
+    intervals = confidence_intervals(Blocks.of(columns, columns[:, 0] + rng.standard_normal(500)), np.array([1.0, 0.0]))
+    assert np.isfinite(intervals.half_width).tolist() == [True, False]
 
 
 def test_columns_that_look_alike_have_a_large_inflation() -> None:
     rng = np.random.default_rng(0)
     first = rng.standard_normal(500)
     columns = np.column_stack([first, first + 0.05 * rng.standard_normal(500)])
-    told = spread(at_once(columns, first + rng.standard_normal(500)), np.array([1.0, 0.0]))
-    assert told.inflation.min() > 100.0
-    apart = spread(at_once(rng.standard_normal((500, 2)), rng.standard_normal(500)), np.zeros(2))
+    intervals = confidence_intervals(Blocks.of(columns, first + rng.standard_normal(500)), np.array([1.0, 0.0]))
+    assert intervals.inflation.min() > 100.0
+    apart = confidence_intervals(Blocks.of(rng.standard_normal((500, 2)), rng.standard_normal(500)), np.zeros(2))
     assert apart.inflation.max() < 1.1
 
 
 def test_residuals_that_are_all_zero_leave_an_interval_of_nothing() -> None:
     columns = np.random.default_rng(0).standard_normal((500, 2))
-    told = spread(at_once(columns, columns @ [1.0, 2.0]), np.array([1.0, 2.0]))
-    assert np.all(told.half_width < 1e-12)
+    intervals = confidence_intervals(Blocks.of(columns, columns @ [1.0, 2.0]), np.array([1.0, 2.0]))
+    assert np.all(intervals.half_width < 1e-12)
 
 
-def test_data_in_blocks_give_the_interval_of_data_at_once() -> None:
+def test_data_in_blocks_give_the_interval_of_data_in_one() -> None:
     rng = np.random.default_rng(0)
     columns, truth = rng.standard_normal((5000, 2)), np.array([1.0, 2.0])
     torque = columns @ truth + rng.standard_normal(5000)
-    whole = spread(at_once(columns, torque), truth)
+    whole = confidence_intervals(Blocks.of(columns, torque), truth)
     cuts = [0, 1, 17, 1000, 1001, 4200, 5000]
-    parts = spread(lambda: [(columns[a:b], torque[a:b]) for a, b in pairwise(cuts)], truth)
+    parts = confidence_intervals(
+        Blocks(len(torque), lambda: [(columns[a:b], torque[a:b]) for a, b in pairwise(cuts)]), truth
+    )
     np.testing.assert_allclose(parts.half_width, whole.half_width, rtol=1e-9)
     np.testing.assert_allclose(parts.inflation, whole.inflation, rtol=1e-9)

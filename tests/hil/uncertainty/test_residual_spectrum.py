@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hil.uncertainty.confidence import spread
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import confidence_intervals
 from hil.uncertainty.residual_spectrum import measure
 
 Array = NDArray[np.float64]
@@ -65,14 +65,14 @@ def test_a_band_of_many_lines_is_told_with_as_many_degrees_of_freedom() -> None:
 def test_the_interval_of_what_a_few_samples_tell_is_as_sure_as_that_of_what_all_do() -> None:
     """The second column is there in a twentieth of the recording only, as a skew is at the fast end of a chirp.
 
-    Blocks in time would have two of forty to tell its spread from: an interval that is wrong by 50 %.
+    Blocks in time would have two of forty for its variance: an interval that is wrong by 50 %.
     """
     columns = np.random.default_rng(0).standard_normal((4000, 2))
     columns[:3800, 1] = 0.0
     halves = []
     for seed in range(60):
         torque = np.random.default_rng(1 + seed).standard_normal(4000)
-        halves.append(spread(partial(iter, [(columns, torque)]), np.zeros(2)).half_width)
+        halves.append(confidence_intervals(Blocks.of(columns, torque), np.zeros(2)).half_width)
     found = np.array(halves)
     # of the second, a fifth of two hundred samples tell the density, one part in six
     assert np.all(found.std(axis=0) < np.array([0.06, 0.25]) * found.mean(axis=0))

@@ -28,9 +28,9 @@ def test_what_lies_between_recordings_is_told_and_is_in_the_interval(make_record
         make_recording(f"{seed}.h5", kc=stiffness, noise=1e-4, seed=seed) for seed, stiffness in enumerate(STIFFNESSES)
     ]
     apart = identified(paths)["Kc"]
-    assert apart.scatter is not None
-    assert apart.scatter.between == pytest.approx(np.std(STIFFNESSES, ddof=1), rel=0.1)
-    assert apart.scatter.within < 0.1 * apart.scatter.between
+    assert apart.components is not None
+    assert apart.components.between == pytest.approx(np.std(STIFFNESSES, ddof=1), rel=0.1)
+    assert apart.components.within < 0.1 * apart.components.between
     half = 0.5 * (apart.ci95[1] - apart.ci95[0])
     # Student's quantile for five recordings, times the standard error of their mean
     assert half == pytest.approx(2.776 * np.std(STIFFNESSES, ddof=1) / np.sqrt(5.0), rel=0.15)
@@ -39,13 +39,13 @@ def test_what_lies_between_recordings_is_told_and_is_in_the_interval(make_record
 def test_recordings_that_are_alike_have_nothing_between_them(make_recording: Maker) -> None:
     paths = [make_recording(f"{seed}.h5", noise=1e-4, seed=seed) for seed in range(4)]
     alike = identified(paths)["Kc"]
-    assert alike.scatter is not None
-    assert alike.scatter.between < 2.0 * alike.scatter.within
+    assert alike.components is not None
+    assert alike.components.between < 2.0 * alike.components.within
     assert alike.ci95[0] < 0.02 < alike.ci95[1]
 
 
 def test_one_recording_has_no_scatter(make_recording: Maker) -> None:
-    assert identified([make_recording(noise=1e-4)])["Kc"].scatter is None
+    assert identified([make_recording(noise=1e-4)])["Kc"].components is None
 
 
 def test_the_same_run_is_not_pooled_with_itself(make_recording: Maker) -> None:

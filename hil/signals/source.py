@@ -1,0 +1,55 @@
+"""Recordings open for identification, each opened once, with the stand that it names parsed once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.errors import Untrustworthy
+from hil.recording.reader import Recording
+from hil.stand.file import Stand, StandTable, parse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """An open recording, and the stand file in it; None where it holds none."""
+
+    recording: Recording
+    stand: Stand | None
+
+    @property
+    def path(self) -> Path:
+        """The recording's file."""
+        return self.recording.path
+
+    @property
+    def table(self) -> StandTable | None:
+        """The stand file's [stand]."""
+        return None if self.stand is None else self.stand.stand
+
+    @property
+    def torque_uncertainty(self) -> float:
+        """Uncertainty of the torque's scale, relative, one standard deviation; 0 where no stand gives one."""
+        return 0.0 if self.table is None else self.table.torque_uncertainty
+
+    def verify(self) -> None:
+        """Raise Untrustworthy where the samples are not those that were written."""
+        if not self.recording.verify():
+            raise Untrustworthy(
+                f"{self.path}: the samples are not the ones that were written (their SHA-256 differs), so Kc and Bc "
+                "cannot be identified from them: use another copy of the file, or record again"
+            )
+
+
+@contextmanager
+def open_sources(paths: Sequence[Path]) -> Iterator[list[Source]]:
+    """Open the recordings at `paths`. Raises WrongUse and Untrustworthy as `Recording` and `hil.stand.file.parse`."""
+    with ExitStack() as stack:
+        sources = []
+        for path in paths:
+            recording = stack.enter_context(Recording(path))
+            text = recording.stand_toml
+            sources.append(Source(recording, parse(text, f"{path}: stand_toml") if text else None))
+        yield sources

@@ -1,0 +1,112 @@
+"""The local polynomials that suit a recording: as wide as its excited band allows, so that they pass little noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.signals.savitzky_golay import kernel, local_polynomial, widest
+
+Array = NDArray[np.float64]
+
+_GAIN_ERROR = 3e-4  # of rate and acceleration, at the upper end of the band
+_NOISE = 0.01  # of the rate's RMS: so much noise in it lowers Bc by 0.01 %
+_FAST = 0.9  # quantile of the speed above which a sample is a fast one
+_NARROWEST = 6  # samples on each side of a window
+_WIDEST = 250  # samples on each side of a window
+_LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
+_PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
+_TAPER = 0.02  # of a recording at each end
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The local polynomials of a recording.
+
+    slope, curvature: neighbours a side. step: s, the median between two samples. band: Hz, the excited band. noise:
+    rad/s, the standard deviation of the slope's.
+    """
+
+    slope: int
+    curvature: int
+    step: float
+    band: tuple[float, float]
+    noise: float
+
+    @property
+    def widest(self) -> int:
+        """The larger number of neighbours a side."""
+        return max(self.slope, self.curvature)
+
+
+def window_for(time: Array, dtheta: Array) -> Window:
+    """Return the widest windows that the excited band allows, the slope's narrowed as far as its noise permits."""
+    step = float(np.median(np.diff(time)))
+    band = excited_band(time, dtheta)
+    slope, curvature = windows(time, band[1])
+    rate = local_polynomial(time, dtheta, slope)[1]
+    left = np.abs(dtheta - local_polynomial(time, dtheta, _NARROWEST)[0])
+    left *= 1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))
+    fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there wrong time stamps make noise too
+    noise, fastest = float(np.median(left)), float(np.median(left[fast]))
+    slope = max(narrowed(slope, step, noise, rate), narrowed(slope, step, fastest, rate[fast]))
+    return Window(slope, curvature, step, band, noise * _amplified(slope, step))
+
+
+def narrowed(slope: int, step: float, noise: float, rate: Array) -> int:
+    """Return the narrowest window, at most `slope` neighbours a side, whose noise is below 1 % of the rate's RMS.
+
+    step: s between two samples; noise: rad, standard deviation of the deflection's; rate (n,) rad/s. A wide window
+    smooths away details, such as the kinks where the joint sticks, and lowers Bc.
+    """
+    allowed = _NOISE * float(np.sqrt(np.mean(rate**2)))
+    while slope > _NARROWEST and noise * _amplified(slope - 1, step) <= allowed:
+        slope -= 1
+    return slope
+
+
+def _amplified(half: int, step: float) -> float:
+    """The standard deviation of the slope, rad/s, for noise of 1 rad in the deflection."""
+    return float(np.linalg.norm(kernel(half, 1))) / step
+
+
+def windows(time: Array, highest: float) -> tuple[int, int]:
+    """Return the widest windows, neighbours a side, that give slope and curvature of motion up to `highest` Hz."""
+    cycles = highest * (time[-1] - time[0]) / (len(time) - 1)
+    most = min(_WIDEST, (len(time) - 1) // _PARTS)
+    slope, curvature = (widest(order, cycles, most, _GAIN_ERROR) for order in (1, 2))
+    return slope, min(slope, curvature)
+
+
+def is_whole(time: Array, window: Window) -> NDArray[np.bool_]:
+    """Return whether (n,) the window of each sample is centred on it and free of gaps."""
+    width, half = 2 * window.widest, window.widest
+    whole = np.zeros(len(time), dtype=bool)
+    whole[half : len(time) - half] = time[width:] - time[:-width] <= 1.5 * width * window.step
+    return whole
+
+
+def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
+    """Return the excited band, Hz: the frequencies at which the deflection (n,) rad is above its own noise.
+
+    It reaches from 1 % of the deflection's power at the lower end to 99 % of the rate's at the upper. The noise floor
+    is the median density in the upper half of the spectrum. Only the very ends are tapered, since a chirp is fastest at
+    its end.
+    """
+    count = len(time)
+    uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
+    step = (time[-1] - time[0]) / (count - 1)
+    taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(count) + 0.5) / (_TAPER * count))) ** 2
+    spectrum = np.abs(np.fft.rfft((uniform - uniform.mean()) * taper * taper[::-1])) ** 2
+    frequency = np.fft.rfftfreq(count, step)
+    density = np.convolve(spectrum, np.full(5, 0.2), mode="same")
+    floor = float(np.median(density[len(density) // 2 :]))
+    excited = np.where(density > 10.0 * floor, density - floor, 0.0)[1:]
+    if not excited.any():
+        return float(frequency[1]), float(frequency[-1])
+    power, rate_power = np.cumsum(excited), np.cumsum(excited * frequency[1:] ** 2)
+    low = int(np.searchsorted(power, _LOW_SHARE * power[-1]))
+    high = int(np.searchsorted(rate_power, _HIGH_SHARE * rate_power[-1]))
+    return float(frequency[1 + low]), float(frequency[1 + max(low, high)])

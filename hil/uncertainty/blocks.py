@@ -1,0 +1,57 @@
+"""The rows of a linear problem: columns and torque, read in order, a block at a time, as often as they are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Block = tuple[Array, Array]
+Keep = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
+"""Return whether each of the rows with these numbers (m,) is kept."""
+
+_COUNTED = 1 << 18  # row numbers at a time: those of all rows would not fit in memory either
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """Columns (m, p) and torque (m,), N m, of any number of rows at a time; each call begins at the first row.
+
+    rows: the number of all rows. read: begin to read them.
+    """
+
+    rows: int
+    read: Callable[[], Iterable[Block]]
+
+    def __call__(self) -> Iterable[Block]:
+        """Read the rows from the first one on."""
+        return self.read()
+
+    @classmethod
+    def of(cls, columns: Array, torque: Array) -> Blocks:
+        """Return rows that are in memory, columns (n, p) and torque (n,) N m, as one block."""
+        return cls(len(torque), lambda: [(columns, torque)])
+
+    def where(self, keep: Keep) -> Blocks:
+        """Return the rows whose numbers `keep` selects."""
+        starts = range(0, self.rows, _COUNTED)
+        rows = sum(int(keep(np.arange(at, min(at + _COUNTED, self.rows))).sum()) for at in starts)
+        return Blocks(rows, lambda: self._selected(keep))
+
+    def between(self, start: int, stop: int) -> Blocks:
+        """Return the rows `start` to `stop`."""
+
+        def keep(number: NDArray[np.int64]) -> NDArray[np.bool_]:
+            return np.asarray((number >= start) & (number < stop))
+
+        return Blocks(stop - start, lambda: self._selected(keep))
+
+    def _selected(self, keep: Keep) -> Iterable[Block]:
+        first = 0
+        for columns, torque in self.read():
+            kept = keep(np.arange(first, first + len(torque)))
+            first += len(torque)
+            yield columns[kept], torque[kept]
