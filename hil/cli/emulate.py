@@ -29,7 +29,7 @@ def emulate(
 
     if name is None:
         for known, emulator in EMULATORS.items():
-            out(f"{known:10} {emulator.explanation}")
+            out(f"{known:10} {emulator.noun} {emulator.where}")
         return
     words: dict[str, Any] = {"model": model, "idents": ident, "link": link, "bus": bus, "channel": channel}
     words |= {"firmware": firmware, "baudrate": baudrate, "instant": instant or None}
@@ -44,6 +44,6 @@ def emulate(
     except ValueError as error:
         raise WrongUse(str(error)) from None
     with ended_by_signal(served):
-        say(f"Emulating {name}{f' {model.upper()}' if model else ''}{place}. Ctrl-C to stop.")
+        say(f"Emulating {EMULATORS[name].noun}{f' {model.upper()}' if model else ''}{place}. Ctrl-C to stop.")
         served.serve()
     say("ended")

@@ -1,13 +1,13 @@
-"""The emulated peers of `hil emulate`: one line each.
+"""The emulators of `hil emulate`: one line each.
 
-The function behind a line takes what it needs of the command's options, by these names, and returns a `Served`; an
-option it has no parameter for is refused, and one without a default must be given. What it raises is told to a person.
+The function behind a line takes the options of the command that it needs, by these names, and returns a `Served`; an
+option it has no parameter for is refused, and one without a default must be given. What it raises is shown to a person.
 
     link: Path, or channel: str | Path           --link, --channel: a symlink to a pty; the channel of a CAN bus
     interface: str                               --bus: slcan (a pty at --link), udp_multicast, socketcan ...
-    model: str, firmware: str                    --model, --firmware
+    model: str, firmware: str                    --model, --firmware (means --model where there is no firmware)
     idents: Sequence[int], baudrate: int         --id, --baudrate (bit/s)
-    parameters: SimParameters | None             --stand: its plant; None: the peer's own
+    parameters: SimParameters | None             --stand: its plant; None: the emulator's own
     instant: bool, or timing: object | None      --instant: no time passes; else what the line's `timing` makes
 """
 
@@ -25,7 +25,7 @@ from typing import Any, Protocol
 
 
 class Served(Protocol):
-    """A peer that is ready to answer."""
+    """An emulator that is ready to answer."""
 
     def serve(self) -> None:
         """Answer until `stop` is called, then clean up."""
@@ -38,46 +38,46 @@ class Served(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Emulator:
-    """A line: what a person is told of it, and where the function is, as "module:name".
+    """A line: what one device is called, where it appears, and the function that makes it, as "module:name".
 
-    timing: where the class is whose default is the usual wire, for a function with a parameter `timing`.
+    timing: the class whose default is the usual wire, as "module:name", for a function with a parameter `timing`.
     """
 
-    explanation: str
+    noun: str
+    where: str
     place: str
     timing: str = ""
 
     def function(self) -> Callable[..., Served]:
-        """The function that makes it."""
+        """Return the function that makes it."""
         made: Callable[..., Served] = _named(self.place)
         return made
 
 
-_CAN_TIMING = "sim_backend.wire.canbus.bus:CanTiming"
+def _on_can(noun: str, folder: str, bus: str = "CAN") -> Emulator:
+    place = f"sim_backend.wire.{folder}.emulator:serve"
+    return Emulator(noun, f"on {bus}: --link, or --bus", place, "sim_backend.wire.canbus.bus:CanTiming")
+
+
+def _on_a_pty(noun: str, folder: str) -> Emulator:
+    return Emulator(noun, "on a pty: --link", f"sim_backend.wire.{folder}.emulator:emulate")
+
 
 EMULATORS: Mapping[str, Emulator] = MappingProxyType(
     {
-        "dynamixel": Emulator("DYNAMIXEL servos on a pty: --link", "sim_backend.wire.dynamixel.emulator:emulate"),
-        "odrive": Emulator(
-            "ODrive axes on CAN: --link, or --bus", "sim_backend.wire.odrive.emulator:serve", _CAN_TIMING
-        ),
-        "mit": Emulator(
-            "CubeMars AK, Damiao on CAN: --link, or --bus", "sim_backend.wire.mit.emulator:serve", _CAN_TIMING
-        ),
-        "moteus": Emulator("moteus on CAN FD: --link, or --bus", "sim_backend.wire.moteus.emulator:serve", _CAN_TIMING),
-        "cia402": Emulator(
-            "CiA 402 drives on CAN: --link, or --bus", "sim_backend.wire.cia402.emulator:serve", _CAN_TIMING
-        ),
-        "commander": Emulator("a SimpleFOC board on a pty: --link", "sim_backend.wire.commander.emulator:emulate"),
-        "loadcell": Emulator(
-            "a torque cell that prints its readings on a pty: --link", "sim_backend.wire.loadcell.emulator:emulate"
-        ),
+        "dynamixel": _on_a_pty("a DYNAMIXEL", "dynamixel"),
+        "odrive": _on_can("an ODrive", "odrive"),
+        "mit": _on_can("a CubeMars AK or Damiao motor", "mit"),
+        "moteus": _on_can("a moteus", "moteus", "CAN FD"),
+        "cia402": _on_can("a CiA 402 drive", "cia402"),
+        "commander": _on_a_pty("a SimpleFOC board", "commander"),
+        "loadcell": _on_a_pty("a torque cell", "loadcell"),
     }
 )
 
 
 def make(name: str, options: Mapping[str, Any]) -> Served:
-    """The emulator `name` with the options that were given, by the names of this module's docstring.
+    """Return the emulator `name` with the options that were given, by the names of this module's docstring.
 
     Raises ValueError for an unknown name, an option it does not take, one it needs, or a value it refuses.
     """
@@ -89,6 +89,9 @@ def make(name: str, options: Mapping[str, Any]) -> Served:
     function = emulator.function()
     takes = inspect.signature(function).parameters
     words = {_parameter(option, takes): value for option, value in options.items()}
+    for option in options:
+        if (meant := _parameter(option, takes)) != option and meant in options:
+            raise ValueError(f"hil emulate {name}: --{option} means --{meant} here: give one of the two")
     if "timing" in takes and emulator.timing and not words.pop("instant", False):
         words["timing"] = _named(emulator.timing)()
     extra = [_option(word) for word in words if word not in takes]
@@ -104,10 +107,11 @@ def make(name: str, options: Mapping[str, Any]) -> Served:
 
 
 def _parameter(option: str, takes: Mapping[str, inspect.Parameter]) -> str:
-    """The parameter that an option goes to."""
+    """Return the parameter that receives an option."""
     if option == "bus":
         return "interface"
-    return "channel" if option == "link" and "link" not in takes else option
+    other = {"link": "channel", "firmware": "model"}.get(option, option)
+    return other if option not in takes and other in takes else option
 
 
 @contextmanager

@@ -11,7 +11,7 @@ PROTOCOL_ERROR = 0x008
 BUS_OFF = 0x040
 """Classes of error frames; they stand where the identifier would."""
 
-_FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ def error_frame(kind: int) -> CanFrame:
 
 def padded(data: bytes, filler: int = 0x50) -> bytes:
     """`data` brought up to the next length that CAN FD has."""
-    length = next(size for size in _FD_LENGTHS if size >= len(data))
+    length = next(size for size in FD_LENGTHS if size >= len(data))
     return data + bytes([filler]) * (length - len(data))
 
 

@@ -4,21 +4,25 @@
 
 from __future__ import annotations
 
-import heapq
-import math
 import threading
 import time
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
 import can
 
+from sim_backend.wire.arrivals import Arrivals
+from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.canbus.slcan import SlcanLine
+from sim_backend.wire.canbus.messages import from_message, to_message
+from sim_backend.wire.canbus.slcan import slcan_line
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable, Iterable
 
-    from sim_backend.wire.canbus.bus import CanBus, CanDelivery
+    from sim_backend.parameters import SimParameters
+    from sim_backend.wire.canbus.bus import CanNode, CanTiming
 
 _IDLE = 0.02
 """s between two looks at whether it is to stop."""
@@ -59,8 +63,7 @@ class CanServer:
         self._bus = bus
         options = {"hop_limit": 0} if interface == "udp_multicast" else {}
         self._wire: can.BusABC = can.Bus(interface=interface, channel=channel, ignore_config=True, **options)  # type: ignore[arg-type]  # each interface has options of its own
-        self._due: list[tuple[float, int, CanFrame]] = []
-        self._count = 0
+        self._arrivals = Arrivals[CanFrame]()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"CAN {channel}")
 
@@ -90,50 +93,50 @@ class CanServer:
 
     def _run(self) -> None:
         while not self._stopping.is_set() and not self._bus.unplugged:
-            next_ = min(self._due[0][0] if self._due else math.inf, self._bus.due())
+            next_ = min(self._arrivals.next(), self._bus.due())
             message = self._wire.recv(max(0.0, min(_IDLE, next_ - self.now())))
             with self.lock:
                 if message is not None and not message.is_error_frame:
-                    self._plan(self._bus.receive(_heard(message), self.now()))
-                self._plan(self._bus.advance(self.now()))
-            while self._due and self._due[0][0] <= self.now():
-                self._wire.send(_said(heapq.heappop(self._due)[2]))
-
-    def _plan(self, deliveries: list[CanDelivery]) -> None:
-        for at, frame in deliveries:
-            self._count += 1
-            heapq.heappush(self._due, (at, self._count, frame))
+                    self._arrivals.add(self._bus.receive(from_message(message), self.now()))
+                self._arrivals.add(self._bus.advance(self.now()))
+            for frame in self._arrivals.until(self.now()):
+                self._wire.send(to_message(frame))
 
 
-def served(bus: CanBus, interface: str, channel: str | Path) -> Served:
-    """`bus` where a client can reach it: at `channel`, a link to a pty, where `interface` is slcan; otherwise on the
-    python-can bus of that name.
+@dataclass(frozen=True, slots=True)
+class CanFamily:
+    """Emulated drives of one family on a CAN bus, each with a plant of its own: call it to make a bus of them.
+
+    noun: what `known` lists, models or firmwares. default: the one that is made unasked. first: the id of a single
+    drive. make: makes a drive from its model, its id, its plant (None: the paper's joint, scaled to its motor) and the
+    time of the monotonic clock at which it is powered, s.
     """
-    if interface == "slcan":
-        from pathlib import Path as Path_
 
-        return SlcanLine(Path_(channel), bus)
-    return CanServer(interface, str(channel), bus)
+    noun: str
+    known: tuple[str, ...]
+    default: str
+    make: Callable[[str, int, SimParameters | None, float], CanNode]
+    first: int = 1
 
+    def __call__(
+        self,
+        channel: str | Path,
+        model: str | None = None,
+        idents: Iterable[int] = (),
+        *,
+        interface: str = "slcan",
+        parameters: SimParameters | None = None,
+        timing: CanTiming | None = None,
+    ) -> Served:
+        """Return a bus of drives, to be served: `with served:` from a thread, `served.serve()` from this one.
 
-def _heard(message: can.Message) -> CanFrame:
-    return CanFrame(
-        message.arbitration_id,
-        bytes(message.data),
-        extended=message.is_extended_id,
-        remote=message.is_remote_frame,
-        fd=message.is_fd,
-        fast=message.bitrate_switch,
-    )
-
-
-def _said(frame: CanFrame) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.ident,
-        data=frame.data,
-        is_extended_id=frame.extended,
-        is_remote_frame=frame.remote,
-        is_error_frame=frame.error,
-        is_fd=frame.fd,
-        bitrate_switch=frame.fast,
-    )
+        interface: "slcan" makes `channel` a symlink to a pty that speaks slcan; any other is one of python-can, with
+        its channel. timing: None answers at once. Raises ValueError for a model that is not `known` or an id that
+        cannot be, FileExistsError where `channel` is a file, can.CanError where the interface cannot be opened.
+        """
+        model = model or self.default
+        if model not in self.known:
+            raise ValueError(f"{self.noun} {model!r} is not known: choose one of {', '.join(self.known)}")
+        now = time.monotonic()
+        bus = CanBus([self.make(model, ident, parameters, now) for ident in idents or (self.first,)], timing=timing)
+        return slcan_line(Path(channel), bus) if interface == "slcan" else CanServer(interface, str(channel), bus)

@@ -7,13 +7,10 @@ data frame, r R remote frame. Answers: CR done (z CR or Z CR for a frame taken),
 
 from __future__ import annotations
 
-import heapq
-import os
-import select
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.canbus.frames import CanFrame
+from sim_backend.wire.canbus.frames import FD_LENGTHS, CanFrame
 from sim_backend.wire.uart.pty_line import PtyLine
 
 if TYPE_CHECKING:
@@ -23,11 +20,9 @@ OK, BELL = b"\r", b"\a"
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000, 83_300)
 """bit/s of S0 to S9 (S9: CANable)."""
 LONGEST = 160
-_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-_IDLE = 0.02
 
 
-class Adapter:
+class SlcanAdapter:
     """Text in, text out. bitrate: bit/s that the bus runs at; None: whatever the client sets is right."""
 
     def __init__(self, bus: CanBus, *, bitrate: int | None = None) -> None:
@@ -43,17 +38,13 @@ class Adapter:
         """Whether it has been pulled out."""
         return self._bus.unplugged
 
-    @unplugged.setter
-    def unplugged(self, value: bool) -> None:
-        self._bus.unplugged = value
-
     def due(self) -> float:
-        """When the bus next says something unasked, s."""
+        """Return when a drive next sends something unasked, s."""
         return self._bus.due()
 
     def receive(self, data: bytes, now: float, _baudrate: int | None = None) -> list[tuple[float, bytes]]:
-        """What the client's `data` make it answer, and when, s."""
-        out: list[tuple[float, bytes]] = []
+        """Return the text of unasked frames up to `now` and the answers to the client's `data`, with times, s."""
+        out = self._texts(self._bus.advance(now))
         self._text += data
         while OK[0] in self._text:
             line, _, rest = bytes(self._text).partition(OK)
@@ -65,13 +56,8 @@ class Adapter:
             out.append((now, BELL))
         return out
 
-    def speak(self, now: float) -> list[tuple[float, bytes]]:
-        """What the bus has said unasked up to `now`."""
-        return self._texts(self._bus.advance(now))
-
-    def advance(self, now: float) -> None:
-        """Let time pass; what is said meanwhile is lost."""
-        self._bus.advance(now)
+    def advance(self, _now: float) -> None:
+        """Do nothing: the bus advances in `receive`, which hands on what is sent meanwhile."""
 
     def _command(self, line: bytes, now: float) -> list[tuple[float, bytes]]:
         letter = line[:1]
@@ -111,29 +97,9 @@ class Adapter:
         return [(at, _text(frame)) for at, frame in deliveries if self._open and not frame.error]
 
 
-class SlcanLine(PtyLine):
-    """Serves `bus` through an adapter at `link`, a symlink to a pty. See `PtyLine`."""
-
-    def __init__(self, link: Path, bus: CanBus, *, bitrate: int | None = None) -> None:
-        self._adapter = Adapter(bus, bitrate=bitrate)
-        super().__init__(link, self._adapter, any_baudrate=True)
-
-    def run(self) -> None:
-        """Serve until `stop` is called or the adapter is unplugged. A bus speaks unasked, so its time is kept too."""
-        while not self._adapter.unplugged:
-            next_ = min([self._adapter.due(), *(at for at, _, _ in self._due[:1])])
-            ready, _, _ = select.select([self._master, self._wake], [], [], max(0.0, min(_IDLE, next_ - self.now())))
-            if self._wake in ready:
-                return
-            if self._master in ready:
-                self._take(os.read(self._master, 4096))
-            with self.lock:
-                said = self._adapter.speak(self.now())
-            for at, text in said:
-                self._sent += 1
-                heapq.heappush(self._due, (at, self._sent, text))
-            self._send()
-        self._drop()
+def slcan_line(link: Path, bus: CanBus, *, bitrate: int | None = None) -> PtyLine:
+    """Return a line that serves `bus` through an adapter at `link`, a symlink to a pty."""
+    return PtyLine(link, SlcanAdapter(bus, bitrate=bitrate), any_baudrate=True)
 
 
 def _parsed(line: bytes) -> CanFrame | None:
@@ -147,7 +113,7 @@ def _parsed(line: bytes) -> CanFrame | None:
         data = b"" if remote else bytes.fromhex(line[2 + digits :].decode("ascii"))
     except ValueError:
         return None
-    wanted = 0 if remote else _LENGTHS[length]
+    wanted = 0 if remote else FD_LENGTHS[length]
     if (length > 8 and not fd) or len(data) != wanted or ident >= 1 << (29 if extended else 11):
         return None
     return CanFrame(ident, data, extended=extended, remote=remote, fd=fd, fast=letter in "bB")
@@ -156,6 +122,6 @@ def _parsed(line: bytes) -> CanFrame | None:
 def _text(frame: CanFrame) -> bytes:
     letter = ("b" if frame.fast else "d") if frame.fd else ("r" if frame.remote else "t")
     ident = f"{frame.ident:08X}" if frame.extended else f"{frame.ident:03X}"
-    length = next(code for code, size in enumerate(_LENGTHS) if size >= len(frame.data))
+    length = next(code for code, size in enumerate(FD_LENGTHS) if size >= len(frame.data))
     head = (letter.upper() if frame.extended else letter) + ident + f"{length:X}"
     return (head + frame.data.hex().upper()).encode("ascii") + OK

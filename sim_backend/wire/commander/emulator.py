@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Sequence
@@ -96,6 +97,10 @@ class CommanderBoard:
             self.motor.disable()
             self.motor.law.target = 0.0
         self.motor.run(now - self._made)
+
+    def due(self) -> float:
+        """Return when its program next prints unasked, s."""
+        return self._streamed + self.streams if self.streams else math.inf
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
         """What `data`, whose first byte is sent at `now`, makes it print, and when each line has arrived."""
@@ -218,9 +223,9 @@ def emulate(
     file.
     """
     if model not in MODELS:
-        raise ValueError(f"model {model!r} is not known: there are {', '.join(MODELS)}")
+        raise ValueError(f"model {model!r} is not known: choose one of {', '.join(MODELS)}")
     if firmware not in FIRMWARES:
-        raise ValueError(f"firmware {firmware!r} is not known: there are {', '.join(FIRMWARES)}")
+        raise ValueError(f"firmware {firmware!r} is not known: choose one of {', '.join(FIRMWARES)}")
     if baudrate <= 0:
         raise ValueError(f"baud rate {baudrate}: it must be above 0")
     parameters = parameters or SimParameters()

@@ -7,11 +7,14 @@ it wait for it. Bytes in and bytes out, with times; no I/O.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
+from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status
+from sim_backend.wire.dynamixel.mx_device import MxDevice
 from sim_backend.wire.dynamixel.mx_frames import MxFramer, mx_bulk_reads, mx_status, mx_sync_writes
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 
@@ -30,39 +33,8 @@ class DynamixelTiming:
     usb_latency: float = 1e-3
 
 
-class DynamixelPeer(Protocol):
-    """A servo as the line sees it; `sim_backend.wire.dynamixel.device` explains the methods."""
-
-    @property
-    def id(self) -> int: ...  # noqa: D102 - see there, as for all below
-
-    @property
-    def shadow(self) -> int | None: ...  # noqa: D102
-
-    @property
-    def baudrate(self) -> int: ...  # noqa: D102
-
-    @property
-    def return_delay(self) -> float: ...  # noqa: D102
-
-    @property
-    def status_return_level(self) -> int: ...  # noqa: D102
-
-    def listens(self, now: float) -> bool: ...  # noqa: D102
-
-    def advance(self, now: float) -> None: ...  # noqa: D102
-
-    def heard(self, now: float) -> None: ...  # noqa: D102
-
-    def reboot(self, now: float) -> None: ...  # noqa: D102
-
-    def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None: ...  # noqa: D102
-
-    def read(self, address: int, size: int, now: float) -> tuple[int, bytes]: ...  # noqa: D102
-
-    def write(self, address: int, data: bytes) -> int: ...  # noqa: D102
-
-    def alerted(self, error: int) -> int: ...  # noqa: D102
+DynamixelPeer = DynamixelDevice | MxDevice
+"""A servo as the line sees it."""
 
 
 class DynamixelBus:
@@ -84,6 +56,10 @@ class DynamixelBus:
         """Carry every servo to `now`, s."""
         for device in self.devices:
             device.advance(now)
+
+    def due(self) -> float:
+        """Return infinity: a servo sends nothing unasked."""
+        return math.inf
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> list[Reply]:
         """What `data`, whose first byte is sent at `now`, makes the servos answer.

@@ -62,7 +62,7 @@ def emulate(
     sentence for a person, for a model, an id or a baud rate that cannot be, FileExistsError as `serve` does.
     """
     if model not in KNOWN:
-        raise ValueError(f"model {model!r} is not known: there are {', '.join(KNOWN)}")
+        raise ValueError(f"model {model!r} is not known: choose one of {', '.join(KNOWN)}")
     rates = sorted(MX_BAUD.values() if model in MX_MODELS else BAUD)
     if baudrate not in rates:
         raise ValueError(f"baud rate {baudrate}: a servo knows {', '.join(map(str, rates))}")

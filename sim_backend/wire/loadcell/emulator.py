@@ -31,7 +31,6 @@ SETTLING = 4
 SCALE = 1e-7
 """N m a count, unless a stand says otherwise."""
 _BOOT = 1.0  # s; the board's own start, before the converter settles
-_LOOK = 1e-3  # s between two looks at the line
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +79,11 @@ class EmulatedLoadCell:
         """Each printed line is a reply."""
 
     def advance(self, now: float) -> None:
-        """Nothing: it lives in `receive`."""
+        """Do nothing: it advances in `receive`, which hands on the lines printed meanwhile."""
+
+    def due(self) -> float:
+        """Return when it prints its next line, s."""
+        return self._next
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:  # noqa: ARG002 - it does not listen
         """The lines it has printed by `now`, and when each has arrived; `baudrate` bit/s is what the host set."""
@@ -141,7 +144,7 @@ def serve(link: Path, board: LoadCellBoard | None = None, joint: Felt | None = N
 
     joint: what it feels, on the clock of `time.monotonic`; None: a joint at rest.
     """
-    return PtyLine(link, EmulatedLoadCell(board, joint, now=time.monotonic()), beat=_LOOK)
+    return PtyLine(link, EmulatedLoadCell(board, joint, now=time.monotonic()))
 
 
 def emulate(
@@ -155,7 +158,7 @@ def emulate(
     """
     kinds = {"hx711": ("micros,raw", False), "hx711-checked": ("micros,raw", True), "value": ("value", False)}
     if model not in kinds:
-        raise ValueError(f"model {model!r} is not known: there are {', '.join(kinds)}")
+        raise ValueError(f"model {model!r} is not known: choose one of {', '.join(kinds)}")
     if baudrate <= 0:
         raise ValueError(f"baud rate {baudrate}: it must be above 0")
     form, checksum = kinds[model]

@@ -1,46 +1,14 @@
-"""Emulated moteus controllers on a CAN FD bus: what `hil emulate moteus` serves."""
+"""Emulated moteus controllers on a CAN FD bus, as `hil emulate moteus` serves them."""
 
 from __future__ import annotations
 
-import time
-from typing import TYPE_CHECKING
-
-from sim_backend.wire.canbus.bus import CanBus, CanTiming
-from sim_backend.wire.canbus.serve import Served, served
+from sim_backend.parameters import SimParameters
+from sim_backend.wire.canbus.serve import CanFamily
 from sim_backend.wire.moteus.device import MoteusDevice
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
 
-    from sim_backend.parameters import SimParameters
-
-KNOWN = ("moteus",)
-"""The models there are."""
+def _controller(_model: str, ident: int, parameters: SimParameters | None, now: float) -> MoteusDevice:
+    return MoteusDevice(ident, parameters=parameters, now=now)
 
 
-def serve(
-    channel: str | Path,
-    model: str = "moteus",
-    idents: Iterable[int] = (1,),
-    *,
-    interface: str = "slcan",
-    parameters: SimParameters | None = None,
-    timing: CanTiming | None = None,
-) -> Served:
-    """Controllers, each with a plant of its own, on a CAN FD bus.
-
-    interface: "slcan" makes `channel` a symlink to a pty that speaks slcan with the CANable's FD frames; any other is
-    python-can's, with its channel. `with serve(...)` answers from a thread; `serve(...).serve()` from this one, until
-    an exception or `stop()`. parameters: the plant; None: the paper's joint, scaled to the motor. timing: None answers
-    at once. Raises ValueError for a model that is not KNOWN, FileExistsError where `channel` is a file, can.CanError
-    where the interface cannot be opened.
-    """
-    if model not in KNOWN:
-        raise ValueError(f"no emulated controller is called {model!r}; there is {', '.join(KNOWN)}")
-    now = time.monotonic()
-    return served(
-        CanBus([MoteusDevice(ident, parameters=parameters, now=now) for ident in idents], timing=timing),
-        interface,
-        channel,
-    )
+serve = CanFamily("controller", ("moteus",), "moteus", _controller)

@@ -1,10 +1,11 @@
-"""A serial port that ends in an emulator in virtual time: no I/O, and a wait for bytes is what makes time pass."""
+"""A serial port with an emulator behind it, in virtual time and without I/O: waiting is what makes time pass."""
 
 from __future__ import annotations
 
 import errno
-import heapq
 from typing import TYPE_CHECKING
+
+from sim_backend.wire.arrivals import Arrivals
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -14,7 +15,7 @@ _POLL = 2e-3  # s that a read waits
 
 
 class SerialLoopback:
-    """What an adapter needs of a port, with `peer` behind it. baudrate: bit/s that the host set."""
+    """A port to `peer`, as far as adapters use one. baudrate: bit/s that the host set. sent: every byte, in order."""
 
     def __init__(self, peer: SerialPeer, clock: Clock, baudrate: int | None = None) -> None:
         self.sent = bytearray()
@@ -22,23 +23,22 @@ class SerialLoopback:
         self._peer = peer
         self._clock = clock
         self._baudrate = baudrate
-        self._due: list[tuple[float, int, bytes]] = []
-        self._count = 0
+        self._arrivals = Arrivals[bytes]()
         self._here = bytearray()
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that have arrived. Raises OSError where the port is gone, as all below."""
-        self._hear(b"")
-        while self._due and self._due[0][0] <= self._clock.now():
-            self._here += heapq.heappop(self._due)[2]
+        """The number of bytes that have arrived. Raises OSError where the port is gone, as all below."""
+        self._exchange(b"")
+        for data in self._arrivals.until(self._clock.now()):
+            self._here += data
         return len(self._here)
 
     def read(self, size: int = 1, /) -> bytes:
-        """Up to `size` bytes; waits for them until the poll is over."""
+        """Return up to `size` bytes; waits for them until the poll is over."""
         end = self._clock.now() + _POLL
         while self.in_waiting < size and self._clock.now() < end:
-            self._clock.sleep_until(min(end, self._due[0][0]) if self._due else end)
+            self._clock.sleep_until(min(end, self._arrivals.next()))
         out = bytes(self._here[:size])
         del self._here[:size]
         return out
@@ -46,21 +46,19 @@ class SerialLoopback:
     def write(self, data: bytes, /) -> int:
         """Send `data`."""
         self.sent += data
-        self._hear(data)
+        self._exchange(data)
         return len(data)
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has arrived."""
+        """Discard what has arrived."""
         if self.in_waiting:
             self._here.clear()
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it. No effect where it is closed."""
         self.closed = True
 
-    def _hear(self, data: bytes) -> None:
+    def _exchange(self, data: bytes) -> None:
         if self.closed or self._peer.unplugged:
             raise OSError(errno.EIO, "device disconnected")
-        for at, reply in self._peer.receive(data, self._clock.now(), self._baudrate):
-            self._count += 1
-            heapq.heappush(self._due, (at, self._count, reply))
+        self._arrivals.add(self._peer.receive(data, self._clock.now(), self._baudrate))

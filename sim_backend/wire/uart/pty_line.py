@@ -7,7 +7,6 @@ understood. Linux and macOS only.
 from __future__ import annotations
 
 import contextlib
-import heapq
 import os
 import select
 import termios
@@ -16,6 +15,8 @@ import time
 import tty
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
+
+from sim_backend.wire.arrivals import Arrivals
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,37 +31,41 @@ _SPIN = 1.5e-4
 class SerialPeer(Protocol):
     """An emulator: bytes in, bytes out, with times in s."""
 
-    unplugged: bool
+    @property
+    def unplugged(self) -> bool:
+        """Whether the cable has been pulled out."""
+        ...
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
-        """What `data`, sent at `now`, makes it answer, and when."""
+        """Return what it sends, and when: unasked up to `now`, and in reply to `data`, sent at `now`."""
         ...
 
     def advance(self, now: float) -> None:
         """Let time pass for it."""
         ...
 
+    def due(self) -> float:
+        """Return when it next sends something unasked; infinite where it does not."""
+        ...
+
 
 class PtyLine:
     """Serves `peer` at `link`, a symlink to the pty, in a thread, as long as the `with` lasts.
 
-    any_baudrate: the peer understands whatever speed the client set. beat: s between two looks at the peer while nobody
-    speaks; one that talks unasked is given no bytes then. lock: held while the peer is at work; whoever looks at the
-    peer takes it. Raises FileExistsError where `link` is something other than a symlink.
+    any_baudrate: the peer understands whatever speed the client set. lock: held while the peer is at work; whoever
+    looks at the peer takes it. Raises FileExistsError where `link` is something other than a symlink.
     """
 
-    def __init__(self, link: Path, peer: SerialPeer, *, any_baudrate: bool = False, beat: float = _IDLE) -> None:
+    def __init__(self, link: Path, peer: SerialPeer, *, any_baudrate: bool = False) -> None:
         self.link = link
         self.lock = threading.Lock()
         self._peer = peer
         self._any_baudrate = any_baudrate
-        self._beat = beat
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self._wake, self._waker = os.pipe()
-        self._due: list[tuple[float, int, bytes]] = []
-        self._sent = 0
+        self._arrivals = Arrivals[bytes]()
         self._thread = threading.Thread(target=self.run, name=f"pty {link}")
         self._point()
 
@@ -85,15 +90,18 @@ class PtyLine:
     def run(self) -> None:
         """Serve until `stop` is called or the peer is unplugged."""
         while not self._peer.unplugged:
-            wait = self._beat if not self._due else max(0.0, min(self._beat, self._due[0][0] - self.now() - _SPIN))
+            next_ = min(self._arrivals.next() - _SPIN, self._peer.due())
+            wait = max(0.0, min(_IDLE, next_ - self.now()))
             ready, _, _ = select.select([self._master, self._wake], [], [], wait)
             if self._wake in ready:
                 return
             if self._master in ready:
                 self._take(os.read(self._master, 4096))
-            elif not self._due:
+            elif not self._arrivals:
                 with self.lock:
                     self._peer.advance(self.now())
+                self._take(b"")
+            elif self._peer.due() <= self.now():
                 self._take(b"")
             self._send()
         self._drop()
@@ -108,14 +116,10 @@ class PtyLine:
     def _take(self, data: bytes) -> None:
         speed = None if self._any_baudrate else _SPEEDS.get(termios.tcgetattr(self._master)[5], 0)
         with self.lock:
-            replies = self._peer.receive(data, self.now(), speed)
-        for at, reply in replies:
-            self._sent += 1
-            heapq.heappush(self._due, (at, self._sent, reply))
+            self._arrivals.add(self._peer.receive(data, self.now(), speed))
 
     def _send(self) -> None:
-        while self._due and self._due[0][0] <= self.now():
-            reply = heapq.heappop(self._due)[2]
+        for reply in self._arrivals.until(self.now()):
             with contextlib.suppress(BlockingIOError):  # a client that never reads loses bytes, as on a real line
                 os.write(self._master, reply)
 

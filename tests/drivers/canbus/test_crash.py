@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from sim_backend.wire.canbus.bus import CanBus
-from sim_backend.wire.canbus.slcan import SlcanLine
+from sim_backend.wire.canbus.slcan import slcan_line
 from sim_backend.wire.cia402.device import Cia402Device
 from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.moteus.device import MoteusDevice
@@ -41,7 +41,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 @pytest.mark.parametrize("kind", ["moteus", "mit", "cia402"])
 def test_a_killed_program_leaves_no_torque_once_the_watchdog_has_run_out(tmp_path: Path, kind: str) -> None:
     bus = CanBus([])
-    with SlcanLine(tmp_path / "ttyCAN", bus) as line:
+    with slcan_line(tmp_path / "ttyCAN", bus) as line:
         now = line.now()
         device: Any
         if kind == "moteus":

@@ -245,12 +245,12 @@ def test_several_drives_answer_on_a_serial_adapter(tmp_path: Path) -> None:
         until(lambda: sorted(net.scanner.nodes) == [1, 5])
         for ident in (1, 5):
             net.add_node(ident, dictionary(Cia402Device("generic", ident), ident))
-            assert net[ident].sdo[0x1018][4].raw == 0x62004411 + (ident == 5)
+            assert net[ident].sdo[0x1018][4].raw == 0x62004410 + ident
         net.disconnect()
 
 
 def test_what_cannot_be_emulated_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="there are epos4"):
+    with pytest.raises(ValueError, match="choose one of epos4"):
         serve(tmp_path / "tty", "epos5")
     with pytest.raises(ValueError, match="not 1 to 127"):
         serve(tmp_path / "tty", "epos4", (0,))

@@ -17,7 +17,7 @@ from drivers.servo import Command, DriverError, Limits, Quantity
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.mit.device import MitDevice
-from sim_backend.wire.mit.emulator import KNOWN, serve
+from sim_backend.wire.mit.emulator import serve
 from sim_backend.wire.mit.tables import MODELS
 
 Make = Callable[..., Any]
@@ -53,7 +53,7 @@ def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at
 
 def test_both_sides_know_the_same_motors() -> None:
     """Two tables written apart: a slip in one of them shows here."""
-    assert set(models()) == set(KNOWN)
+    assert set(models()) == set(serve.known)
     for name, model in models().items():
         assert (model.position, model.velocity, model.torque) == MODELS[name].span
         assert (model.family == "damiao") == MODELS[name].damiao
@@ -80,7 +80,7 @@ def test_a_reply_is_unpacked_as_the_manual_says() -> None:
     assert abs(state.torque) < 36 / 4095
 
 
-@pytest.mark.parametrize("model", KNOWN)
+@pytest.mark.parametrize("model", serve.known)
 def test_every_count_of_torque_survives_both_codecs(model: str) -> None:
     spec = models()[model]
     codec = Codec(spec.family, spec.position, spec.velocity, spec.torque)
@@ -202,7 +202,7 @@ def test_an_emulated_damiao_has_every_register_and_its_other_modes() -> None:
 
 
 def test_serving_names_what_is_not_known() -> None:
-    with pytest.raises(ValueError, match="there are ak10-9"):
+    with pytest.raises(ValueError, match="choose one of ak10-9"):
         serve("nowhere", "ak1", interface="virtual")
     assert CanBus([MitDevice("ak80-9")]).due() == math.inf
 

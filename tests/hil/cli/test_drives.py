@@ -55,7 +55,7 @@ def emulated(*words: str) -> Iterator[subprocess.Popen[str]]:
     ) as process:
         try:
             assert process.stderr is not None
-            assert process.stderr.readline().startswith(f"Emulating {words[0]}")
+            assert process.stderr.readline().startswith(f"Emulating {EMULATORS[words[0]].noun}")
             yield process
         finally:
             process.kill()
@@ -151,7 +151,7 @@ def test_the_backends_and_the_emulators_are_listed(capfd: pytest.CaptureFixture[
         (["dynamixle"], "did you mean 'dynamixel'"),
         (["dynamixel"], "needs --link"),
         (["dynamixel", "--link", "x", "--bus", "slcan"], "takes no --bus: it takes --link, --model, --id"),
-        (["dynamixel", "--link", "x", "--model", "xl1"], "there are mx-106"),
+        (["dynamixel", "--link", "x", "--model", "xl1"], "choose one of mx-106"),
         (["dynamixel", "--link", "x", "--id", "1", "--id", "1"], "ids must differ"),
         (["dynamixel", "--link", "x", "--baudrate", "1000"], "a servo knows 9600"),
         (["dynamixel", "--link", "."], "is not a link"),
@@ -197,7 +197,8 @@ def can(monkeypatch: pytest.MonkeyPatch) -> None:
     module.__dict__.update(serve=serve_on_can, Wire=Wire)
     monkeypatch.setitem(sys.modules, "a_can_drive", module)
     monkeypatch.setattr(
-        "sim_backend.wire.catalogue.EMULATORS", {"drive": Emulator("a drive", "a_can_drive:serve", "a_can_drive:Wire")}
+        "sim_backend.wire.catalogue.EMULATORS",
+        {"drive": Emulator("a drive", "on CAN", "a_can_drive:serve", "a_can_drive:Wire")},
     )
 
 

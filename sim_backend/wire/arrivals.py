@@ -1,0 +1,36 @@
+"""What is under way on an emulated link, in order of arrival."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterable, Iterator
+from typing import Generic, TypeVar
+
+Part = TypeVar("Part")
+
+
+class Arrivals(Generic[Part]):
+    """Parts that wait for their time of arrival; those with the same time keep the order in which they were added."""
+
+    def __init__(self) -> None:
+        self._due: list[tuple[float, int, Part]] = []
+        self._count = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._due)
+
+    def add(self, parts: Iterable[tuple[float, Part]]) -> None:
+        """Add parts, each with the time it arrives, s."""
+        for at, part in parts:
+            self._count += 1
+            heapq.heappush(self._due, (at, self._count, part))
+
+    def next(self) -> float:
+        """Return the time of the next arrival, s; infinite where nothing is under way."""
+        return self._due[0][0] if self._due else math.inf
+
+    def until(self, now: float) -> Iterator[Part]:
+        """Take out and yield what has arrived by `now`, s."""
+        while self.next() <= now:
+            yield heapq.heappop(self._due)[2]
