@@ -52,6 +52,13 @@ class LinkLost(DriverError, ConnectionError):
     """The port or the bus is gone. The run ends; whether the motor is live is not known."""
 
 
+def link_lost(name: str, reason: object) -> LinkLost:
+    """Return the error for the link `name` that is gone for `reason`."""
+    return LinkLost(
+        f"{name} is gone ({reason}): whether the motor is live is not known; cut the power before touching it"
+    )
+
+
 class NoReply(DriverError, TimeoutError):
     """No reply within the deadline. One is a gap in the data; several in a row end the run."""
 

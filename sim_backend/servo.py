@@ -79,7 +79,7 @@ class SimServo:
 
     def __init__(self, parameters: SimParameters, *, seed: int, clock: Clock, faults: tuple[Fault, ...] = ()) -> None:
         self._parameters = parameters.resolved()
-        self._clock = clock
+        self.clock: Clock = clock
         self._opened = clock.now()
         self._drive = Drive(self._parameters)
         self._sensors = Sensors(self._parameters)
@@ -89,7 +89,7 @@ class SimServo:
         self._ahead = deque(device_faults(faults))
         self._under_way: deque[tuple[float, Command]] = deque()
         self._answered: Reading | None = None
-        self._info = ServoInfo(
+        self.info = ServoInfo(
             backend="sim",
             model="simulated joint",
             serial=f"seed {seed}",
@@ -99,19 +99,9 @@ class SimServo:
             torque_uncertainty=0.0,
         )
         self._gate = Gate(
-            "the simulated servo", self._info.quantities, torque_off=self._torque_off, release=lambda: None
+            "the simulated servo", self.info.quantities, torque_off=self._torque_off, release=lambda: None
         )
         self._gate.live = False
-
-    @property
-    def info(self) -> ServoInfo:
-        """What this servo is; its torque scale is exact."""
-        return self._info
-
-    @property
-    def clock(self) -> Clock:
-        """Whose time its samples carry."""
-        return self._clock
 
     def arm(self, limits: Limits) -> None:
         """Write the limits into the drive and enable it at zero torque.
@@ -154,7 +144,7 @@ class SimServo:
         self._under_way.append((due, admitted.command or Command.rest()))
         if draw.lost < link.lost_reply or returned - sent > link.reply_timeout:
             self._time_out(sent)
-        self._clock.sleep_until(returned)
+        self.clock.sleep_until(returned)
         self._raise_fault()
         if within(self._plan, CorruptReplies, arrived - self._opened):
             raise BadReply("the reply failed its checksum: the sample is dropped")
@@ -209,7 +199,7 @@ class SimServo:
 
     def true_state(self) -> TrueState:
         """The plant as it is at this moment of the clock, open or closed: what tests judge by. No time passes."""
-        self._advance(self._clock.now())
+        self._advance(self.clock.now())
         drive = self._drive
         state = drive.path.state
         return TrueState(
@@ -233,7 +223,7 @@ class SimServo:
 
     def _reach(self) -> float:
         """The time of sending. Raises LinkLost, and NoReply once the timeout has passed."""
-        now = self._clock.now()
+        now = self.clock.now()
         self._gate.require_open()
         if now - self._opened >= self._link_ends:
             raise LinkLost("the simulated link is gone: whether the motor is live is not known")
@@ -243,7 +233,7 @@ class SimServo:
 
     def _time_out(self, sent: float) -> None:
         timeout = self._parameters.link.reply_timeout
-        self._clock.sleep_until(sent + timeout)
+        self.clock.sleep_until(sent + timeout)
         raise NoReply(f"no reply within {timeout * 1e3:.3g} ms")
 
     def _raise_fault(self) -> None:

@@ -1,8 +1,8 @@
-"""A CAN bus over python-can: opened by configuration alone, every wait bounded, every error named.
+"""A CAN bus over python-can: opened by configuration alone, with bounded waits and our own errors.
 
-What python-can leaves open is done here. Its `recv` counts time by the wall clock, which steps, so that its interfaces'
-own wait is called with a deadline of ours. Its slcan raises for ever after one byte above 0x7F, waits 2 s to open, and
-takes no lock. Its configuration files are never read. Frames that are shorter than they say are refused.
+This module corrects python-can in four places. Its `recv` measures time by the wall clock, which steps: the interface's
+own wait is called with a monotonic deadline. Its slcan raises for ever after one byte above 0x7F, waits 2 s to open,
+and takes no lock. Its configuration files are never read. A frame shorter than its length code is refused.
 """
 
 from __future__ import annotations
@@ -15,41 +15,35 @@ from typing import TYPE_CHECKING, Any
 import can
 import serial
 
-from drivers.servo import BadReply, DriverError, LinkLost, NoReply
+from drivers.servo import BadReply, DriverError, LinkLost, NoReply, link_lost
+from drivers.uart.port import GONE, REMEDIES
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
 
 WRITE_TIMEOUT = 0.1
-"""s that the interface may take to accept a frame; without one, a stuck adapter would hold us for ever."""
+"""s that the interface may take to accept a frame; without a limit a stuck adapter would block for ever."""
 BUDGET = 2048
-"""Frames looked at before a bus counts as one that never falls silent."""
+"""Frames read at once; a bus with more of them counts as one that never falls silent."""
 _BUS_OFF = 0x040  # class of error frame, include/uapi/linux/can/error.h
 _FD_CLOCK = 80_000_000
 _SLCAN_SETTLE = 0.05
 
-_REMEDIES = {
+_REMEDIES = REMEDIES | {
     errno.ENODEV: "there is no such interface: check the adapter, and the name with `ip link`",
     errno.ENOENT: "there is no such port: check the adapter and the name",
     errno.ENETDOWN: "the interface is down: bring it up with `ip link set NAME up type can bitrate N`",
-    errno.EACCES: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
-    errno.EPERM: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
-    errno.EBUSY: "another program has it open: close that first",
-    errno.EWOULDBLOCK: "another program has it open: close that first",
     errno.EAFNOSUPPORT: "this system has no SocketCAN: use interface = 'slcan' or the adapter's own",
 }
-_GONE: tuple[type[Exception], ...] = (can.CanError, OSError, serial.SerialException)
-with contextlib.suppress(ImportError):  # POSIX only; pyserial lets it through
-    import termios
-
-    _GONE += (termios.error,)
+_UNKNOWN = "it cannot be opened"
+_GONE: tuple[type[Exception], ...] = (can.CanError, *GONE)
 _GARBLED: tuple[type[Exception], ...] = (ValueError, IndexError, TypeError, KeyError)
-"""What slcan raises on bytes that are no frame, or wraps; UnicodeDecodeError is a ValueError."""
+"""What slcan raises, or wraps, for bytes that are no frame; UnicodeDecodeError is a ValueError."""
 
 
 @dataclass(frozen=True, slots=True)
 class BusConfig:
-    """Where the bus is. bitrate, data_bitrate: bit/s; data_bitrate above 0 opens CAN FD."""
+    """The interface and channel of a bus. bitrate, data_bitrate: bit/s; data_bitrate above 0 opens CAN FD."""
 
     interface: str
     channel: str
@@ -58,14 +52,14 @@ class BusConfig:
 
     @property
     def name(self) -> str:
-        """What a person calls it."""
+        """Interface and channel, for messages."""
         return f"{self.interface} {self.channel}"
 
 
 def frame(
     ident: int, data: bytes = b"", *, remote: bool = False, extended: bool = False, fd: bool = False
 ) -> can.Message:
-    """A frame to send; fd: a CAN FD frame with the faster data rate."""
+    """Return a frame to send; fd: a CAN FD frame with the faster data rate."""
     return can.Message(
         arbitration_id=ident,
         data=data,
@@ -78,7 +72,7 @@ def frame(
 
 
 def _options(config: BusConfig) -> dict[str, Any]:
-    """What an interface wants to be told beyond its name; each takes bit rates in its own way."""
+    """Return the options of an interface beyond its name; each has its own for bit rates."""
     fd = config.data_bitrate > 0
     if config.interface == "virtual":
         return {}
@@ -100,7 +94,7 @@ def _options(config: BusConfig) -> dict[str, Any]:
 
 
 def open_interface(config: BusConfig) -> can.BusABC:
-    """The python-can bus that `config` names. Raises DriverError with the remedy."""
+    """Return the python-can bus that `config` names. Raises DriverError with the remedy."""
     try:
         if config.interface == "slcan":
             _check_free(config)
@@ -140,13 +134,13 @@ def _remedy(error: BaseException) -> str:
         if number in _REMEDIES:
             return _REMEDIES[number]
         cause = cause.__cause__ or cause.__context__
-    return "it cannot be opened"
+    return _UNKNOWN
 
 
 class CanLink:
-    """An open bus. error_frames: how many its controller has reported.
+    """An open bus. error_frames: how many error frames its controller has reported.
 
-    bus: brought by a test; otherwise the one that `config` names is opened. Raises DriverError with the remedy.
+    bus: given by tests; otherwise the one that `config` names is opened. Raises DriverError with the remedy.
     """
 
     def __init__(self, config: BusConfig, clock: Clock, bus: can.BusABC | None = None) -> None:
@@ -159,7 +153,7 @@ class CanLink:
         self._closed = False
 
     def send(self, message: can.Message) -> None:
-        """Hand a frame to the interface. Raises LinkLost, and NoReply where nobody on the bus takes frames."""
+        """Send a frame. Raises LinkLost, and NoReply where no node on the bus acknowledges."""
         if self._closed:
             raise LinkLost(f"{self.name} is closed")
         try:
@@ -167,15 +161,15 @@ class CanLink:
         except _GONE as error:
             if _is_full(error):
                 raise NoReply(
-                    f"{self.name} has no room for another frame: nobody on the bus acknowledges; check the drive's "
+                    f"{self.name} has no room for another frame: no node on the bus acknowledges; check the drive's "
                     "power, the wiring and its termination, and the bit rate"
                 ) from None
             raise self._lost(error) from None
 
     def receive(self, deadline: float) -> can.Message | None:
-        """The next frame, or None where none has come by `deadline` s on the clock; looks at least once.
+        """Return the next frame, None where none arrived by `deadline` s on the clock; reads at least once.
 
-        Raises LinkLost, BadReply where what arrived is no frame.
+        Raises LinkLost, BadReply where the bytes are no frame.
         """
         if self._closed:
             raise LinkLost(f"{self.name} is closed")
@@ -194,7 +188,7 @@ class CanLink:
         )
 
     def waiting(self) -> list[can.Message]:
-        """Every frame that has arrived and nobody has taken; damaged ones are left out. Raises LinkLost, BadReply."""
+        """Return all received frames without waiting, without damaged ones. Raises LinkLost, BadReply."""
         out: list[can.Message] = []
         for _ in range(BUDGET):
             try:
@@ -207,13 +201,13 @@ class CanLink:
         raise BadReply(f"{self.name} never falls silent: another program or a broken drive keeps talking on it")
 
     def close(self) -> None:
-        """Let go of the bus. Harmless when closed, or when the adapter is gone."""
+        """Close the bus. Harmless when closed, or when the adapter is gone."""
         if self._closed:
             return
         self._closed = True
         with contextlib.suppress(*_GONE, *_GARBLED):
             self._bus.shutdown()
-        if self._port is not None:  # slcan keeps its port open where the goodbye could not be written
+        if self._port is not None:  # slcan leaves its port open where the closing command could not be written
             with contextlib.suppress(*_GONE):
                 self._port.close()
 
@@ -234,7 +228,7 @@ class CanLink:
         return message
 
     def _unread(self) -> bool:
-        """Whether a serial adapter holds more; it also sends lines that are no frames."""
+        """Whether a serial adapter has more bytes to read; it also sends lines that are no frames."""
         if self._port is None:
             return False
         try:
@@ -251,19 +245,12 @@ class CanLink:
             )
 
     def _lost(self, error: BaseException) -> LinkLost:
-        return LinkLost(
-            f"{self.name} is gone ({error}): {_after(error)}whether the motor is live is not known; "
-            "cut the power before touching it"
-        )
+        remedy = _remedy(error)
+        return link_lost(self.name, error if remedy == _UNKNOWN else f"{error}: {remedy}")
 
 
 def _is_full(error: Exception) -> bool:
-    """Whether a frame was not taken for want of room, by SocketCAN's queue or by a serial adapter."""
+    """Whether a frame was refused because SocketCAN's queue or a serial adapter is full."""
     if getattr(error, "error_code", None) == errno.ENOBUFS or getattr(error, "errno", None) == errno.ENOBUFS:
         return True
     return "buffer full" in str(error) or isinstance(error.__cause__, serial.SerialTimeoutException)
-
-
-def _after(error: BaseException) -> str:
-    remedy = _remedy(error)
-    return "" if remedy == "it cannot be opened" else f"{remedy}; "

@@ -1,11 +1,11 @@
-"""Requests to one drive on a CAN bus, and which of the frames that arrive are the answers.
+"""Requests to one drive on a CAN bus, and which of the received frames are the replies.
 
-A CAN reply carries no number of its own. A reply that comes after its deadline would be taken for the answer to the
-next request, so after one went missing the drive is listened to, and not asked, until what it owes has come or `LATE`
-has passed; then everything that waits is thrown away.
+A CAN reply carries no sequence number, so a reply after its deadline would be taken for the reply to the next request.
+After a lost reply nothing is requested until the replies that are still due have arrived or `LATE` has passed; then
+all received frames are discarded.
 
-Frames do not overtake each other. A drive may also send some kinds on its own, and of those the last before the end of
-the exchange counts; the kind that is asked for last should be one that it sends only when asked.
+Frames do not overtake each other. A drive may also send some kinds of frames cyclically; of those the last one before
+the end of the exchange counts. The kind that is requested last should be one that the drive sends only on request.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
 
 LATE = 0.02
-"""s after its deadline that a reply may still come; beyond it it is lost."""
+"""s after its deadline that a reply may still arrive; after that it is lost."""
 
 Classify = Callable[["can.Message"], Hashable | None]
-"""The kind of a frame from our drive; None where it is from another node or not for us."""
+"""Returns the kind of a frame from our drive; None for a frame of another node."""
 
 
 class Requests:
-    """The conversation with one drive called `name`. timeout: s that a reply may take.
+    """Requests to the drive `name` and its replies. timeout: s that a reply may take.
 
-    overhear: given every frame of the drive's that nobody waits for: heartbeats and the like. only_asked: the kinds
-    that it sends only when asked; unasked: how many of each came all the same, old answers or a second drive's.
+    on_cyclic: receives every frame of the drive that is no reply, such as heartbeats. only_on_request: the kinds that
+    the drive sends only on request; unrequested: how many of each arrived without one: late replies, or those of a
+    second drive.
     """
 
     def __init__(
@@ -44,18 +45,18 @@ class Requests:
         name: str,
         timeout: float,
         classify: Classify,
-        overhear: Callable[[Hashable, bytes], None],
-        only_asked: frozenset[Hashable],
+        on_cyclic: Callable[[Hashable, bytes], None] = lambda _kind, _data: None,
+        only_on_request: frozenset[Hashable],
     ) -> None:
         self._link = link
         self._clock = clock
-        self._name = name
+        self.name = name
         self._timeout = timeout
         self._classify = classify
-        self._overhear = overhear
-        self._owed: Counter[Hashable] = Counter()
-        self.only_asked = only_asked
-        self.unasked: Counter[Hashable] = Counter()
+        self._on_cyclic = on_cyclic
+        self._due: Counter[Hashable] = Counter()
+        self.only_on_request = only_on_request
+        self.unrequested: Counter[Hashable] = Counter()
 
     def ask(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> dict[Hashable, bytes]:
         """Send `frames` and return the data of one reply of each wanted kind.
@@ -63,9 +64,9 @@ class Requests:
         Raises NoReply, BadReply where a reply is cut short, LinkLost.
         """
         self._settle()
-        self.listen()
+        self.process()
         missing = Counter(wanted)
-        self._owed.update(missing)
+        self._due.update(missing)
         for message in frames:
             self._link.send(message)
         deadline = self._clock.now() + self._timeout
@@ -73,51 +74,52 @@ class Requests:
         while missing:
             reply = self._link.receive(deadline)
             if reply is None:
-                raise NoReply(f"{self._name} did not answer within {self._timeout * 1e3:.3g} ms")
+                raise NoReply(f"{self.name} did not answer within {self._timeout * 1e3:.3g} ms")
             kind = self._classify(reply)
-            if kind in self._owed:
+            if kind in self._due:
                 self._credit(kind)
                 del missing[kind]
                 got[kind] = bytes(reply.data)
             elif kind in got:
                 got[kind] = bytes(reply.data)
             elif kind is not None:
-                self._hear(kind, bytes(reply.data))
+                self._unawaited(kind, bytes(reply.data))
         return got
 
-    def refuse_unasked(self) -> None:
-        """Raise BadReply where an answer came that nobody asked for, once no more has come for `LATE`."""
-        self.listen()
-        if self.unasked:
-            self.await_change(LATE, lambda: False)
-            self.unasked.clear()
+    def refuse_unrequested(self) -> None:
+        """Raise BadReply where a reply arrived without a request, once no more has arrived for `LATE`."""
+        self.process()
+        if self.unrequested:
+            self.wait_until(LATE, lambda: False)
+            self.unrequested.clear()
             raise BadReply(
-                f"{self._name} answered what nobody asked: an old answer, so that samples before may be old too, or a "
-                "second drive with the same id; the sample is dropped"
+                f"{self.name} sent a reply without a request: a late reply, so that earlier samples may be late too, "
+                "or a second drive with the same id; the sample is dropped"
             )
 
-    def fire(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> None:
-        """Send `frames` at once, whatever is still owed, and leave the answers for later: what stops a drive must not
-        wait. Raises NoReply where the bus takes no frame, LinkLost.
+    def send_now(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> None:
+        """Send `frames` at once, without waiting for replies that are still due: torque-off must not wait.
+
+        The replies of the kinds `wanted` become due. Raises NoReply where the bus accepts no frame, LinkLost.
         """
-        self._owed.update(wanted)
+        self._due.update(wanted)
         for message in frames:
             self._link.send(message)
 
-    def tell(self, frames: Iterable[can.Message]) -> None:
-        """Send what has no answer. Raises NoReply where the bus takes no frame, LinkLost."""
+    def send(self, frames: Iterable[can.Message]) -> None:
+        """Send frames that have no reply. Raises NoReply where the bus accepts no frame, LinkLost."""
         for message in frames:
             self._link.send(message)
 
-    def listen(self) -> None:
-        """Take in what has arrived. Raises LinkLost, BadReply where the bus never falls silent."""
+    def process(self) -> None:
+        """Process all received frames. Raises LinkLost, BadReply where the bus never falls silent."""
         for message in self._link.waiting():
             self._take(message)
 
-    def await_change(self, seconds: float, done: Callable[[], bool]) -> bool:
-        """Listen until `done`, for `seconds` at most; whether it is. Raises LinkLost."""
+    def wait_until(self, seconds: float, done: Callable[[], bool]) -> bool:
+        """Process frames until `done`, for at most `seconds`; return whether it is. Raises LinkLost."""
         end = self._clock.now() + seconds
-        self.listen()
+        self.process()
         while not done() and self._clock.now() < end:
             try:
                 message = self._link.receive(end)
@@ -128,25 +130,33 @@ class Requests:
         return done()
 
     def _settle(self) -> None:
-        """Wait for what is still owed; give it up after `LATE`."""
-        if self._owed:
-            self.await_change(LATE, lambda: not self._owed)
-            self._owed.clear()
+        """Wait for replies that are still due, for at most `LATE`."""
+        if self._due:
+            self.wait_until(LATE, lambda: not self._due)
+            self._due.clear()
 
     def _take(self, message: can.Message) -> None:
         kind = self._classify(message)
-        if kind in self._owed:
+        if kind in self._due:
             self._credit(kind)
         elif kind is not None:
-            self._hear(kind, bytes(message.data))
+            self._unawaited(kind, bytes(message.data))
 
-    def _hear(self, kind: Hashable, data: bytes) -> None:
-        if kind in self.only_asked:
-            self.unasked[kind] += 1
+    def _unawaited(self, kind: Hashable, data: bytes) -> None:
+        if kind in self.only_on_request:
+            self.unrequested[kind] += 1
         else:
-            self._overhear(kind, data)
+            self._on_cyclic(kind, data)
 
     def _credit(self, kind: Hashable) -> None:
-        self._owed[kind] -= 1
-        if self._owed[kind] <= 0:
-            del self._owed[kind]
+        self._due[kind] -= 1
+        if self._due[kind] <= 0:
+            del self._due[kind]
+
+
+def garbled(name: str, reason: object) -> BadReply:
+    """Return the error for replies of the drive `name` that cannot be decoded while it is identified."""
+    return BadReply(
+        f"the replies of {name} cannot be understood ({reason}): two drives with that id, or a wrong bit rate; connect "
+        "one drive alone and give each its own id"
+    )

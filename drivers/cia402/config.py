@@ -16,11 +16,11 @@ class Cia402Config:
     """The [cia402] table of stand.toml. Raises ValueError where two keys do not fit each other.
 
     interface, channel: the bus, as python-can names it. bitrate: bit/s. profile: the kind of drive. id: its node id.
-    own_id: the node id under which we send our heartbeat. torque_constant: N m/A; the epos2 needs it, the epos4 knows
-    it. rated_torque: N m; left out: what the drive says. rated_torque_unit: N m of one count of what it says (0x6076),
-    where that is not the profile's. resolution: counts a turn; left out: what the drive says. sign: 1 where the drive's
-    positive is the stand's, else -1. watchdog: s without our heartbeat after which the drive stops by itself; 0: never.
-    reply_timeout: s that a reply may take. reset_faults: clear whatever fault is latched when arming.
+    own_id: the node id under which we send our heartbeat. torque_constant: N m/A; needed for the epos2, read from the
+    epos4. rated_torque: N m; None: read from the drive. rated_torque_unit: N m of one count of the drive's rated torque
+    (0x6076), where it is not the profile's. resolution: counts a turn; None: read from the drive. sign: 1 where the
+    drive's positive is the stand's, else -1. watchdog: s without our heartbeat after which the drive stops by itself;
+    0: never. reply_timeout: s that a reply may take. reset_faults: clear every latched fault when arming.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -45,9 +45,9 @@ class Cia402Config:
         if self.id == self.own_id:
             raise ValueError(f"cia402.own_id {self.own_id} is the drive's own id: choose another")
         if self.profile == "epos2" and self.torque_constant is None:
-            raise ValueError("cia402.torque_constant must be given for an epos2, which knows currents only (N m/A)")
+            raise ValueError("cia402.torque_constant (N m/A) must be given for an epos2, which measures current only")
 
     @property
     def bus(self) -> BusConfig:
-        """Where the bus is."""
+        """The bus."""
         return BusConfig(self.interface, self.channel, self.bitrate)

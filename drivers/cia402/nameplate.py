@@ -1,4 +1,4 @@
-"""What a CiA 402 drive says of itself: who it is, and what its counts are worth."""
+"""The identification of a CiA 402 drive, and the value of its counts in SI."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from drivers.cia402.network import Refused
-from drivers.cia402.profiles import Place
+from drivers.cia402.profiles import ObjectIndex
 from drivers.servo import BadReply, DriverError, NoReply
 
 if TYPE_CHECKING:
@@ -17,18 +17,17 @@ if TYPE_CHECKING:
     from drivers.cia402.objects import Objects
     from drivers.cia402.profiles import Profile
 
-_DEVICE_TYPE, _NAME = Place(0x1000, 0), Place(0x1008, 0)
-_IDENTITY = [Place(0x1018, sub) for sub in (1, 2, 3, 4)]
+_DEVICE_TYPE, _NAME = ObjectIndex(0x1000, 0), ObjectIndex(0x1008, 0)
+_IDENTITY = [ObjectIndex(0x1018, sub) for sub in (1, 2, 3, 4)]
 _SECOND_ANSWER = 0.004
-"""s in which a second drive with the same id would have answered."""
-_TURN = 2.0 * math.pi
+"""s in which a second drive with the same id would have replied."""
 _REVOLUTIONS_PER_MINUTE = 0xB447
-"""CiA 303-2 of rev/min, in 0x60A9 between a power of ten and a zero byte."""
+"""Code of rev/min in CiA 303-2; in object 0x60A9 between a power of ten and a zero byte."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """SI of one count: position rad, velocity rad/s, torque N m. torque_constant: N m/A, NaN where not known."""
+    """One count in SI: position rad, velocity rad/s, torque N m. torque_constant: N m/A, NaN where not known."""
 
     position: float
     velocity: float
@@ -38,7 +37,7 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What the drive says of itself."""
+    """Model, serial number and firmware of a drive."""
 
     model: str
     serial: str
@@ -46,7 +45,7 @@ class Identity:
 
 
 class Nameplate:
-    """Reads the drive of `config`, which should be one of `profile`."""
+    """Reads the drive of `config`, which should have the objects of `profile`."""
 
     def __init__(
         self, config: Cia402Config, profile: Profile, objects: Objects, network: LinkedNetwork, link: CanLink
@@ -58,7 +57,7 @@ class Nameplate:
         self._link = link
 
     def identify(self) -> Identity:
-        """Who it is. Raises NoReply, BadReply where several answer, DriverError for another kind."""
+        """Return its identity. Raises NoReply, BadReply where several drives reply, DriverError for another kind."""
         try:
             kind = self._objects.get(_DEVICE_TYPE) & 0xFFFF
             self._check_alone()
@@ -67,41 +66,41 @@ class Nameplate:
         except NoReply:
             raise NoReply(self._nobody()) from None
         if kind != 402:
-            raise DriverError(f"node {self._config.id} is no drive: its device profile is {kind}, not CiA 402")
+            raise DriverError(f"node {self._config.id} has device profile {kind}, not CiA 402: correct cia402.id")
         if self._profile.vendor is not None and vendor != self._profile.vendor:
             raise DriverError(
-                f"node {self._config.id} is of vendor 0x{vendor:X}, not of maxon: correct cia402.profile or cia402.id"
+                f"node {self._config.id} has vendor id 0x{vendor:X}, not maxon's: correct cia402.profile or cia402.id"
             )
         self._check_kind()
         return Identity(self._name(), f"{serial:08x}", f"{revision >> 16:04x} (product 0x{product:08x})")
 
     def scale(self) -> Scale:
-        """What its counts are worth. Raises DriverError where drive and stand file differ, or neither knows."""
-        found = self._objects.get(self._profile.resolution) * self._profile.resolution_factor
-        counts = self._agreed("resolution", self._config.resolution, found, "counts a turn")
+        """Return the value of its counts. Raises DriverError where drive and stand file differ, or neither has it."""
+        reported = self._objects.get(self._profile.resolution) * self._profile.resolution_factor
+        counts = self._agreed("resolution", self._config.resolution, reported, "counts a turn")
         constant = self._torque_constant()
         torque = 1e-3 * (self._rated_torque() if self._profile.per_mille else constant)
-        return Scale(_TURN / counts, self._velocity_unit(), torque, constant)
+        return Scale(math.tau / counts, self._velocity_unit(), torque, constant)
 
     def _check_alone(self) -> None:
-        """Raise BadReply where a second drive answers what was asked last."""
+        """Raise BadReply where a second drive replies to the last request."""
         answers = self._network.node.sdo.responses
-        if self._network.requests.await_change(_SECOND_ANSWER, lambda: not answers.empty()) or self._link.error_frames:
+        if self._network.requests.wait_until(_SECOND_ANSWER, lambda: not answers.empty()) or self._link.error_frames:
             raise BadReply(
-                f"node {self._config.id} on {self._link.name} answers twice, or garbled: two drives with that node id, "
+                f"node {self._config.id} on {self._link.name} answers twice, or garbled: two drives with that id, "
                 "or a bad cable; connect one alone"
             )
 
     def _check_kind(self) -> None:
-        """Raise DriverError where the drive has not the objects of its profile."""
+        """Raise DriverError where the drive lacks an object of its profile."""
         for place in (self._profile.target, self._profile.torque, self._profile.resolution, self._profile.speed_limit):
             try:
                 self._objects.get(place)
             except Refused as error:
                 if error.missing:
                     raise DriverError(
-                        f"node {self._config.id} ({self._name()}) has no object {place}: it is no "
-                        f"{self._config.profile}; correct cia402.profile"
+                        f"node {self._config.id} ({self._name()}) has no object {place}, which the "
+                        f"{self._config.profile} has: correct cia402.profile"
                     ) from None
                 raise
 
@@ -111,7 +110,7 @@ class Nameplate:
         except Refused:
             return "CiA 402 drive"
 
-    def _identity(self, place: Place) -> int:
+    def _identity(self, place: ObjectIndex) -> int:
         try:
             return self._objects.get(place)
         except Refused:
@@ -131,34 +130,35 @@ class Nameplate:
         unit = self._config.rated_torque_unit or self._profile.rated_torque_unit
         return self._agreed("rated_torque", None, self._objects.get(self._profile.rated_torque) * unit, "N m")
 
-    def _agreed(self, key: str, given: float | None, found: float, unit: str) -> float:
-        if found <= 0.0:
+    def _agreed(self, key: str, given: float | None, reported: float, unit: str) -> float:
+        if reported <= 0.0:
             if given is not None:
                 return given
-            raise DriverError(f"the drive knows no {key} (it says 0): set up motor and sensor with the vendor's tool")
-        if given is not None and abs(found - given) > 0.01 * given:
+            raise DriverError(f"the drive has no {key} (it reports 0): set up motor and sensor with the vendor's tool")
+        if given is not None and abs(reported - given) > 0.01 * given:
             raise DriverError(
-                f"cia402.{key} is {given:g} {unit} in the stand file and {found:g} in the drive: correct the wrong one"
+                f"cia402.{key} is {given:g} {unit} in the stand file and {reported:g} in the drive: "
+                "correct the wrong one"
             )
-        return found
+        return reported
 
     def _velocity_unit(self) -> float:
         if self._profile.velocity_unit is None:
-            return _TURN / 60.0
+            return math.tau / 60.0
         unit = self._objects.get(self._profile.velocity_unit)
         if unit >> 8 & 0xFFFF != _REVOLUTIONS_PER_MINUTE:
             raise DriverError(
-                f"the drive counts velocity in a unit not known here (0x60A9 is 0x{unit:08X}): set rev/min, "
+                f"the drive's unit of velocity is not known here (0x60A9 is 0x{unit:08X}): set rev/min, "
                 "0x00B44700, or a thousandth of it, 0xFDB44700"
             )
         power = (unit >> 24) - (256 if unit >> 31 else 0)
-        return _TURN / 60.0 * float(10.0**power)
+        return math.tau / 60.0 * float(10.0**power)
 
     def _nobody(self) -> str:
         if self._link.error_frames:
             return (
                 f"{self._link.error_frames} error frames on {self._link.name} and no CANopen node {self._config.id}: "
-                "two drives with that node id, a wrong bit rate, or a bad cable"
+                "two drives with that id, a wrong bit rate, or a bad cable"
             )
         return (
             f"no CANopen node {self._config.id} answers on {self._link.name} at {self._config.bitrate} bit/s: check "

@@ -1,8 +1,8 @@
-"""The library canopen on a link of ours: no threads, no clock but ours, every wait bounded.
+"""The library canopen on a `CanLink`: no threads, our clock, every wait bounded.
 
-canopen's Network reads its bus in a thread of python-can's and its SDO client waits on a queue by the wall clock. Both
-are replaced where the library says they may be: frames are sent by `send_message`, handed in by `notify`, and while a
-reply is awaited the bus is read. A tick's PDOs go through `drivers.canbus.requests`.
+canopen's Network reads its bus in a thread and its SDO client waits on a queue by the wall clock. Both are replaced at
+the library's own interfaces: frames are sent by `send_message` and received by `notify`, and the bus is read while a
+reply is awaited. A tick's PDOs are exchanged by `drivers.canbus.requests`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
     import can
 
     from drivers.canbus.link import CanLink
-    from drivers.cia402.profiles import Place
+    from drivers.cia402.profiles import ObjectIndex
     from drivers.clock import Clock
 
-logging.getLogger("canopen").addHandler(logging.NullHandler())  # it would write on stderr what is raised anyway
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # its errors are raised; it would also print them
 
 SYNC = 0x080
 _TRIES = 3
 _SDO_TIMEOUT = 0.1
-"""s that an SDO may take: drives answer them beside their control loop."""
+"""s that an SDO may take: drives process them with low priority."""
 
 
 class Refused(DriverError):
-    """The drive aborted a transfer. code: of CiA 301."""
+    """The drive aborted a transfer. code: the abort code of CiA 301."""
 
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
@@ -44,7 +44,7 @@ class Refused(DriverError):
 
     @property
     def missing(self) -> bool:
-        """Whether there is no such object."""
+        """Whether the object does not exist."""
         return self.code in {0x06020000, 0x06090011}
 
 
@@ -57,8 +57,8 @@ class _Sdo(SdoClient):
         self.network = self._linked = network
 
     def read_response(self) -> bytes:
-        """The next reply, 8 bytes. Raises canopen's errors."""
-        if not self._linked.requests.await_change(_SDO_TIMEOUT, lambda: not self.responses.empty()):
+        """Return the next reply, 8 bytes. Raises canopen's errors."""
+        if not self._linked.requests.wait_until(_SDO_TIMEOUT, lambda: not self.responses.empty()):
             raise SdoCommunicationError("no reply")
         reply: bytes = self.responses.get_nowait()
         if len(reply) != 8:
@@ -69,7 +69,7 @@ class _Sdo(SdoClient):
 
 
 class LinkedNetwork(Network):
-    """canopen's network on `link`, with node `ident` in it. replies to a SYNC: the kinds "tpdo1" and "tpdo2"."""
+    """canopen's network on `link`, with node `ident`. The replies to a SYNC have the kinds "tpdo1" and "tpdo2"."""
 
     def __init__(self, link: CanLink, clock: Clock, ident: int, timeout: float) -> None:
         super().__init__()
@@ -82,8 +82,8 @@ class LinkedNetwork(Network):
             name=f"CANopen node {ident}",
             timeout=timeout,
             classify=self._classify,
-            overhear=self._overhear,
-            only_asked=frozenset(),  # any SYNC on the bus, another program's too, brings the PDOs
+            on_cyclic=self._on_cyclic,
+            only_on_request=frozenset(),  # every SYNC on the bus causes PDOs, another program's too
         )
         self.node = RemoteNode(ident, ObjectDictionary())  # type: ignore[no-untyped-call]  # as above
         self.node.sdo = _Sdo(self, ident)
@@ -91,23 +91,23 @@ class LinkedNetwork(Network):
         self[ident] = self.node
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        """Send a frame. Raises LinkLost, NoReply where nobody on the bus takes frames."""
+        """Send a frame. Raises LinkLost, NoReply where no node on the bus acknowledges."""
         self._link.send(frame(can_id, bytes(data or b""), remote=remote))
 
-    def read(self, place: Place) -> bytes:
-        """What an object holds. Raises NoReply, Refused, LinkLost, BadReply."""
+    def read(self, place: ObjectIndex) -> bytes:
+        """Return the data of an object. Raises NoReply, Refused, LinkLost, BadReply."""
         return self._transfer(place, None)
 
-    def write(self, place: Place, data: bytes) -> None:
-        """Set an object. Raises NoReply, Refused, LinkLost, BadReply."""
+    def write(self, place: ObjectIndex, data: bytes) -> None:
+        """Write an object. Raises NoReply, Refused, LinkLost, BadReply."""
         self._transfer(place, data)
 
-    def ask_for(self, place: Place) -> can.Message:
-        """The frame that asks for an object whose answer is not waited for: see `late_answer`."""
+    def read_request(self, place: ObjectIndex) -> can.Message:
+        """Return the frame that requests an object; `late_replies` returns the reply."""
         return frame(self.node.sdo.rx_cobid, struct.pack("<BHB4x", 0x40, place.object, place.sub))
 
-    def late_answers(self) -> Iterable[tuple[tuple[int, int], bytes]]:
-        """What has been answered to `ask_for`: index and sub-index, and data."""
+    def late_replies(self) -> Iterable[tuple[tuple[int, int], bytes]]:
+        """Return the replies to `read_request` so far: index and sub-index, and data."""
         while True:
             try:
                 reply = self.node.sdo.responses.get_nowait()
@@ -117,12 +117,12 @@ class LinkedNetwork(Network):
                 _, index, sub = struct.unpack_from("<BHB", reply)
                 yield (index, sub), reply[4 : 8 - (reply[0] >> 2 & 3)]
 
-    def _transfer(self, place: Place, data: bytes | None) -> bytes:
+    def _transfer(self, place: ObjectIndex, data: bytes | None) -> bytes:
         for attempt in range(_TRIES):
             try:
                 if data is None:
-                    found: bytes = self.node.sdo.upload(place.object, place.sub)
-                    return found
+                    held: bytes = self.node.sdo.upload(place.object, place.sub)
+                    return held
                 self.node.sdo.download(place.object, place.sub, data)
                 return data
             except SdoAbortedError as error:
@@ -131,8 +131,8 @@ class LinkedNetwork(Network):
             except (SdoCommunicationError, struct.error) as error:
                 if attempt == _TRIES - 1:
                     kind = NoReply if str(error) == "no reply" else BadReply
-                    raise kind(f"CANopen node {self.node.id} does not answer for object {place}: {error}") from None
-                self.requests.await_change(0.02, lambda: False)  # what comes late is thrown away with the next request
+                    raise kind(f"CANopen node {self.node.id} does not reply for object {place}: {error}") from None
+                self.requests.wait_until(0.02, lambda: False)  # a late reply is discarded with the next request
         raise AssertionError
 
     def _classify(self, message: can.Message) -> Hashable | None:
@@ -141,8 +141,8 @@ class LinkedNetwork(Network):
         ident: int = message.arbitration_id
         return self._kinds.get(ident, ident) if ident in self._kinds or ident in self.subscribers else None
 
-    def _overhear(self, kind: Hashable, data: bytes) -> None:
-        """Hand canopen what the node said; what is too short for it is noise."""
+    def _on_cyclic(self, kind: Hashable, data: bytes) -> None:
+        """Pass a frame of the node to canopen; a frame too short for it is ignored."""
         if isinstance(kind, int) and data:
             try:
                 self.notify(kind, bytearray(data), self._clock.now())

@@ -1,6 +1,6 @@
-"""Which nodes are on the bus: asked where nobody answered as the stand file says.
+"""A search for CANopen nodes, for the case that the one of the stand file does not reply.
 
-At the bit rate of the stand file only: frames at a wrong one would disturb whoever is talking.
+It uses the bit rate of the stand file only: frames at a wrong bit rate would disturb the other nodes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
 from drivers.cia402.network import LinkedNetwork, Refused
-from drivers.cia402.profiles import Place
+from drivers.cia402.profiles import ObjectIndex
 from drivers.clock import Clock, MonotonicClock
 from drivers.servo import BadReply, DriverError
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
     from drivers.cia402.config import Cia402Config
 
-_DEVICE_TYPE, _NAME = Place(0x1000, 0), Place(0x1008, 0)
+_DEVICE_TYPE, _NAME = ObjectIndex(0x1000, 0), ObjectIndex(0x1008, 0)
 _PACE, _AFTER = 5e-4, 0.2
-"""s between two questions, since adapters queue few frames; s to wait for the last answers."""
+"""s between two requests, since adapters queue few frames; s to wait for the last replies."""
 
 
 def search(config: Cia402Config, clock: Clock | None = None, bus: can.BusABC | None = None) -> list[str]:
-    """A sentence for every CANopen node that answers; nothing but reads is sent.
+    """Return a sentence for every CANopen node that replies; only read requests are sent.
 
-    clock and bus are the machine's unless a test brings its own. Raises DriverError where the bus cannot be opened.
+    clock, bus: those of the machine unless a test gives its own. Raises DriverError where the bus cannot be opened.
     """
     clock = clock or MonotonicClock()
     link = CanLink(config.bus, clock, bus)
@@ -40,7 +40,7 @@ def search(config: Cia402Config, clock: Clock | None = None, bus: can.BusABC | N
 def _answering(link: CanLink, clock: Clock) -> list[int]:
     network = LinkedNetwork(link, clock, 1, _PACE)
     for ident in range(1, 128):
-        network.send_message(0x600 + ident, network.ask_for(_DEVICE_TYPE).data)
+        network.send_message(0x600 + ident, network.read_request(_DEVICE_TYPE).data)
         _listen(network, link, clock, _PACE)
     _listen(network, link, clock, _AFTER)
     return sorted(network.scanner.nodes)
@@ -63,5 +63,5 @@ def _described(link: CanLink, clock: Clock, ident: int) -> str:
     except Refused:
         return f"a device without a name answers with node id {ident}"
     except DriverError:
-        return f"something sends with node id {ident}"
+        return f"a device that cannot be read sends with node id {ident}"
     return f"{name} (profile CiA {kind}) answers with node id {ident}"

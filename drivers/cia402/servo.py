@@ -1,8 +1,8 @@
-"""CiA 402 drives on CANopen, behind `drivers.servo.Servo`: EPOS4, EPOS2, and others like them. See docs/cia402.md.
+"""CiA 402 drives on CANopen as a `drivers.servo.Servo`: EPOS4, EPOS2 and similar ones. See docs/cia402.md.
 
-A tick is a PDO with controlword and set-point, and a SYNC, on which the drive sends two PDOs: statusword, position and
-torque in one, velocity in the other, all of the moment of the SYNC. Our heartbeat goes along when it is due; every
-sixteenth tick asks for temperature or voltage, and takes the answer when it comes.
+A tick is a PDO with controlword and set-point, and a SYNC, to which the drive replies with two PDOs sampled at the
+SYNC: one with statusword, position and torque, one with velocity. Our heartbeat is sent with it when it is due. Every
+sixteenth tick also requests temperature or voltage and does not wait for the reply.
 
 Torque-off is `disable voltage`. A quick stop, with the usual option code, would brake and then hold the shaft.
 """
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from drivers.canbus.link import CanLink
 from drivers.cia402.config import Cia402Config
 from drivers.cia402.node import TPDO1, TPDO2, Node
-from drivers.cia402.states import ENABLE, LIMITING, State, state_of
+from drivers.cia402.states import ENABLE, LIMITING, DriveState, state_of
 from drivers.clock import Clock, MonotonicClock
 from drivers.gate import Gate, to_counts
 from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo, Status
@@ -26,22 +26,23 @@ if TYPE_CHECKING:
 
 _TRIES = 3
 _EVERY = 16
-"""Ticks between two questions for what changes slowly."""
+"""Ticks between two requests for a slowly changing value."""
 _LARGEST = 32767
 
 
 class Cia402Servo:
     """One drive, opened, identified, its PDOs mapped, and without torque.
 
-    clock and bus are those of the machine unless a test brings its own. Raises DriverError where the bus cannot be
-    opened or the drive is of another kind, NoReply where nobody answers, BadReply where several do.
+    clock, bus: those of the machine unless a test gives its own. info: torque_uncertainty is NaN, since the drive does
+    not report it. Raises DriverError where the bus cannot be opened or the drive is of another kind, NoReply where no
+    drive replies, BadReply where several do.
     """
 
     def __init__(self, config: Cia402Config, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
         self._config = config
-        self._clock = clock or MonotonicClock()
-        self._link = CanLink(config.bus, self._clock, bus)
-        self._node = Node(config, self._link, self._clock)
+        self.clock: Clock = clock or MonotonicClock()
+        self._link = CanLink(config.bus, self.clock, bus)
+        self._node = Node(config, self._link, self.clock)
         self._ticks = self._most = 0
         self._temperature = self._voltage = math.nan
         quantities = frozenset({Quantity.TORQUE})
@@ -51,7 +52,7 @@ class Cia402Servo:
             self.disarm()
             self._scale = self._node.nameplate.scale()
             self._node.prepare()
-        self._info = ServoInfo(
+        self.info = ServoInfo(
             backend="cia402",
             model=identity.model,
             serial=identity.serial,
@@ -62,22 +63,12 @@ class Cia402Servo:
             torque_lsb=self._scale.torque,
         )
 
-    @property
-    def info(self) -> ServoInfo:
-        """What this servo is. How true its torque constant is it does not tell: NaN."""
-        return self._info
-
-    @property
-    def clock(self) -> Clock:
-        """The machine's monotonic time."""
-        return self._clock
-
     def arm(self, limits: Limits) -> None:
         """Write the limits into the drive and read them back, then enable it in its torque mode at zero torque.
 
-        From then on the drive watches our heartbeat. A fault that only says that it heard none is cleared. Raises
-        DeviceFault where another is latched, DriverError where a limit is refused or it is not enabled; it is without
-        torque then.
+        From then on the drive watches our heartbeat. A latched loss of the heartbeat is cleared. Raises DeviceFault
+        where another fault is latched, DriverError where a limit is refused or the drive is not enabled; the torque is
+        off then.
         """
         self._most = min(_LARGEST, math.floor(limits.torque / self._scale.torque * (1.0 + 1e-9)))
         with self._gate.arming(limits):
@@ -92,7 +83,7 @@ class Cia402Servo:
         """Send the set-point and read position, velocity and torque in one round trip.
 
         Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the drive is in fault, was restarted,
-        or is not enabled any more.
+        or has left operation enabled.
         """
         admitted = self._gate.admit(command)
         if not self._gate.armed and self._node.away:
@@ -100,32 +91,26 @@ class Cia402Servo:
         frames = [] if admitted.command is None else [self._set_point(admitted.command.value)]
         frames += [
             self._node.sync(),
-            *(self._node.due_beat() if self._gate.armed else []),
+            *(self._node.due_heartbeat() if self._gate.armed else []),
             *self._slow_request(),
         ]
-        sent = self._clock.now()
+        sent = self.clock.now()
         try:
             replies = self._node.network.requests.ask(frames, ["tpdo1", "tpdo2"])
         except NoReply:
             if self._gate.armed and self._node.away:
-                raise self._node.trouble(State.UNKNOWN) from None
+                raise self._node.fault_in(DriveState.UNKNOWN) from None
             raise
-        received = self._clock.now()
+        received = self.clock.now()
         return self._sample(replies["tpdo1"], replies["tpdo2"], sent, received, saturated=admitted.clipped)
 
     def disarm(self) -> None:
-        """Set zero torque and disable voltage until the drive confirms it. Harmless when already off.
-
-        Raises DriverError where the device does not confirm it; then cut the power.
-        """
+        """Set zero torque and disable voltage until the drive confirms it. Raises as `Gate.disarm`."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Torque off, the objects as they were found, then let go of the bus. Harmless when closed; never raises.
-
-        Whoever has to know that the torque is off calls `disarm` first.
-        """
-        self._gate.close(self._node.forget)
+        """Switch the torque off, restore the objects, and close the bus. Never raises; see `Gate.close`."""
+        self._gate.close(self._node.restore)
 
     def _torque_off(self, request: int) -> None:
         self._node.stop(wake=request > 0)
@@ -138,9 +123,9 @@ class Cia402Servo:
         return self._node.set_point(ENABLE, max(-self._most, min(self._most, counts)))
 
     def _slow_request(self) -> list[can.Message]:
-        """Take in what was answered of temperature and voltage, and ask for the next."""
+        """Store the replies about temperature and voltage; return the next request when it is due."""
         kind = self._node.profile
-        for place, data in self._node.network.late_answers():
+        for place, data in self._node.network.late_replies():
             value = int.from_bytes(data, "little", signed=True)
             if place == kind.temperature:
                 self._temperature = value * kind.temperature_unit
@@ -150,7 +135,7 @@ class Cia402Servo:
         places = [place for place in (kind.temperature, kind.voltage) if place is not None]
         if self._ticks % _EVERY or not places:
             return []
-        return [self._node.network.ask_for(places[self._ticks // _EVERY % len(places)])]
+        return [self._node.network.read_request(places[self._ticks // _EVERY % len(places)])]
 
     def _sample(self, first: bytes, second: bytes, sent: float, received: float, *, saturated: bool) -> Sample:
         if len(first) != TPDO1.size or len(second) != TPDO2.size:
@@ -158,8 +143,8 @@ class Cia402Servo:
         statusword, position, torque = TPDO1.unpack(first)
         (velocity,) = TPDO2.unpack(second)
         state = state_of(statusword)
-        if self._gate.armed and (state is not State.ENABLED or self._node.away):
-            raise self._node.trouble(state)
+        if self._gate.armed and (state is not DriveState.ENABLED or self._node.away):
+            raise self._node.fault_in(state)
         sign, scale = self._config.sign, self._scale
         limiting = saturated or bool(self._gate.armed and statusword & LIMITING)
         return Sample(

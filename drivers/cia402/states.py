@@ -1,4 +1,4 @@
-"""The state machine of CiA 402-2 as the master sees it: statusword to state, and the controlword that leads on."""
+"""The state machine of CiA 402-2: states from statuswords, and the controlwords that enable a drive."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from enum import Enum
 SHUTDOWN, SWITCH_ON, ENABLE = 0x06, 0x07, 0x0F
 DISABLE_VOLTAGE, QUICK_STOP, FAULT_RESET = 0x00, 0x02, 0x80
 LIMITING = 0x0800
-"""Bit of the statusword: an internal limit is acting."""
+"""Bit of the statusword: an internal limit acts."""
 
 
-class State(Enum):
+class DriveState(Enum):
     """The states of the power drive system."""
 
     NOT_READY = "not ready to switch on"
@@ -25,23 +25,23 @@ class State(Enum):
 
 
 _PATTERNS = (
-    (0x4F, 0x00, State.NOT_READY),
-    (0x4F, 0x40, State.DISABLED),
-    (0x6F, 0x21, State.READY),
-    (0x6F, 0x23, State.ON),
-    (0x6F, 0x27, State.ENABLED),
-    (0x6F, 0x07, State.QUICK_STOP),
-    (0x4F, 0x0F, State.REACTING),
-    (0x4F, 0x08, State.FAULT),
+    (0x4F, 0x00, DriveState.NOT_READY),
+    (0x4F, 0x40, DriveState.DISABLED),
+    (0x6F, 0x21, DriveState.READY),
+    (0x6F, 0x23, DriveState.ON),
+    (0x6F, 0x27, DriveState.ENABLED),
+    (0x6F, 0x07, DriveState.QUICK_STOP),
+    (0x4F, 0x0F, DriveState.REACTING),
+    (0x4F, 0x08, DriveState.FAULT),
 )
 
-NEXT = {State.DISABLED: SHUTDOWN, State.READY: SWITCH_ON, State.ON: ENABLE, State.ENABLED: ENABLE}
-"""The controlword that leads towards ENABLED; a state that is missing has none, or only time."""
+NEXT = {DriveState.DISABLED: SHUTDOWN, DriveState.READY: SWITCH_ON, DriveState.ON: ENABLE, DriveState.ENABLED: ENABLE}
+"""The controlword that leads towards ENABLED; the other states have none, or end by themselves."""
 
-WITHOUT_TORQUE = frozenset({State.NOT_READY, State.DISABLED, State.READY, State.FAULT})
+WITHOUT_TORQUE = frozenset({DriveState.NOT_READY, DriveState.DISABLED, DriveState.READY, DriveState.FAULT})
 """The power stage is off."""
 
 
-def state_of(statusword: int) -> State:
-    """The state that a statusword says."""
-    return next((state for mask, value, state in _PATTERNS if statusword & mask == value), State.UNKNOWN)
+def state_of(statusword: int) -> DriveState:
+    """Return the state in a statusword."""
+    return next((state for mask, value, state in _PATTERNS if statusword & mask == value), DriveState.UNKNOWN)

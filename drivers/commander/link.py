@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
-from drivers.servo import BadReply, LinkLost, NoReply
+from drivers.servo import BadReply, NoReply, link_lost
 from drivers.uart.lines import TextLines
 from drivers.uart.port import GONE, Port
 
@@ -108,7 +108,7 @@ class CommanderLink:
             if self._port.in_waiting:
                 self._port.reset_input_buffer()
         except GONE as error:
-            raise self._lost(error) from None
+            raise link_lost(self.name, error) from None
 
     def _take(self) -> list[str]:
         return self._lines.feed(self._hear())
@@ -118,21 +118,16 @@ class CommanderLink:
         try:
             return self._port.read(min(max(1, self._port.in_waiting), _AT_ONCE))
         except GONE as error:
-            raise self._lost(error) from None
+            raise link_lost(self.name, error) from None
 
     def _put(self, text: str) -> None:
         data = text.encode("ascii")
         try:
             written = self._port.write(data)
         except GONE as error:
-            raise self._lost(error) from None
+            raise link_lost(self.name, error) from None
         if written != len(data):
-            raise self._lost("it took only a part of a request")
-
-    def _lost(self, reason: object) -> LinkLost:
-        return LinkLost(
-            f"{self.name} is gone ({reason}): whether the motor is live is not known; cut the power before touching it"
-        )
+            raise link_lost(self.name, "it took only a part of a request")
 
 
 def shown(line: str) -> str:

@@ -52,28 +52,18 @@ class CommanderServo:
     def __init__(self, config: CommanderConfig, *, clock: Clock | None = None, port: Port | None = None) -> None:
         self._config = config
         self._m = config.motor
-        self._clock = clock or MonotonicClock()
+        self.clock: Clock = clock or MonotonicClock()
         self._ceiling = 0.0
         self._count = 0
         self._doubt = False
         port = port or open_port(config.port, config.baudrate)
-        self._link = CommanderLink(port, config.port, config.baudrate, self._clock, config.reply_timeout)
+        self._link = CommanderLink(port, config.port, config.baudrate, self.clock, config.reply_timeout)
         quantities = frozenset({Quantity.TORQUE})
         self._gate = Gate(config.port, quantities, torque_off=self._torque_off, release=self._close_link)
         with self._gate.opening():
             self._wake()
             self._set_up()
-        self._info = ServoInfo(backend="commander", model=f"SimpleFOC motor {self._m}", quantities=quantities)
-
-    @property
-    def info(self) -> ServoInfo:
-        """What this servo is. The board does not tell the counts of its sensors, nor a version."""
-        return self._info
-
-    @property
-    def clock(self) -> Clock:
-        """The machine's monotonic time."""
-        return self._clock
+        self.info = ServoInfo(backend="commander", model=f"SimpleFOC motor {self._m}", quantities=quantities)
 
     def arm(self, limits: Limits) -> None:
         """Set torque mode and limits, each read back, and enable the motor at a target of zero.
@@ -109,10 +99,10 @@ class CommanderServo:
         if self._doubt and self._gate.armed:
             self._raise_restarted()
         self._doubt = True  # until the reply has come
-        sent = self._clock.now()
+        sent = self.clock.now()
         read = [f"{self._m}MG7", f"{self._m}E"]
         reply, enabled = self._read(read if text is None else [f"{self._m}{text}", *read], text)
-        received = self._clock.now()
+        received = self.clock.now()
         self._doubt = False
         self._judge(enabled)
         sign, constant = self._config.sign, self._config.torque_constant
@@ -156,11 +146,11 @@ class CommanderServo:
     def _wake(self) -> None:
         """Call until the board answers; the torque is off from the first call that it hears."""
         config, m = self._config, self._m
-        deadline = self._clock.now() + config.start
+        deadline = self.clock.now() + config.start
         heard: list[str] = []
         calls = 0
         while _AWAKE not in heard:
-            if self._clock.now() >= deadline:
+            if self.clock.now() >= deadline:
                 self._say_who(heard)
             self._link.send(f"{m}E0", f"{m}0", f"{m}MC", _MACHINE)  # MC: what streams would never let us be heard
             heard = [*heard[-20:], *self._link.listen(_WAKE, _AWAKE)]

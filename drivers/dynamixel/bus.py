@@ -1,9 +1,9 @@
 """Requests to one servo and its replies, over dynamixel-sdk, in either protocol.
 
-The SDK does the port, the search for the header and the checksum. What it gets wrong is done here. It takes any status
-packet for the answer, so id, kind and length are checked. It takes a late reply for the answer to the next request, so
-after a reply went missing the line must fall silent before anything else is sent. Since requests do not pass through
-the SDK's own sending, its flag for a port in use, which an exception leaves set, is never asked.
+The SDK handles the port, the search for the header and the checksum. This module corrects the rest. The SDK accepts any
+status packet as the reply, so id, kind and length are checked here. It accepts a late reply as the reply to the next
+request, so after a lost reply the line must fall silent before the next request. Requests are not sent by the SDK, so
+its flag for a port in use, which stays set after an exception, has no effect.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS
 
 from drivers.dynamixel.wire import BROADCAST, PING, READ, SYNC_WRITE, WRITE
-from drivers.servo import BadReply, DriverError, LinkLost, NoReply
+from drivers.servo import BadReply, DriverError, NoReply, link_lost
 from drivers.uart.port import GONE
 
 if TYPE_CHECKING:
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from drivers.dynamixel.port import SerialPort
     from drivers.dynamixel.wire import Answer, Wire
 
-_ROLL_CALL = 0.8  # s; servos answer a broadcast ping one after the other, 3 ms for each id there can be
+_ROLL_CALL = 0.8  # s; servos reply to a broadcast ping one after the other, 3 ms for each possible id
 
 
 class Bus:
-    """One servo's requests. timeout: s that a reply may take beyond its time on the wire.
+    """Requests to one servo. timeout: s that a reply may take beyond its time on the wire.
 
-    alert: the hardware errors that the last reply told of, 0 for none. return_delay: s that the servo waits before it
-    answers. Each request raises NoReply, BadReply, LinkLost, and DriverError where the servo refuses it.
+    alert: the hardware errors in the last reply, 0 for none. return_delay: s that the servo waits before it replies.
+    Each request raises NoReply, BadReply, LinkLost, and DriverError where the servo refuses it.
     """
 
     def __init__(self, port: SerialPort, ident: int, clock: Clock, timeout: float, wire: Wire) -> None:
@@ -43,43 +43,43 @@ class Bus:
         self.return_delay = 508e-6
 
     def ping(self, size: int) -> bytes:
-        """The `size` bytes of parameters in the answer to a ping."""
+        """Return the `size` bytes of parameters in the reply to a ping."""
         return self._ask(self._wire.frame(self._id, PING, b""), size, "ping")
 
-    def everyone(self) -> list[tuple[int, int]]:
-        """Id and model number (0 where it is not told) of every servo that answers a broadcast ping."""
+    def ping_all(self) -> list[tuple[int, int]]:
+        """Return id and model number (0 where not reported) of every servo that replies to a broadcast ping."""
         self._settle()
         self._quarantined = True
         self._put(self._wire.frame(BROADCAST, PING, b""))
         deadline = self._clock.now() + _ROLL_CALL
-        heard = b""
+        received = b""
         while self._clock.now() < deadline:
             self._port.expect(deadline, 0)
-            heard += self._port.readPort(256)
-        return list(self._wire.pings(heard))
+            received += self._port.readPort(256)
+        return list(self._wire.pings(received))
 
     def read(self, address: int, size: int) -> bytes:
-        """`size` bytes from `address` on."""
+        """Return `size` bytes from `address` on."""
         return self._ask(self._read_frame(address, size), size, f"reading {size} byte(s) at {address}")
 
     def write(self, address: int, data: bytes) -> None:
-        """Write, and wait for the servo to say that it has."""
+        """Write, and wait for the servo's confirmation."""
         frame = self._wire.frame(self._id, WRITE, self._wire.place(address) + data)
         self._ask(frame, 0, f"writing {int.from_bytes(data, 'little')} to {address}")
 
     def send(self, address: int, data: bytes) -> None:
-        """Write without an answer, whatever the servo's status return level is and whoever else is talking."""
+        """Write without waiting: neither for a reply nor for a silent line."""
         self._put(self._unanswered(address, data))
 
     def write_and_read(self, address: int, data: bytes, start: int, size: int) -> bytes:
         """Write `data` to `address` and read `size` bytes from `start` on, in one round trip.
 
-        The two packets leave in one piece. The first is a Sync Write, which no servo answers.
+        The two packets are sent together. The first is a Sync Write, which has no reply.
         """
         return self._ask(self._unanswered(address, data) + self._read_frame(start, size), size, "reading the state")
 
     def quarantine(self) -> None:
-        """Let the line fall silent before the next request."""
+        """Wait until the line is silent before the next request."""
         self._quarantined = True
 
     def _unanswered(self, address: int, data: bytes) -> bytes:
@@ -98,9 +98,9 @@ class Bus:
         try:
             silent = self._port.drain()
         except GONE as error:
-            raise self._lost(error) from None
+            raise link_lost(self._port.port_name, error) from None
         if not silent:
-            raise BadReply("the line never falls silent: another program or a broken servo keeps talking on it")
+            raise BadReply("the line never falls silent: another program or a broken servo keeps sending on it")
         self._quarantined = False
 
     def _put(self, frame: bytes) -> None:
@@ -108,14 +108,14 @@ class Bus:
             self._port.clearPort()
             written = self._port.writePort(frame)
         except GONE as error:
-            raise self._lost(error) from None
+            raise link_lost(self._port.port_name, error) from None
         if written != len(frame):
-            raise self._lost("it took only a part of a request")
+            raise link_lost(self._port.port_name, "it accepted only a part of a request")
 
     def _ask(self, frame: bytes, size: int, what: str) -> bytes:
-        """Send `frame` and return the `size` bytes of parameters in its answer."""
+        """Send `frame` and return the `size` bytes of parameters in the reply."""
         self._settle()
-        self._quarantined = True  # until a sound reply has come, whatever interrupts the wait
+        self._quarantined = True  # until a valid reply arrives, whatever interrupts the wait
         self._put(frame)
         whole = self._wire.status_size + size
         line = 10.0 * (len(frame) + whole) / self._port.baudrate
@@ -125,7 +125,7 @@ class Bus:
         except IndexError:
             raise _bad("the reply has an impossible length") from None
         except GONE as error:
-            raise self._lost(error) from None
+            raise link_lost(self._port.port_name, error) from None
         if result == COMM_RX_TIMEOUT:
             raise NoReply(f"servo {self._id} did not answer within {self._timeout * 1e3:.3g} ms beyond the wire's time")
         if result != COMM_SUCCESS:
@@ -134,10 +134,10 @@ class Bus:
 
     def _checked(self, answer: Answer | None, size: int, what: str) -> bytes:
         if answer is None or answer.ident != self._id:
-            who = "something else" if answer is None else f"servo {answer.ident}"
-            raise _bad(f"a reply from {who} came where servo {self._id} was asked")
+            sender = "another device" if answer is None else f"servo {answer.ident}"
+            raise _bad(f"a reply from {sender} arrived where servo {self._id} was asked")
         if len(answer.data) != size and not answer.refused and not answer.damaged:
-            raise _bad(f"the reply holds {len(answer.data)} bytes where {size} were asked for")
+            raise _bad(f"the reply has {len(answer.data)} bytes where {size} were requested")
         self._quarantined = False
         self.alert = answer.alert
         if answer.damaged:
@@ -145,12 +145,6 @@ class Bus:
         if answer.refused:
             raise DriverError(f"servo {self._id} refused {what}: {answer.refused}")
         return answer.data
-
-    def _lost(self, reason: object) -> LinkLost:
-        return LinkLost(
-            f"{self._port.port_name} is gone ({reason}): whether the motor is live is not known; "
-            "cut the power before touching it"
-        )
 
 
 def _bad(reason: str) -> BadReply:

@@ -8,29 +8,29 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
 
 from annotated_types import Ge, Gt, Le
 
-from drivers.dynamixel.models import Model, models
+from drivers.dynamixel.models import DynamixelModel, models
 from drivers.gate import watchdog_problem
 from drivers.servo import Quantity
 
 if TYPE_CHECKING:
     ModelName = str
 else:
-    ModelName = Literal[tuple(sorted(models()))]  # so that whoever checks the table can name them all
+    ModelName = Literal[tuple(sorted(models()))]  # so that a refused name is reported with all that are known
 
 Mode = Literal["current", "extended-position", "current-based-position"]
 Baudrate = Literal[9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000]
-"""bit/s that both the servos and dynamixel-sdk know; 4.5 Mbaud is not among the SDK's."""
+"""bit/s that both the servos and dynamixel-sdk have; the SDK lacks 4.5 Mbaud."""
 
 
 @dataclass(frozen=True, slots=True)
 class DynamixelConfig:
     """The [dynamixel] table of stand.toml. Raises ValueError where model and mode do not fit each other.
 
-    port: the serial port. model: a name in tables/dynamixel.toml. mode: what is commanded; None: current where the
-    model measures it. torque_constant: N m/A at the horn; None: from the model's stall point, crude. sign: 1 where the
-    servo's positive is the stand's, else -1. return_delay: s from request to reply. watchdog: s without a request
-    after which the servo stops by itself, in steps of 20 ms; 0: never. reply_timeout: s that a reply may take beyond
-    its time on the wire.
+    port: the serial port. model: a name in dynamixel/table.toml. mode: the operating mode; None: current where the
+    model measures it. torque_constant: N m/A at the horn; None: an estimate from the model's stall points. sign: 1
+    where the servo's positive is the stand's, else -1. return_delay: s from request to reply. watchdog: s without a
+    request after which the servo stops by itself, in steps of 20 ms; 0: never. reply_timeout: s that a reply may take
+    beyond its time on the wire.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -61,7 +61,7 @@ class DynamixelConfig:
         if problem := watchdog_problem("dynamixel", self.watchdog, self.reply_timeout):
             yield problem
 
-    def _misfits_of(self, model: Model) -> Iterator[str]:
+    def _misfits_of(self, model: DynamixelModel) -> Iterator[str]:
         if not model.current_lsb and self.effective_mode != "extended-position":
             yield f"dynamixel.mode {self.mode!r}: the {model.name} has no current control"
         if model.protocol == 2:
@@ -69,35 +69,33 @@ class DynamixelConfig:
         if self.mode == "current-based-position":
             yield f"dynamixel.mode {self.mode!r}: the {model.name} has current and extended-position"
         if self.baudrate in {2_000_000, 4_000_000}:
-            yield f"dynamixel.baudrate {self.baudrate}: the {model.name} has no code for it; take 1000000 or 3000000"
+            yield f"dynamixel.baudrate {self.baudrate}: the {model.name} has no code for it; use 1000000 or 3000000"
         if self.watchdog:
             yield (
-                f"dynamixel.watchdog {self.watchdog} s: the {model.name} has none: set it to 0 and know that the motor "
-                "stays live when this computer dies"
+                f"dynamixel.watchdog {self.watchdog} s: the {model.name} has none: set it to 0; the motor then stays "
+                "live when this computer stops"
             )
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """The same servo in a mode that commands `quantity`; positions under the torque limit where it can.
+        """Return the configuration that commands `quantity`; positions within the torque limit where the model can.
 
         Raises ValueError where the stated mode commands something else, or no mode of the model does.
         """
         current = bool(models()[self.model].current_lsb)
         if self.mode is not None:
             if (self.mode == "current") != (quantity is Quantity.TORQUE):
-                raise ValueError(
-                    f"dynamixel.mode = {self.mode!r} takes no {quantity}: leave it out, or ask for the other"
-                )
+                raise ValueError(f"dynamixel.mode = {self.mode!r} does not command {quantity}: remove it")
             return self
         if quantity is Quantity.TORQUE:
             if not current:
                 raise ValueError(f"the {self.model} has no current control: use --mode position")
             return replace(self, mode="current")
-        held = current and models()[self.model].protocol == 2
-        return replace(self, mode="current-based-position" if held else "extended-position")
+        limited = current and models()[self.model].protocol == 2
+        return replace(self, mode="current-based-position" if limited else "extended-position")
 
     @property
     def effective_mode(self) -> Mode:
-        """The mode, chosen by the model where it is left open."""
+        """The mode; chosen by the model where `mode` is None."""
         if self.mode is not None:
             return self.mode
         return "current" if models()[self.model].current_lsb else "extended-position"

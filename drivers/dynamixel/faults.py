@@ -1,4 +1,4 @@
-"""What a servo can have latched, in words, with the remedy.
+"""The errors that a servo latches, with the remedy.
 
 Source: e-manual, "Hardware Error Status(70)", "Shutdown(63)" and "Bus Watchdog(98)" of the models' pages.
 """
@@ -6,6 +6,7 @@ Source: e-manual, "Hardware Error Status(70)", "Shutdown(63)" and "Bus Watchdog(
 from __future__ import annotations
 
 from drivers.servo import DeviceFault
+from drivers.tables import texts_of
 
 WATCHDOG = 0x100
 """Our code for a tripped bus watchdog: above every value of Hardware Error Status(70)."""
@@ -15,38 +16,36 @@ RESTARTED = 0x101
 _HARDWARE = {
     0x01: "its supply voltage is outside its limits: check the supply and the cable",
     0x04: "it is too hot: let it cool down, then lower the torque",
-    0x08: "its encoder failed: it has to be repaired",
+    0x08: "its encoder failed: it must be repaired",
     0x10: "its motor gets too little power or had an electrical shock: check the supply, then the servo",
-    0x20: "its load was too high for too long: lower the torque or look for what blocks it",
+    0x20: "its load was too high for too long: lower the torque or remove what blocks it",
 }
 
 
 def latched(bits: int) -> DeviceFault:
-    """The fault for a Hardware Error Status(70) of `bits`; it holds until the servo is rebooted."""
-    words = [text for bit, text in _HARDWARE.items() if bits & bit]
-    unknown = bits & ~sum(_HARDWARE)
-    if unknown:
-        words.append(f"unknown error bits 0x{unknown:02x}: see its manual")
-    return DeviceFault(bits, f"the servo latched hardware error {bits}: {'; '.join(words)}; then cut its power once")
+    """Return the error for a Hardware Error Status(70) of `bits`; it holds until the servo is rebooted."""
+    return DeviceFault(
+        bits, f"the servo latched hardware error {bits}: {texts_of(bits, _HARDWARE)}; then switch its power off and on"
+    )
 
 
 def shut_down(bits: int) -> DeviceFault:
-    """The fault for a servo with protocol 1.0 whose replies carry the error `bits` (0: it has shut down before)."""
-    words = [text for bit, text in _HARDWARE.items() if bits & bit] or ["it has shut down"]
-    return DeviceFault(bits, f"the servo reports error {bits}: {'; '.join(words)}; then cut its power once")
+    """Return the error for a servo with protocol 1.0 whose replies carry the error `bits` (0: an earlier shutdown)."""
+    texts = texts_of(bits, _HARDWARE) or "it has shut down"
+    return DeviceFault(bits, f"the servo reports error {bits}: {texts}; then switch its power off and on")
 
 
 def watchdog(period: float) -> DeviceFault:
-    """The fault for a bus watchdog that has stopped the servo after `period` s of silence."""
+    """Return the error for a bus watchdog that stopped the servo after `period` s without a request."""
     return DeviceFault(
         WATCHDOG,
-        f"the servo heard nothing for {period:.3g} s and stopped by itself (bus watchdog): look for what held the "
-        "computer or the link up; a slow recording needs a longer dynamixel.watchdog",
+        f"the servo received nothing for {period:.3g} s and stopped by itself (bus watchdog): find out what delayed "
+        "the computer or the link; a slow recording needs a longer dynamixel.watchdog",
     )
 
 
 def reboot() -> DeviceFault:
-    """The fault for a servo whose torque is off while it should be on."""
+    """Return the error for an armed servo whose torque is off."""
     return DeviceFault(
         RESTARTED, "the servo's torque went off by itself: it was restarted; check its supply and its plug"
     )

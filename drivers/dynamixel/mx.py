@@ -2,10 +2,10 @@
 
 A tick reads 36 to 69: Present Position, Speed, Load, Voltage, Temperature, Realtime Tick and Current. There is no bus
 watchdog. Torque is commanded in torque control mode (70, 71), position in multi-turn mode. Source: e-manual,
-emanual.robotis.com/docs/en/dxl/mx/mx-64/ and .../mx-106/. What they leave open and is assumed here: a positive current
-and a positive Goal Torque both turn counter-clockwise, in which the position grows; and whether the position counts
-turns in torque control mode, so that turns are always counted here, which wants less than half a turn between two
-readings.
+emanual.robotis.com/docs/en/dxl/mx/mx-64/ and .../mx-106/. The manual does not say, and this module assumes, that a
+positive current and a positive Goal Torque both turn counter-clockwise, in which the position grows. It does not say
+either whether the position counts turns in torque control mode, so turns are always counted here, which needs less than
+half a turn between two readings.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import struct
 from typing import TYPE_CHECKING
 
 from drivers.dynamixel.faults import reboot, shut_down
-from drivers.dynamixel.models import Model, Register, registers
-from drivers.dynamixel.series import State
+from drivers.dynamixel.models import DynamixelModel, DynamixelRegister, registers
+from drivers.dynamixel.series import DynamixelState
 from drivers.dynamixel.wire import Wire, Wire1
 
 if TYPE_CHECKING:
@@ -42,11 +42,11 @@ class MxSeries:
     eeprom_end = 24
     block = (36, 34)
     off: tuple[str, ...] = ("torque_enable", "goal_torque", "torque_control")
-    velocity_lsb = 0.114 * 2.0 * math.pi / 60.0
+    velocity_lsb = 0.114 * math.tau / 60.0
 
-    def __init__(self, model: Model, config: DynamixelConfig, torque_lsb: float) -> None:
+    def __init__(self, model: DynamixelModel, config: DynamixelConfig, torque_lsb: float) -> None:
         self.wire: Wire = Wire1()
-        self.registers: Mapping[str, Register] = registers(1)
+        self.registers: Mapping[str, DynamixelRegister] = registers(1)
         self._model = model
         self._torque_mode = config.effective_mode == "current"
         # the torque limit is in 1/1023 of what the supply allows, and the goal in current: whichever count is larger
@@ -57,16 +57,16 @@ class MxSeries:
         self._position = 0
 
     def identity(self, bus: Bus) -> tuple[int, int]:
-        """Model number and firmware, from the control table: a ping does not tell."""
+        """Return model number and firmware, from the control table: a ping does not tell."""
         bus.ping(0)
         data = bus.read(0, 3)
         self._has_tick = data[2] >= _TICK_FIRMWARE
         return int.from_bytes(data[:2], "little"), data[2]
 
-    def state(self, raw: bytes) -> State:
+    def state(self, raw: bytes) -> DynamixelState:
         """See `Series`."""
         position, speed, _, voltage, temperature, _, _, _, _, _, tick, current = _FIELDS.unpack(raw)
-        return State(
+        return DynamixelState(
             tick if self._has_tick else None,
             self._unwrapped(position),
             _signed(speed) * self.velocity_lsb,
@@ -76,32 +76,32 @@ class MxSeries:
         )
 
     def ceiling(self, torque: float) -> int:
-        """Counts of Torque Limit(34) and of Goal Torque(71)."""
+        """Return the counts of Torque Limit(34) and of Goal Torque(71)."""
         return min(math.floor(torque / self._limit_lsb + 1e-9), self._model.current_max)
 
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
         """See `Series`."""
-        table.require("temperature_limit", min(math.floor(limits.temperature), self._model.temperature_max))
-        table.require("resolution_divider", 1)
+        table.settings.require("temperature_limit", min(math.floor(limits.temperature), self._model.temperature_max))
+        table.settings.require("resolution_divider", 1)
         if not self._torque_mode:
-            table.require("cw_angle_limit", _MULTI_TURN)
-            table.require("ccw_angle_limit", _MULTI_TURN)
-        table.require("goal_acceleration", 0)
+            table.settings.require("cw_angle_limit", _MULTI_TURN)
+            table.settings.require("ccw_angle_limit", _MULTI_TURN)
+        table.settings.require("goal_acceleration", 0)
         velocity = math.floor(limits.velocity / self.velocity_lsb)
-        table.require("moving_speed", max(1, min(velocity, self._model.velocity_max)))
-        table.require("torque_limit", ceiling)
+        table.settings.require("moving_speed", max(1, min(velocity, self._model.velocity_max)))
+        table.settings.require("torque_limit", ceiling)
 
     def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
-        """No torque, or the position it has."""
+        """Write zero torque or the present position."""
         del ceiling
-        table.require("goal_torque", 0)
-        table.require("torque_control", int(self._torque_mode))
+        table.settings.require("goal_torque", 0)
+        table.settings.require("torque_control", int(self._torque_mode))
         self.state(bus.read(*self.block))  # other angle limits may have changed whether it counts turns
         if not self._torque_mode and self._raw is not None:
             table.put("goal_position", self._raw)
 
     def rest(self, table: ControlTable) -> None:
-        """No torque asked for, and back to the mode in which it starts."""
+        """Reset the goal torque, and return to the mode in which the servo starts."""
         table.put("goal_torque", 0)
         table.put("torque_control", 0)
 
@@ -117,21 +117,21 @@ class MxSeries:
         return register.address, register.encoded(clipped - turns_off), clipped
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
-        """From the error bits that every reply carries."""
+        """Read the error bits of a reply; see `Series`."""
         del table
         bus.ping(0)
         if bus.alert:
             raise shut_down(bus.alert)
 
     def raise_stopped(self, bus: Bus, table: ControlTable) -> None:
-        """A shutdown takes Torque Limit(34) to zero; a restart the torque off."""
+        """Check Torque Limit(34), which a shutdown sets to zero, and the torque, which a restart switches off."""
         if table.get("torque_limit") == 0:
             raise shut_down(bus.alert)
         if table.get("torque_enable") == 0 or table.get("torque_control") != int(self._torque_mode):
             raise reboot()
 
     def _unwrapped(self, raw: int) -> int:
-        """The position over any number of turns, whether the servo counts them or not."""
+        """Return the position over any number of turns, whether the servo counts them or not."""
         if self._raw is None:
             self._position = raw
         else:
@@ -141,5 +141,5 @@ class MxSeries:
 
 
 def _signed(value: int) -> int:
-    """A number whose bit 10 says clockwise."""
+    """Return the value of a number whose bit 10 means clockwise."""
     return -(value & (_CLOCKWISE - 1)) if value & _CLOCKWISE else value & (_CLOCKWISE - 1)

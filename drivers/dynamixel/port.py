@@ -1,8 +1,8 @@
-"""A serial port for dynamixel-sdk that waits without spinning and never past its deadline.
+"""A serial port for dynamixel-sdk that waits without polling, and never past its deadline.
 
-The SDK's own port reads without blocking, so that it spins a core; measures time with the wall clock, which steps;
-allows 34 ms at least for a reply; opens without a lock, so that two programs may drive one servo; and has no limit on
-how long a write may hang.
+The SDK's own port reads without blocking and so keeps a core busy; measures time with the wall clock, which steps;
+allows at least 34 ms for a reply; opens without a lock, so that two programs can drive one servo; and has no time limit
+for a write.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
 
 BUDGET = 4096
-"""Bytes looked at for one reply; a line that never falls silent must not hold us."""
+"""Bytes read for one reply; a line that never falls silent must not block us."""
 SILENT_FOR = 2e-3
 """s without a byte after which the line counts as silent."""
 PATIENCE = 0.1
@@ -38,29 +38,29 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         self._ahead = bytearray()
 
     def openPort(self) -> bool:  # noqa: N802 - the SDK's name
-        """Open it for us alone. Raises DriverError with the remedy."""
+        """Open it with an exclusive lock. Raises DriverError with the remedy."""
         self.ser = open_port(self.port_name, self.baudrate)
         self.is_open = True
         return True
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
-        """Let go of it. Harmless when closed, or when the device is gone."""
+        """Close it. Harmless when closed, or when the device is gone."""
         self.is_open = False
         if self.ser is not None:
             with contextlib.suppress(*GONE):
                 self.ser.close()
 
     def expect(self, deadline: float, size: int) -> None:
-        """Begin to wait for a reply of `size` bytes, until `deadline` s on the clock."""
+        """Start to wait for a reply of `size` bytes, until `deadline` s on the clock."""
         self._deadline = deadline
         self._budget = BUDGET
         self._whole = size
         self._ahead.clear()
 
     def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
-        """Up to `length` bytes; waits for them no longer than `POLL` and the deadline allow.
+        """Return up to `length` bytes; wait for them no longer than `POLL` and the deadline allow.
 
-        The SDK asks for the head of a reply first. The first wait is for the whole of it: one wake-up instead of two.
+        The SDK reads the header of a reply first. The first wait is for the whole reply: one wake-up instead of two.
         """
         if len(self._ahead) < length and self._budget > 0:
             wanted = max(length, self._whole) - len(self._ahead)
@@ -75,11 +75,11 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         return out
 
     def isPacketTimeout(self) -> bool:  # noqa: N802 - the SDK's name
-        """Whether the deadline has passed, or more has been read than any reply can be."""
+        """Whether the deadline has passed, or more bytes were read than any reply has."""
         return self._budget <= 0 or self._clock.now() >= self._deadline
 
     def drain(self) -> bool:
-        """Throw away what arrives until the line is silent. False where it does not fall silent."""
+        """Discard received bytes until the line is silent. Returns False where it does not fall silent."""
         end = self._clock.now() + PATIENCE
         quiet_since = self._clock.now()
         while self._clock.now() < end:

@@ -1,4 +1,4 @@
-"""Who is on the line at all: asked where nobody answered as the stand file says."""
+"""A search for servos, for the case that the one of the stand file does not reply."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from drivers.servo import DriverError
 
 
 def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:
-    """A sentence for every servo that answers at any baud rate on the port; nothing but pings is sent.
+    """Return a sentence for every servo that replies at any baud rate on the port; only pings are sent.
 
-    Takes about two seconds a baud rate. clock and port are the machine's unless a test brings its own. Raises
+    Takes about two seconds for each baud rate. clock, port: those of the machine unless a test gives its own. Raises
     DriverError where the port cannot be opened.
     """
     clock = clock or MonotonicClock()
-    found: list[str] = []
+    sentences: list[str] = []
     for baudrate in get_args(Baudrate):
         line = port or SerialPort(config.port, baudrate, clock)
         line.baudrate = baudrate
@@ -29,11 +29,13 @@ def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort
         try:
             for wire in (Wire2(), Wire1()):
                 with contextlib.suppress(DriverError):
-                    heard = Bus(line, BROADCAST, clock, 0.0, wire).everyone()
-                    found += [f"{_named(number)} answers with id {ident} at {baudrate} baud" for ident, number in heard]
+                    pinged = Bus(line, BROADCAST, clock, 0.0, wire).ping_all()
+                    sentences += [
+                        f"{_named(number)} answers with id {ident} at {baudrate} baud" for ident, number in pinged
+                    ]
         finally:
             line.closePort()
-    return found
+    return sentences
 
 
 def _named(number: int) -> str:

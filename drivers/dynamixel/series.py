@@ -1,4 +1,4 @@
-"""What differs between the series of DYNAMIXEL servos: registers, modes, units, and how a fault shows."""
+"""The interface to one series of DYNAMIXEL servos: its registers, modes, units and faults."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ if TYPE_CHECKING:
 
     from drivers.dynamixel.bus import Bus
     from drivers.dynamixel.control_table import ControlTable
-    from drivers.dynamixel.models import Register
+    from drivers.dynamixel.models import DynamixelRegister
     from drivers.dynamixel.wire import Wire
     from drivers.servo import Limits
 
 
-class State(NamedTuple):
-    """One reading at the horn, with the servo's own sign. tick: None where its clock cannot be read.
+class DynamixelState(NamedTuple):
+    """One reading at the horn, with the servo's own sign. tick: ms of its clock, None where it cannot be read.
 
     position in counts over any number of turns, velocity rad/s, current A (NaN where none is measured), voltage V,
     temperature degC.
@@ -30,45 +30,45 @@ class State(NamedTuple):
 
 
 class Series(Protocol):
-    """One servo of a series; what is remembered between two readings is its own.
+    """One servo of a series. It keeps state between two readings, so each servo has its own.
 
     block: address and size of what a tick reads. velocity_lsb: rad/s. eeprom_end: as in `ControlTable`. off: the
     registers whose zero takes the torque off, in the order in which they are written where no reply comes.
     """
 
     wire: Wire
-    registers: Mapping[str, Register]
+    registers: Mapping[str, DynamixelRegister]
     eeprom_end: int
     block: tuple[int, int]
     velocity_lsb: float
     off: tuple[str, ...]
 
     def identity(self, bus: Bus) -> tuple[int, int]:
-        """Model number and firmware of who answers."""
+        """Return model number and firmware."""
         ...
 
-    def state(self, raw: bytes) -> State:
-        """What a block of `block` says."""
+    def state(self, raw: bytes) -> DynamixelState:
+        """Return the reading in the bytes of `block`."""
         ...
 
     def ceiling(self, torque: float) -> int:
-        """`torque` N m in the counts of the servo's torque limit, rounded down; 0 where it has none."""
+        """Return `torque` N m in counts of the servo's torque limit, rounded down; 0 where it has none."""
         ...
 
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
-        """With the torque off, write and read back what must be there before current flows."""
+        """With the torque off, write mode and limits and read them back."""
         ...
 
     def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
-        """The set-point that does not jerk, then everything up to the torque itself, which the caller switches on."""
+        """Write a set-point that causes no step, and the watchdog; the caller then switches the torque on."""
         ...
 
     def rest(self, table: ControlTable) -> None:
-        """After torque-off: leave nothing behind that would act when the torque comes back."""
+        """After torque-off, reset what would act when the torque is switched on again."""
         ...
 
     def goal(self, counts: int, ceiling: int) -> tuple[int, bytes, int]:
-        """Address and bytes of a set-point of `counts` of current or position, and the counts that it holds."""
+        """Return address and bytes of a set-point of `counts` of current or position, and its counts after clamping."""
         ...
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
@@ -76,5 +76,5 @@ class Series(Protocol):
         ...
 
     def raise_stopped(self, bus: Bus, table: ControlTable) -> None:
-        """Raise DeviceFault where an armed servo is not doing what it was armed for."""
+        """Raise DeviceFault where an armed servo has stopped by itself."""
         ...

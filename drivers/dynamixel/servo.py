@@ -1,7 +1,7 @@
-"""DYNAMIXEL servos on a serial port, behind `drivers.servo.Servo`. Wiring and limits: docs/dynamixel.md.
+"""DYNAMIXEL servos on a serial port as a `drivers.servo.Servo`. Wiring and limits: docs/dynamixel.md.
 
-A tick is one round trip: a Sync Write of the set-point, which no servo answers, and behind it in the same piece a Read
-of one block with everything that is measured. What differs between the series is in `dynamixel_x` and `dynamixel_mx`.
+A tick is one round trip: a Sync Write of the set-point, which has no reply, sent together with a Read of one block that
+holds all measurements. The modules `x` and `mx` hold what differs between the series.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from drivers.dynamixel.bus import Bus
 from drivers.dynamixel.config import DynamixelConfig
 from drivers.dynamixel.control_table import ControlTable
 from drivers.dynamixel.identity import RETURN_DELAY_LSB, identify
-from drivers.dynamixel.models import POSITION_LSB, Model, models
+from drivers.dynamixel.models import POSITION_LSB, DynamixelModel, models
 from drivers.dynamixel.mx import MxSeries
 from drivers.dynamixel.port import SerialPort
 from drivers.dynamixel.series import Series
@@ -23,27 +23,28 @@ from drivers.dynamixel.x import XSeries
 from drivers.gate import Admitted, Gate, to_counts
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
-_LATE = 0.02  # s, before the watchdog would trip, from which a tick asks whether it has
+_LATE = 0.02  # s before the watchdog trips; a later tick checks whether it has
 _TRIES = 3
 
 
 class DynamixelServo:
     """One servo, opened, identified, with its torque off and its return delay as in a run.
 
-    clock and port are those of the machine unless a test brings its own. Raises DriverError where the port cannot be
-    opened or another model answers, NoReply where nobody does, BadReply where what answers cannot be understood.
+    clock, port: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml
+    gives the constant. Raises DriverError where the port cannot be opened or another model replies, NoReply where no
+    servo does, BadReply where the replies cannot be decoded.
     """
 
     def __init__(self, config: DynamixelConfig, *, clock: Clock | None = None, port: SerialPort | None = None) -> None:
         self._config = config
-        self._model: Model = models()[config.model]
+        self._model: DynamixelModel = models()[config.model]
         self._mode = config.effective_mode
         self._constant = config.torque_constant or self._model.torque_constant
-        self._clock = clock or MonotonicClock()
-        self._port = port or SerialPort(config.port, config.baudrate, self._clock)
+        self.clock: Clock = clock or MonotonicClock()
+        self._port = port or SerialPort(config.port, config.baudrate, self.clock)
         kind = XSeries if self._model.protocol == 2 else MxSeries
         self._series: Series = kind(self._model, config, self._torque_lsb)
-        self._bus = Bus(self._port, config.id, self._clock, config.reply_timeout, self._series.wire)
+        self._bus = Bus(self._port, config.id, self.clock, config.reply_timeout, self._series.wire)
         self._table = ControlTable(self._bus, self._series.registers, self._series.eeprom_end)
         self._tick = TickClock()
         self._impossible = 0
@@ -61,71 +62,55 @@ class DynamixelServo:
         with self._gate.opening():
             firmware = identify(self._bus, self._table, config, self._series)
             self.disarm()
-            self._table.require("return_delay_time", round(config.return_delay / RETURN_DELAY_LSB))
+            self._table.settings.require("return_delay_time", round(config.return_delay / RETURN_DELAY_LSB))
             self._bus.return_delay = config.return_delay
-        self._info = self._describe(firmware, quantity)
-
-    @property
-    def info(self) -> ServoInfo:
-        """What this servo is. torque_uncertainty is NaN where stand.toml gave the constant."""
-        return self._info
-
-    @property
-    def clock(self) -> Clock:
-        """The machine's monotonic time."""
-        return self._clock
+        self.info = self._describe(firmware, quantity)
 
     @property
     def device_time(self) -> float:
-        """s on the servo's own clock since its first sample, as of the last one; in steps of 1 ms."""
+        """The time of the last sample on the servo's own clock, s since the first one, in steps of 1 ms."""
         return self._tick.seconds
 
     def arm(self, limits: Limits) -> None:
-        """Write mode, limits and watchdog into the servo, read them back, and let current flow: none, at first.
+        """Write mode, limits and watchdog into the servo, read them back, and switch the torque on at zero current.
 
-        In the position modes the servo then holds where it is. Torque, temperature and velocity limits go into the
-        servo's registers for them, each no higher than the model's.
+        In the position modes the servo then holds its position. Torque, temperature and velocity limits are written to
+        the servo's registers, each no higher than the model's.
         Raises DeviceFault where a fault is latched, DriverError where a register is refused; the torque is off then.
         """
         self._ceiling = ceiling = self._torque_counts(limits)
         with self._gate.arming(limits):
             self._series.raise_latched(self._bus, self._table)
-            self._table.require("torque_enable", 0)
+            self._table.settings.require("torque_enable", 0)
             self._series.prepare(self._table, limits, ceiling)
             self._enable(ceiling)
 
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
 
-        `Command.rest()` in a position mode leaves the servo holding where it is. Raises UnsafeCommand, NoReply,
+        `Command.rest()` in a position mode writes nothing: the servo holds its position. Raises UnsafeCommand, NoReply,
         BadReply, LinkLost, and DeviceFault where the servo has latched a fault, restarted, or tripped its watchdog.
         """
         goal, saturated = self._goal(self._gate.admit(command))
-        sent = self._clock.now()
+        sent = self.clock.now()
         if self._gate.armed and 0.0 < self._config.watchdog < sent - self._last_request + _LATE:
             self._look_for_faults()
-            sent = self._clock.now()
+            sent = self.clock.now()
         block = self._series.block
         raw = self._bus.read(*block) if goal is None else self._bus.write_and_read(*goal, *block)
-        received = self._clock.now()
+        received = self.clock.now()
         self._last_request = sent
         if self._bus.alert:
             self._look_for_faults()
         return self._sample(raw, sent, received, saturated=saturated)
 
     def disarm(self) -> None:
-        """Switch the torque off and read it back. Harmless when already off.
-
-        Raises DriverError where the device does not confirm it; then cut the power.
-        """
+        """Switch the torque off and read it back. Raises as `Gate.disarm`."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Torque off, the EEPROM as it was found, then let go of the port. Harmless when closed; never raises.
-
-        Whoever has to know that the torque is off calls `disarm` first.
-        """
-        self._gate.close(self._table.restore)
+        """Switch the torque off, restore the EEPROM, and close the port. Never raises; see `Gate.close`."""
+        self._gate.close(self._table.settings.restore)
 
     def _torque_off(self, _request: int) -> None:
         try:
@@ -156,29 +141,29 @@ class DynamixelServo:
 
     @property
     def _torque_lsb(self) -> float:
-        """N m a count of current."""
+        """N m in one count of current."""
         return self._model.current_lsb * self._constant
 
     def _torque_counts(self, limits: Limits) -> int:
-        """The torque limit in counts of current. Raises DriverError where it is below one."""
+        """Return the torque limit in counts of current. Raises DriverError where it is below one."""
         if not self._model.current_lsb:
             return 0
         counts = self._series.ceiling(limits.torque)
         if counts < 1:
             raise DriverError(
                 f"torque limit {limits.torque:.3g} N m is below one count of the {self._model.name}, "
-                f"{self._torque_lsb:.3g} N m: raise it or take a smaller servo"
+                f"{self._torque_lsb:.3g} N m: raise it or use a smaller servo"
             )
         return counts
 
     def _enable(self, ceiling: int) -> None:
-        """Torque on without a jerk: at no current, or at the position it has."""
+        """Switch the torque on at zero current, or at the present position."""
         self._series.enable(self._bus, self._table, ceiling)
         self._table.put("torque_enable", 1)
         if self._table.get("torque_enable") != 1:
             self._look_for_faults()
-            raise DriverError("the servo does not let its torque be switched on: reboot it")
-        self._last_request = self._clock.now()
+            raise DriverError("the servo refuses to switch its torque on: reboot it")
+        self._last_request = self.clock.now()
 
     def _goal(self, admitted: Admitted) -> tuple[tuple[int, bytes] | None, bool]:
         """Return address and bytes of the set-point, None where nothing is written; and whether it was clipped."""
@@ -213,7 +198,7 @@ class DynamixelServo:
         )
 
     def _refuse_impossible(self) -> None:
-        """A tick that cannot be: a servo that restarted is a fault, anything else an old reply."""
+        """Raise for an impossible tick: DeviceFault for a servo that restarted, else BadReply for a late reply."""
         self._impossible += 1
         if self._impossible == _TRIES or not self._gate.armed:
             self._tick.restart()
@@ -223,7 +208,7 @@ class DynamixelServo:
         raise BadReply("the reply is older than its request, or the servo was restarted: the sample is dropped")
 
     def _look_for_faults(self) -> None:
-        """Raise DeviceFault where the servo is not doing any more what it was armed for."""
+        """Raise DeviceFault where the servo has latched an error or stopped by itself."""
         self._series.raise_latched(self._bus, self._table)
         if self._gate.armed:
             self._series.raise_stopped(self._bus, self._table)

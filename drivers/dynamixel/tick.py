@@ -5,23 +5,23 @@ from __future__ import annotations
 from enum import Enum
 
 WRAP = 32768
-_LONGEST = 16.0  # s between samples, beyond which the wraps are counted by the host's clock
-_DRIFT = 0.02  # relative, far more than a servo's oscillator is off
+_LONGEST = 16.0  # s between samples, above which the wraps are counted by the host's clock
+_DRIFT = 0.02  # relative, far above the error of a servo's oscillator
 _SLACK = 2e-3  # s: two counts
 
 
 class Freshness(Enum):
-    """How a tick fits the time that has passed on the host."""
+    """Whether a tick agrees with the time that has passed on the host."""
 
     FRESH = "fresh"
     STILL = "still"
-    """It has not moved."""
+    """The tick has not changed."""
     IMPOSSIBLE = "impossible"
-    """The sample was taken before it was asked for, or the servo has been restarted."""
+    """The sample was taken before its request, or the servo has been restarted."""
 
 
 class TickClock:
-    """Unwraps the tick and holds it against the host's clock.
+    """Unwraps the tick and compares it with the host's clock.
 
     A sample is taken between the sending of its request and the end of its reply, so between two samples the servo's
     clock must move at least from the end of the one to the start of the next, and at most from start to end.
@@ -33,7 +33,7 @@ class TickClock:
         self._last: tuple[int, float, float] | None = None
 
     def judge(self, tick: int, sent: float, received: float) -> Freshness:
-        """Take in a sample asked for at `sent` and complete at `received`, s; what is impossible is not taken in."""
+        """Judge a sample requested at `sent` and complete at `received`, s; an impossible one is not stored."""
         if self._last is None:
             self._last = (tick, sent, received)
             return Freshness.FRESH
@@ -50,5 +50,5 @@ class TickClock:
         return Freshness.FRESH if moved > 0.0 else Freshness.STILL
 
     def restart(self) -> None:
-        """Take the next sample as it comes."""
+        """Accept the next sample without a comparison."""
         self._last = None

@@ -1,4 +1,4 @@
-"""The two protocols of DYNAMIXEL as bytes: how a request is put together and what a reply says. No I/O of its own.
+"""The two protocols of DYNAMIXEL: encoding of requests and decoding of replies, without I/O.
 
 Source: e-manual, emanual.robotis.com/docs/en/dxl/protocol1/ and .../protocol2/.
 """
@@ -19,10 +19,10 @@ BROADCAST = 0xFE
 
 
 class Answer(NamedTuple):
-    """A sound status packet.
+    """A status packet with a valid checksum.
 
-    alert: the hardware errors it tells of, 0 for none. damaged: whether the request reached the servo damaged.
-    refused: why the servo did not do it, "" where it did.
+    alert: the hardware errors it reports, 0 for none. damaged: whether the request reached the servo damaged.
+    refused: why the servo refused the request, "" where it did not.
     """
 
     ident: int
@@ -38,30 +38,30 @@ class Wire(Protocol):
     status_size: int
 
     def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
-        """A request."""
+        """Return the bytes of a request."""
         ...
 
     def place(self, *numbers: int) -> bytes:
-        """Addresses and lengths as the protocol writes them."""
+        """Return addresses and lengths as the protocol encodes them."""
         ...
 
     def receive(self, port: SerialPort) -> tuple[bytes, int]:
-        """What the SDK finds for a status packet on `port`, and its result. Raises IndexError for a mad length."""
+        """Return the packet that the SDK reads from `port`, and its result. Raises IndexError for a bad length."""
         ...
 
     def opened(self, raw: bytes) -> Answer | None:
-        """What a packet of `receive` says; None where it is no status packet."""
+        """Return the content of a packet from `receive`; None where it is no status packet."""
         ...
 
-    def pings(self, heard: bytes) -> Iterator[tuple[int, int]]:
-        """Id and model number (0 where the protocol does not tell) of each answer to a ping in a stretch of bytes."""
+    def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
+        """Yield id and model number (0 where the protocol has none) of each reply to a ping in received bytes."""
         ...
 
 
 _REFUSALS_2 = {
-    1: "it could not do that",
-    2: "it does not know that instruction",
-    4: "the value is out of range, or a tripped bus watchdog keeps it from being set",
+    1: "it could not execute the request",
+    2: "it does not have that instruction",
+    4: "the value is out of range, or a tripped bus watchdog blocks it",
     5: "the length does not fit the register",
     6: "the value is beyond the limit set in the servo",
     7: "there is no such register, or it cannot be written while the torque is on",
@@ -71,8 +71,7 @@ _REFUSALS_2 = {
 class Wire2:
     """Protocol 2.0.
 
-    The SDK leaves a request with FF FF FD in it unstuffed and unstuffs some replies wrongly, so that stuffing is done
-    here both ways.
+    The SDK does not stuff a request that contains FF FF FD and unstuffs some replies wrongly, so both are done here.
     """
 
     status_size = 11
@@ -83,18 +82,18 @@ class Wire2:
         self._packets = Protocol2PacketHandler()
 
     def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
-        """A request."""
+        """Return the bytes of a request."""
         body = (bytes([instruction]) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
         frame = self._header + bytes([ident]) + (len(body) + 2).to_bytes(2, "little") + body
         return frame + self._checksum(frame)
 
     def place(self, *numbers: int) -> bytes:
-        """Two bytes each."""
+        """Return two bytes for each."""
         return b"".join(number.to_bytes(2, "little") for number in numbers)
 
     def receive(self, port: SerialPort) -> tuple[bytes, int]:
         """See `Wire`."""
-        # `fast` keeps the SDK from unstuffing; nothing else differs but that the broadcast id may answer
+        # `fast` stops the SDK from unstuffing; it also accepts the broadcast id, nothing else differs
         raw, result = self._packets.rxPacket(port, True)
         return bytes(raw), result
 
@@ -107,9 +106,9 @@ class Wire2:
         refused = _REFUSALS_2.get(number, f"error {number}") if number not in {0, 3} else ""
         return Answer(raw[4], body[1] & 0x80, number == 3, refused, body[2:])
 
-    def pings(self, heard: bytes) -> Iterator[tuple[int, int]]:
+    def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
         """See `Wire`."""
-        for part in heard.split(self._header)[1:]:
+        for part in received.split(self._header)[1:]:
             answer = self._header + part[: self._ping_answer - len(self._header)]
             if len(answer) == self._ping_answer and answer[-2:] == self._checksum(answer[:-2]):
                 yield answer[4], int.from_bytes(answer[9:11], "little")
@@ -124,12 +123,12 @@ _DAMAGED_1 = 0x10
 _REFUSALS_1 = {
     0x02: "the position is outside its angle limits",
     0x08: "the value is out of range",
-    0x40: "it does not know that instruction",
+    0x40: "it does not have that instruction",
 }
 
 
 class Wire1:
-    """Protocol 1.0. Every status packet carries the servo's hardware errors, and no packet says which it answers."""
+    """Protocol 1.0. Every status packet carries the servo's hardware errors, and none names its request."""
 
     status_size = 6
 
@@ -137,12 +136,12 @@ class Wire1:
         self._packets = Protocol1PacketHandler()
 
     def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
-        """A request."""
+        """Return the bytes of a request."""
         body = bytes([ident, len(parameters) + 2, instruction]) + parameters
         return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
 
     def place(self, *numbers: int) -> bytes:
-        """One byte each."""
+        """Return one byte for each."""
         return bytes(numbers)
 
     def receive(self, port: SerialPort) -> tuple[bytes, int]:
@@ -158,8 +157,8 @@ class Wire1:
         refused = "; ".join(text for bit, text in _REFUSALS_1.items() if bits & bit)
         return Answer(raw[2], bits & _ALERTS_1, bool(bits & _DAMAGED_1), refused, raw[5:-1])
 
-    def pings(self, heard: bytes) -> Iterator[tuple[int, int]]:
-        """See `Wire`; the model number is not told."""
-        for part in heard.split(b"\xff\xff")[1:]:
+    def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
+        """See `Wire`; the model number is not reported."""
+        for part in received.split(b"\xff\xff")[1:]:
             if len(part) == 4 and part[1] == 2 and part[3] == ~sum(part[:3]) & 0xFF:
                 yield part[0], 0

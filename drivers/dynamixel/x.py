@@ -2,7 +2,7 @@
 
 A tick reads 120 to 146: Realtime Tick, Present Current, Velocity, Position, Input Voltage and Temperature, all of one
 moment. Source: e-manual, emanual.robotis.com/docs/en/dxl/x/xm430-w350/ (the other models' pages differ in numbers
-only, which stand in tables/dynamixel.toml).
+only, which are in table.toml).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import struct
 from typing import TYPE_CHECKING
 
 from drivers.dynamixel.faults import latched, reboot, watchdog
-from drivers.dynamixel.models import VELOCITY_LSB, Model, Register, registers
-from drivers.dynamixel.series import State
+from drivers.dynamixel.models import VELOCITY_LSB, DynamixelModel, DynamixelRegister, registers
+from drivers.dynamixel.series import DynamixelState
 from drivers.dynamixel.wire import Wire, Wire2
 
 if TYPE_CHECKING:
@@ -41,27 +41,27 @@ class XSeries:
     off: tuple[str, ...] = ("torque_enable",)
     velocity_lsb = VELOCITY_LSB
 
-    def __init__(self, model: Model, config: DynamixelConfig, torque_lsb: float) -> None:
+    def __init__(self, model: DynamixelModel, config: DynamixelConfig, torque_lsb: float) -> None:
         self.wire: Wire = Wire2()
-        self.registers: Mapping[str, Register] = registers(2)
+        self.registers: Mapping[str, DynamixelRegister] = registers(2)
         self._model = model
         self._config = config
         self._mode = config.effective_mode
         self._torque_lsb = torque_lsb
 
     def identity(self, bus: Bus) -> tuple[int, int]:
-        """Model number and firmware, from a ping."""
+        """Return model number and firmware, from a ping."""
         data = bus.ping(3)
         return int.from_bytes(data[:2], "little"), data[2]
 
-    def state(self, raw: bytes) -> State:
+    def state(self, raw: bytes) -> DynamixelState:
         """See `Series`."""
         tick, _, _, _, current, velocity, position, _, _, voltage, temperature = _FIELDS.unpack(raw)
         amperes = current * self._model.current_lsb if self._model.current_lsb else math.nan
-        return State(tick, position, velocity * VELOCITY_LSB, amperes, voltage * 0.1, float(temperature))
+        return DynamixelState(tick, position, velocity * VELOCITY_LSB, amperes, voltage * 0.1, float(temperature))
 
     def ceiling(self, torque: float) -> int:
-        """Counts of Current Limit(38)."""
+        """Return the counts of Current Limit(38)."""
         if not self._model.current_lsb:
             return 0
         return min(math.floor(torque / self._torque_lsb + 1e-9), self._model.current_max)
@@ -70,28 +70,28 @@ class XSeries:
         """See `Series`."""
         model = self._model
         table.put("bus_watchdog", 0)
-        table.require("operating_mode", _MODE_CODES[self._mode])
-        table.require("drive_mode", table.get("drive_mode") & ~_TORQUE_ON_BY_GOAL)
-        table.require("temperature_limit", min(math.floor(limits.temperature), model.temperature_max))
+        table.settings.require("operating_mode", _MODE_CODES[self._mode])
+        table.settings.require("drive_mode", table.get("drive_mode") & ~_TORQUE_ON_BY_GOAL)
+        table.settings.require("temperature_limit", min(math.floor(limits.temperature), model.temperature_max))
         velocity = math.floor(limits.velocity / VELOCITY_LSB)
-        table.require("velocity_limit", max(1, min(velocity, model.velocity_max)))
+        table.settings.require("velocity_limit", max(1, min(velocity, model.velocity_max)))
         if model.current_lsb:
-            table.require("current_limit", ceiling)
+            table.settings.require("current_limit", ceiling)
 
     def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
-        """No current, or the position it has; then the watchdog."""
+        """Write zero current or the present position, then the watchdog."""
         del bus
         if self._mode == "current":
-            table.require("goal_current", 0)
+            table.settings.require("goal_current", 0)
         else:
-            table.require("profile_velocity", 0)
-            table.require("profile_acceleration", 0)
+            table.settings.require("profile_velocity", 0)
+            table.settings.require("profile_acceleration", 0)
             if self._mode == "current-based-position":
-                table.require("goal_current", ceiling)
+                table.settings.require("goal_current", ceiling)
             table.put("goal_position", table.get("present_position"))
-        table.require("goal_pwm", table.get("pwm_limit"))
+        table.settings.require("goal_pwm", table.get("pwm_limit"))
         if self._config.watchdog:
-            table.require("bus_watchdog", math.ceil(self._config.watchdog / _WATCHDOG_LSB - 1e-9))
+            table.settings.require("bus_watchdog", math.ceil(self._config.watchdog / _WATCHDOG_LSB - 1e-9))
 
     def rest(self, table: ControlTable) -> None:
         """Clear the watchdog, which may have tripped."""
@@ -109,7 +109,7 @@ class XSeries:
         return register.address, register.encoded(clipped), clipped
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
-        """From Hardware Error Status(70)."""
+        """Read Hardware Error Status(70); see `Series`."""
         del bus
         bits = table.get("hardware_error_status")
         if bits:

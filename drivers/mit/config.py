@@ -14,20 +14,20 @@ from drivers.mit.frames import models
 if TYPE_CHECKING:
     ModelName = str
 else:
-    ModelName = Literal[tuple(sorted(models()))]  # so that whoever checks the table can name them all
+    ModelName = Literal[tuple(sorted(models()))]  # so that a refused name is reported with all that are known
 
 
 @dataclass(frozen=True, slots=True)
 class MitConfig:
     """The [mit] table of stand.toml. Raises ValueError for a model that is not known, or where values do not fit.
 
-    interface: the bus, as python-can calls its kind. channel: the bus, as python-can names it. bitrate: bit/s. model: a
-    name in tables/mit.toml. id: the motor's. reply_id: the identifier of its replies (a Damiao's master id); None: 0
-    for a Damiao, its id or 0 for an AK. position_range: rad that fill the counts, where it is not the table's.
-    velocity_range: rad/s that fill the counts, likewise. torque_range: N m that fill the counts, likewise.
-    torque_scale: true torque over reported torque. temperature_offset: K taken off an AK's reading. sign: 1 where the
-    motor's positive is the stand's, else -1. watchdog: s without a frame after which a Damiao stops by itself; 0:
-    never; an AK's is set with the vendor's tool. reply_timeout: s that a reply may take.
+    interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. model: a name in
+    mit/table.toml. id: the motor's. reply_id: the identifier of its replies (a Damiao's master id); None: 0 for a
+    Damiao, its id or 0 for an AK. position_range: rad, full scale of the counts, where it is not the table's.
+    velocity_range: rad/s, likewise. torque_range: N m, likewise. torque_scale: true torque divided by reported torque.
+    temperature_offset: K subtracted from an AK's reading. sign: 1 where the motor's positive is the stand's, else -1.
+    watchdog: s without a frame after which a Damiao stops by itself; 0: never; an AK's is set with the vendor's tool.
+    reply_timeout: s that a reply may take.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -54,12 +54,12 @@ class MitConfig:
 
     @property
     def bus(self) -> BusConfig:
-        """Where the bus is."""
+        """The bus."""
         return BusConfig(self.interface, self.channel, self.bitrate)
 
     @property
     def ranges(self) -> tuple[float, float, float]:
-        """Position rad, velocity rad/s and torque N m that fill the counts."""
+        """Full scale of the counts: position rad, velocity rad/s, torque N m."""
         model = models()[self.model]
         return (
             self.position_range or model.position,
@@ -69,7 +69,7 @@ class MitConfig:
 
     @property
     def reply_ids(self) -> frozenset[int]:
-        """The identifiers its replies may have."""
+        """The identifiers that its replies may have."""
         if self.reply_id is not None:
             return frozenset({self.reply_id})
         return frozenset({0}) if models()[self.model].family == "damiao" else frozenset({0, self.id})

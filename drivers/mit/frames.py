@@ -1,4 +1,4 @@
-"""The frames of the MIT mini-cheetah protocol and of Damiao's registers; motors and errors from `tables/mit.toml`.
+"""The frames of the MIT mini-cheetah protocol and of Damiao's registers; motors and errors from table.toml.
 
 A command holds position (16 bits), velocity, kp, kd and torque (12 bits each), a reply the motor's id, position,
 velocity and torque; high bits first, each value mapped from its range onto all counts, so that zero lies between two.
@@ -7,29 +7,28 @@ velocity and torque; high bits first, each value mapped from its range onto all 
 from __future__ import annotations
 
 import struct
-import tomllib
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
-from typing import Any, Literal
+from typing import Literal
 
 from drivers.servo import BadReply, DeviceFault
+from drivers.tables import table
 
 Family = Literal["cubemars", "damiao"]
 REGISTERS_ID = 0x7FF
-"""Where a Damiao listens for its registers."""
+"""The identifier on which a Damiao receives register requests."""
 READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
 ENTER, LEAVE, CLEAR = (bytes([0xFF] * 7 + [last]) for last in (0xFC, 0xFD, 0xFB))
 RESTARTED = 0x100
-"""Our code for a motor that does not do any more what it was armed for and says no error."""
+"""Our code for a motor that stopped following while armed and reports no error."""
 DISABLED, ENABLED = 0, 1
 LOST_COMMUNICATION = 13
 _TOP16, _TOP12 = 0xFFFF, 0xFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
-    """A motor; the fields are explained in its table."""
+class MitModel:
+    """A motor; table.toml explains the fields."""
 
     family: Family
     position: float
@@ -39,7 +38,7 @@ class Model:
 
 
 @dataclass(frozen=True, slots=True)
-class Register:
+class DamiaoRegister:
     """A register of a Damiao: its number and the layout of its value."""
 
     number: int
@@ -47,8 +46,8 @@ class Register:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
-    """A reply: rad, rad/s, N m, degC. status: a Damiao's state, an AK's error code; 0 where an AK's reply is short."""
+class MitState:
+    """A decoded reply: rad, rad/s, N m, degC. status: a Damiao's state or an AK's error code, 0 in short replies."""
 
     position: float
     velocity: float
@@ -58,30 +57,27 @@ class State:
 
 
 @cache
-def _table() -> dict[str, Any]:
-    return tomllib.loads(files("drivers").joinpath("mit/table.toml").read_text(encoding="utf-8"))
+def models() -> dict[str, MitModel]:
+    """Return the motors by name."""
+    return {name: MitModel(**row) for name, row in table("mit")["models"].items()}
 
 
 @cache
-def models() -> dict[str, Model]:
-    """The motors by name."""
-    return {name: Model(**row) for name, row in _table()["models"].items()}
-
-
-@cache
-def registers() -> dict[str, Register]:
-    """The registers of a Damiao by name."""
-    return {name: Register(number, struct.Struct(text)) for name, (number, text) in _table()["registers"].items()}
+def registers() -> dict[str, DamiaoRegister]:
+    """Return the registers of a Damiao by name."""
+    return {
+        name: DamiaoRegister(number, struct.Struct(text)) for name, (number, text) in table("mit")["registers"].items()
+    }
 
 
 def fault(family: Family, status: int) -> DeviceFault:
-    """The fault for an error code or status; RESTARTED for one that says none."""
-    words = _table()["errors"][family].get(str(status))
+    """Return the error for an error code or status; RESTARTED for a status that is no error."""
+    words = table("mit")["errors"][family].get(str(status))
     if status in {DISABLED, ENABLED} and words is None:
         return DeviceFault(
-            RESTARTED, "the motor does not follow any more and says no error: it was restarted; check supply and plug"
+            RESTARTED, "the motor stopped following without an error: it was restarted; check its supply and plug"
         )
-    return DeviceFault(status, f"the motor says error {status}: {words or 'not known here, see its manual'}")
+    return DeviceFault(status, f"the motor reports error {status}: {words or 'not known here, see its manual'}")
 
 
 class Codec:
@@ -96,19 +92,19 @@ class Codec:
         self._rest = (round(0.5 * _TOP16), round(0.5 * _TOP12))
 
     def torque_counts(self, torque: float) -> int:
-        """The counts nearest to `torque` N m that are no larger than the range allows."""
+        """Return the counts nearest to `torque` N m within the range."""
         limit = self._ranges[2]
         bounded = max(-limit, min(limit, torque))
         return max(0, min(_TOP12, round((bounded + limit) / self.torque_lsb)))
 
     def command(self, counts: int) -> bytes:
-        """A torque of `counts`, with neither spring nor damper."""
+        """Return the command for a torque of `counts`, with kp and kd zero."""
         position, velocity = self._rest
         word = position << 48 | velocity << 36 | counts
         return word.to_bytes(8, "big")
 
-    def state(self, data: bytes) -> State:
-        """The values of a reply. Raises BadReply where it is too short, or the position has left its range."""
+    def state(self, data: bytes) -> MitState:
+        """Return the values of a reply. Raises BadReply where it is too short, or the position is out of range."""
         if len(data) < (8 if self.family == "damiao" else 6):
             raise BadReply(f"a reply of {len(data)} bytes is too short: the sample is dropped")
         position = data[1] << 8 | data[2]
@@ -123,7 +119,7 @@ class Codec:
             status, temperature = data[0] >> 4, float(max(data[6], data[7]))
         else:
             status, temperature = (data[7], float(data[6])) if len(data) >= 8 else (0, float("nan"))
-        return State(
+        return MitState(
             position=position * self.position_lsb - most_position,
             velocity=velocity * self.velocity_lsb - most_velocity,
             torque=torque * self.torque_lsb - most_torque,

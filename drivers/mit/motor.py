@@ -1,4 +1,4 @@
-"""One motor on the bus that speaks MIT frames: what is sent to it and what of all that arrives is its answer."""
+"""One motor on the bus with the MIT protocol: its requests, and which received frames are its replies."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
 from drivers.canbus.link import frame
-from drivers.canbus.requests import Requests
+from drivers.canbus.requests import Requests, garbled
 from drivers.mit.frames import (
     CLEAR,
     ENTER,
@@ -16,11 +16,13 @@ from drivers.mit.frames import (
     REGISTERS_ID,
     WRITE,
     Codec,
-    State,
+    MitState,
     models,
     registers,
 )
+from drivers.retry import retry
 from drivers.servo import BadReply, DriverError, NoReply
+from drivers.settings import Settings
 
 if TYPE_CHECKING:
     import can
@@ -29,13 +31,12 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.mit.config import MitConfig
 
-_TRIES = 3
 _SECOND_ANSWER = 0.004
-"""s in which a second motor with the same id would have answered."""
+"""s in which a second motor with the same id would have replied."""
 
 
 class MitMotor:
-    """The conversation with one motor. Every method raises what `Requests.ask` does."""
+    """Requests to one motor. Every method raises as `Requests.ask` does."""
 
     def __init__(self, config: MitConfig, link: CanLink, clock: Clock) -> None:
         self._config = config
@@ -47,36 +48,35 @@ class MitMotor:
             name=f"motor {config.id}",
             timeout=config.reply_timeout,
             classify=self._kind,
-            overhear=lambda _kind, _data: None,
-            only_asked=frozenset({"state"}),
+            only_on_request=frozenset({"state"}),
         )
         self._register: int | None = None
-        self._found: dict[str, float] = {}
+        self._settings: Settings[str, float] = Settings(self.get, self._put)
 
     @property
     def damiao(self) -> bool:
-        """Whether it has registers and says whether it is enabled."""
+        """Whether it has registers and reports whether it is enabled."""
         return self.codec.family == "damiao"
 
-    def drive(self, counts: int) -> State:
+    def drive(self, counts: int) -> MitState:
         """Command a torque of `counts` and read the state in one round trip."""
         return self._state(frame(self._config.id, self.codec.command(counts)))
 
-    def look(self) -> State:
-        """The state of a motor that is not to be driven: a Damiao is asked; an AK, which answers frames only, is told
-        to leave motor mode once more.
+    def look(self) -> MitState:
+        """Return the state of a disarmed motor: by a request to a Damiao; by leaving motor mode again for an AK, which
+        has no request for its state.
         """
         if self.damiao:
             return self._state(frame(REGISTERS_ID, self._registers_head(REFRESH) + bytes(5)))
         return self.leave()
 
-    def enter(self) -> State:
-        """Let current flow."""
+    def enter(self) -> MitState:
+        """Enter motor mode: current can flow."""
         return self._state(frame(self._config.id, ENTER))
 
-    def leave(self) -> State:
-        """Torque off."""
-        self._requests.unasked.clear()
+    def leave(self) -> MitState:
+        """Leave motor mode: torque off."""
+        self._requests.unrequested.clear()
         return self._state(frame(self._config.id, LEAVE))
 
     def clear(self) -> None:
@@ -84,69 +84,51 @@ class MitMotor:
         self._state(frame(self._config.id, CLEAR))
 
     def send_leave(self) -> None:
-        """Torque off at once, without waiting for an answer."""
-        self._requests.fire([frame(self._config.id, LEAVE)], ["state"])
+        """Leave motor mode at once, without waiting for the reply."""
+        self._requests.send_now([frame(self._config.id, LEAVE)], ["state"])
 
     def identify(self) -> str:
-        """Switch it off, make sure that it is alone and what the stand file says; the firmware, where it says so.
+        """Switch the torque off, and check that the motor is alone and the one of the stand file.
 
-        Raises NoReply where nobody answers, BadReply where several do, DriverError for another motor.
+        Returns its firmware, "" where it reports none. Raises NoReply where no motor replies, BadReply where several
+        do, DriverError for another motor.
         """
-        for attempt in range(_TRIES):
-            try:
-                self.leave()
-                break
-            except (NoReply, BadReply) as error:
-                if attempt == _TRIES - 1:
-                    raise self._nobody(error) from None
-        if self._requests.await_change(_SECOND_ANSWER, lambda: bool(self._requests.unasked)):
-            raise BadReply(self._garbled("it answers twice"))
+        try:
+            retry(self.leave)
+        except (NoReply, BadReply) as error:
+            raise self._nobody(error) from None
+        if self._requests.wait_until(_SECOND_ANSWER, lambda: bool(self._requests.unrequested)):
+            raise garbled(self._requests.name, "it answers twice")
         if not self.damiao:
             return ""
         for name, expected in zip(
             ("position_range", "velocity_range", "torque_range"), self._config.ranges, strict=True
         ):
-            found = self.get(name)
-            if abs(found - expected) > 1e-3 * expected:
+            reported = self.get(name)
+            if abs(reported - expected) > 1e-3 * expected:
                 raise DriverError(
-                    f"motor {self._config.id} says its {name} is {found:g}, and [mit] means {expected:g} for the "
-                    f"{self._config.model}: correct mit.model or mit.id, or set mit.{name} to what the motor says"
+                    f"motor {self._config.id} reports a {name} of {reported:g}, and [mit] has {expected:g} for the "
+                    f"{self._config.model}: correct mit.model or mit.id, or set mit.{name} to the motor's value"
                 )
         return str(int(self.get("software")))
 
     def get(self, name: str) -> float:
-        """A register of a Damiao."""
+        """Return the value of a register of a Damiao."""
         register = registers()[name]
         data = self._ask_register(self._registers_head(READ) + bytes([register.number]) + bytes(4), register.number)
         return float(register.layout.unpack_from(data, 4)[0])
 
     def require(self, name: str, value: float) -> None:
-        """Make a register hold `value`, and read it back; what was found is kept for `restore`. It is not stored, so
-        that the motor forgets it without power.
+        """Make a register hold `value`. It is not stored, so that the motor loses it without power.
 
-        Raises DriverError where the motor keeps another value.
+        Raises as `Settings.require`.
         """
-        layout = registers()[name].layout
-        exact = float(layout.unpack(self._encoded(name, value))[0])
-        found = self.get(name)
-        if found == exact:
-            return
-        self._found.setdefault(name, found)
-        self._put(name, value)
-        kept = self.get(name)
-        if kept != exact:
-            raise DriverError(
-                f"motor {self._config.id} keeps {kept:g} in {name} where {exact:g} was written: it is not safe to go on"
-            )
+        exact = float(registers()[name].layout.unpack(self._encoded(name, value))[0])
+        self._settings.require(name, exact)
 
     def restore(self) -> None:
-        """Put the registers back as they were found, as far as the motor lets us."""
-        while self._found:
-            name, value = self._found.popitem()
-            try:
-                self._put(name, value)
-            except DriverError:
-                continue  # one that cannot be put back must not keep the others from it
+        """Restore the registers that `require` changed, as far as the motor accepts it."""
+        self._settings.restore()
 
     def _put(self, name: str, value: float) -> None:
         number = registers()[name].number
@@ -160,23 +142,20 @@ class MitMotor:
         return self._config.id.to_bytes(2, "little") + bytes([command])
 
     def _ask_register(self, data: bytes, number: int) -> bytes:
+        def request() -> bytes:
+            reply = self._requests.ask([frame(REGISTERS_ID, data)], ["register"])["register"]
+            if len(reply) != 8:
+                raise BadReply(f"register {number}: the reply is cut short")
+            return reply
+
         self._register = number
         try:
-            for attempt in range(_TRIES):
-                try:
-                    reply = self._requests.ask([frame(REGISTERS_ID, data)], ["register"])["register"]
-                except NoReply:
-                    if attempt == _TRIES - 1:
-                        raise
-                    continue
-                if len(reply) == 8:
-                    return reply
+            return retry(request)
         finally:
             self._register = None
-        raise BadReply(f"register {number}: the reply is cut short")
 
-    def _state(self, message: can.Message) -> State:
-        self._requests.refuse_unasked()
+    def _state(self, message: can.Message) -> MitState:
+        self._requests.refuse_unrequested()
         return self.codec.state(self._requests.ask([message], ["state"])["state"])
 
     def _kind(self, message: can.Message) -> Hashable | None:
@@ -185,7 +164,7 @@ class MitMotor:
             return None
         ident = self._config.id
         if not data:
-            return "state"  # cut short to nothing; the decoder says so
+            return "state"  # without data; the decoder refuses it
         if not self.damiao:
             return "state" if data[0] == ident else None
         if (
@@ -199,15 +178,9 @@ class MitMotor:
 
     def _nobody(self, error: DriverError) -> DriverError:
         if isinstance(error, BadReply) or self._link.error_frames:
-            return BadReply(self._garbled(str(error)))
+            return garbled(self._requests.name, str(error))
         return NoReply(
             f"no motor {self._config.id} answers on {self._link.name} at {self._config.bitrate} bit/s: check its "
             "power, the wiring and its termination, the id, the bit rate, and mit.reply_id "
             f"(replies with identifier {' or '.join(str(i) for i in sorted(self._config.reply_ids))} are expected)"
-        )
-
-    def _garbled(self, reason: str) -> str:
-        return (
-            f"what answers as motor {self._config.id} cannot be understood ({reason}): two motors with that id, or a "
-            "bit rate that is off; connect one motor alone and give each its own id"
         )

@@ -1,7 +1,7 @@
-"""CubeMars AK and Damiao motors on MIT mini-cheetah frames, behind `drivers.servo.Servo`. Limits: docs/can.md.
+"""CubeMars AK and Damiao motors on MIT mini-cheetah frames as a `drivers.servo.Servo`. Limits: docs/can.md.
 
-A tick is one frame each way: torque with neither spring nor damper out, position, velocity and torque back. A motor
-that is not armed is never sent a torque.
+A tick is one frame each way: a torque with kp and kd zero, and a reply with position, velocity and torque. No torque is
+sent to a motor that is not armed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock
 from drivers.gate import Gate
 from drivers.mit.config import MitConfig
-from drivers.mit.frames import DISABLED, ENABLED, LOST_COMMUNICATION, State, fault, models
+from drivers.mit.frames import DISABLED, ENABLED, LOST_COMMUNICATION, MitState, fault, models
 from drivers.mit.motor import MitMotor
 from drivers.servo import Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
@@ -23,50 +23,41 @@ if TYPE_CHECKING:
 _QUANTITIES = frozenset({Quantity.TORQUE})
 _TIMEOUT_LSB = 50e-6
 _COOLEST_LIMIT = 80.0
-"""degC: the lowest over-temperature limit that a Damiao takes."""
+"""degC: the lowest over-temperature limit that a Damiao accepts."""
 _IGNORED = 10
-"""Ticks in a row that a motor may not do what it is told before it counts as restarted."""
+"""Ticks in a row with another torque than commanded until a motor counts as restarted."""
 
 
 class MitServo:
     """One motor, opened, identified, and with its torque off.
 
-    clock and bus are those of the machine unless a test brings its own. Raises DriverError where the bus cannot be
-    opened or another motor answers, NoReply where nobody does, BadReply where several do.
+    clock, bus: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml gives
+    the scale. Raises DriverError where the bus cannot be opened or another motor replies, NoReply where none does,
+    BadReply where several do.
     """
 
     def __init__(self, config: MitConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
         self._config = config
-        self._clock = clock or MonotonicClock()
-        self._link = CanLink(config.bus, self._clock, bus)
-        self._motor = MitMotor(config, self._link, self._clock)
+        self.clock: Clock = clock or MonotonicClock()
+        self._link = CanLink(config.bus, self.clock, bus)
+        self._motor = MitMotor(config, self._link, self.clock)
         self._ignored = 0
         self._gate = Gate(self._link.name, _QUANTITIES, torque_off=self._torque_off, release=self._link.close)
         with self._gate.opening(self._motor.send_leave):
-            self._info = self._describe(self._motor.identify())
+            self.info = self._describe(self._motor.identify())
         self._gate.live = False
-
-    @property
-    def info(self) -> ServoInfo:
-        """What this servo is. torque_uncertainty is NaN where stand.toml gave the scale."""
-        return self._info
-
-    @property
-    def clock(self) -> Clock:
-        """The machine's monotonic time."""
-        return self._clock
 
     def arm(self, limits: Limits) -> None:
         """Write a Damiao's limits and timeout and read them back, then enter motor mode at zero torque.
 
-        An AK has no limits that a frame can set. A Damiao that stopped because nobody spoke to it is cleared. Raises
-        DeviceFault where an error is latched, DriverError where a register is refused or the limit of torque is below
-        one count; the torque is off then.
+        No frame sets limits in an AK. A Damiao that stopped for lack of frames is cleared. Raises DeviceFault where
+        another error is latched, DriverError where a register is refused or the torque limit is below one count; the
+        torque is off then.
         """
-        if limits.torque < self._info.torque_lsb:
+        if limits.torque < self.info.torque_lsb:
             raise DriverError(
                 f"torque limit {limits.torque:.3g} N m is below one count of the {self._config.model}, "
-                f"{self._info.torque_lsb:.3g} N m: raise it or take a smaller motor"
+                f"{self.info.torque_lsb:.3g} N m: raise it or take a smaller motor"
             )
         with self._gate.arming(limits):
             self._check_error(self._motor.leave())
@@ -78,14 +69,14 @@ class MitServo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
 
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the motor says an error, is not enabled
-        any more, or has not followed for ten ticks.
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the motor reports an error, is not
+        enabled any more, or has not followed for ten ticks.
         """
         admitted = self._gate.admit(command)
         counts, saturated = (None, False) if admitted.command is None else self._counts(admitted.command.value)
-        sent = self._clock.now()
+        sent = self.clock.now()
         state = self._motor.look() if counts is None else self._motor.drive(counts)
-        received = self._clock.now()
+        received = self.clock.now()
         self._check_error(state)
         if counts is not None:
             self._check_follows(counts, state)
@@ -101,19 +92,14 @@ class MitServo:
         )
 
     def disarm(self) -> None:
-        """Leave motor mode until a reply confirms it. Harmless when already off.
+        """Leave motor mode until a reply confirms it. Raises as `Gate.disarm`.
 
         An AK does not report whether it is enabled: its reply to the frame is the confirmation.
-
-        Raises DriverError where the device does not confirm it; then cut the power.
         """
         self._gate.disarm()
 
     def close(self) -> None:
-        """Torque off, the registers as they were found, then let go of the bus. Harmless when closed; never raises.
-
-        Whoever has to know that the torque is off calls `disarm` first.
-        """
+        """Switch the torque off, restore the registers, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._motor.restore)
 
     def _torque_off(self, _request: int) -> None:
@@ -136,7 +122,7 @@ class MitServo:
         )
 
     def _prepare(self, limits: Limits) -> None:
-        """What a Damiao takes of the limits; neither speed nor temperature is ever raised."""
+        """Write the limits that a Damiao has registers for; neither speed nor temperature limit is ever raised."""
         motor = self._motor
         motor.require("control_mode", 1)
         motor.require("over_temperature", min(motor.get("over_temperature"), max(limits.temperature, _COOLEST_LIMIT)))
@@ -148,17 +134,17 @@ class MitServo:
         self._check_error(self._motor.enter())
         state = self._motor.drive(zero)
         if self._motor.damiao and state.status != ENABLED:
-            raise DriverError("the motor does not let itself be enabled: switch it off and on")
+            raise DriverError("the motor refuses to be enabled: switch its power off and on")
 
     def _counts(self, torque: float) -> tuple[int, bool]:
         """Return the counts of `torque` N m, and whether the motor's range clipped it."""
         asked = self._config.sign * torque / self._config.torque_scale
         return self._motor.codec.torque_counts(asked), abs(asked) > self._config.ranges[2]
 
-    def _check_error(self, state: State) -> None:
-        """Raise DeviceFault where the motor says an error.
+    def _check_error(self, state: MitState) -> None:
+        """Raise DeviceFault where the motor reports an error.
 
-        A Damiao that stopped since nobody spoke to it is cleared where it is not armed.
+        A Damiao that stopped for lack of frames is cleared while it is not armed.
         """
         status, family = state.status, self._motor.codec.family
         armed = self._gate.armed
@@ -170,9 +156,10 @@ class MitServo:
         elif status not in {DISABLED, ENABLED} or (armed and status == DISABLED):
             raise fault(family, status)
 
-    def _check_follows(self, counts: int, state: State) -> None:
-        """Raise DeviceFault where the torque has been another than was asked for too long: an AK does not say that it
-        was restarted, it only stops to follow.
+    def _check_follows(self, counts: int, state: MitState) -> None:
+        """Raise DeviceFault where the torque differs from the command for too long.
+
+        An AK does not report that it was restarted; it only stops following.
         """
         lsb = self._motor.codec.torque_lsb
         asked = (counts - self._motor.codec.torque_counts(0.0)) * lsb

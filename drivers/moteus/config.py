@@ -16,10 +16,11 @@ from drivers.servo import Quantity
 class MoteusConfig:
     """The [moteus] table of stand.toml. Raises ValueError where watchdog and reply_timeout do not fit each other.
 
-    interface: the bus, as python-can calls its kind; it must carry CAN FD. channel: the bus, as python-can names it.
-    bitrate: bit/s of the identifiers. data_bitrate: bit/s of the data. id: the controller's. source: ours on the bus.
-    mode: what is commanded; None: what is asked for. sign: 1 where the controller's positive is the stand's, else -1.
-    watchdog: s without a command after which it stops by itself. reply_timeout: s that a reply may take.
+    interface: the kind of bus in python-can; it must carry CAN FD. channel: the bus, as python-can names it.
+    bitrate: bit/s of the identifiers. data_bitrate: bit/s of the data. id: the controller's. source: our id on the bus.
+    mode: the quantity that is commanded; None: the one of the run. sign: 1 where the controller's positive is the
+    stand's, else -1. watchdog: s without a command after which it stops by itself. reply_timeout: s that a
+    reply may take.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -41,17 +42,17 @@ class MoteusConfig:
             raise ValueError(f"moteus.source {self.source} is the controller's own id: choose another")
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """The same controller commanded `quantity`. Raises ValueError where the stated mode commands the other."""
+        """Return the configuration that commands `quantity`. Raises ValueError where `mode` is the other one."""
         if self.mode not in {None, quantity.value}:
-            raise ValueError(f"moteus.mode = {self.mode!r} takes no {quantity}: leave it out, or ask for the other")
+            raise ValueError(f"moteus.mode = {self.mode!r} does not command {quantity}: remove it")
         return replace(self, mode=quantity.value)
 
     @property
     def quantity(self) -> Quantity:
-        """What is commanded: torque where that is left open."""
+        """The quantity that is commanded; torque where `mode` is None."""
         return Quantity(self.mode or "torque")
 
     @property
     def bus(self) -> BusConfig:
-        """Where the bus is."""
+        """The bus."""
         return BusConfig(self.interface, self.channel, self.bitrate, self.data_bitrate)

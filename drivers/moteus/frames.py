@@ -1,26 +1,24 @@
-"""moteus' frames: registers written, read and answered in one CAN FD frame; registers and faults from its table.
+"""Frames of the moteus: registers written and read in one CAN FD frame; registers and faults from table.toml.
 
-A frame is a row of subframes: a byte for what and how many, the first register, the values; 0x50 fills it up. Nothing
-that arrives is trusted: a count or a length beyond the frame is a BadReply.
+A frame is a sequence of subframes: one byte for kind and count, the first register, the values; 0x50 pads it. Received
+data is not trusted: a count or a length beyond the frame is a BadReply.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
-from typing import Any
 
 from drivers.servo import BadReply, DeviceFault, DriverError
+from drivers.tables import table
 
 INT8, INT16, INT32, FLOAT = 0, 1, 2, 3
 STOPPED, FAULT, POSITION, TIMEOUT = 0, 1, 10, 11
 RESTARTED = 0x100
-"""Our code for a controller that is stopped while it should run and says no fault."""
+"""Our code for a controller that is stopped while armed and reports no fault."""
 WATCHDOG = 0x101
 """Our code for a controller whose watchdog ran out."""
 _TYPES = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
@@ -32,80 +30,77 @@ _CHANNEL = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Register:
-    """A register: its number, and the worth of a count of int8, int16 and int32."""
+class MoteusRegister:
+    """A register: its number, and the value of one count as int8, int16 and int32."""
 
     number: int
     scales: tuple[float, float, float]
 
 
 @cache
-def _table() -> dict[str, Any]:
-    return tomllib.loads(files("drivers").joinpath("moteus/table.toml").read_text(encoding="utf-8"))
+def registers() -> dict[str, MoteusRegister]:
+    """Return the registers by name."""
+    return {
+        name: MoteusRegister(row[0], (row[1], row[2], row[3])) for name, row in table("moteus")["registers"].items()
+    }
 
 
 @cache
-def registers() -> dict[str, Register]:
-    """The registers by name."""
-    return {name: Register(row[0], (row[1], row[2], row[3])) for name, row in _table()["registers"].items()}
-
-
-@cache
-def _by_number() -> dict[int, tuple[str, Register]]:
+def _by_number() -> dict[int, tuple[str, MoteusRegister]]:
     return {register.number: (name, register) for name, register in registers().items()}
 
 
 def limiting(code: int) -> bool:
-    """Whether a fault code only says what limits the torque."""
-    return str(code) in _table()["limiting"]
+    """Whether a fault code only reports which limit acts on the torque."""
+    return str(code) in table("moteus")["limiting"]
 
 
 def fault(code: int) -> DeviceFault:
-    """The fault for the code of a controller in fault mode."""
-    words = _table()["faults"].get(str(code), "not known here, see its manual")
-    return DeviceFault(code, f"the moteus says fault {code}: {words}")
+    """Return the error for the code of a controller in fault mode."""
+    words = table("moteus")["faults"].get(str(code), "not known here, see its manual")
+    return DeviceFault(code, f"the moteus reports fault {code}: {words}")
 
 
 def restarted() -> DeviceFault:
-    """The fault for a controller that is stopped while it should run."""
-    return DeviceFault(RESTARTED, "the moteus stopped by itself and says no fault: it was restarted; check its supply")
+    """Return the error for a controller that is stopped while armed."""
+    return DeviceFault(RESTARTED, "the moteus stopped by itself without a fault: it was restarted; check its supply")
 
 
 def timed_out(watchdog: float) -> DeviceFault:
-    """The fault for a controller that heard nothing for `watchdog` s."""
+    """Return the error for a controller that received nothing for `watchdog` s."""
     return DeviceFault(
         WATCHDOG,
-        f"the moteus heard nothing for {watchdog:.3g} s and stopped by itself: look for what held the computer or the "
-        "bus up; a slow recording needs a longer moteus.watchdog",
+        f"the moteus received nothing for {watchdog:.3g} s and stopped by itself: find out what delayed the computer "
+        "or the bus; a slow recording needs a longer moteus.watchdog",
     )
 
 
 def write(name: str, resolution: int, *values: float) -> bytes:
-    """The subframe that writes consecutive registers from `name` on; floats in their units, integers as they are."""
+    """Return the subframe that writes consecutive registers from `name` on; floats in their units, else counts."""
     head = bytes([_WRITE | resolution << 2 | len(values), registers()[name].number])
     layout = _TYPES[resolution]
     return head + b"".join(layout.pack(value if resolution == FLOAT else int(value)) for value in values)
 
 
 def read(name: str, resolution: int, count: int = 1) -> bytes:
-    """The subframe that asks for `count` consecutive registers from `name` on."""
+    """Return the subframe that requests `count` consecutive registers from `name` on."""
     return bytes([_READ | resolution << 2 | count]) + _varuint(registers()[name].number)
 
 
 def filled(subframes: Iterable[bytes]) -> bytes:
-    """The subframes as the data of a frame, brought up to a length that CAN FD has."""
+    """Return the subframes as the data of a frame, padded to a length that CAN FD has."""
     data = b"".join(subframes)
     length = next(size for size in _LENGTHS if size >= len(data))
     return data + bytes([_NOP]) * (length - len(data))
 
 
-def say(text: bytes) -> bytes:
-    """The subframe that sends `text` to the diagnostic console."""
+def console_write(text: bytes) -> bytes:
+    """Return the subframe that sends `text` to the diagnostic console."""
     return bytes([_CLIENT_DATA, _CHANNEL, len(text)]) + text
 
 
-def hear(count: int = 48) -> bytes:
-    """The subframe that asks the diagnostic console for up to `count` bytes."""
+def console_read(count: int = 48) -> bytes:
+    """Return the subframe that requests up to `count` bytes from the diagnostic console."""
     return bytes([_POLL, _CHANNEL, count])
 
 
@@ -115,39 +110,39 @@ def is_console(data: bytes) -> bool:
 
 
 def console_text(data: bytes) -> bytes:
-    """What the console says in a reply. Raises BadReply."""
+    """Return the console's text in a reply. Raises BadReply."""
     if len(data) < 3 or data[1] != _CHANNEL or len(data) < 3 + data[2]:
-        raise BadReply("what the console says is cut short")
+        raise BadReply("the console's reply is cut short")
     return bytes(data[3 : 3 + data[2]])
 
 
 def answers(data: bytes) -> dict[str, float]:
-    """The registers in a reply, in their units, NaN where the controller has no number.
+    """Return the registers in a reply, in their units; NaN where the controller has no value.
 
     Raises BadReply where the reply cannot be decoded, DriverError where it refuses a register.
     """
-    found: dict[str, float] = {}
+    out: dict[str, float] = {}
     place = 0
     while place < len(data):
         kind = data[place]
         if kind == _NOP:
             place += 1
         elif kind & 0xF0 == _REPLY:
-            place = _values(data, place, found)
+            place = _values(data, place, out)
         elif kind in {_WRITE_ERROR, _READ_ERROR}:
             number, _ = _varuint_at(data, place + 1)
             what = "writing" if kind == _WRITE_ERROR else "reading"
             raise DriverError(
-                f"the moteus refuses {what} register 0x{number:03x}: its firmware is too old for it, or too new; "
-                "bring it up to date with moteus_tool --flash"
+                f"the moteus refuses {what} register 0x{number:03x}: its firmware is too old or too new; "
+                "update it with moteus_tool --flash"
             )
         else:
             raise BadReply(f"a reply holds 0x{kind:02x}, which is no subframe: the sample is dropped")
-    return found
+    return out
 
 
-def _values(data: bytes, place: int, found: dict[str, float]) -> int:
-    """Take in one reply subframe; where the next begins."""
+def _values(data: bytes, place: int, out: dict[str, float]) -> int:
+    """Add the registers of one reply subframe to `out`; return the position of the next subframe."""
     resolution, count = data[place] >> 2 & 3, data[place] & 3
     place += 1
     if count == 0:
@@ -155,16 +150,16 @@ def _values(data: bytes, place: int, found: dict[str, float]) -> int:
     number, place = _varuint_at(data, place)
     layout = _TYPES[resolution]
     if count * layout.size > len(data) - place:
-        raise BadReply("a reply is shorter than it says: the sample is dropped")
+        raise BadReply("a reply is shorter than its count: the sample is dropped")
     for i in range(count):
         raw = layout.unpack_from(data, place + i * layout.size)[0]
         if number + i in _by_number():
             name, register = _by_number()[number + i]
-            found[name] = raw if resolution == FLOAT else _scaled(raw, register, resolution)
+            out[name] = raw if resolution == FLOAT else _scaled(raw, register, resolution)
     return place + count * layout.size
 
 
-def _scaled(raw: int, register: Register, resolution: int) -> float:
+def _scaled(raw: int, register: MoteusRegister, resolution: int) -> float:
     if register.scales == (1.0, 1.0, 1.0):
         return raw
     return math.nan if raw == _LOWEST[resolution] else raw * register.scales[resolution]

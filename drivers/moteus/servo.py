@@ -1,8 +1,8 @@
-"""moteus controllers on CAN FD, behind `drivers.servo.Servo`. Wiring and limits: docs/can.md.
+"""moteus controllers on CAN FD as a `drivers.servo.Servo`. Wiring and limits: docs/can.md.
 
-A tick is one frame each way: the command with its torque limit and its watchdog out, position, velocity, torque, mode,
-fault, voltage, temperatures and the controller's milliseconds back, all of one moment. Torque mode is the vendor's:
-position mode without a position, every gain scaled to zero, and the torque fed forward.
+A tick is one frame each way: the command with its torque limit and its watchdog, and a reply with position, velocity,
+torque, mode, fault, voltage, temperatures and the controller's milliseconds, all sampled at one moment. Torque mode is
+the vendor's: position mode without a position, with all gains scaled to zero and the torque as feed-forward.
 """
 
 from __future__ import annotations
@@ -37,10 +37,9 @@ from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Samp
 if TYPE_CHECKING:
     import can
 
-_TURN = 2.0 * math.pi
 _TRIES = 3
 _PREPARATION = 20
-"""Commands that a controller may take to get ready."""
+"""Commands until a controller that is preparing must run."""
 _FULL = 127  # of an int8 scale
 _STATE = b"".join(
     [
@@ -58,15 +57,16 @@ _STOP = write("mode", INT8, STOPPED)
 class MoteusServo:
     """One controller, opened, identified, and stopped.
 
-    clock and bus are those of the machine unless a test brings its own. Raises DriverError where the bus cannot be
-    opened or the firmware lacks a register, NoReply where nobody answers, BadReply where several do.
+    clock, bus: those of the machine unless a test gives its own. info: the counts of encoder and shunts are NaN, since
+    the controller does not report them. Raises DriverError where the bus cannot be opened or the firmware lacks a
+    register, NoReply where no controller replies, BadReply where several do.
     """
 
     def __init__(self, config: MoteusConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
         self._config = config
-        self._clock = clock or MonotonicClock()
-        self._link = CanLink(config.bus, self._clock, bus)
-        self._controller = Controller(config, self._link, self._clock)
+        self.clock: Clock = clock or MonotonicClock()
+        self._link = CanLink(config.bus, self.clock, bus)
+        self._controller = Controller(config, self._link, self.clock)
         self._milliseconds = TickClock()
         self._impossible = 0
         self._last_position = 0.0
@@ -84,7 +84,7 @@ class MoteusServo:
             self._gate.live = state["mode"] not in {STOPPED, FAULT}  # a stop would clear a fault that `arm` must report
             self.disarm()
         firmware = int(identity["firmware"])
-        self._info = ServoInfo(
+        self.info = ServoInfo(
             backend="moteus",
             model=f"moteus, model number {int(identity['model'])}",
             serial="".join(f"{int(identity[f'serial_{part}']) & 0xFFFFFFFF:08x}" for part in ("high", "middle", "low")),
@@ -92,22 +92,12 @@ class MoteusServo:
             quantities=quantities,
         )
 
-    @property
-    def info(self) -> ServoInfo:
-        """What this servo is. Values come as floats; what its encoder and shunts resolve it does not tell: NaN."""
-        return self._info
-
-    @property
-    def clock(self) -> Clock:
-        """The machine's monotonic time."""
-        return self._clock
-
     def arm(self, limits: Limits) -> None:
-        """Write the limits into the controller and read them back, then let it run: at no torque, or where it is.
+        """Write the limits into the controller and read them back, then start it at zero torque or where it stands.
 
-        Speed and temperature go into its configuration, together with a watchdog that stops (delivered, it holds);
-        torque and watchdog time go along with every command. Raises DeviceFault where it is in fault, DriverError where
-        a limit is refused or it does not start; it is stopped then.
+        Speed and temperature limits go into its configuration, with a watchdog that stops (by default it holds); torque
+        limit and watchdog time are part of every command. Raises DeviceFault where it is in fault, DriverError where a
+        limit is refused or it does not start; it is stopped then.
         """
         with self._gate.arming(limits):
             state = self._controller.exchange(_STATE)
@@ -122,29 +112,23 @@ class MoteusServo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
 
-        `Command.rest()` in position mode holds where it was told to be. Raises UnsafeCommand, NoReply, BadReply,
-        LinkLost, and DeviceFault where the controller is in fault, timed out, or restarted.
+        `Command.rest()` in position mode repeats the last position. Raises UnsafeCommand, NoReply, BadReply, LinkLost,
+        and DeviceFault where the controller is in fault, timed out, or restarted.
         """
         admitted = self._gate.admit(command)
         subframes = self._subframes(admitted.command)
-        sent = self._clock.now()
+        sent = self.clock.now()
         state = self._controller.exchange(*subframes, _STATE)
-        received = self._clock.now()
+        received = self.clock.now()
         return self._sample(state, sent, received, saturated=admitted.clipped)
 
     def disarm(self) -> None:
-        """Stop until the controller confirms it. Harmless when already stopped.
-
-        Raises DriverError where the device does not confirm it; then cut the power.
-        """
+        """Stop the controller until it confirms it. Raises as `Gate.disarm`."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Stop, the configuration as it was found, then let go of the bus. Harmless when closed; never raises.
-
-        Whoever has to know that the torque is off calls `disarm` first.
-        """
-        self._gate.close(self._controller.restore)
+        """Stop, restore the configuration, and close the bus. Never raises; see `Gate.close`."""
+        self._gate.close(self._controller.settings.restore)
 
     def _torque_off(self, _request: int) -> None:
         self._controller.send(_STOP)  # before `_stop`, which waits for replies that are still due
@@ -156,19 +140,19 @@ class MoteusServo:
             raise DriverError(f"it is in mode {mode:.0f} after a stop")
 
     def _prepare(self, limits: Limits) -> None:
-        """What the controller takes of the limits; none is ever raised. NaN means no limit there."""
+        """Write the limits that the controller has settings for; none is ever raised. NaN means no limit there."""
         controller = self._controller
         for name, value in (
-            ("servo.max_velocity", limits.velocity / _TURN),
+            ("servo.max_velocity", limits.velocity / math.tau),
             ("servo.fault_temperature", limits.temperature),
             ("servo.motor_fault_temperature", limits.temperature),
         ):
-            found = controller.get(name)
-            controller.require(name, value if math.isnan(found) else min(found, value))
-        controller.require("servo.timeout_mode", STOPPED)
+            present = controller.get(name)
+            controller.settings.require(name, value if math.isnan(present) else min(present, value))
+        controller.settings.require("servo.timeout_mode", STOPPED)
 
     def _start(self, limits: Limits) -> None:
-        """Command no torque, or the position it has, until it runs."""
+        """Command zero torque, or the present position, until it runs."""
         torque = self._config.quantity is Quantity.TORQUE
         command = self._torque(0.0, limits) if torque else self._position(self._last_position, limits)
         for _ in range(_PREPARATION):
@@ -177,7 +161,7 @@ class MoteusServo:
                 raise fault(int(state["fault"]))
             if state["mode"] == POSITION:
                 return
-            self._clock.sleep_until(self._clock.now() + 0.005)
+            self.clock.sleep_until(self.clock.now() + 0.005)
         raise DriverError(f"the moteus does not start (mode {state['mode']:.0f}): check it with tview")
 
     def _torque(self, torque: float, limits: Limits) -> tuple[bytes, ...]:
@@ -207,7 +191,7 @@ class MoteusServo:
         value = self._config.sign * command.value
         if command.quantity is Quantity.TORQUE:
             return self._torque(value, limits)
-        self._last_position = value / _TURN
+        self._last_position = value / math.tau
         return self._position(self._last_position, limits)
 
     def _sample(self, state: dict[str, float], sent: float, received: float, *, saturated: bool) -> Sample:
@@ -220,7 +204,7 @@ class MoteusServo:
             self._refuse_impossible()
         self._impossible = 0
         if not all(math.isfinite(state[name]) for name in ("position", "velocity", "torque")):
-            raise BadReply("the controller says that a reading is not a number: the sample is dropped")
+            raise BadReply("the controller reports a reading that is not a number: the sample is dropped")
         status = Status.SATURATED if saturated or limiting(int(state["fault"])) else Status(0)
         if freshness is Freshness.STILL:
             status |= Status.STALE
@@ -229,8 +213,8 @@ class MoteusServo:
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),
-            motor_position=sign * state["position"] * _TURN,
-            motor_velocity=sign * state["velocity"] * _TURN,
+            motor_position=sign * state["position"] * math.tau,
+            motor_velocity=sign * state["velocity"] * math.tau,
             motor_torque=sign * state["torque"],
             temperature=max((value for value in temperatures if math.isfinite(value)), default=math.nan),
             voltage=state.get("voltage", math.nan),
@@ -238,17 +222,17 @@ class MoteusServo:
         )
 
     def _check_mode(self, state: dict[str, float]) -> None:
-        """Raise DeviceFault where the controller is not doing any more what it was armed for."""
+        """Raise DeviceFault where the controller left the mode that it was armed into."""
         mode = state["mode"]
         if mode == FAULT:
             raise fault(int(state["fault"]))
         if not self._gate.armed or mode == POSITION:
             return
-        # a controller that was restarted begins anew with the next command: that must not pass for running on
+        # a restarted controller would start again with the next command: that must not look like running on
         raise timed_out(self._config.watchdog) if mode == TIMEOUT else restarted()
 
     def _refuse_impossible(self) -> None:
-        """Milliseconds that cannot be: an old reply; several in a row are a controller that was restarted."""
+        """Raise for impossible milliseconds: a late reply; several in a row: a controller that was restarted."""
         self._impossible += 1
         if not self._gate.armed:
             self._milliseconds.restart()

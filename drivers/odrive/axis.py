@@ -1,4 +1,4 @@
-"""One ODrive axis on the bus: who it is, and what it says of itself in heartbeats and late answers."""
+"""One ODrive axis on the bus: its identification, its heartbeats and its slowly changing values."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import math
 from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
-from drivers.canbus.requests import Requests
+from drivers.canbus.requests import Requests, garbled
 from drivers.odrive.messages import Codec
+from drivers.retry import retry
 from drivers.servo import BadReply, DriverError, NoReply
 
 if TYPE_CHECKING:
@@ -19,18 +20,17 @@ if TYPE_CHECKING:
     from drivers.odrive.config import OdriveConfig
 
 HEARTBEAT = 0.6
-"""s without a heartbeat after which there is none; the drive's default period is 0.1 s."""
-_TRIES = 3
+"""s without a heartbeat until it counts as missing; the drive's default period is 0.1 s."""
 _CYCLE = 0.12
-"""s in which a cyclic message of torque or current would have come."""
+"""s in which a cyclic message of torque or current would have arrived."""
 _SECOND_ANSWER = 0.004
-"""s in which a second drive with the same id would have answered."""
+"""s in which a second drive with the same id would have replied."""
 
 
 class Axis:
-    """The conversation with one axis and its last known state.
+    """Requests to one axis, and its last known state.
 
-    state, errors: of the last heartbeat. beats: heartbeats heard. temperature degC, voltage V: NaN until known.
+    state, errors: of the last heartbeat. beats: heartbeats received. temperature degC, voltage V: NaN until known.
     """
 
     def __init__(self, config: OdriveConfig, link: CanLink, clock: Clock) -> None:
@@ -43,67 +43,63 @@ class Axis:
             name=f"ODrive axis {config.id}",
             timeout=config.reply_timeout,
             classify=self._kind,
-            overhear=self._overhear,
-            only_asked=frozenset({"version", "torques", "iq"}),
+            on_cyclic=self._on_cyclic,
+            only_on_request=frozenset({"version", "torques", "iq"}),
         )
         self.state = self.errors = self.beats = 0
         self.temperature = self.voltage = math.nan
 
     def identify(self) -> str:
-        """Its firmware, whose layout is spoken from then on.
+        """Return its firmware, whose message layout is used from then on.
 
-        Raises NoReply where nobody is heard, BadReply where several are, DriverError for a firmware not known here.
+        Raises NoReply where no axis replies, BadReply where several do, DriverError for a firmware not known here.
         """
         version = self._version()
-        if not self.requests.await_change(HEARTBEAT, lambda: self.beats > 0):
-            raise NoReply(self._nobody())
+        if not self.requests.wait_until(HEARTBEAT, lambda: self.beats > 0):
+            raise self._nobody()
         if version is None:
             self.codec = Codec(self._config.id, "0.5")
         elif version < (0, 6):
-            raise DriverError(f"firmware {_dotted(version)} is not known here: bring it to 0.5.6 or 0.6")
-        for attempt in range(_TRIES):
-            try:
-                self.requests.ask([self.codec.request("encoder"), self.codec.request("iq")], ["encoder", "iq"])
-                break
-            except NoReply:
-                if attempt == _TRIES - 1:
-                    raise NoReply(self._nobody()) from None
+            raise DriverError(f"firmware {_dotted(version)} is not known here: update it to 0.5.6 or 0.6")
+        both = [self.codec.request("encoder"), self.codec.request("iq")]
+        try:
+            retry(lambda: self.requests.ask(both, ["encoder", "iq"]), (NoReply,))
+        except NoReply:
+            raise self._nobody() from None
         if self._link.error_frames:
-            raise BadReply(self._garbled(f"{self._link.error_frames} error frames on the bus"))
-        if self.requests.await_change(_CYCLE, lambda: bool(self.requests.unasked)):
+            raise garbled(self.requests.name, f"{self._link.error_frames} error frames on the bus")
+        if self.requests.wait_until(_CYCLE, lambda: bool(self.requests.unrequested)):
             if version is None:
-                raise BadReply(self._garbled("it answers twice"))
-            self.requests.only_asked = frozenset()  # cyclic messages of torque or current are switched on
-            self.requests.unasked.clear()
+                raise garbled(self.requests.name, "it answers twice")
+            self.requests.only_on_request = frozenset()  # cyclic messages of torque or current are switched on
+            self.requests.unrequested.clear()
         return "0.5" if version is None else _dotted(version)
 
-    def hear_a_beat(self) -> None:
+    def await_heartbeat(self) -> None:
         """Wait for the next heartbeat. Raises NoReply."""
-        self.requests.listen()
+        self.requests.process()
         beats = self.beats
-        if not self.requests.await_change(HEARTBEAT, lambda: self.beats > beats):
-            raise NoReply(self._nobody())
+        if not self.requests.wait_until(HEARTBEAT, lambda: self.beats > beats):
+            raise self._nobody()
 
     def _version(self) -> tuple[int, ...] | None:
-        """What Get_Version says; None where it is not answered, as by firmware 0.5."""
-        for _ in range(_TRIES):
-            try:
-                data = self.requests.ask([self.codec.request("version")], ["version"])["version"]
-            except NoReply:
-                continue
-            version: tuple[int, ...] = self.codec.decoded("version", data)[4:7]
-            if self.requests.await_change(_SECOND_ANSWER, lambda: "version" in self.requests.unasked):
-                raise BadReply(self._garbled("it answers twice"))
-            return version
-        return None
+        """Return the reply to Get_Version; None where there is none, as from firmware 0.5."""
+        try:
+            replies = retry(lambda: self.requests.ask([self.codec.request("version")], ["version"]), (NoReply,))
+        except NoReply:
+            return None
+        if self.requests.wait_until(_SECOND_ANSWER, lambda: "version" in self.requests.unrequested):
+            raise garbled(self.requests.name, "it answers twice")
+        version: tuple[int, ...] = self.codec.decoded("version", replies["version"])[4:7]
+        return version
 
     def _kind(self, message: can.Message) -> Hashable | None:
         return self.codec.name_of(
             message.arbitration_id, extended=message.is_extended_id, remote=message.is_remote_frame
         )
 
-    def _overhear(self, kind: Hashable, data: bytes) -> None:
-        """Take in what the axis says on its own, and the late answers on what changes slowly."""
+    def _on_cyclic(self, kind: Hashable, data: bytes) -> None:
+        """Store what the axis sends cyclically, and its replies about slowly changing values."""
         with contextlib.suppress(BadReply):
             if kind == "heartbeat":
                 self.errors, self.state, *_ = self.codec.decoded("heartbeat", data)
@@ -116,19 +112,13 @@ class Axis:
             elif kind == "error":
                 self.errors, _ = self.codec.decoded("error", data)
 
-    def _nobody(self) -> str:
+    def _nobody(self) -> DriverError:
         if self._link.error_frames:
-            return self._garbled(f"{self._link.error_frames} error frames on the bus")
-        return (
-            f"no ODrive axis {self._config.id} is heard on {self._link.name} at {self._config.bitrate} bit/s: check "
+            return garbled(self.requests.name, f"{self._link.error_frames} error frames on the bus")
+        return NoReply(
+            f"no ODrive axis {self._config.id} answers on {self._link.name} at {self._config.bitrate} bit/s: check "
             "its power, the wiring and its termination, the node id, the bit rate (250000 in a new drive), and that "
             "its heartbeat is switched on"
-        )
-
-    def _garbled(self, reason: str) -> str:
-        return (
-            f"what answers as ODrive axis {self._config.id} cannot be understood ({reason}): two drives with that "
-            "node id, or a bit rate that is off; connect one drive alone and give each its own id"
         )
 
 

@@ -15,11 +15,11 @@ from drivers.gate import check_watchdog
 class OdriveConfig:
     """The [odrive] table of stand.toml. Raises ValueError where watchdog and reply_timeout do not fit each other.
 
-    interface: the bus, as python-can calls its kind. channel: the bus, as python-can names it. bitrate: bit/s. id: the
-    axis' node id. torque_constant: N m/A, 8.27 over the motor's KV (in rev/min/V). sign: 1 where the axis' positive is
-    the stand's, else -1. endpoints: the flat_endpoints.json of the firmware in the drive (0.6 only); with it watchdog
-    and limits are written and read back. watchdog: s without a set-point after which the axis stops by itself; needs
-    `endpoints`; 0: as the drive has it. reply_timeout: s that the replies of a tick may take.
+    interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. id: the axis'
+    node id. torque_constant: N m/A, 8.27 divided by the motor's KV (rev/min/V). sign: 1 where the axis' positive is the
+    stand's, else -1. endpoints: the flat_endpoints.json of the firmware in the drive (0.6 only); with it watchdog and
+    limits are written and read back. watchdog: s without a set-point after which the axis stops by itself; needs
+    `endpoints`; 0: the drive's own setting. reply_timeout: s that the replies of a tick may take.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}

@@ -1,8 +1,8 @@
 """Parameters of an ODrive with firmware 0.6, by the vendor's names, written over CAN and read back.
 
-An endpoint's number changes from firmware to firmware, so the numbers come from the flat_endpoints.json that the vendor
-publishes with each, and that must be the one of the firmware in the drive. Firmware 0.6.11 and later answers a write;
-that answer is a `tx_sdo` too, so a value is always asked for anew.
+An endpoint's number changes with the firmware, so the numbers come from the flat_endpoints.json that the vendor
+publishes with each firmware; it must be the one of the drive. Firmware 0.6.11 and later replies to a write, also with
+`tx_sdo`, so a value is always requested again to read it back.
 """
 
 from __future__ import annotations
@@ -10,18 +10,19 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from drivers.odrive.messages import Codec, endpoint_names
-from drivers.servo import BadReply, DriverError, NoReply
+from drivers.retry import retry
+from drivers.servo import BadReply, DriverError
+from drivers.settings import Settings
 
 if TYPE_CHECKING:
     from drivers.canbus.requests import Requests
 
 _READ, _WRITE = 0, 1
-_TRIES = 3
 _ANSWER_TO_WRITE = 0.003
-"""s in which a drive that answers writes has done so."""
+"""s in which a drive that replies to writes has done so."""
 _FORMATS = {
     "bool": "<?",
     "uint8": "<B",
@@ -35,7 +36,7 @@ _FORMATS = {
 
 
 class Parameters:
-    """The parameters of the axis that `requests` speak to.
+    """The parameters of the axis that `requests` address.
 
     Raises DriverError where the file cannot be read, is for another firmware, or lacks a parameter that is needed.
     """
@@ -43,72 +44,55 @@ class Parameters:
     def __init__(self, path: str, firmware: str, requests: Requests, codec: Codec) -> None:
         self._requests = requests
         self._codec = codec
-        self._found: dict[str, float] = {}
+        self._settings: Settings[str, float] = Settings(self.get, self._put)
         try:
             content = json.loads(Path(path).read_text(encoding="utf-8"))
             stated, self._endpoints = str(content["fw_version"]), content["endpoints"]
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise DriverError(f"odrive.endpoints: {path} is no flat_endpoints.json of the vendor's ({error})") from None
+            raise DriverError(f"odrive.endpoints: {path} is not the vendor's flat_endpoints.json ({error})") from None
         if stated.partition("-")[0] != firmware:
             raise DriverError(
                 f"odrive.endpoints: {path} is for firmware {stated}, and the drive has {firmware}: "
-                "take the file that was published with the drive's firmware"
+                "use the file published with the drive's firmware"
             )
         missing = [name for name in endpoint_names().values() if name not in self._endpoints]
         if missing:
             raise DriverError(f"odrive.endpoints: {path} lacks {', '.join(missing)}")
 
     def get(self, name: str) -> float:
-        """A value. Raises NoReply, LinkLost, BadReply."""
+        """Return a value. Raises NoReply, LinkLost, BadReply."""
         number, layout = self._endpoint(name)
-        ask = self._codec.put("rx_sdo", _READ, number, 0, bytes(4))
-        for attempt in range(_TRIES):
-            try:
-                data = self._requests.ask([ask], ["tx_sdo"])["tx_sdo"]
-                _, answered, _, value = self._codec.decoded("tx_sdo", data.ljust(8, b"\0"))
-            except (NoReply, BadReply):
-                if attempt == _TRIES - 1:
-                    raise
-                continue
-            if answered == number:
-                return float(struct.unpack_from(layout, value)[0])
-        raise BadReply(f"{name}: the drive answers for another parameter")
+        read = self._codec.put("rx_sdo", _READ, number, 0, bytes(4))
+
+        def request() -> float:
+            data = self._requests.ask([read], ["tx_sdo"])["tx_sdo"]
+            _, replied, _, value = self._codec.decoded("tx_sdo", data.ljust(8, b"\0"))
+            if replied != number:
+                raise BadReply(f"{name}: the drive replies for another parameter")
+            return float(struct.unpack_from(layout, value)[0])
+
+        return retry(request)
 
     def require(self, name: str, value: float) -> None:
-        """Make a parameter hold `value` as exactly as it can, and read it back; what was found is kept for `restore`.
-
-        Raises DriverError where the drive keeps another value.
-        """
+        """Make a parameter hold `value` as exactly as it can. Raises as `Settings.require`."""
         layout = self._endpoint(name)[1]
-        wanted: Any = bool(value) if layout == "<?" else value if layout == "<f" else int(value)
-        exact = float(struct.unpack(layout, struct.pack(layout, wanted))[0])
-        found = self.get(name)
-        if found == exact:
-            return
-        self._found.setdefault(name, found)
-        self._put(name, wanted)
-        kept = self.get(name)
-        if kept != exact:
-            raise DriverError(
-                f"the drive keeps {kept:g} in {endpoint_names()[name]} where {exact:g} was written: "
-                "it is not safe to go on"
-            )
+        exact = float(struct.unpack(layout, _packed(layout, value))[0])
+        self._settings.require(name, exact, endpoint_names()[name])
 
     def restore(self) -> None:
-        """Put everything back as it was found, as far as the drive lets us."""
-        while self._found:
-            name, value = self._found.popitem()
-            layout = self._endpoint(name)[1]
-            try:
-                self._put(name, bool(value) if layout == "<?" else value)
-            except DriverError:
-                continue  # one that cannot be put back must not keep the others from it
+        """Restore what `require` changed, as far as the drive accepts it."""
+        self._settings.restore()
 
-    def _put(self, name: str, value: Any) -> None:
+    def _put(self, name: str, value: float) -> None:
         number, layout = self._endpoint(name)
-        self._requests.tell([self._codec.put("rx_sdo", _WRITE, number, 0, struct.pack(layout, value).ljust(4, b"\0"))])
-        self._requests.await_change(_ANSWER_TO_WRITE, lambda: False)
+        self._requests.send([self._codec.put("rx_sdo", _WRITE, number, 0, _packed(layout, value).ljust(4, b"\0"))])
+        self._requests.wait_until(_ANSWER_TO_WRITE, lambda: False)
 
     def _endpoint(self, name: str) -> tuple[int, str]:
         entry = self._endpoints[endpoint_names()[name]]
         return int(entry["id"]), _FORMATS[entry["type"]]
+
+
+def _packed(layout: str, value: float) -> bytes:
+    typed: float = bool(value) if layout == "<?" else value if layout == "<f" else int(value)
+    return struct.pack(layout, typed)

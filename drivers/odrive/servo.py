@@ -1,10 +1,10 @@
-"""ODrive on CANSimple, behind `drivers.servo.Servo`. Wiring and limits: docs/can.md.
+"""ODrive on CANSimple as a `drivers.servo.Servo`. Wiring and limits: docs/can.md.
 
-A tick is the set-point (`Set_Input_Torque`) and two remote frames behind it, for the encoder's estimates and for the
-torque; every eighth tick asks for temperature, voltage or errors as well and takes the answer when it comes. What the
-axis sends unasked, its heartbeat first of all, is taken in on the way.
+A tick is the set-point (`Set_Input_Torque`) followed by two remote frames that request the encoder's estimates and the
+torque. Every eighth tick also requests temperature, voltage or errors and does not wait for the reply. Cyclic messages,
+above all the heartbeat, are processed with the replies.
 
-Firmware 0.6 says the torque itself (`Get_Torques`); 0.5.6 says the current, which `torque_constant` turns into torque.
+Firmware 0.6 reports the torque (`Get_Torques`); 0.5.6 reports the current, which `torque_constant` converts to torque.
 """
 
 from __future__ import annotations
@@ -32,35 +32,35 @@ from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Samp
 if TYPE_CHECKING:
     import can
 
-_TURN = 2.0 * math.pi
 _STATE_CHANGE = 0.35
-"""s that an axis may take to say in a heartbeat that it has changed its state."""
+"""s until a heartbeat must report a change of state."""
 _TRIES = 3
 _EVERY = 8
-"""Ticks between two questions for what changes slowly."""
+"""Ticks between two requests for a slowly changing value."""
 
 
 class OdriveServo:
     """One axis, opened, identified, and idle.
 
-    clock and bus are those of the machine unless a test brings its own. Raises DriverError where the bus cannot be
-    opened or the firmware does not fit, NoReply where nobody answers, BadReply where several do.
+    clock, bus: those of the machine unless a test gives its own. info: the counts of encoder and shunts are NaN, since
+    CANSimple does not report them. Raises DriverError where the bus cannot be opened or the firmware does not fit,
+    NoReply where no axis replies, BadReply where several do.
     """
 
     def __init__(self, config: OdriveConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
         self._config = config
-        self._clock = clock or MonotonicClock()
-        self._link = CanLink(config.bus, self._clock, bus)
-        self._axis = Axis(config, self._link, self._clock)
+        self.clock: Clock = clock or MonotonicClock()
+        self._link = CanLink(config.bus, self.clock, bus)
+        self._axis = Axis(config, self._link, self.clock)
         self._parameters: Parameters | None = None
         self._ticks = 0
         quantities = frozenset({Quantity.TORQUE})
         self._gate = Gate(self._link.name, quantities, torque_off=self._torque_off, release=self._link.close)
-        with self._gate.opening(lambda: self._axis.requests.tell([self._axis.codec.put("set_state", IDLE)])):
+        with self._gate.opening(lambda: self._axis.requests.send([self._axis.codec.put("set_state", IDLE)])):
             firmware = self._axis.identify()
             self._parameters = self._open_parameters(firmware)
             self.disarm()
-        self._info = ServoInfo(
+        self.info = ServoInfo(
             backend="odrive",
             model="ODrive v3" if self._axis.codec.layout == "0.5" else "ODrive",
             serial=f"node id {config.id}",
@@ -68,23 +68,13 @@ class OdriveServo:
             quantities=quantities,
         )
 
-    @property
-    def info(self) -> ServoInfo:
-        """What this servo is. Its counts depend on encoder and shunts, which CANSimple does not tell: NaN."""
-        return self._info
-
-    @property
-    def clock(self) -> Clock:
-        """The machine's monotonic time."""
-        return self._clock
-
     def arm(self, limits: Limits) -> None:
         """Write the limits into the axis, then enter closed loop at zero torque.
 
-        With `endpoints` torque, current, velocity and temperature limits and the watchdog are read back; without, speed
-        and current limits are sent and CANSimple cannot read them. An error that only says that nobody fed the watchdog
-        before we came is cleared. Raises DeviceFault where an error is latched, DriverError where a limit is refused or
-        the axis does not enter closed loop; it is idle then.
+        With `endpoints`, the limits of torque, current, velocity and temperature and the watchdog are read back.
+        Without, only velocity and current limits are sent, which CANSimple cannot read back. A watchdog error from the
+        time before is cleared. Raises DeviceFault where another error is latched, DriverError where a limit is refused
+        or the axis does not enter closed loop; it is idle then.
         """
         with self._gate.arming(limits):
             self._clear_stale_watchdog()
@@ -94,31 +84,31 @@ class OdriveServo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read position, velocity and torque.
 
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the axis says an error or is not in
-        closed loop any more.
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the axis reports an error or has left
+        closed loop.
         """
         admitted = self._gate.admit(command)
         sign = self._config.sign
         torque = "torques" if self._axis.codec.knows("torques") else "iq"
         frames = [self._axis.codec.put("set_torque", sign * admitted.command.value)] if admitted.command else []
         frames += [self._axis.codec.request("encoder"), self._axis.codec.request(torque), *self._slow_request()]
-        self._axis.requests.refuse_unasked()
-        sent = self._clock.now()
+        self._axis.requests.refuse_unrequested()
+        sent = self.clock.now()
         try:
             replies = self._axis.requests.ask(frames, ["encoder", torque])
         finally:
             self._check_state()
-        received = self._clock.now()
+        received = self.clock.now()
         position, velocity = self._axis.codec.decoded("encoder", replies["encoder"])
         _, measured = self._axis.codec.decoded(torque, replies[torque])
         if not (math.isfinite(position) and math.isfinite(velocity) and math.isfinite(measured)):
-            raise BadReply("the axis says that a reading is not a number: the sample is dropped")
+            raise BadReply("the axis reports a reading that is not a number: the sample is dropped")
         scale = 1.0 if torque == "torques" else self._config.torque_constant
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),
-            motor_position=sign * position * _TURN,
-            motor_velocity=sign * velocity * _TURN,
+            motor_position=sign * position * math.tau,
+            motor_velocity=sign * velocity * math.tau,
             motor_torque=sign * measured * scale,
             temperature=self._axis.temperature,
             voltage=self._axis.voltage,
@@ -126,25 +116,19 @@ class OdriveServo:
         )
 
     def disarm(self) -> None:
-        """Set zero torque and idle until a heartbeat confirms it. Harmless when already idle.
-
-        Raises DriverError where the device does not confirm it; then cut the power.
-        """
+        """Set zero torque and idle until a heartbeat confirms it. Raises as `Gate.disarm`."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Idle, the parameters as they were found, then let go of the bus. Harmless when closed; never raises.
-
-        Whoever has to know that the torque is off calls `disarm` first.
-        """
+        """Set idle, restore the parameters, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._parameters.restore if self._parameters else None)
 
     def _torque_off(self, _request: int) -> None:
         codec = self._axis.codec
-        self._axis.requests.tell([codec.put("set_torque", 0.0), codec.put("set_state", IDLE)])
-        self._axis.requests.listen()
-        if not self._axis.requests.await_change(_STATE_CHANGE, partial(self._idle_since, self._axis.beats)):
-            raise DriverError("no heartbeat says that it is idle")
+        self._axis.requests.send([codec.put("set_torque", 0.0), codec.put("set_state", IDLE)])
+        self._axis.requests.process()
+        if not self._axis.requests.wait_until(_STATE_CHANGE, partial(self._idle_since, self._axis.beats)):
+            raise DriverError("no heartbeat reports idle")
 
     def _idle_since(self, beats: int) -> bool:
         return self._axis.beats > beats and self._axis.state == IDLE
@@ -152,38 +136,40 @@ class OdriveServo:
     # -- opening ----------------------------------------------------------------------------------------------------
 
     def _open_parameters(self, firmware: str) -> Parameters | None:
-        """The axis' parameters where the stand file says how they are numbered. Raises DriverError."""
+        """Return the axis' parameters where the stand file names the endpoint file. Raises DriverError."""
         path = self._config.endpoints
         if path is None:
             return None
         if self._axis.codec.layout == "0.5":
-            raise DriverError("odrive.endpoints: this axis has firmware 0.5, which has no parameters over CAN: drop it")
-        parameters = Parameters(path, firmware, self._axis.requests, self._axis.codec)
-        found = parameters.get("torque_constant")
-        if abs(found - self._config.torque_constant) > 0.01 * self._config.torque_constant:
             raise DriverError(
-                f"odrive.torque_constant is {self._config.torque_constant:g} N m/A in the stand file and {found:g} in "
-                "the drive: correct the wrong one"
+                "odrive.endpoints: this axis has firmware 0.5, which has no parameters over CAN: remove it"
+            )
+        parameters = Parameters(path, firmware, self._axis.requests, self._axis.codec)
+        reported = parameters.get("torque_constant")
+        if abs(reported - self._config.torque_constant) > 0.01 * self._config.torque_constant:
+            raise DriverError(
+                f"odrive.torque_constant is {self._config.torque_constant:g} N m/A in the stand file and {reported:g} "
+                "in the drive: correct the wrong one"
             )
         return parameters
 
     # -- arming -----------------------------------------------------------------------------------------------------
 
     def _clear_stale_watchdog(self) -> None:
-        """Hear how the axis is; clear what only says that it was alone. Raises DeviceFault for anything else."""
-        self._axis.hear_a_beat()
+        """Clear a watchdog error from the time before. Raises DeviceFault for any other error."""
+        self._axis.await_heartbeat()
         bit = watchdog_bit(self._axis.codec.layout)
         if self._axis.errors == bit:
-            self._axis.requests.tell([self._axis.codec.put("clear_errors")])
-            self._axis.hear_a_beat()
-            self._axis.errors &= ~bit  # 0.5.6 may have run out anew; entering closed loop feeds it
+            self._axis.requests.send([self._axis.codec.put("clear_errors")])
+            self._axis.await_heartbeat()
+            self._axis.errors &= ~bit  # of 0.5.6 may have tripped again; entering closed loop feeds it
         if self._axis.errors:
             raise fault(self._axis.codec.layout, self._axis.errors)
 
     def _prepare(self, limits: Limits) -> None:
         current = limits.torque / self._config.torque_constant
-        velocity = limits.velocity / _TURN
-        self._axis.requests.tell(
+        velocity = limits.velocity / math.tau
+        self._axis.requests.send(
             [
                 self._axis.codec.put("set_torque", 0.0),
                 self._axis.codec.put("set_mode", TORQUE_CONTROL, PASSTHROUGH),
@@ -207,29 +193,29 @@ class OdriveServo:
             parameters.require("enable_watchdog", 1.0)
 
     def _check_clipping(self, parameters: Parameters, torque: float, velocity: float) -> None:
-        """Raise DriverError where the axis would clip the torque by its speed limit though it stands still."""
+        """Raise DriverError where the axis would limit the torque by its velocity limit even at standstill."""
         allowed = parameters.get("velocity_gain") * velocity
         if parameters.get("torque_mode_velocity_limit") and torque > allowed:
             raise DriverError(
-                f"the axis limits torque to vel_gain times vel_limit, {allowed:.3g} N m, where {torque:.3g} N m are "
-                "wanted: raise limits.velocity, or set enable_torque_mode_vel_limit to False with odrivetool"
+                f"the axis limits torque to vel_gain times vel_limit, {allowed:.3g} N m, below the limit of "
+                f"{torque:.3g} N m: raise limits.velocity, or set enable_torque_mode_vel_limit to False with odrivetool"
             )
 
     def _enable(self) -> None:
-        self._axis.requests.listen()
+        self._axis.requests.process()
         beats = self._axis.beats
         for _ in range(_TRIES):
-            self._axis.requests.tell(
+            self._axis.requests.send(
                 [self._axis.codec.put("set_torque", 0.0), self._axis.codec.put("set_state", CLOSED_LOOP)]
             )
-            end = self._clock.now() + _STATE_CHANGE
-            while self._clock.now() < end:
-                # a beat is waited for in pieces: the watchdog has to be fed meanwhile
-                if self._axis.requests.await_change(
+            end = self.clock.now() + _STATE_CHANGE
+            while self.clock.now() < end:
+                # in short waits, since the watchdog must be fed meanwhile
+                if self._axis.requests.wait_until(
                     0.02, lambda: self._axis.beats > beats and self._axis.state == CLOSED_LOOP
                 ):
                     return
-                self._axis.requests.tell([self._axis.codec.put("set_torque", 0.0)])
+                self._axis.requests.send([self._axis.codec.put("set_torque", 0.0)])
             if self._axis.errors:
                 raise fault(self._axis.codec.layout, self._axis.errors)
         raise DriverError(
@@ -246,6 +232,6 @@ class OdriveServo:
         return [self._axis.codec.request(names[self._ticks // _EVERY % len(names)])]
 
     def _check_state(self) -> None:
-        """Raise DeviceFault where the axis is not doing any more what it was armed for."""
+        """Raise DeviceFault where an armed axis reports an error or has left closed loop."""
         if self._gate.armed and (self._axis.errors or self._axis.state != CLOSED_LOOP):
             raise fault(self._axis.codec.layout, self._axis.errors)

@@ -23,7 +23,7 @@ POLL = 2e-3
 WRITE_TIMEOUT = 0.05
 """s; without one, a write into a stuck port hangs for ever."""
 
-_REMEDIES = {
+REMEDIES = {
     errno.ENOENT: "there is no such port: check the cable, and the name with `hil doctor`",
     errno.EACCES: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
     errno.EPERM: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
@@ -65,7 +65,7 @@ def open_port(name: str, baudrate: int) -> serial.Serial:
         number = getattr(error, "errno", None)
         if number is None and "lock" in str(error):
             number = errno.EWOULDBLOCK
-        remedy = _REMEDIES.get(number or 0, "it cannot be opened")
+        remedy = REMEDIES.get(number or 0, "it cannot be opened")
         raise DriverError(f"{name}: {remedy} ({error})") from None
     with contextlib.suppress(ValueError, OSError, NotImplementedError, AttributeError):
         port.set_low_latency_mode(True)  # a USB adapter may hold bytes back for 16 ms; a pty has no such mode

@@ -292,7 +292,7 @@ def an_odrive(firmware: str, **changes: Any) -> Drive:
         step=3,
         off=lambda rig: rig.device.state == odrive.IDLE and not rig.motor.enabled,
         quiet=lambda rig: setattr(rig.device, "_estimates", 1e9),  # what it sends unasked would do as well
-        absent=(5, r"no ODrive axis 5 is heard.*heartbeat"),
+        absent=(5, r"no ODrive axis 5 answers.*heartbeat"),
         twins=(another(lambda: odrive.OdriveDevice(0, firmware=firmware), _offset=1.0),),
         twice=1,
         latched=(DeviceError(fails(odrive.DRIVER_FAULT[layout]), "failed", odrive.DRIVER_FAULT[layout]),),
@@ -386,7 +386,7 @@ SERVO = Drive(
     running=DeviceError(fails(OVERLOAD), "load", OVERLOAD),
     hot=DeviceError(warms_to(66.0), "hot", OVERHEAT),
     refused=(refuse_current_limit, "refused writing 83 to 38"),
-    watch=Watch(0.09, 0.03, "heard nothing", dynamixel.WATCHDOG),
+    watch=Watch(0.09, 0.03, "received nothing", dynamixel.WATCHDOG),
 )
 
 MOTEUS = Drive(
@@ -416,7 +416,7 @@ MOTEUS = Drive(
         lambda rig: rig.device.console.refused.add("servo.timeout_mode"),
         r"keeps 12 in servo\.timeout_mode where 0 was written",
     ),
-    watch=Watch(0.095, 0.01, "heard nothing", MOTEUS_WATCHDOG),
+    watch=Watch(0.095, 0.01, "received nothing", MOTEUS_WATCHDOG),
 )
 
 BOARD = Drive(
@@ -451,14 +451,14 @@ DRIVES = {
         "0.6.10",
         prepare=with_endpoints,
         ignore_off=None,  # the watchdog ends it
-        watch=Watch(0.095, 0.01, "heard nothing", odrive.WATCHDOG["0.6"]),
+        watch=Watch(0.095, 0.01, "received nothing", odrive.WATCHDOG["0.6"]),
     ),
     # an AK does not say whether it is on, and answered with 6 bytes before it could tell its temperature
     "mit ak80-9": a_mit_motor("ak80-9", ignore_off=None, damages=cut_short(0, 3, 5)),
     "mit dm-j4310": a_mit_motor(
         "dm-j4310",
         refused=(lambda rig: rig.device.refused.add(9), "keeps 0 in timeout where 2000 was written"),
-        watch=Watch(0.095, 0.01, "heard nothing", mit.LOST_COMMUNICATION),
+        watch=Watch(0.095, 0.01, "received nothing", mit.LOST_COMMUNICATION),
     ),
     "moteus": MOTEUS,
     **{f"cia402 {model}": a_cia402_drive(model) for model in ("epos4", "epos2", "generic")},
@@ -670,7 +670,7 @@ def test_replies_that_carry_no_age_and_come_very_late_are_noticed_after_few_samp
         except (NoReply, BadReply) as error:
             said += str(error)
     assert old <= 3
-    assert "an old answer" in said
+    assert "a late reply" in said
     tick(rig, drive, servo)
     servo.disarm()
     assert drive.off(rig)

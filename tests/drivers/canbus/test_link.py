@@ -125,7 +125,7 @@ def test_a_bus_that_takes_no_frame_is_no_reply_and_one_that_is_gone_is_a_lost_li
     late.__cause__ = serial.SerialTimeoutException("Write timeout")
     for error in (can.CanOperationError("no", errno.ENOBUFS), can.CanOperationError("Transmit buffer full"), late):
         link, _ = scripted(error)
-        with pytest.raises(NoReply, match="nobody on the bus acknowledges"):
+        with pytest.raises(NoReply, match="no node on the bus acknowledges"):
             link.send(frame(1))
     link, _ = scripted(can.CanOperationError("down", errno.ENETDOWN))
     with pytest.raises(LinkLost, match="ip link"):

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from drivers.cia402.config import Cia402Config
 from drivers.cia402.profiles import profile_names
-from drivers.cia402.states import State, state_of
+from drivers.cia402.states import DriveState, state_of
 from drivers.servo import Command, DriverError, Limits, Quantity, Status
 from hil.stand.file import load
 from hil.stand.opening import open_servo
@@ -77,16 +77,16 @@ def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at
 def test_statuswords_are_read_as_the_standard_writes_them() -> None:
     """CiA 402-2, table of the states: xxxx xxxx x0xx 0000 and so on; the other bits say other things."""
     for word, state in (
-        (0x0000, State.NOT_READY),
-        (0x0240, State.DISABLED),
-        (0x0231, State.READY),
-        (0x1733, State.ON),
-        (0x1F37, State.ENABLED),
-        (0x0217, State.QUICK_STOP),
-        (0x021F, State.REACTING),
-        (0x0208, State.FAULT),
-        (0x0228, State.FAULT),
-        (0x0201, State.UNKNOWN),
+        (0x0000, DriveState.NOT_READY),
+        (0x0240, DriveState.DISABLED),
+        (0x0231, DriveState.READY),
+        (0x1733, DriveState.ON),
+        (0x1F37, DriveState.ENABLED),
+        (0x0217, DriveState.QUICK_STOP),
+        (0x021F, DriveState.REACTING),
+        (0x0208, DriveState.FAULT),
+        (0x0228, DriveState.FAULT),
+        (0x0201, DriveState.UNKNOWN),
     ):
         assert state_of(word) is state
 
@@ -220,7 +220,7 @@ def test_a_stand_file_that_disagrees_with_the_drive_is_refused(
 def test_a_drive_whose_motor_was_never_set_up_is_refused(make_cia402: Make) -> None:
     rig = make_cia402()
     rig.device.objects.put(0x3001, 5, 0)
-    with pytest.raises(DriverError, match="knows no torque_constant"):
+    with pytest.raises(DriverError, match="has no torque_constant"):
         rig.open()
 
 

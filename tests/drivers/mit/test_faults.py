@@ -23,7 +23,7 @@ def test_a_reply_with_another_identifier_is_not_ours(make_mit: Make) -> None:
 
 def test_the_wrong_model_is_an_error_that_names_both(make_mit: Make) -> None:
     rig = make_mit("dm-j6006")
-    with pytest.raises(DriverError, match=r"torque_range is 20, and \[mit\] means 10 for the dm-j4310"):
+    with pytest.raises(DriverError, match=r"torque_range of 20, and \[mit\] has 10 for the dm-j4310"):
         rig.open(model="dm-j4310", velocity_range=45.0)
     with pytest.raises(DriverError, match=r"velocity_range is 45"):
         make_mit("dm-j6006").open(model="dm-j4310")

@@ -26,7 +26,7 @@ def armed(rig: Any, **changes: Any) -> Any:
 
 
 def test_parameters_over_can_are_refused_for_firmware_that_has_none(make_odrive: Make, tmp_path: Path) -> None:
-    with pytest.raises(DriverError, match="drop it"):
+    with pytest.raises(DriverError, match="remove it"):
         make_odrive("0.5.6").open(endpoints=str(tmp_path))
 
 

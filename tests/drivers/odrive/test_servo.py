@@ -129,8 +129,8 @@ def test_a_firmware_that_confirms_writes_is_understood_too(make_odrive: Make, tm
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("{}", "no flat_endpoints"),
-        ("not json", "no flat_endpoints"),
+        ("{}", "not the vendor's flat_endpoints"),
+        ("not json", "not the vendor's flat_endpoints"),
         (json.dumps(flat_endpoints("0.6.9")), "for firmware 0.6.9, and the drive has 0.6.10"),
         (json.dumps({"fw_version": "0.6.10", "endpoints": {}}), "lacks axis0"),
     ],

@@ -183,7 +183,7 @@ def test_the_quantity_chooses_the_mode_of_a_moteus_that_leaves_it_open() -> None
         chosen = table.for_quantity(quantity)
         assert (chosen.mode, chosen.quantity) == (quantity.value, quantity)
         assert chosen.for_quantity(quantity) == chosen
-    with pytest.raises(ValueError, match="takes no position"):
+    with pytest.raises(ValueError, match="does not command position"):
         table.for_quantity(Quantity.TORQUE).for_quantity(Quantity.POSITION)
 
 
@@ -191,7 +191,7 @@ def test_the_quantity_chooses_the_mode_of_a_moteus_that_leaves_it_open() -> None
     ("table", "quantity", "said"),
     [
         ('model = "xl430-w250"', Quantity.TORQUE, "no current control"),
-        ('model = "xl330-m288"\nmode = "current"', Quantity.POSITION, "takes no position"),
+        ('model = "xl330-m288"\nmode = "current"', Quantity.POSITION, "does not command position"),
     ],
 )
 def test_a_quantity_the_drive_cannot_take_is_refused_before_its_port_is_opened(
