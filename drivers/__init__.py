@@ -1,1 +1,1 @@
-"""Servos: the one interface (`drivers.servo`) and the drives that speak it, one module a wire protocol."""
+"""Servos: the interface (`drivers.servo`), its safety gate (`drivers.gate`) and one sub-package for each protocol."""

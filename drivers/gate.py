@@ -192,7 +192,7 @@ class TorqueOff(NamedTuple):
 
     @property
     def alarm(self) -> str:
-        """What people must be told first; "" where the torque is off."""
+        """The message for people to read first; "" where the torque is off."""
         return "" if self.confirmed else f"CUT THE POWER: the torque-off is not confirmed ({self.error})"
 
 

@@ -1,4 +1,4 @@
-"""The serial ports and CAN interfaces of this machine, what is wrong with each, and how to mend it.
+"""The serial ports and CAN interfaces of this machine, the problem of each, and its remedy.
 
 Latency timers and CAN interfaces are read from Linux's /sys and from `ip`; elsewhere they are left out.
 """
@@ -19,12 +19,12 @@ from serial.tools.list_ports import comports
 
 _SYS = Path("/sys")
 _CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/NAME/type
-_LATENCY = 1  # ms; what a round trip a tick needs
+_LATENCY = 1  # ms; needed for one round trip a tick
 
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A serial port or a CAN interface. described: what is at it. problem: what is wrong and how to mend it, or ""."""
+    """A serial port or a CAN interface. described: what is connected. problem: what is wrong, and the remedy, or ""."""
 
     name: str
     described: str
@@ -32,35 +32,35 @@ class Port:
 
 
 def serial_ports(sys: Path = _SYS) -> list[Port]:
-    """The serial ports there are. Legacy ports of the mainboard, which mostly lead nowhere, are left out."""
-    found = []
+    """Return the serial ports, without the legacy ports of the mainboard, which are rarely connected."""
+    ports = []
     for port in sorted(comports(), key=lambda port: str(port.device)):
         if port.vid is None and port.device.startswith("/dev/ttyS"):
             continue
         described = " ".join(str(text) for text in (port.description, port.serial_number) if text not in {None, "n/a"})
-        found.append(Port(port.device, described, serial_problem(Path(port.device), sys)))
-    return found
+        ports.append(Port(port.device, described, serial_problem(Path(port.device), sys)))
+    return ports
 
 
 def serial_problem(port: Path, sys: Path = _SYS) -> str:
-    """What keeps `port` from being used well, with the remedy; "" where nothing is seen. It is not opened."""
+    """Return the problem of `port` with the remedy, "" where it has none. The port is not opened."""
     real = port.resolve()
     if os.name == "posix":
         if not real.exists():
-            return f"{port} is not there: check the cable and the name"
+            return f"{port} does not exist: check the cable and the name"
         if not os.access(real, os.R_OK | os.W_OK):
             return f"no permission to read and write {port}: sudo usermod -aG {_group(real)} $USER, then log in again"
     latency = latency_timer(real.name, sys)
     if latency is not None and latency > _LATENCY:
         return (
-            f"the USB adapter of {port} holds replies back for {latency} ms: "
+            f"the USB adapter of {port} delays replies by {latency} ms: "
             f"echo {_LATENCY} | sudo tee /sys/bus/usb-serial/devices/{real.name}/latency_timer"
         )
     return ""
 
 
 def latency_timer(name: str, sys: Path = _SYS) -> int | None:
-    """ms that an FTDI adapter holds received bytes back; None for any other port."""
+    """Return the ms that an FTDI adapter delays received bytes; None for any other port."""
     try:
         return int((sys / "bus/usb-serial/devices" / name / "latency_timer").read_text())
     except (OSError, ValueError):
@@ -68,13 +68,13 @@ def latency_timer(name: str, sys: Path = _SYS) -> int | None:
 
 
 def can_interfaces(sys: Path = _SYS, details: Callable[[str], Mapping[str, Any]] | None = None) -> list[Port]:
-    """The CAN interfaces of the kernel. details: of one, as `ip -json` prints them; None: ask `ip`."""
-    found = []
+    """Return the CAN interfaces of the kernel. details: of one, as `ip -json` prints them; None: run `ip`."""
+    interfaces = []
     for folder in sorted((sys / "class/net").glob("*")):
         with contextlib.suppress(OSError):
             if (folder / "type").read_text().strip() == _CAN_TYPE:
-                found.append(_can_interface(folder.name, (details or _ask_ip)(folder.name)))
-    return found
+                interfaces.append(_can_interface(folder.name, (details or _ask_ip)(folder.name)))
+    return interfaces
 
 
 def _can_interface(name: str, link: Mapping[str, Any]) -> Port:
@@ -89,7 +89,7 @@ def _can_interface(name: str, link: Mapping[str, Any]) -> Port:
         problem = f"{name} is down: sudo ip link set {name} up{bits}"
     elif state == "BUS-OFF":
         problem = (
-            f"{name} is bus-off: nobody acknowledged or the bit rate is wrong; check power, both 120 ohm resistors and "
+            f"{name} is bus-off: no acknowledgement, or the bit rate is wrong; check power, both 120 ohm resistors and "
             f"the bit rate, then sudo ip link set {name} down && sudo ip link set {name} up"
         )
     elif state in {"ERROR-PASSIVE", "ERROR-WARNING"}:

@@ -1,15 +1,15 @@
 """The one interface between the recorder and anything that turns a motor.
 
 Everything here is at the motor shaft, in SI: rad, rad/s, N m, s, degC, V. The gear ratio and the joint belong to
-the layer above. A `Servo` is one axis and one round trip a tick: write the set-point, read the state.
+the layer above. A `Servo` is one axis with one round trip a tick: write the set-point, read the state.
 
-Rules every servo keeps, and that the contract tests hold it to:
+Rules of every servo, which `drivers.gate` implements and the contract tests check:
 
 * A set-point is bounded by `Limits.bound` before it is encoded: a NaN is refused, never clamped.
 * `disarm` and `close` may be called twice, at any time, on a latched or half-dead device, and leave the torque off.
   Where that is not confirmed `disarm` raises a DriverError, and may be called again until it is; `close` never raises.
 * Stopping means torque off. No servo holds a position to stop.
-* A reply that does not come is `NoReply` (data: the recorder counts a gap); a link that is gone is `LinkLost`.
+* A lost reply is `NoReply` (data: the recorder counts a gap); a link that is gone is `LinkLost`.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from drivers.clock import Clock
 
 
 class Quantity(StrEnum):
-    """What a set-point commands."""
+    """The quantity that a set-point commands."""
 
     TORQUE = "torque"
     POSITION = "position"
 
 
 class Status(IntFlag):
-    """What was not ordinary about a sample; zero is a good sample."""
+    """Flags of a sample; zero is a good sample."""
 
     NO_REPLY = 1
-    """The drive did not answer in this tick; the row holds no measurement."""
+    """No reply in this tick; the row holds no measurement."""
     BAD_REPLY = 2
-    """The drive answered something that cannot be decoded; the row holds no measurement."""
+    """The reply cannot be decoded; the row holds no measurement."""
     LATE = 4
     """The tick began more than half a period after its time."""
     SATURATED = 8
-    """The torque limit or the current limit was acting."""
+    """The torque limit or the current limit acted, or the set-point was clamped."""
     STALE = 16
-    """The drive's own clock had not moved since the sample before."""
+    """The drive's own clock has not changed since the sample before."""
 
 
 class DriverError(Exception):
@@ -49,7 +49,7 @@ class DriverError(Exception):
 
 
 class LinkLost(DriverError, ConnectionError):
-    """The port or the bus is gone. The run ends; whether the motor is live is not known."""
+    """The port or the bus is gone. The run ends; the motor may be live."""
 
 
 def link_lost(name: str, reason: object) -> LinkLost:
@@ -70,7 +70,7 @@ class BadReply(DriverError, ValueError):
 class DeviceFault(DriverError, RuntimeError):
     """The drive latched a fault.
 
-    `code` is the drive's own number, `message` says it in words with the remedy.
+    `code` is the drive's own number, `message` its meaning with the remedy.
     """
 
     def __init__(self, code: int, message: str) -> None:
@@ -97,7 +97,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the drive must never exceed, at the motor shaft.
+    """Limits that the drive must never exceed, at the motor shaft.
 
     torque: N m, magnitude. velocity: rad/s, magnitude. temperature: degC. position: rad, lowest and highest.
     Raises ValueError where one is not a positive number or the positions are reversed.
@@ -118,7 +118,7 @@ class Limits:
             raise ValueError(f"limit of position: {low} to {high} is not a range")
 
     def bound(self, command: Command) -> Command:
-        """The same set-point held within the limits.
+        """Return the set-point clamped to the limits.
 
         Finiteness is checked first: `max(low, min(high, nan))` is `high`, which would be full torque.
         Raises UnsafeCommand where the value is not finite.
@@ -131,7 +131,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What one round trip read; NaN where the stand has no such sensor.
+    """The result of one round trip; NaN where the stand has no such sensor.
 
     t: s, when the set-point was sent. t_read: s, the midpoint of the bus read. t_joint: s, when another device read the
     joint; NaN where none does. All on the servo's clock.
@@ -154,15 +154,15 @@ class Sample:
 
     @classmethod
     def missing(cls, t: float, status: Status = Status.NO_REPLY) -> Self:
-        """A row that says a reply was lost at `t` s: a counted gap, no value invented."""
+        """Return a row without values for a reply that was lost at `t` s."""
         return cls(t=t, t_read=math.nan, status=status)
 
 
 @dataclass(frozen=True, slots=True)
 class ServoInfo:
-    """What a servo is.
+    """The identity of a servo and the resolution of its readings.
 
-    quantities: the set-points it takes. position_lsb rad, torque_lsb N m, velocity_lsb rad/s: one count at the motor
+    quantities: the set-points it supports. position_lsb rad, torque_lsb N m, velocity_lsb rad/s: one count at the motor
     shaft, NaN where not known. torque_uncertainty: relative standard uncertainty of the torque scale, NaN where not
     known.
     """
@@ -183,12 +183,12 @@ class Servo(Protocol):
 
     @property
     def info(self) -> ServoInfo:
-        """What this servo is; known once it is open."""
+        """The identity of the servo."""
         ...
 
     @property
     def clock(self) -> Clock:
-        """Whose time its samples carry: virtual for the simulator, monotonic for hardware."""
+        """The clock of its samples: virtual for the simulator, monotonic for hardware."""
         ...
 
     def arm(self, limits: Limits) -> None:
@@ -201,17 +201,17 @@ class Servo(Protocol):
     def exchange(self, command: Command) -> Sample:
         """Write the set-point, read the state.
 
-        A disarmed servo is read without being driven and takes only `Command.rest()`.
+        A disarmed servo is only read, and accepts only `Command.rest()`.
         Raises UnsafeCommand, NoReply, BadReply, LinkLost, DeviceFault.
         """
         ...
 
     def disarm(self) -> None:
-        """Torque off. Harmless when already off. Raises DriverError where the device has not confirmed it."""
+        """Switch the torque off. Harmless when already off. Raises DriverError where the device does not confirm it."""
         ...
 
     def close(self) -> None:
-        """Torque off, then let go of the link. Harmless when already closed; never raises."""
+        """Switch the torque off, then close the link. Harmless when already closed; never raises."""
         ...
 
 
@@ -219,13 +219,13 @@ class JointSensor(Protocol):
     """A second device that reads the locked joint, on its own link."""
 
     def read(self) -> tuple[float, float]:
-        """The newest reading, at once: when it was taken, s on the servo's clock, and the joint torque, N m.
+        """Return the newest reading without waiting: its time, s on the servo's clock, and the joint torque, N m.
 
-        Asked again before there is a new one, it returns the same, so that the loop never waits for a slow sensor.
+        It returns the same reading again until there is a new one, so that the loop never waits for a slow sensor.
         Raises NoReply, BadReply, LinkLost.
         """
         ...
 
     def close(self) -> None:
-        """Let go of the link. Harmless when already closed."""
+        """Close the link. Harmless when already closed."""
         ...

@@ -1,4 +1,4 @@
-"""Requests and replies of a Commander: lines that are waited for, and what else is on the line passed over."""
+"""Requests to a Commander, and which of the received lines are the replies."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, TypeVar
 
 from drivers.servo import BadReply, NoReply, link_lost
 from drivers.uart.lines import TextLines
-from drivers.uart.port import GONE, Port
+from drivers.uart.port import GONE, OpenPort
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
 
 LONGEST = 20
-"""Characters of a command, its end included, that the library's buffer takes."""
-_REPLY = 100  # bytes that are allowed for on the wire
+"""Longest command in characters, with its line end, that fits the library's buffer."""
+_REPLY = 100  # bytes of the longest reply, for its time on the wire
 _SILENT_FOR = 5e-3  # s without a byte after which the line counts as silent
-_PATIENCE = 0.1  # s that it may take to fall silent
+_PATIENCE = 0.1  # s until the line must be silent
 _AT_ONCE = 4096
-_SHOWN = 40  # characters of a foreign line in a message
+_SHOWN = 40  # characters of an unexpected line in a message
 
 T = TypeVar("T")
 
@@ -26,7 +26,7 @@ T = TypeVar("T")
 class CommanderLink:
     """One board on one port. timeout: s that a reply may take beyond its time on the wire."""
 
-    def __init__(self, port: Port, name: str, baudrate: int, clock: Clock, timeout: float) -> None:
+    def __init__(self, port: OpenPort, name: str, baudrate: int, clock: Clock, timeout: float) -> None:
         self.name = name
         self._port = port
         self._baudrate = baudrate
@@ -36,70 +36,70 @@ class CommanderLink:
         self._quarantined = True
 
     def send(self, *commands: str) -> None:
-        """Write `commands` in one piece, each on a line, without waiting; what was being typed before them is ended."""
+        """Write `commands`, each on a line, without waiting; a line end first completes any earlier partial command."""
         self._put("\n" + "".join(f"{command}\n" for command in commands))
 
     def ask(self, command: str, head: str) -> str:
-        """Send one command; what follows `head` in the reply that begins with it. Raises NoReply, BadReply, LinkLost.
+        """Send a command; return the rest of the reply that begins with `head`. Raises NoReply, BadReply, LinkLost.
 
-        A board prints its replies in order, so that on a line that had fallen silent the first that fits is it.
+        A board prints its replies in order, so after a silent line the first one that fits is the reply.
         """
         return self.exchange([command], lambda line: line[len(head) :] if line.startswith(head) else None, command)
 
     def exchange(self, commands: list[str], wanted: Callable[[str], T | None], what: str) -> T:
-        """Send `commands`, and wait for the line of which `wanted` makes something; any other is passed over.
+        """Send `commands`, and return the first result of `wanted` that is not None for a received line.
 
-        Raises NoReply where nothing came, BadReply where only other lines came, LinkLost.
+        Raises NoReply where nothing arrived, BadReply where only other lines arrived, LinkLost.
         """
         self._settle()
-        self._quarantined = True  # until the reply has come, whatever interrupts the wait
+        self._quarantined = True  # until the reply arrives, whatever interrupts the wait
         self._begin()
         text = "".join(f"{command}\n" for command in commands)
         self._put(text)
         line_time = 10.0 * (len(text) + _REPLY) / self._baudrate
         deadline = self._clock.now() + line_time + self._timeout
-        foreign = ""
+        other = ""
         while True:
             for line in self._take():
-                found = wanted(line)
-                if found is not None:
+                result = wanted(line)
+                if result is not None:
                     self._quarantined = False
-                    return found
-                foreign = line
+                    return result
+                other = line
             if self._clock.now() >= deadline:
                 break
-        if foreign:
-            raise BadReply(f"the reply to {what} is not among what came ({shown(foreign)}): the sample is dropped")
+        if other:
+            raise BadReply(f"only other lines than the reply to {what} arrived ({shown(other)}): the sample is dropped")
         raise NoReply(f"no reply to {what} within {self._timeout * 1e3:.3g} ms beyond the wire's time")
 
     def listen(self, seconds: float, last: str = "") -> list[str]:
-        """The lines that come within `seconds`, or until `last` has come."""
+        """Return the lines that arrive within `seconds`, or until `last` has arrived."""
         end = self._clock.now() + seconds
-        heard: list[str] = []
-        while self._clock.now() < end and last not in heard:
-            heard += self._take()
-        return heard
+        lines: list[str] = []
+        while self._clock.now() < end and last not in lines:
+            lines += self._take()
+        return lines
 
     def quarantine(self) -> None:
-        """Let the line fall silent before the next request."""
+        """Wait until the line is silent before the next request."""
         self._quarantined = True
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._port.close()
 
     def _settle(self) -> None:
-        """Let late replies arrive. Raises BadReply where the line does not fall silent."""
+        """Wait for late replies. Raises BadReply where the line does not fall silent."""
         if not self._quarantined:
             return
         end = self._clock.now() + _PATIENCE
         quiet_since = self._clock.now()
         while self._clock.now() - quiet_since < _SILENT_FOR:
-            if self._hear():
+            if self._receive():
                 quiet_since = self._clock.now()
             if self._clock.now() >= end:
                 raise BadReply(
-                    "the line never falls silent: the board's program prints by itself; take motor.monitor() out of it"
+                    "the line never falls silent: the board's program prints by itself; remove motor.monitor() from it"
                 )
 
     def _begin(self) -> None:
@@ -111,10 +111,10 @@ class CommanderLink:
             raise link_lost(self.name, error) from None
 
     def _take(self) -> list[str]:
-        return self._lines.feed(self._hear())
+        return self._lines.feed(self._receive())
 
-    def _hear(self) -> bytes:
-        """What has come; waits a moment where nothing has."""
+    def _receive(self) -> bytes:
+        """Return received bytes; wait a moment where there are none."""
         try:
             return self._port.read(min(max(1, self._port.in_waiting), _AT_ONCE))
         except GONE as error:
@@ -127,9 +127,9 @@ class CommanderLink:
         except GONE as error:
             raise link_lost(self.name, error) from None
         if written != len(data):
-            raise link_lost(self.name, "it took only a part of a request")
+            raise link_lost(self.name, "it accepted only a part of a request")
 
 
 def shown(line: str) -> str:
-    """A foreign line for a message."""
+    """Return an unexpected line for a message."""
     return repr(line if len(line) <= _SHOWN else line[:_SHOWN] + "...")

@@ -1,7 +1,7 @@
-"""A motor on a SimpleFOC board that speaks Commander, behind `drivers.servo.Servo`. Wiring and limits: docs/serial.md.
+"""A motor on a SimpleFOC board with Commander as a `drivers.servo.Servo`. Wiring and limits: docs/serial.md.
 
-A tick is one round trip of three lines: the target, `MMG7` for all that is measured, `ME` for whether the motor is
-still enabled. Torque only: the current Iq is commanded and measured.
+A tick is one round trip of three lines: the target, `MMG7` for all measurements, `ME` for whether the motor is still
+enabled. Torque only: the current Iq is commanded and measured.
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ import math
 from typing import TYPE_CHECKING
 
 from drivers.clock import Clock, MonotonicClock
-from drivers.commander.lines import DECIMALS, RESOLUTION, State, number, same, state, target
+from drivers.commander.lines import DECIMALS, RESOLUTION, CommanderState, number, same, state, target
 from drivers.commander.link import CommanderLink, shown
 from drivers.gate import Gate
+from drivers.retry import retry
 from drivers.servo import (
     BadReply,
     Command,
@@ -26,7 +27,7 @@ from drivers.servo import (
     ServoInfo,
     Status,
 )
-from drivers.uart.port import GONE, Port, open_port
+from drivers.uart.port import GONE, OpenPort, open_port
 
 if TYPE_CHECKING:
     from drivers.commander.config import CommanderConfig
@@ -36,8 +37,7 @@ STOPPED = 1
 RESTARTED = 2
 """Our code for a board that was restarted."""
 
-_TRIES = 3
-_WAKE = 0.25  # s between two calls to a board that may still be booting
+_WAKE = 0.25  # s between two requests to a board that may still be booting
 _MACHINE, _AWAKE = "@3", "@machine"  # the verbose mode in which replies name their command
 _MODES = {"dc_current": ("1", "dc curr"), "foc_current": ("2", "foc curr")}
 
@@ -45,17 +45,18 @@ _MODES = {"dc_current": ("1", "dc curr"), "foc_current": ("2", "foc curr")}
 class CommanderServo:
     """One motor, opened, identified, and disabled.
 
-    clock and port are those of the machine unless a test brings its own. Raises DriverError where the port cannot be
-    opened or the motor is not there, NoReply where nobody answers, BadReply where what answers is no Commander.
+    clock, port: those of the machine unless a test gives its own. info: the counts and the version are not known, since
+    the board does not report them. Raises DriverError where the port cannot be opened or the board lacks the motor,
+    NoReply where no board replies, BadReply where the replies are not Commander's.
     """
 
-    def __init__(self, config: CommanderConfig, *, clock: Clock | None = None, port: Port | None = None) -> None:
+    def __init__(self, config: CommanderConfig, *, clock: Clock | None = None, port: OpenPort | None = None) -> None:
         self._config = config
         self._m = config.motor
         self.clock: Clock = clock or MonotonicClock()
         self._ceiling = 0.0
         self._count = 0
-        self._doubt = False
+        self._unsure = False
         port = port or open_port(config.port, config.baudrate)
         self._link = CommanderLink(port, config.port, config.baudrate, self.clock, config.reply_timeout)
         quantities = frozenset({Quantity.TORQUE})
@@ -68,24 +69,26 @@ class CommanderServo:
     def arm(self, limits: Limits) -> None:
         """Set torque mode and limits, each read back, and enable the motor at a target of zero.
 
-        The current limit is the torque limit; before library 2.4 it does not bound a target in torque mode, which is
-        bounded here. The velocity limit acts in the board's velocity and angle modes only.
-        Raises DriverError where something is refused; the motor is disabled then.
+        The current limit is the torque limit; before library 2.4 it does not act on a target in torque mode, which is
+        clamped here. The velocity limit acts in the board's velocity and angle modes only.
+        Raises DriverError where a setting is refused; the motor is disabled then.
         """
         current = limits.torque / self._config.torque_constant
         if current < RESOLUTION:
-            raise DriverError(f"torque limit {limits.torque:.3g} N m is {current:.3g} A, below what a target resolves")
-        mode, said = _MODES[self._config.torque_mode]
+            raise DriverError(
+                f"torque limit {limits.torque:.3g} N m is {current:.3g} A, below the resolution of a target: raise it"
+            )
+        mode, confirmed = _MODES[self._config.torque_mode]
         with self._gate.arming(limits):
-            self._order("E0", "E", "0")  # first: a target means something else in every mode
+            self._set("E0", "E", "0")  # first: a target means something else in every mode
             self._prepare()
-            self._hush()
-            self._order("C0", "C", "torque")
-            self._order(f"T{mode}", "T", said)
+            self._stop_printing()
+            self._set("C0", "C", "torque")
+            self._set(f"T{mode}", "T", confirmed)
             self._limit("LC", current, "current")
             self._limit("LV", limits.velocity, "velocity")
             self._link.exchange([f"{self._m}0"], self._is_zero, "the target of zero")
-            self._order("E1", "E", "1")
+            self._set("E1", "E", "1")
         self._ceiling = current
 
     def exchange(self, command: Command) -> Sample:
@@ -96,17 +99,17 @@ class CommanderServo:
         """
         admitted = self._gate.admit(command)
         text = None if admitted.command is None else self._target(admitted.command.value)
-        if self._doubt and self._gate.armed:
+        if self._unsure and self._gate.armed:
             self._raise_restarted()
-        self._doubt = True  # until the reply has come
+        self._unsure = True  # whether the board was restarted, until the reply arrives
         sent = self.clock.now()
         read = [f"{self._m}MG7", f"{self._m}E"]
         reply, enabled = self._read(read if text is None else [f"{self._m}{text}", *read], text)
         received = self.clock.now()
-        self._doubt = False
-        self._judge(enabled)
+        self._unsure = False
+        self._check_enabled(enabled)
         sign, constant = self._config.sign, self._config.torque_constant
-        # a disabled motor's current is not measured any more, and the last is repeated: no current flows
+        # of a disabled motor the board repeats the last current; none flows
         current = reply.current if self._gate.armed else 0.0
         return Sample(
             t=sent,
@@ -118,17 +121,11 @@ class CommanderServo:
         )
 
     def disarm(self) -> None:
-        """Disable the motor and set its target to zero. Harmless when already off.
-
-        Raises DriverError where the device does not confirm it; then cut the power.
-        """
+        """Disable the motor and set its target to zero. Raises as `Gate.disarm`."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Disable the motor, then let go of the port. Harmless when closed; never raises.
-
-        Whoever has to know that the torque is off calls `disarm` first.
-        """
+        """Disable the motor and close the port. Never raises; see `Gate.close`."""
         self._gate.close()
 
     def _torque_off(self, _request: int) -> None:
@@ -144,117 +141,117 @@ class CommanderServo:
             self._link.close()
 
     def _wake(self) -> None:
-        """Call until the board answers; the torque is off from the first call that it hears."""
+        """Send torque-off until the board replies; it acts on the first request that it receives."""
         config, m = self._config, self._m
         deadline = self.clock.now() + config.start
-        heard: list[str] = []
-        calls = 0
-        while _AWAKE not in heard:
+        lines: list[str] = []
+        requests = 0
+        while _AWAKE not in lines:
             if self.clock.now() >= deadline:
-                self._say_who(heard)
-            self._link.send(f"{m}E0", f"{m}0", f"{m}MC", _MACHINE)  # MC: what streams would never let us be heard
-            heard = [*heard[-20:], *self._link.listen(_WAKE, _AWAKE)]
-            calls += 1
-        if calls > 1:
-            self._link.listen(_WAKE)  # a board that was booting answers all that it was called
+                self._raise_silent(lines)
+            self._link.send(f"{m}E0", f"{m}0", f"{m}MC", _MACHINE)  # MC: a stream of lines would hide the reply
+            lines = [*lines[-20:], *self._link.listen(_WAKE, _AWAKE)]
+            requests += 1
+        if requests > 1:
+            self._link.listen(_WAKE)  # a board that was booting replies to every request
 
-    def _say_who(self, heard: list[str]) -> None:
-        """Raise for a board that did not answer as a Commander does."""
+    def _raise_silent(self, lines: list[str]) -> None:
+        """Raise for a board that did not reply as a Commander does, from the `lines` that arrived."""
         config = self._config
         where = f"{config.port} at {config.baudrate} baud"
-        if not heard:
+        if not lines:
             raise NoReply(
                 f"nothing answers on {where}: check the board's power and cable, commander.baudrate, and that its "
                 "program calls commander.run() in its loop"
             )
         raise BadReply(
-            f"what answers on {where} is no Commander of SimpleFOC 2.2 or later ({shown(heard[-1])}): check "
+            f"the board on {where} is no Commander of SimpleFOC 2.2 or later ({shown(lines[-1])}): check "
             "commander.port, the baud rate, and the library's version"
         )
 
     def _set_up(self) -> None:
-        """See that the motor is there, and off."""
+        """Check that the board has the motor, and switch its torque off."""
         config, m = self._config, self._m
         self._prepare()
         try:
-            self._hush()
+            self._stop_printing()
         except (NoReply, BadReply):
             self._link.send("?")
             letters = [line[1:] for line in self._link.listen(_WAKE) if line.startswith("?")]
             raise DriverError(
                 f"the board on {config.port} has no motor {m!r} that can be read: it has "
-                f"{', '.join(letters) or 'none'}; correct commander.motor, or let the program add it with "
+                f"{', '.join(letters) or 'none'}; correct commander.motor, or add it in the program with "
                 "commander.motor(&motor, cmd)"
             ) from None
         self.disarm()
 
     def _prepare(self) -> None:
-        """Make the board print as it is read here."""
-        self._stubborn(_MACHINE, "@", "machine")
-        self._stubborn(f"#{DECIMALS}", "#", str(DECIMALS))
+        """Set the format in which the board prints."""
+        self._confirm(_MACHINE, "@", "machine")
+        self._confirm(f"#{DECIMALS}", "#", str(DECIMALS))
 
-    def _hush(self) -> None:
-        """Make the motor print nothing by itself; only a motor that was added whole can."""
-        self._stubborn(f"{self._m}MC", f"{self._m}MC", "clear")
+    def _stop_printing(self) -> None:
+        """Stop the motor's cyclic output; only a motor added with `commander.motor` has it."""
+        self._confirm(f"{self._m}MC", f"{self._m}MC", "clear")
 
-    def _stubborn(self, command: str, head: str, wanted: str) -> None:
-        """Ask up to three times for what `wanted` confirms. Raises DriverError."""
-        trouble: DriverError = BadReply(f"{command} is not confirmed")
-        for _ in range(_TRIES):
-            try:
-                if self._link.ask(command, head) == wanted:
-                    return
-            except (NoReply, BadReply) as error:
-                trouble = error
-        raise trouble
+    def _confirm(self, command: str, head: str, wanted: str) -> None:
+        """Send a command up to three times, until the reply is `wanted`. Raises NoReply, BadReply, LinkLost."""
 
-    def _order(self, command: str, head: str, wanted: str) -> None:
-        """Set something of the motor. Raises DriverError where the board does not say that it did."""
-        told = self._link.ask(f"{self._m}{command}", f"{self._m}{head}")
-        if told != wanted:
-            raise DriverError(f"{self._m}{command} was answered with {told!r} instead of {wanted!r}: it was refused")
+        def request() -> None:
+            if self._link.ask(command, head) != wanted:
+                raise BadReply(f"{command} is not confirmed")
+
+        retry(request)
+
+    def _set(self, command: str, head: str, wanted: str) -> None:
+        """Change a setting of the motor. Raises DriverError where the board does not confirm it."""
+        reply = self._link.ask(f"{self._m}{command}", f"{self._m}{head}")
+        if reply != wanted:
+            raise DriverError(
+                f"the board replies {reply!r} instead of {wanted!r} to {self._m}{command}: it was refused"
+            )
 
     def _limit(self, command: str, value: float, name: str) -> None:
         """Set a limit, rounded down, and read it back. Raises DriverError where the board has another."""
         text = f"{math.floor(value * 1e5) / 1e5:.5f}"
-        told = number(self._link.ask(f"{self._m}{command}{text}", f"{self._m}{command}"))
-        if told is None or abs(told - float(text)) > 1e-4 * value:
-            raise DriverError(f"the board took {told} for its {name} limit of {text}: it was refused")
+        kept = number(self._link.ask(f"{self._m}{command}{text}", f"{self._m}{command}"))
+        if kept is None or abs(kept - float(text)) > 1e-4 * value:
+            raise DriverError(f"the board keeps a {name} limit of {kept} where {text} was sent: it was refused")
 
     def _is_zero(self, line: str) -> bool | None:
-        told = number(line[len(self._m) :]) if line.startswith(self._m) else None
-        return True if told == 0.0 else None
+        value = number(line[len(self._m) :]) if line.startswith(self._m) else None
+        return True if value == 0.0 else None
 
     def _target(self, torque: float) -> str:
         """Return the target of `torque` N m as it is sent."""
         self._count += 1
         current = self._config.sign * torque / self._config.torque_constant
-        ceiling = self._ceiling - RESOLUTION  # the digit that is no current stays below the limit too
+        ceiling = self._ceiling - RESOLUTION  # so that the digit that identifies the request stays below the limit too
         return target(max(-ceiling, min(ceiling, current)), self._count)
 
-    def _read(self, commands: list[str], sent: str | None) -> tuple[State, str]:
-        """The state with the target `sent` (None: any), and the line behind it: whether the motor is enabled."""
+    def _read(self, commands: list[str], sent: str | None) -> tuple[CommanderState, str]:
+        """Return the state with the target `sent` (None: any), and from the next line whether the motor is enabled."""
         head, enabled = f"{self._m}MG", f"{self._m}E"
-        found: State | None = None
-        misheard = False
+        reading: CommanderState | None = None
+        resent = False
 
-        def both(line: str) -> tuple[State, str] | None:
-            nonlocal found, misheard
+        def both(line: str) -> tuple[CommanderState, str] | None:
+            nonlocal reading, resent
             if line.startswith(head):
-                found = state(line[len(head) :])
-                if found is not None and sent is not None and not same(sent, found.target):
-                    found = None
-                    if not misheard:  # a digit lost on the way may be ten times the current: not until the next tick
+                reading = state(line[len(head) :])
+                if reading is not None and sent is not None and not same(sent, reading.target):
+                    reading = None
+                    if not resent:  # at once, since a lost digit may mean ten times the current
                         self._link.send(f"{self._m}{sent}")
-                    misheard = True
-            elif found is not None and line in {enabled + "0", enabled + "1"}:
-                return found, line[len(enabled) :]
+                    resent = True
+            elif reading is not None and line in {enabled + "0", enabled + "1"}:
+                return reading, line[len(enabled) :]
             return None
 
         return self._link.exchange(commands, both, "the state")
 
-    def _judge(self, enabled: str) -> None:
-        """Raise DeviceFault where an armed motor is off; switch a motor off that is on and should not be."""
+    def _check_enabled(self, enabled: str) -> None:
+        """Raise DeviceFault where an armed motor is off; switch off a motor that is on while disarmed."""
         if not self._gate.armed:
             if enabled == "1":
                 self._gate.force_off()
@@ -262,12 +259,12 @@ class CommanderServo:
         if enabled == "0":
             raise DeviceFault(
                 STOPPED,
-                "the board has disabled the motor by itself: its program's watchdog heard nothing for too long, or it "
-                "found a fault; look for what held the computer or the link up, and at the board's program",
+                "the board has disabled the motor by itself: its program's watchdog received nothing for too long, or "
+                "the program detected a fault; find out what delayed the computer or the link, and check the program",
             )
 
     def _raise_restarted(self) -> None:
-        """Raise DeviceFault where the board prints as it does after a start."""
+        """Raise DeviceFault where the board prints in the format of a start."""
         try:
             if self._link.ask("@", "@") == "machine":
                 return
@@ -276,5 +273,5 @@ class CommanderServo:
                 raise
         raise DeviceFault(
             RESTARTED,
-            "the board was restarted, and its motor may be enabled: check its supply and its plug, and open it anew",
+            "the board was restarted, and its motor may be enabled: check its supply and its plug, then start again",
         )

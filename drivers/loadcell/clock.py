@@ -1,17 +1,17 @@
-"""When a reading was taken: the board's own clock brought onto the host's, or the moment its line was found."""
+"""Conversion of time stamps from a board's clock to the host's."""
 
 from __future__ import annotations
 
-_WRAP = 1 << 32  # microseconds; after 71.6 minutes a board's count begins anew
-_OFF = 5e-3  # relative; a ceramic resonator may be off by this much
-_SLACK = 0.5  # s by which the two clocks may part before the board must have been restarted
+_WRAP = 1 << 32  # microseconds; a board's count wraps after 71.6 minutes
+_OFF = 5e-3  # relative error of a ceramic resonator
+_SLACK = 0.5  # s of difference between the clocks from which the board counts as restarted
 
 
 class BoardClock:
-    """Brings the microseconds of a board onto the host's clock.
+    """Converts the microseconds of a board to the host's clock.
 
-    A line can come late, never early: the line that came soonest after its time stamp tells where the board's clock is.
-    That may move by as much as the board's clock may be off, so that it follows a board that runs slow.
+    A line can arrive late, never early, so the line with the smallest delay gives the offset between the clocks. The
+    offset may grow by the relative error of the board's clock, so that it follows a board that runs slow.
     """
 
     def __init__(self) -> None:
@@ -20,10 +20,10 @@ class BoardClock:
         self._offset = 0.0
 
     def place(self, micros: int, seen: float) -> float | None:
-        """When, s on the host's clock, the board's count was `micros`, of a line complete by `seen` s.
+        """Return the time on the host's clock, s, of the board's count `micros` in a line received by `seen` s.
 
-        None where it has gone back, or further than the time that has passed: the board was restarted, and the next
-        line begins anew.
+        None where the count went back, or further than the time that has passed: the board was restarted, and the next
+        line starts a new conversion.
         """
         if self._last is None:
             self._last = (micros, seen)
@@ -40,9 +40,9 @@ class BoardClock:
         return self._time + self._offset
 
     def late(self, taken: float, seen: float) -> bool:
-        """Whether the newest of the lines that were there at `seen` s is so old that the board was restarted.
+        """Return whether the newest line at `seen` s, `taken` s, is so old that the board was restarted.
 
-        A board that had been up for as long as its restart takes counts on as if nothing had been.
+        The count of a board that restarts soon after its start does not show the restart otherwise.
         """
         if seen - taken <= _SLACK:
             return False

@@ -1,4 +1,4 @@
-"""What a line of a torque cell says. No I/O."""
+"""Decoding of the lines of a torque cell, without I/O."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from drivers.loadcell.config import LineFormat
 
 FULL = 0x7FFFFF
-"""The largest count of a 24 bit converter; HX711: it stays at 7FFFFF or 800000 hex beyond its range."""
+"""The largest count of a 24 bit converter; an HX711 stays at 7FFFFF or 800000 hex beyond its range."""
 
 _RAW = re.compile(r"(\d{1,10}),(-?\d{1,7})")
 _VALUE = re.compile(r"-?\d+(\.\d*)?([eE][-+]?\d+)?")
@@ -20,16 +20,16 @@ _CHECKED = re.compile(r"(.*)\*([0-9A-Fa-f]{2})")
 
 
 class Reading(NamedTuple):
-    """micros: of the board's clock, None where it does not say. value: in counts, or whatever it prints."""
+    """One reading. micros: of the board's clock, None where not printed. value: in counts, or as printed."""
 
     micros: int | None
     value: float
 
 
 def parsed(line: str, form: LineFormat) -> Reading:
-    """The reading in a line, which may end in `*` and the exclusive or of its characters in two hexadecimal digits.
+    """Return the reading in a line, which may end in `*` and the exclusive or of its characters in two hex digits.
 
-    Raises BadReply where it holds none, where it was damaged, or where the converter is beyond its range.
+    Raises BadReply where it has none, where it is damaged, or where the converter is beyond its range.
     """
     text = line.strip(" \t")
     checked = _CHECKED.fullmatch(text)
@@ -41,10 +41,10 @@ def parsed(line: str, form: LineFormat) -> Reading:
         if not _VALUE.fullmatch(text) or not math.isfinite(float(text)):
             raise BadReply(f"the line {line!r} is no number: the reading is dropped")
         return Reading(None, float(text))
-    found = _RAW.fullmatch(text)
-    if not found:
+    match = _RAW.fullmatch(text)
+    if not match:
         raise BadReply(f"the line {line!r} is not `micros,raw`: the reading is dropped")
-    micros, raw = int(found[1]), int(found[2])
+    micros, raw = int(match[1]), int(match[2])
     if micros >= 1 << 32:
         raise BadReply(f"the line {line!r} holds more microseconds than a board counts: the reading is dropped")
     if not -FULL <= raw < FULL:

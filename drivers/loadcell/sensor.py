@@ -1,7 +1,7 @@
 """A torque cell at the joint, on a board that prints what it reads: a `drivers.servo.JointSensor`.
 
-Boards, lines and calibration: docs/serial.md. The cell is read without being asked: each look takes what has come, and
-the newest sound line counts.
+Boards, lines and calibration: docs/serial.md. The board prints cyclically: each read takes all received lines and
+returns the newest valid one.
 """
 
 from __future__ import annotations
@@ -14,54 +14,50 @@ from drivers.loadcell.clock import BoardClock
 from drivers.loadcell.lines import Reading, parsed
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply
 from drivers.uart.lines import TextLines
-from drivers.uart.port import GONE, Port, open_port
+from drivers.uart.port import GONE, OpenPort, open_port
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.loadcell.config import LoadCellConfig
 
 TARE_READINGS = 16
-"""Readings averaged for the zero while the cell is opened."""
+"""Readings for the tare while the cell is opened."""
 PATIENCE = 6.0
-"""s until they must have come: opening a port restarts many boards, which then boot and settle."""
+"""s until they must have arrived: opening a port restarts many boards, which then boot and settle."""
 _AT_ONCE = 4096  # bytes
-_UNTIMED = 0.05  # s; without the board's clock a reading cannot be placed better than between two looks
+_UNTIMED = 0.05  # s; without the board's clock the time of a reading is only known to lie between two reads
 
 
 class LoadCell:
-    """An open cell, tared. The joint is to be without torque while it is opened: the drive's torque is off then.
+    """An open cell, tared. The joint must be without torque while it is opened: the drive's torque is off then.
 
-    Raises DriverError where the port cannot be opened or the zero has drifted, NoReply where nothing or too little
-    comes, BadReply where what comes is no torque cell's.
+    tare: the value without torque, in counts or as printed: the table's, or the median while the cell was opened.
+    Raises DriverError where the port cannot be opened or the zero has drifted, NoReply where too few readings arrive,
+    BadReply where the lines are not a torque cell's.
     """
 
-    def __init__(self, config: LoadCellConfig, *, clock: Clock, port: Port | None = None) -> None:
+    def __init__(self, config: LoadCellConfig, *, clock: Clock, port: OpenPort | None = None) -> None:
         self._config = config
         self._clock = clock
         self._lines = TextLines()
         self._board = BoardClock()
-        self._looked = clock.now()
+        self._last_read = clock.now()
         self._newest = (0.0, 0.0)
-        self._begun = False
+        self._in_step = False
         self._closed = False
-        self._port: Port = port or open_port(config.port, config.baudrate)
+        self._port: OpenPort = port or open_port(config.port, config.baudrate)
         try:
             readings = self._at_rest()
-            self._tare = self._zero([value for _, value in readings])
+            self.tare = self._zero([value for _, value in readings])
             self._keep(*readings[-1])
         except BaseException:
             self.close()
             raise
 
-    @property
-    def tare(self) -> float:
-        """What the cell shows without torque, in counts or values: the table's, or the median while it was opened."""
-        return self._tare
-
     def read(self) -> tuple[float, float]:
-        """When the newest reading was taken, s, and the joint's torque, N m; the last one again where none has come.
+        """Return time, s, and joint torque, N m, of the newest reading; the last one again where none has arrived.
 
-        Raises BadReply where all that has come is damaged, LinkLost.
+        Raises BadReply where all new lines are damaged, LinkLost.
         """
         readings, trouble = self._take()
         if readings:
@@ -71,18 +67,18 @@ class LoadCell:
         return self._newest
 
     def close(self) -> None:
-        """Let go of the port. Harmless when closed."""
+        """Close the port. Harmless when closed."""
         self._closed = True
         with contextlib.suppress(*GONE):
             self._port.close()
 
     def _keep(self, t: float, value: float) -> None:
-        self._newest = t, self._config.sign * self._config.scale * (value - self._tare)
+        self._newest = t, self._config.sign * self._config.scale * (value - self.tare)
 
     def _take(self, least: int = 0) -> tuple[list[tuple[float, float]], BadReply | None]:
-        """What has come since the last look: times, s, and values, oldest first; and what was wrong last.
+        """Return times, s, and values since the last read, oldest first, and the last error in a line.
 
-        least: bytes that are waited for, no longer than the port does.
+        least: bytes to wait for, no longer than the port does.
         """
         if self._closed:
             raise LinkLost(f"{self._config.port} is closed")
@@ -93,26 +89,26 @@ class LoadCell:
             raise LinkLost(f"the torque cell on {self._config.port} is gone ({error})") from None
         now = self._clock.now()
         lines = self._lines.feed(data)
-        if lines and not self._begun:
-            self._begun = True
-            lines = lines[1:]  # of which we may have missed the beginning
-        found: list[tuple[float, float]] = []
+        if lines and not self._in_step:
+            self._in_step = True
+            lines = lines[1:]  # the first may lack its beginning
+        readings: list[tuple[float, float]] = []
         trouble: BadReply | None = None
         for line in lines:
             try:
-                found.append(self._placed(parsed(line, self._config.format), now, line, len(lines)))
+                readings.append(self._placed(parsed(line, self._config.format), now, line, len(lines)))
             except BadReply as error:
                 trouble = error
-        self._looked = now
-        if found and self._board.late(found[-1][0], now):
+        self._last_read = now
+        if readings and self._board.late(readings[-1][0], now):
             return [], BadReply("the board's clock is behind by half a second: it was restarted; a reading is dropped")
-        return found, trouble
+        return readings, trouble
 
     def _placed(self, reading: Reading, now: float, line: str, count: int) -> tuple[float, float]:
-        """When it was taken, s, and its value; `count` lines were found at `now`. Raises BadReply after a restart."""
+        """Return its time, s, and value; `count` lines were read at `now`. Raises BadReply after a restart."""
         sending = 10.0 * (len(line) + 2) / self._config.baudrate
         if reading.micros is None:
-            since = min(now - self._looked, _UNTIMED * count) / count
+            since = min(now - self._last_read, _UNTIMED * count) / count
             return now - 0.5 * since - sending - self._config.delay, reading.value
         t = self._board.place(reading.micros, now)
         if t is None:
@@ -120,15 +116,15 @@ class LoadCell:
         return t - sending - self._config.delay, reading.value
 
     def _zero(self, values: list[float]) -> float:
-        """The tare, from `values` at rest. Raises DriverError where it has drifted or will not stand still."""
+        """Return the tare from `values` at rest. Raises DriverError where it has drifted or is not steady."""
         config, middle = self._config, median(values)
         half = len(values) // 2
         wander = config.scale * (median(values[half:]) - median(values[:half]))
         if abs(wander) > config.drift:
             raise DriverError(
-                f"the torque cell on {config.port} will not stand still: its zero moved by {wander:.3g} N m while it "
-                "was tared; take every load off the joint, let the cell warm up, and raise joint_sensor.drift if that "
-                "is how it is"
+                f"the torque cell on {config.port} is not steady: its zero moved by {wander:.3g} N m while it "
+                "was tared; take every load off the joint, let the cell warm up, and raise joint_sensor.drift if it "
+                "always does"
             )
         if config.tare is None:
             return middle
@@ -142,22 +138,22 @@ class LoadCell:
         return config.tare
 
     def _at_rest(self) -> list[tuple[float, float]]:
-        """The readings that the tare is taken from: times, s, and values. Raises NoReply, BadReply."""
+        """Return the readings for the tare: times, s, and values. Raises NoReply, BadReply."""
         deadline = self._clock.now() + PATIENCE
         values: list[tuple[float, float]] = []
         trouble: BadReply | None = None
         with contextlib.suppress(*GONE):
-            self._port.reset_input_buffer()  # what came before we looked is old
+            self._port.reset_input_buffer()  # earlier bytes are old
         while len(values) < TARE_READINGS and self._clock.now() < deadline:
-            found, bad = self._take(least=1)
+            new, bad = self._take(least=1)
             trouble = bad or trouble
-            values += found
+            values += new
         if len(values) >= TARE_READINGS:
             return values
         if trouble is not None and not values:
             raise BadReply(
-                f"what is on {self._config.port} does not print as a torque cell at {self._config.baudrate} baud with "
-                f"format {self._config.format!r} does ({trouble}): check joint_sensor.port, baudrate and format"
+                f"the lines on {self._config.port} at {self._config.baudrate} baud are not a torque cell's with format "
+                f"{self._config.format!r} ({trouble}): check joint_sensor.port, baudrate and format"
             )
         raise NoReply(
             f"{len(values)} readings in {PATIENCE:g} s from the torque cell on {self._config.port}, where "

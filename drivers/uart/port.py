@@ -1,4 +1,4 @@
-"""Opening a serial port for us alone, with the remedy where that fails; what every serial adapter shares."""
+"""Opening a serial port with an exclusive lock, and the interface of a port for every serial adapter."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import serial
 from drivers.servo import DriverError
 
 GONE: tuple[type[Exception], ...] = (serial.SerialException, OSError)
-"""What a port raises once its device is gone; pyserial lets an error of termios through, which is no OSError."""
+"""What a port raises once its device is gone; pyserial passes on termios.error, which is no OSError."""
 with contextlib.suppress(ImportError):  # POSIX only
     import termios
 
@@ -19,9 +19,9 @@ with contextlib.suppress(ImportError):  # POSIX only
 _NOT_OPENED: tuple[type[Exception], ...] = (*GONE, ValueError)
 
 POLL = 2e-3
-"""s that one read waits for bytes: how far past a deadline a wait can run."""
+"""s that one read waits for bytes: the longest overrun of a deadline."""
 WRITE_TIMEOUT = 0.05
-"""s; without one, a write into a stuck port hangs for ever."""
+"""s for a write; without a limit a write to a stuck port blocks for ever."""
 
 REMEDIES = {
     errno.ENOENT: "there is no such port: check the cable, and the name with `hil doctor`",
@@ -32,33 +32,33 @@ REMEDIES = {
 }
 
 
-class Port(Protocol):
-    """What an adapter needs of an open port: pyserial's `Serial`, or what a test brings."""
+class OpenPort(Protocol):
+    """An open port as the adapters use it: pyserial's `Serial`, or a test's own."""
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that have come and were not read."""
+        """The number of received bytes that were not read."""
         ...
 
     def read(self, size: int = 1, /) -> bytes:
-        """Up to `size` bytes; waits for them no longer than `POLL`."""
+        """Return up to `size` bytes; wait for them no longer than `POLL`."""
         ...
 
     def write(self, data: bytes, /) -> int | None:
-        """Send `data`; how many bytes were taken."""
+        """Send `data`; return how many bytes were accepted."""
         ...
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has come."""
+        """Discard received bytes."""
         ...
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the port."""
         ...
 
 
 def open_port(name: str, baudrate: int) -> serial.Serial:
-    """The port `name` at `baudrate` bit/s. Raises DriverError with the remedy."""
+    """Open the port `name` at `baudrate` bit/s. Raises DriverError with the remedy."""
     try:
         port = serial.Serial(name, baudrate, timeout=POLL, write_timeout=WRITE_TIMEOUT, exclusive=True)
     except _NOT_OPENED as error:

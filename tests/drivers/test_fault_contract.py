@@ -356,7 +356,7 @@ def a_cia402_drive(model: str) -> Drive:
         running=following,
         # above the limit that was written, below the drive's own
         hot=DeviceError(warms_to(81.0), "too hot", cia402.OVERTEMPERATURE) if model == "epos4" else None,
-        watch=Watch(0.07, 0.05, "heard no heartbeat", HEARTBEAT_LOST),
+        watch=Watch(0.07, 0.05, "received no heartbeat", HEARTBEAT_LOST),
         lost=(1, 2, 3),
     )
 
