@@ -20,12 +20,12 @@ def usb_port(sys: Path, name: str, latency: int) -> None:
     (folder / "latency_timer").write_text(f"{latency}\n")
 
 
-def test_an_adapter_that_holds_replies_back_is_told_with_the_command_that_mends_it(tmp_path: Path) -> None:
+def test_an_adapter_that_delays_replies_is_reported_with_the_command_that_corrects_it(tmp_path: Path) -> None:
     port = tmp_path / "ttyUSB0"
     port.touch()
     usb_port(tmp_path, "ttyUSB0", 16)
     problem = ports.serial_problem(port, tmp_path)
-    assert "for 16 ms" in problem
+    assert "by 16 ms" in problem
     assert problem.endswith("echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer")
 
 
@@ -46,7 +46,7 @@ def test_a_port_without_fault_has_no_problem(tmp_path: Path, latency: int | None
     assert ports.serial_problem(port, tmp_path) == ""
 
 
-def test_a_port_that_may_not_be_opened_is_told_with_the_group_to_join(
+def test_a_port_without_permission_is_reported_with_the_group_to_join(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     port = tmp_path / "ttyUSB0"
@@ -76,7 +76,7 @@ def link(state: str, *, up: bool = True, kind: str = "can") -> dict[str, Any]:
         ({}, "can, unknown", ""),
     ],
 )
-def test_a_can_interface_is_described_and_its_fault_told_with_the_remedy(
+def test_a_can_interface_is_described_and_its_fault_reported_with_the_remedy(
     tmp_path: Path, told: Mapping[str, Any], described: str, problem: str
 ) -> None:
     for name, kind in (("can0", "280"), ("eth0", "1")):

@@ -41,7 +41,7 @@ def torque(value: float) -> Command:
     return Command(Quantity.TORQUE, value)
 
 
-def test_it_says_what_it_is_and_what_it_takes(servo: Servo) -> None:
+def test_it_reports_its_identity_and_the_quantities_it_supports(servo: Servo) -> None:
     assert servo.info.backend
     assert servo.info.model
     assert servo.info.quantities
@@ -76,7 +76,7 @@ def test_a_set_point_that_is_no_number_is_refused_and_moves_nothing(
     assert after.motor_position == pytest.approx(before.motor_position, abs=0.01)
 
 
-def test_samples_never_go_back_in_time_and_are_read_after_they_were_asked_for(servo: Servo, limits: Limits) -> None:
+def test_samples_never_go_back_in_time_and_are_read_after_their_request(servo: Servo, limits: Limits) -> None:
     servo.arm(limits)
     samples = [ask(servo, Command.rest()) for _ in range(50)]
     for earlier, later in pairwise(samples):
@@ -103,7 +103,7 @@ def test_positive_torque_turns_the_motor_forwards(servo: Servo, limits: Limits) 
     assert after.motor_torque > 0.0
 
 
-def test_a_set_point_beyond_the_limit_is_held_at_the_limit(servo: Servo, limits: Limits) -> None:
+def test_a_set_point_beyond_the_limit_is_clamped_to_it(servo: Servo, limits: Limits) -> None:
     servo.arm(limits)
     readings = [ask(servo, torque(10.0 * limits.torque)).motor_torque for _ in range(5)]
     assert max(readings) < 1.1 * limits.torque

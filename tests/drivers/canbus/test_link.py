@@ -22,7 +22,7 @@ from sim_backend.wire.odrive.emulator import serve
 
 
 class Scripted(can.BusABC):
-    """Gives what it is told to; a wait takes virtual time."""
+    """Returns the frames it was given; a wait takes virtual time."""
 
     def __init__(self, clock: VirtualClock, script: list[Any]) -> None:
         super().__init__(channel="scripted")
@@ -147,7 +147,7 @@ def test_lengths_on_the_wire_are_those_of_the_standard() -> None:
     assert duration(long, 1e6, 5e6) < duration(long, 1e6, 1e6)
 
 
-def test_the_loopback_tells_of_a_pulled_adapter_as_python_can_does() -> None:
+def test_the_loopback_reports_an_unplugged_adapter_as_python_can_does() -> None:
     bus = CanBus([])
     wire = CanLoopback(bus, VirtualClock())
     bus.unplugged = True

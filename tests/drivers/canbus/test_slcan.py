@@ -51,7 +51,7 @@ def test_a_line_without_end_is_given_up() -> None:
     assert texts(adapter, b"V\r") == b"V1013\r"
 
 
-def test_heartbeats_come_unasked_and_only_while_it_is_open() -> None:
+def test_heartbeats_are_cyclic_and_only_sent_while_it_is_open() -> None:
     adapter = SlcanAdapter(CanBus([OdriveDevice(0)]))
     assert adapter.receive(b"", 0.5) == []
     texts(adapter, b"S8\rO\r", 0.5)

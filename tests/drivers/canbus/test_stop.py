@@ -28,7 +28,7 @@ def pushing(request: pytest.FixtureRequest) -> tuple[Any, Any]:
     return rig, servo
 
 
-def test_torque_off_does_not_wait_for_what_a_drive_still_owes(
+def test_torque_off_does_not_wait_for_replies_that_are_still_due(
     pushing: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig, servo = pushing

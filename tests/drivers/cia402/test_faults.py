@@ -101,7 +101,7 @@ def test_a_fault_from_before_we_listened_is_read_from_the_drive(make_cia402: Mak
         assert caught.value.code == OVERCURRENT
 
 
-def test_a_heartbeat_that_stopped_before_we_came_is_no_fault(make_cia402: Make) -> None:
+def test_a_heartbeat_lost_before_opening_is_no_fault(make_cia402: Make) -> None:
     rig = make_cia402()
     rig.device.fail(HEARTBEAT_LOST)
     servo = armed(rig)
@@ -132,7 +132,7 @@ def test_a_power_stage_that_does_not_come_on_says_what_to_look_at(make_cia402: M
 # -- running --------------------------------------------------------------------------------------------------------
 
 
-def test_a_drive_that_somebody_else_switches_off_is_a_fault(make_cia402: Make) -> None:
+def test_a_drive_that_another_program_switches_off_is_a_fault(make_cia402: Make) -> None:
     rig = make_cia402()
     servo = armed(rig)
     rig.device.machine.quick_stop()
@@ -142,7 +142,7 @@ def test_a_drive_that_somebody_else_switches_off_is_a_fault(make_cia402: Make) -
     assert caught.value.code == NOT_ENABLED
 
 
-def test_a_node_that_somebody_else_stops_is_a_fault_and_is_started_again(make_cia402: Make) -> None:
+def test_a_node_that_another_program_stops_is_a_fault_and_is_started_again(make_cia402: Make) -> None:
     rig = make_cia402()
     servo = armed(rig)
     rig.wire.send(can.Message(arbitration_id=0, data=[2, 1], is_extended_id=False))

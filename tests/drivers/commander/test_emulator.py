@@ -46,7 +46,7 @@ def test_the_documentations_commands_are_answered_in_each_mode(
     assert [typed(device, command) for command in commands] == [f"{reply}\r\n" for reply in replies]
 
 
-def test_all_states_come_in_one_line_with_the_digits_that_were_asked_for(device: CommanderDevice) -> None:
+def test_all_states_come_in_one_line_with_the_decimals_that_were_set(device: CommanderDevice) -> None:
     typed(device, "@1")
     typed(device, "M0.5")
     assert typed(device, "MMG7").split(";")[0] == "0.500"

@@ -127,7 +127,7 @@ def test_a_tick_is_one_round_trip_of_the_length_it_is_reckoned_with(foc: Rig) ->
 
 
 @pytest.mark.parametrize("current", [0.0, 1e-5, 0.137, -0.137, 12.34567, -39.9999])
-def test_a_target_says_which_request_it_was_and_survives_the_boards_arithmetic(current: float) -> None:
+def test_a_target_identifies_its_request_and_survives_the_boards_arithmetic(current: float) -> None:
     sent = [target(current, count) for count in range(10)]
     assert len(set(sent)) == 10
     for text in sent:
@@ -197,7 +197,7 @@ def test_a_digit_lost_on_the_way_to_the_board_is_put_right_within_the_tick(foc: 
     servo.exchange(PUSH)
 
 
-def test_a_restart_that_nobody_drove_through_does_not_leave_the_motor_on(foc: Rig) -> None:
+def test_a_restart_between_two_runs_does_not_leave_the_motor_on(foc: Rig) -> None:
     servo = foc.open()
     foc.board.reboot(foc.clock.now())
     foc.wait(4.0)
@@ -218,7 +218,7 @@ def test_a_board_that_is_still_booting_is_waited_for(foc: Rig) -> None:
     assert servo.exchange(Command.rest()).motor_torque == 0.0
 
 
-def test_the_wrong_baud_rate_and_silence_are_told_apart(make_foc: Make) -> None:
+def test_the_wrong_baud_rate_and_silence_are_distinguished(make_foc: Make) -> None:
     rig = make_foc(baudrate=115200)
     rig.port = SerialLoopback(rig.board, rig.clock, 1_000_000)
     with pytest.raises(BadReply, match="no Commander"):
@@ -231,14 +231,14 @@ def test_the_wrong_baud_rate_and_silence_are_told_apart(make_foc: Make) -> None:
     assert off(silent)
 
 
-def test_another_device_at_the_port_is_told_by_what_it_says(foc: Rig) -> None:
+def test_another_device_at_the_port_is_named_by_its_output(foc: Rig) -> None:
     clock = VirtualClock()
     foc.clock, foc.port = clock, SerialLoopback(EmulatedLoadCell(), clock)
     with pytest.raises(BadReply, match=r"no Commander of SimpleFOC 2.2 or later \('\d+,84000'\)"):
         foc.open()
 
 
-def test_a_motor_under_another_letter_is_told_with_those_there_are(foc: Rig) -> None:
+def test_a_motor_under_another_letter_is_reported_with_the_letters_of_the_board(foc: Rig) -> None:
     with pytest.raises(DriverError, match="no motor 'A' that can be read: it has M:motor"):
         foc.open(motor="A")
 
@@ -260,7 +260,7 @@ def test_a_limit_that_the_board_does_not_take_is_refused_with_the_motor_off(foc:
     with pytest.raises(DriverError, match="current limit"):
         servo.arm(LIMITS)
     assert off(foc)
-    with pytest.raises(DriverError, match="below what a target resolves"):
+    with pytest.raises(DriverError, match="below the resolution of a target"):
         servo.arm(Limits(torque=1e-7, velocity=1.0, temperature=80.0, position=(-1.0, 1.0)))
 
 
@@ -308,7 +308,7 @@ def test_the_torque_is_off_after_close_and_after_an_exception_whatever_the_line_
         assert off(rig)
 
 
-def test_a_torque_off_that_is_not_confirmed_is_said_and_may_be_asked_again(foc: Rig) -> None:
+def test_an_unconfirmed_torque_off_is_reported_and_may_be_requested_again(foc: Rig) -> None:
     servo = armed(foc)
     foc.board.faults.inject(DropReplies(count=18))
     with pytest.raises(DriverError, match="not confirmed"):

@@ -74,7 +74,7 @@ def test_a_file_that_is_no_port_is_refused(tmp_path: Path) -> None:
         DynamixelServo(config(path))
 
 
-def test_a_port_without_permission_says_which_group_to_join(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_without_permission_names_the_group_to_join(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise serial.SerialException(errno.EACCES, "could not open port: Permission denied")
 
@@ -190,7 +190,7 @@ def test_a_line_that_never_falls_silent_is_named_and_does_not_hold_us(rig: Rig, 
     assert rig.clock.now() - begin < 0.5
     with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
-    assert not rig.device.torque_on  # it heard, though nobody could hear it
+    assert not rig.device.torque_on  # it received the request, though its replies were lost
 
 
 @pytest.mark.parametrize("counts", [-131073, 0xFFFD - 0x10000, -3, -1])

@@ -157,7 +157,7 @@ def test_a_locked_eeprom_takes_nothing_until_the_power_was_off() -> None:
     assert device.write(5, b"\x00") == 0
 
 
-def test_heat_takes_the_torque_limit_to_zero_and_is_told_while_it_lasts() -> None:
+def test_heat_sets_the_torque_limit_to_zero_and_is_reported_while_it_lasts() -> None:
     device = MxDevice("mx-64")
     device.motor.warm_to(90.0)
     device.advance(0.1)
@@ -206,7 +206,7 @@ def test_bulk_read_is_answered_in_its_order() -> None:
     assert {len(data) for _, data in replies} == {8}
 
 
-def test_an_unknown_instruction_and_a_damaged_one_are_told_apart() -> None:
+def test_an_unknown_instruction_and_a_damaged_one_are_distinguished() -> None:
     bus = DynamixelBus([MxDevice("mx-64")], protocol=1)
     (unknown,) = bus.receive(bytes.fromhex("ff ff 01 02 77 85"), 0.1)
     (damaged,) = bus.receive(bytes.fromhex("ff ff 01 02 77 84"), 0.2)
@@ -217,7 +217,7 @@ def test_an_unknown_instruction_and_a_damaged_one_are_told_apart() -> None:
 
 
 @pytest.mark.parametrize("model", MX_MODELS)
-def test_the_two_sets_of_tables_say_the_same(model: str) -> None:
+def test_driver_and_emulator_have_the_same_tables(model: str) -> None:
     ours, theirs = models()[model], MX_MODELS[model]
     items = {item.name: item for item in theirs.items}
     assert (ours.protocol, ours.number, ours.current_lsb) == (1, theirs.number, theirs.current_lsb)
@@ -352,7 +352,7 @@ def test_older_firmware_has_no_tick_and_works_without(make_rig: Make) -> None:
     assert drive(rig, servo, torque(0.1)).status == 0
 
 
-def test_a_torque_that_does_not_go_off_is_told(make_rig: Make) -> None:
+def test_a_torque_that_does_not_go_off_is_reported(make_rig: Make) -> None:
     rig = make_rig("mx-64")
     servo = rig.open()
     servo.arm(LIMITS)

@@ -143,7 +143,7 @@ def test_the_status_return_level_decides_who_is_answered(line: tuple[Any, Dynami
     assert PACKETS.ping(port, 1)[1] == COMM_SUCCESS
 
 
-def test_a_client_at_the_wrong_speed_hears_nothing(line: tuple[Any, DynamixelBus]) -> None:
+def test_a_client_at_the_wrong_baud_rate_receives_nothing(line: tuple[Any, DynamixelBus]) -> None:
     port, _ = line
     port.setBaudRate(57600)
     assert PACKETS.ping(port, 1)[1] == COMM_RX_TIMEOUT
@@ -151,7 +151,7 @@ def test_a_client_at_the_wrong_speed_hears_nothing(line: tuple[Any, DynamixelBus
     assert PACKETS.ping(port, 1)[1] == COMM_SUCCESS
 
 
-def test_a_factory_reset_brings_the_defaults_back_and_keeps_what_it_is_told_to(line: tuple[Any, DynamixelBus]) -> None:
+def test_a_factory_reset_restores_the_defaults_except_what_it_is_asked_to_keep(line: tuple[Any, DynamixelBus]) -> None:
     port, bus = line
     PACKETS.write2ByteTxRx(port, 2, 38, 100)
     PACKETS.factoryReset(port, 2, 0x02)

@@ -49,7 +49,7 @@ def test_every_model_is_opened_armed_driven_and_closed(make_rig: Make, limits: L
 
 
 @pytest.mark.parametrize("model", sorted(MODELS))
-def test_the_two_sets_of_tables_say_the_same_of_each_servo(model: str) -> None:
+def test_driver_and_emulator_agree_about_each_servo(model: str) -> None:
     ours, theirs = models()[model], MODELS[model]
     items = {item.name: item for item in theirs.items}
     assert (ours.number, ours.current_lsb) == (theirs.number, theirs.current_lsb)
@@ -158,7 +158,7 @@ def test_the_torque_limit_acts_in_current_based_position_mode(rig: Rig) -> None:
     assert rig.device.motor.position < 0.3
 
 
-def test_a_servo_without_current_measurement_says_so_with_nan(make_rig: Make, limits: Limits) -> None:
+def test_a_servo_without_current_measurement_reports_nan(make_rig: Make, limits: Limits) -> None:
     servo = make_rig("xl430-w250").open()
     assert servo.info.quantities == {Quantity.POSITION}
     assert math.isnan(servo.info.torque_lsb)

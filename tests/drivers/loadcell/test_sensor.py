@@ -89,7 +89,7 @@ def test_a_torque_comes_out_in_newton_metres_with_the_joints_sign_and_without_th
     assert watch(rig, cell, 0.2)[-1][2] == pytest.approx(5e-3, abs=SCALE)
 
 
-def test_asked_more_often_than_it_reads_it_repeats_the_last_with_its_time() -> None:
+def test_read_more_often_than_it_prints_it_repeats_the_last_reading_with_its_time() -> None:
     rig = Rig()
     rows = watch(rig, rig.open(), 1.0)
     assert len({t for _, t, _ in rows}) == pytest.approx(80, abs=2)
@@ -129,7 +129,7 @@ def test_a_zero_that_has_drifted_from_the_tables_is_refused_with_the_new_one() -
 
 
 def test_a_zero_that_moves_while_it_is_taken_is_refused() -> None:
-    with pytest.raises(DriverError, match="will not stand still"):
+    with pytest.raises(DriverError, match="is not steady"):
         Rig(LoadCellBoard(drift=0.05)).open()
 
 
@@ -192,7 +192,7 @@ def test_a_board_that_restarts_is_a_gap_and_its_readings_go_on_with_true_times(m
     assert "restarted" in seen[0]
 
 
-def test_a_cell_beyond_its_range_is_a_gap_that_says_so() -> None:
+def test_a_cell_beyond_its_range_is_a_gap_with_its_reason() -> None:
     rig = Rig()
     cell = rig.open()
     rig.joint.torque = lambda _: 10.0
@@ -218,7 +218,7 @@ def test_a_pulled_cable_is_a_lost_link_and_closing_is_harmless() -> None:
 # -- opening --------------------------------------------------------------------------------------------------------
 
 
-def test_a_wrong_baud_rate_is_told_from_a_silent_cell() -> None:
+def test_a_wrong_baud_rate_is_distinguished_from_a_silent_cell() -> None:
     rig = Rig(config=replace(CONFIG, baudrate=57600))
     with pytest.raises(BadReply, match="57600 baud"):
         rig.open()

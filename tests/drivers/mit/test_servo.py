@@ -179,7 +179,7 @@ def test_one_tick_is_one_frame_each_way(make_mit: Make) -> None:
     assert rig.clock.now() - begin == pytest.approx(2 * 135e-6 + 5e-5 + 1e-4, abs=1e-5)
 
 
-def test_two_damiaos_on_one_bus_are_told_apart_by_their_id(make_mit: Make) -> None:
+def test_two_damiaos_on_one_bus_are_distinguished_by_their_id(make_mit: Make) -> None:
     rig = make_mit()
     rig.bus.nodes.append(MitDevice("dm-j4310", 2))
     rig.bus.nodes[1]._zero = 1.0

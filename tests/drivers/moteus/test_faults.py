@@ -34,7 +34,7 @@ def test_firmware_without_a_limit_is_named_and_stays_stopped(make_moteus: Make) 
     assert rig.device.mode == STOPPED
 
 
-def test_a_position_outside_its_bounds_is_said_when_it_starts(make_moteus: Make) -> None:
+def test_a_position_outside_its_bounds_is_reported_on_arming(make_moteus: Make) -> None:
     rig = make_moteus()
     servo = rig.open()
     rig.device.console.values["servopos.position_min"] = 0.5

@@ -96,7 +96,7 @@ def test_every_resolution_survives_both_codecs(kind: int) -> None:
     assert math.isnan(temperature["motor_temperature"])  # no thermistor
 
 
-def test_nothing_that_arrives_makes_the_decoder_stumble() -> None:
+def test_no_received_bytes_crash_the_decoder() -> None:
     rng = np.random.default_rng(7)
     good = bytes.fromhex("2f0100000000000000000000000021000a2907000000005050")
     for _ in range(4000):
@@ -131,7 +131,7 @@ def test_torque_and_motion_have_the_stands_sign_and_are_si(make_moteus: Make, si
     assert rig.device.mode == STOPPED
 
 
-def test_position_mode_goes_where_it_is_told_and_rests_there(make_moteus: Make) -> None:
+def test_position_mode_follows_its_set_point_and_rests_there(make_moteus: Make) -> None:
     rig = make_moteus()
     rig.device.console.values["servo.pid_position.kp"] = 100.0
     rig.device.console.values["servo.pid_position.kd"] = 0.3
@@ -197,12 +197,12 @@ def test_one_tick_is_one_frame_each_way(make_moteus: Make) -> None:
     assert rig.clock.now() - begin == pytest.approx(2 * 160e-6 + 5e-5 + 1e-4, abs=4e-5)
 
 
-def test_who_it_is_is_said(make_moteus: Make) -> None:
+def test_it_reports_firmware_and_serial_number(make_moteus: Make) -> None:
     info = make_moteus(firmware=(1, 3, 4)).open().info
     assert (info.firmware, info.serial) == ("1.3.4", "3456789a2345678912345678")
 
 
-def test_a_controller_with_a_high_id_is_spoken_to_in_extended_frames(make_moteus: Make) -> None:
+def test_a_controller_with_a_high_id_receives_extended_frames(make_moteus: Make) -> None:
     rig = make_moteus(ident=100)
     servo = rig.open(id=100, source=7)
     servo.arm(LIMITS)

@@ -58,7 +58,7 @@ def test_what_the_emulator_answers_can_be_read_with_the_vendors_description(layo
         data = message.encode({signal.name: value for signal, value in zip(by_place, values, strict=True)})
         assert device.hear(CanFrame(message.frame_id, data), 0.1) == [], ours
     device.advance(1.0)
-    unanswered = {"Get_ADC_Voltage"}  # wants to be told a pin
+    unanswered = {"Get_ADC_Voltage"}  # needs a pin
     for name, message in known.items():
         if name.startswith("Get_") and name not in unanswered:
             (reply,) = device.hear(CanFrame(message.frame_id, remote=True), 1.0)

@@ -40,7 +40,7 @@ def test_a_watchdog_that_ran_out_before_we_came_is_no_fault(make_odrive: Make, f
     assert servo.exchange(PUSH).motor_torque > 0.0
 
 
-def test_an_axis_that_is_not_calibrated_says_so(make_odrive: Make) -> None:
+def test_an_axis_that_is_not_calibrated_is_reported(make_odrive: Make) -> None:
     rig = make_odrive()
     servo = rig.open()
     rig.device.calibrated = False

@@ -1,4 +1,4 @@
-"""An ODrive axis over its emulator: what goes over the wire, what it is told before it is driven, what comes back."""
+"""An ODrive axis over its emulator: what goes over the wire, what is written before it is driven, what is read back."""
 
 from __future__ import annotations
 

@@ -260,7 +260,7 @@ def test_a_stand_whose_port_is_not_there_is_a_stand_that_failed(
     stand = tmp_path / "stand.toml"
     stand.write_text(STAND.format(port=tmp_path / "none"))
     assert run(["doctor", str(stand)]) == 3
-    assert "is not there: check the cable" in capfd.readouterr().out
+    assert "does not exist: check the cable" in capfd.readouterr().out
 
 
 def test_a_link_that_is_lost_in_the_middle_is_an_error_and_no_traceback(
