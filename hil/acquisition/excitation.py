@@ -31,6 +31,7 @@ _SHORTEST_FADE = 0.1  # s
 _LINES_BLOCK = 256  # of a multisine, worked out at a time
 _LINES_PERIOD = 20.0  # s; the longest base period of a multisine, so that its lines stay few
 _PRBS_BITS = 15  # of the register
+_BAND = (0.1, 15.0)  # Hz, unless another is given
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,8 +146,8 @@ def make(
 
 
 def _check_positive(amplitude: float, duration: float, fade: float) -> None:
-    for name, value, least in (("amplitude", amplitude, 0.0), ("duration", duration, 0.0)):
-        if not (math.isfinite(value) and value > least):
+    for name, value in (("amplitude", amplitude), ("duration", duration)):
+        if not (math.isfinite(value) and value > 0.0):
             raise WrongUse(f"--{name} {value:g}: it must be a number above zero")
     if not (math.isfinite(fade) and fade >= _SHORTEST_FADE):
         raise WrongUse(f"--fade {fade:g}: it must be at least {_SHORTEST_FADE:g} s, so that no torque is switched")
@@ -159,7 +160,7 @@ def _check_band(excitation: Excitation, band: tuple[float, float], rate: float) 
     if high < low:
         raise WrongUse(f"--band {low:g}:{high:g} is reversed: write --band {high:g}:{low:g}")
     if excitation.one_frequency and high != low:
-        raise WrongUse(f"a sine has one frequency: write --band {low:g}, or use --profile chirp for a range")
+        raise WrongUse(f"this excitation has one frequency: write --band {low:g}, or use --profile chirp for a range")
     if high > rate / 4.0:
         raise WrongUse(
             f"--band up to {high:g} Hz needs a rate of at least {4.0 * high:g} Hz: "
@@ -282,43 +283,22 @@ def _is_number(cell: str) -> bool:
 EXCITATIONS: Mapping[str, Excitation] = MappingProxyType(
     {
         "chirp": Excitation(
-            "a sine whose frequency rises through the band, the same time in every octave",
-            (0.1, 15.0),
-            _chirp,
-            smooth=True,
-            speeds="band",
-            searched=True,
+            "a rising sine, the same time in every octave", _BAND, _chirp, smooth=True, speeds="band", searched=True
         ),
         "multisine": Excitation(
-            "all the band's frequencies at once, phased for a low peak (Schroeder)",
-            (0.1, 15.0),
-            _multisine,
-            smooth=True,
-            speeds="band",
-            searched=True,
+            "all frequencies of the band at once", _BAND, _multisine, smooth=True, speeds="band", searched=True
         ),
         "sine": Excitation("one frequency: --band 2", (1.0, 1.0), _sine, smooth=True, speeds="one", one_frequency=True),
-        "steps": Excitation(
-            "a staircase 0, 1/2, 1, 1/2, 0 and its mirror, repeated at the band's lower end", (0.25, 0.25), _steps
-        ),
-        "ramp": Excitation(
-            "a slow triangle at the band's lower end: the static curve and its friction loop",
-            (0.05, 0.05),
-            _ramp,
-            speeds="one",
-        ),
+        "steps": Excitation("a staircase up and down, repeated at the band's lower end", (0.25, 0.25), _steps),
+        "ramp": Excitation("a slow triangle at the band's lower end", (0.05, 0.05), _ramp, speeds="one"),
         "prbs": Excitation(
-            "a pseudo-random binary sequence, flat up to the band's upper end",
-            (0.1, 15.0),
+            "a pseudo-random binary sequence up to the band's upper end",
+            _BAND,
             _prbs,
             from_zero=True,
             searched=True,
         ),
-        "file": Excitation(
-            "a CSV of time (s) and set-point, joined by straight lines: --setpoints FILE",
-            (0.0, 0.0),
-            None,
-        ),
+        "file": Excitation("a CSV of time (s) and set-point, interpolated: --setpoints FILE", (0.0, 0.0), None),
     }
 )
-"""Every kind of excitation, by the name that --profile takes."""
+"""Every kind of excitation, by the name for --profile."""

@@ -1,7 +1,7 @@
-"""What ends a run early: a limit that was passed, a sensor that went blind or stuck, silence on the link.
+"""The guard ends a run early: a limit is exceeded, a sensor is missing or stuck, or the link is silent.
 
 The thresholds follow the stand's limits (all at the joint, SI). A single reading far beyond a limit ends the run; a
-reading a little beyond it must repeat, so that one bad count does not throw a recording away.
+reading slightly beyond it must repeat, so that one bad count does not end a recording.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from hil.stand.file import LimitsTable
 _REPEATS = 3  # readings in a row beyond 1.1 of a limit, or missing
 _BEYOND, _FAR_BEYOND = 1.1, 1.5
 _COOL_START, _COOL_RUN = 15.0, 5.0  # degC below the limit: refuse to start, stop
-_SILENCE = 0.02  # s without a reply, and at least _REPEATS of them, before a run is given up
+_SILENCE = 0.02  # s without a reply, and at least _REPEATS of them, before a run is ended
 _STALE = 0.05  # s of replies that repeat the drive's own clock, and at least _REPEATS of them
 _STALE_FLAG = int(Status.STALE)
 _STUCK = 20  # replies in a row with the same motor angle, to the last bit
@@ -27,7 +27,7 @@ class LimitReached(Exception):
 
 
 class AtJoint(NamedTuple):
-    """One reply seen from the joint: N m, rad, rad/s; NaN where there is no such reading."""
+    """One reply converted to the joint: N m, rad, rad/s; NaN where there is no such reading."""
 
     torque: float = math.nan
     dtheta: float = math.nan
@@ -35,7 +35,7 @@ class AtJoint(NamedTuple):
 
 
 class _Channel:
-    """One reading of a run, held against its limit."""
+    """One channel of a run and its limit."""
 
     def __init__(self, name: str, unit: str, limit: float) -> None:
         self._name, self._unit, self._limit = name, unit, limit
@@ -44,8 +44,8 @@ class _Channel:
         self.expected = False
 
     def check(self, value: float) -> None:
-        """Raises LimitReached, and BadReply where a reading that was there at rest stays away."""
-        if not math.isfinite(value):  # before any comparison: a NaN is beyond no limit
+        """Raise LimitReached, or BadReply where a reading that was present at rest is missing."""
+        if not math.isfinite(value):  # before any comparison: a NaN exceeds no limit
             self._missing += 1
             if self.expected and self._missing >= _REPEATS:
                 raise BadReply(
@@ -62,7 +62,7 @@ class _Channel:
 
 
 class _Encoder:
-    """Whether the motor's angle still follows what turns it."""
+    """The motor's angle, which must change while the torque does."""
 
     def __init__(self, moves: float) -> None:
         self._moves = moves
@@ -71,7 +71,7 @@ class _Encoder:
         self._low = self._high = math.nan
 
     def check(self, angle: float, torque: float) -> None:
-        """Raises BadReply where the angle, rad, repeats itself while the torque, N m, moves."""
+        """Raise BadReply where the angle, rad, stays the same while the torque, N m, changes."""
         if angle != self._angle:
             self._angle, self._same = angle, 0
             self._low = self._high = torque
@@ -81,13 +81,13 @@ class _Encoder:
             self._low, self._high = min(torque, self._low), max(torque, self._high)
         if self._same >= _STUCK and self._high - self._low > self._moves:
             raise BadReply(
-                f"the motor's angle stood still for {self._same} replies while the torque moved by "
+                f"the motor's angle did not change in {self._same} replies while the torque changed by "
                 f"{self._high - self._low:.3g} N m: check the encoder, and that nothing blocks the motor"
             )
 
 
 class Guard:
-    """Judges every sample of a run against the limits.
+    """The check of every sample of a run against the limits.
 
     moves: N m at the joint by which the torque cannot change without the motor turning.
     """
@@ -107,7 +107,7 @@ class Guard:
         self._lost_in_row = 0
 
     def check_start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """Take note of what can be read at rest. Raises LimitReached where the winding is too warm to begin."""
+        """Register the channels that can be read at rest. Raises LimitReached where the winding is too warm."""
         for channel, values in zip(self._channels, zip(*at_joint, strict=True), strict=True):
             channel.expected = any(math.isfinite(value) for value in values)
         temperatures = [sample.temperature for sample in samples if math.isfinite(sample.temperature)]
@@ -120,7 +120,7 @@ class Guard:
             )
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """Judge one reply. Raises LimitReached, and BadReply where the readings cannot be relied on any more."""
+        """Check one reply. Raises LimitReached, and BadReply where the readings are not reliable any more."""
         self._last_reply = sample.t
         self._lost_in_row = 0
         for channel, value in zip(self._channels, at_joint, strict=True):
@@ -140,8 +140,8 @@ class Guard:
         self._stale_in_row += 1
         if self._stale_in_row >= _REPEATS and not sample.t - self._fresh_reply < _STALE:
             raise BadReply(
-                f"the drive's own clock stood still for {self._stale_in_row} replies: "
-                "what it reports is old; switch it off and on"
+                f"the drive's own clock did not advance in {self._stale_in_row} replies: "
+                "its readings are old; switch it off and on"
             )
 
     def check_silence(self, now: float) -> None:

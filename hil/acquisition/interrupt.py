@@ -18,11 +18,11 @@ _ENDING = (
     "SIGXCPU",
     "SIGBREAK",
 )
-"""What ends or stops a process that does not ask for it, by name: not every system has them all."""
+"""Signals that end or stop a process by default, by name: not every system has them all."""
 
 
 class StopRequest:
-    """What signals have asked for: no signal can skip the torque-off. number: of the first one, 0 before any."""
+    """The signals received during a run: none can skip the torque-off. number: the first one, 0 before any."""
 
     def __init__(self) -> None:
         self.count = 0

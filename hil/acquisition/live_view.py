@@ -1,7 +1,7 @@
-"""The live line of a recording, in a process of its own: it maps the `.part` file and reads the rows that are there.
+"""The status line of a run, drawn by a process of its own that maps the `.part` file and reads its valid rows.
 
-A terminal drawn from the control process costs every fifth tick at 1 kHz; drawn from here it costs none. Ends when
-its standard input does, which is when the recorder closes it or is gone.
+Drawing in the control process costs every fifth tick at 1 kHz; drawing here costs none. The process ends with its
+standard input, when the recorder closes it or is gone.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _REFRESH = 0.1  # s
 def beside(part: Path) -> Iterator[None]:
     """Watch the recording at `part` from a process of its own, where standard error is a terminal.
 
-    The viewer is in a session of its own: Ctrl-C is the recorder's to answer, and does not reach it. A run does
-    without one that cannot be started.
+    The viewer is in a session of its own, which Ctrl-C does not reach. A run goes on without a viewer that cannot be
+    started.
     """
     if not sys.stderr.isatty():
         yield
@@ -41,7 +41,7 @@ def beside(part: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(Exception):  # the run's outcome is worth more than its viewer's
+        with suppress(Exception):  # a fault of the viewer must not end the run
             viewer.communicate(timeout=5.0)
         with suppress(Exception):
             viewer.kill()
@@ -72,7 +72,7 @@ def _wait_for_end(ended: threading.Event) -> None:
 
 
 def line(rows: Rows, duration: float) -> str:
-    """The state of a run of `duration` s from its rows so far: time left, rate, torque, deflection, lost samples."""
+    """Return the state of a run of `duration` s: time left, rate, torque, deflection, lost samples."""
     count = _written(rows)
     if count < 2:
         return "starting"
@@ -83,15 +83,15 @@ def line(rows: Rows, duration: float) -> str:
     rate = (len(recent) - 1) / (elapsed - float(np.nanmin(recent)))
     lost = int(np.count_nonzero(done["status"] & np.uint64(int(Status.NO_REPLY | Status.BAD_REPLY))))
     torque = float(last["torque"])
-    told = f"{torque:+7.2f} N m" if abs(torque) >= 1.0 else f"{torque * 1e3:+7.2f} mN m"
+    shown = f"{torque:+7.2f} N m" if abs(torque) >= 1.0 else f"{torque * 1e3:+7.2f} mN m"
     return (
         f"{max(0.0, duration - elapsed):6.1f} s left  {rate:5.0f} Hz  "
-        f"torque {told} at {float(last['dtheta']):+7.4f} rad  {lost} lost"
+        f"torque {shown} at {float(last['dtheta']):+7.4f} rad  {lost} lost"
     )
 
 
 def _written(rows: Rows) -> int:
-    """Rows whose number is their index, found by bisection: they are written in order."""
+    """Return the number of rows whose `seq` is their index, by bisection: they are written in order."""
     low, high = 0, len(rows)
     while low < high:
         middle = (low + high) // 2

@@ -1,7 +1,7 @@
 """The control loop: drive the motor through a profile, tick by tick, and write every sample.
 
-A tick is one `exchange`. A reply that is lost is a counted gap; everything else that goes wrong ends the run. However
-it ends, the torque is off before anything else is done, and what was recorded becomes a file.
+A tick is one `exchange`. A lost reply is a counted gap; every other fault ends the run. However it ends, the torque is
+turned off before anything else, and the rows so far are kept.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from hil.stand.transmission import Transmission, Zero
 _REST_SAMPLES = 16  # averaged for the zero of the deflection
 _REST_TRIES = 100
 _TOO_LONG = 1.5  # periods that an answer at rest may take; some drives answer sooner once they are armed
-_RAMP_DOWN = 0.1  # s; a first request to stop lets the cable down over this long
+_RAMP_DOWN = 0.1  # s; a first request to stop ramps the torque to zero over this long
 _BLOCK = 512  # set-points computed at a time
 _LATE, _SATURATED = int(Status.LATE), int(Status.SATURATED)
 
 
-class _StopAsked(Exception):
+class _Stopped(Exception):
     """A request to stop came before anything was driven."""
 
 
@@ -45,8 +45,8 @@ class _StopAsked(Exception):
 class Outcome:
     """How a run went.
 
-    error: what ended it early, None where it ran to its end or was stopped on request. signal: the one that asked.
-    alarm: what people must be told first, where the torque may still be on; "" otherwise.
+    error: the fault that ended it, None where it ran to its end or was stopped on request. signal: of that request.
+    alarm: a sentence to show first, where the torque may still be on; "" otherwise.
     """
 
     samples: int = 0
@@ -89,19 +89,19 @@ class Recorder:
         self._outcome = Outcome()
         self._start = math.nan
         self._off_asked = False
-        self._trouble: BaseException | None = None
+        self._off_error: BaseException | None = None
 
     def run(self, stop: StopRequest) -> Outcome:
         """Record until the profile's end, a request to stop or a fault. The servo is disarmed on return.
 
-        Never raises: the outcome holds what went wrong, since what was recorded is still to be kept.
+        Never raises, since the rows must still be kept: the outcome has the error.
         """
         outcome = self._outcome
         try:
             self._record(stop)
-        except _StopAsked:
+        except _Stopped:
             self._stopped(stop)
-        except BaseException as error:  # noqa: BLE001 - whatever it is, the torque goes off and the data is kept
+        except BaseException as error:  # noqa: BLE001 - in any case the torque goes off and the data is kept
             outcome.error = error
             outcome.end_reason = f"{type(error).__name__}: {error}"
         finally:
@@ -114,12 +114,12 @@ class Recorder:
     def _record(self, stop: StopRequest) -> None:
         with SetPoints(self._scratch) as set_points:
             for times in self._times():
-                _heed(stop)
+                _check_stop(stop)
                 set_points.extend(self._profile.at(times))
             zero = self._find_zero(stop)
             limits = self._transmission.motor_limits(self._limits, zero.motor)
             with _quiet_collector():
-                _heed(stop)
+                _check_stop(stop)
                 try:
                     self._servo.arm(limits)
                     self._loop(set_points, zero, stop)
@@ -134,48 +134,48 @@ class Recorder:
     def _find_zero(self, stop: StopRequest) -> Zero:
         """Read the axis at rest, without driving it.
 
-        Raises NoReply where it does not answer, BadReply where it does not say what is needed, WrongUse where a tick
-        is too short for it, LimitReached where it is too warm.
+        Raises NoReply where it does not answer, BadReply where a necessary reading is missing, WrongUse where a tick is
+        too short for it, LimitReached where it is too warm.
         """
-        found = self._at_rest(stop)
-        motor = _mean(sample.motor_position for sample in found)
-        joint = _mean(sample.joint_position for sample in found)
+        samples = self._at_rest(stop)
+        motor = _mean(sample.motor_position for sample in samples)
+        joint = _mean(sample.joint_position for sample in samples)
         if not math.isfinite(motor):
             raise BadReply("the drive reports no position: a deflection cannot be recorded")
         self._has_joint = math.isfinite(joint)
         zero = Zero(motor, joint if self._has_joint else 0.0)
-        seen = [self._at_joint(sample, zero) for sample in found]
-        if not any(math.isfinite(at_joint.torque) for at_joint in seen):
+        at_rest = [self._at_joint(sample, zero) for sample in samples]
+        if not any(math.isfinite(one.torque) for one in at_rest):
             raise BadReply(
                 f"the stand file says torque_source = {self._torque_source!r}, but no torque is reported there"
             )
-        self._guard.check_start(found, seen)
+        self._guard.check_start(samples, at_rest)
         return zero
 
     def _at_rest(self, stop: StopRequest) -> list[Sample]:
-        found: list[Sample] = []
+        samples: list[Sample] = []
         took: list[float] = []
         clock = self._servo.clock
         begin = clock.now()
         for attempt in range(_REST_TRIES):
             clock.sleep_until(begin + attempt / self._rate)
-            _heed(stop)
-            asked = clock.now()
+            _check_stop(stop)
+            before = clock.now()
             try:
-                found.append(self._servo.exchange(Command.rest()))
+                samples.append(self._servo.exchange(Command.rest()))
             except (NoReply, BadReply):
                 continue
-            took.append(clock.now() - asked)
-            if len(found) == _REST_SAMPLES:
+            took.append(clock.now() - before)
+            if len(samples) == _REST_SAMPLES:
                 break
         else:
-            raise NoReply(f"{len(found)} replies to {_REST_TRIES} requests: check power, cable, id and baud rate")
+            raise NoReply(f"{len(samples)} replies to {_REST_TRIES} requests: check power, cable, id and baud rate")
         if median(took) > _TOO_LONG / self._rate:
             raise WrongUse(
-                f"--rate {self._rate:g}: this servo takes {median(took) * 1e3:.3g} ms to answer, so it can be asked at "
-                f"most {1.0 / median(took):.0f} times a second: lower the rate"
+                f"--rate {self._rate:g}: this servo takes {median(took) * 1e3:.3g} ms to answer, so it reaches at "
+                f"most {1.0 / median(took):.0f} Hz: lower the rate"
             )
-        return found
+        return samples
 
     def _loop(self, set_points: Iterable[float], zero: Zero, stop: StopRequest) -> None:
         clock = self._servo.clock
@@ -249,13 +249,13 @@ class Recorder:
 
     def _torque_off(self) -> None:
         result = confirm_torque_off(self._servo)
-        self._outcome.alarm, self._trouble = result.alarm, result.error
+        self._outcome.alarm, self._off_error = result.alarm, result.error
         self._off_asked = True
 
     def _note_end(self) -> None:
-        """Say in the recording what ended it. The run is over: nothing that fails here is worth more than its data."""
+        """Add the fault that ended the run to its events. A failure here must not lose the data."""
         outcome = self._outcome
-        outcome.error = outcome.error or self._trouble
+        outcome.error = outcome.error or self._off_error
         if outcome.alarm:
             outcome.end_reason = f"{outcome.end_reason}; {outcome.alarm}"
         if outcome.error is None:
@@ -263,24 +263,24 @@ class Recorder:
         try:
             since = self._servo.clock.now() - self._start if math.isfinite(self._start) else 0.0
             self._sink.event(since, type(outcome.error).__name__, outcome.end_reason)
-        except Exception as error:  # noqa: BLE001 - the same
+        except Exception as error:  # noqa: BLE001 - in any case the data is kept
             outcome.end_reason += f"; {error}"
 
 
-def _heed(stop: StopRequest) -> None:
+def _check_stop(stop: StopRequest) -> None:
     if stop.count:
-        raise _StopAsked
+        raise _Stopped
 
 
 def _mean(values: Iterable[float]) -> float:
-    """The mean of those that are numbers, NaN where none is."""
+    """Return the mean of the finite values, NaN without any."""
     numbers = [value for value in values if math.isfinite(value)]
     return fmean(numbers) if numbers else math.nan
 
 
 @contextmanager
 def _quiet_collector() -> Iterator[None]:
-    """No garbage collection inside the loop: a full one can stop it for 100 ms."""
+    """Switch garbage collection off: a full one can stop the loop for 100 ms."""
     gc.collect()
     gc.freeze()
     gc.disable()

@@ -35,9 +35,9 @@ def run(
 ) -> tuple[Path, Outcome]:
     """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
 
-    The servo is closed, and the torque off, however it ends; the outcome says how that was, and the path is where the
-    data is. force: overwrite, and give up an unfinished recording of that name. seed: of the simulator. alarm: told at
-    once, before the file is made final, where the torque may still be on.
+    Return the path of the recording and the outcome of the run. The servo is closed and its torque off in any case.
+    force: replace a recording of that name, finished or not. seed: of the simulator. alarm: is called with a sentence,
+    before the file is made final, where the torque may still be on.
     Raises WrongUse before anything moves, DriverError where the servo cannot be opened.
     """
     check_backend(stand.stand.backend)
@@ -108,9 +108,9 @@ def _finish(writer: RecordingWriter, outcome: Outcome, *, force: bool) -> Path:
             if len(writer):
                 return writer.finish(outcome.end_reason, force=force)
             writer.discard()
-    except Exception as error:  # noqa: BLE001 - whatever it is, people must learn where their data is
-        problem = WrongUse(f"{error}\nThe run itself is safe: hil recover {writer.path} -o OTHER.h5")
-        problem.__cause__ = error
-        outcome.error = outcome.error or problem
+    except Exception as error:  # noqa: BLE001 - in any case the user must learn where the data is
+        failure = WrongUse(f"{error}\nThe run itself is safe: hil recover {writer.path} -o OTHER.h5")
+        failure.__cause__ = error
+        outcome.error = outcome.error or failure
         return writer.path if writer.path.exists() else writer.final
     return writer.final

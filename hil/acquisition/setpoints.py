@@ -1,4 +1,4 @@
-"""The set-points of a run, worked out before the motor is live and kept on disk: a day's run needs no more memory."""
+"""The set-points of a run, computed before the motor is live and kept on disk: a day's run needs no more memory."""
 
 from __future__ import annotations
 

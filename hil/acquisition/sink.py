@@ -11,7 +11,7 @@ from hil.recording.channels import ROW, Row, Rows
 
 
 class Sink(Protocol):
-    """What takes the rows and events of a run. `append` is called in the control loop: it must not wait."""
+    """The receiver of a run's rows and events. `append` is called in the control loop: it must not wait."""
 
     def append(self, row: Row) -> None:
         """Add one row. Raises Untrustworthy where it cannot be kept."""

@@ -74,7 +74,7 @@ def _given(draft: Draft, words: list[str]) -> dict[str, Any]:
             hint = f"did you mean {near[0]}? " if near else ""
             raise WrongUse(f"--set {word}: write KEY=VALUE; {hint}keys are {', '.join(draft.keys())}")
         value = draft.value(question, text)
-        problem = draft.wrong(question, value)
+        problem = draft.error(question, value)
         if problem:
             raise WrongUse(f"--set {word}: {problem}")
         answers[key] = value
@@ -94,7 +94,7 @@ def _asked(draft: Draft, question: Question) -> Any:
     while True:
         text = typer.prompt(f"{question.key}{meaning}", default=None if default is None else str(default), err=True)
         value = draft.value(question, text)
-        problem = draft.wrong(question, value)
+        problem = draft.error(question, value)
         if not problem:
             return value
         say(f"{text}: {problem}")

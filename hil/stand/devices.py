@@ -1,7 +1,7 @@
-"""What can turn a motor, and what can be read at the joint: one line each, from which all else follows.
+"""The servos and joint sensors there are: one line each, from which all else follows.
 
-A line names the class of the device's own table in the stand file and what opens a device from it, as "module:name", so
-that a device's SDK is loaded only where that device is used. The contract behind a line:
+A line names the class of the device's own table in the stand file and its opener, as "module:name", so that a device's
+SDK is loaded only where that device is used. The contract behind a line:
 
 * The table is a pydantic model, or a dataclass with `__pydantic_config__`, that forbids unknown keys.
 * The opener of a servo takes the table alone and returns a `drivers.servo.Servo` with its torque off.
@@ -34,10 +34,10 @@ class HasMode(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """A line: what a person is told of it, where its table's class is, and where what opens it is ("": see below).
+    """A line: an explanation, the class of its table and its opener ("": `hil.stand.opening` opens it).
 
-    search: where what looks for devices on a silent link is, "" where nothing does; it takes the table and returns a
-    sentence for each device it finds.
+    search: the function that looks for devices on a silent link, "" without one; it returns a sentence for each device
+    from the table.
     """
 
     explanation: str
@@ -46,13 +46,12 @@ class Device:
     search: str = ""
 
     def table_class(self) -> Any:
-        """The class that its table in the stand file is checked with."""
+        """Return the class that checks its table in the stand file."""
         return _named(self.table)
 
 
 BACKENDS: Mapping[str, Device] = MappingProxyType(
     {
-        # the simulator also needs the stand's motor, so `hil.stand.file` opens it itself
         "sim": Device("the simulated servo: no hardware, virtual time", "sim_backend.parameters:SimParameters", ""),
         "dynamixel": Device(
             "DYNAMIXEL on a serial port",
@@ -98,29 +97,23 @@ SENSORS: Mapping[str, Device] = MappingProxyType(
 
 
 def check_backend(name: str | None) -> str:
-    """The backend's name, known to exist. Raises WrongUse."""
-    known = ", ".join(BACKENDS)
+    """Return the name of the backend, known to exist. Raises WrongUse."""
     if name is None:
-        raise WrongUse(f"the stand file names no backend: add backend = ... to [stand]; known are {known}")
-    if name not in BACKENDS:
-        raise WrongUse(f"unknown backend {name!r}: {_hint(name, BACKENDS)}known are {known}")
-    return name
+        raise WrongUse(f"the stand file has no backend: add backend = ... to [stand]; known are {', '.join(BACKENDS)}")
+    return _known("backend", name, BACKENDS)
 
 
 def check_sensor(name: object) -> str:
-    """The joint sensor's kind, known to exist. Raises WrongUse."""
-    known = ", ".join(SENSORS) or "none in this release"
+    """Return the kind of the joint sensor, known to exist. Raises WrongUse."""
     if name is None:
-        raise WrongUse(f"must be given; known are {known}")
-    if not isinstance(name, str) or name not in SENSORS:
-        raise WrongUse(f"unknown joint sensor {name!r}: {_hint(str(name), SENSORS)}known are {known}")
-    return name
+        raise WrongUse(f"must be given; known are {', '.join(SENSORS)}")
+    return _known("joint sensor", str(name), SENSORS)
 
 
 def open_backend(name: str, table: Any, quantity: Quantity) -> Servo:
-    """The servo of backend `name`, opened from its checked table, with its torque off.
+    """Open the servo of backend `name` from its checked table, with its torque off.
 
-    Raises WrongUse where it cannot be commanded `quantity`, DriverError where it cannot be opened.
+    quantity: of its set-points. Raises WrongUse where it does not accept them, DriverError where it cannot be opened.
     """
     if isinstance(table, HasMode):
         try:
@@ -129,31 +122,34 @@ def open_backend(name: str, table: Any, quantity: Quantity) -> Servo:
             raise WrongUse(str(error)) from None
     servo: Servo = _named(BACKENDS[name].opener)(table)
     if quantity not in servo.info.quantities:
-        takes = ", ".join(sorted(servo.info.quantities))
+        accepted = ", ".join(sorted(servo.info.quantities))
         servo.close()
-        raise WrongUse(f"backend {name!r} as the stand file sets it takes no {quantity}: use --mode {takes}")
+        raise WrongUse(f"backend {name!r} with this stand file accepts no {quantity}: use --mode {accepted}")
     return servo
 
 
 def found_by_search(name: str, table: Any) -> list[str]:
-    """A sentence for each device of backend `name` that answers in some other way than the table says.
+    """Return a sentence for each device of backend `name` that answers with other settings than the table's.
 
     Raises DriverError where the link cannot be opened.
     """
     place = BACKENDS[name].search
-    found: list[str] = _named(place)(table) if place else []
-    return found
+    answers: list[str] = _named(place)(table) if place else []
+    return answers
 
 
 def open_sensor(name: str, table: Any, clock: Clock) -> JointSensor:
-    """The joint sensor of kind `name`, opened from its checked table. Raises DriverError where it cannot be."""
+    """Open the joint sensor of kind `name` from its checked table. Raises DriverError."""
     sensor: JointSensor = _named(SENSORS[name].opener)(table, clock=clock)
     return sensor
 
 
-def _hint(name: str, known: Mapping[str, Device]) -> str:
+def _known(what: str, name: str, known: Mapping[str, Device]) -> str:
+    if name in known:
+        return name
     near = get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}? " if near else ""
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise WrongUse(f"unknown {what} {name!r}: {hint}known are {', '.join(known)}")
 
 
 def _named(place: str) -> Any:

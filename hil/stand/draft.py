@@ -1,4 +1,4 @@
-"""A new stand.toml: what has to be known for it, and the commented file that is written from the answers."""
+"""A new stand.toml: the questions for it, and the commented file made from the answers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _UNKNOWN = object()
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """One key: its table and name, what it means, and its default (None: it must be answered)."""
+    """One key: its table and name, its meaning, and its default (None: it must be answered)."""
 
     table: str
     name: str
@@ -63,11 +63,11 @@ class Draft:
     sensor: str | None
 
     def questions(self) -> list[Question]:
-        """What has to be asked: of the stand, of the device what has no default, the limits."""
+        """Return the questions to ask: the stand's, the device's without a default, the limits'."""
         return [*_STAND, *(q for q in self._device_questions() if q.default is None), *_LIMITS]
 
-    def wrong(self, question: Question, value: Any) -> str:
-        """Why `value` cannot be the answer, "" where it can."""
+    def error(self, question: Question, value: Any) -> str:
+        """Return why `value` is not valid, "" where it is."""
         try:
             TypeAdapter(self._class_of(question.table)).validate_python({question.name: value})
         except ValidationError as error:
@@ -77,23 +77,23 @@ class Draft:
         return ""
 
     def value(self, question: Question, text: str) -> Any:
-        """What a person typed, as a number where that is what the key takes, else as text."""
+        """Return the typed text as a number where the key is one, else as text."""
         try:
             value = tomllib.loads(f"x = {text}")["x"]
         except tomllib.TOMLDecodeError:
             return text
-        return text if self.wrong(question, value) and not self.wrong(question, text) else value
+        return text if self.error(question, value) and not self.error(question, text) else value
 
     def question(self, key: str) -> Question | None:
-        """The question of a key, `table.name`, asked or not; None where there is no such key."""
+        """Return the question of a key, `table.name`; None where there is no such key."""
         return next((q for q in [*_STAND, *_LIMITS, *self._device_questions()] if q.key == key), None)
 
     def keys(self) -> list[str]:
-        """Every key there is."""
+        """Return every key."""
         return [q.key for q in [*_STAND, *_LIMITS, *self._device_questions()]]
 
     def text(self, answers: Mapping[str, Any]) -> str:
-        """The file. answers: by key; what has a default and no answer stands in it as a comment or as the default."""
+        """Return the file. answers: by key; a key without one has its default, the device's in a comment."""
         lines = [
             "# hil doctor checks it. For completion in an editor: hil stand schema > stand.schema.json",
             "#:schema ./stand.schema.json",
@@ -126,7 +126,7 @@ class Draft:
 
 
 def _fields(cls: Any) -> Iterator[tuple[str, Any]]:
-    """The keys of a table with their defaults, `_UNKNOWN` where they must be given."""
+    """Yield the keys of a table with their defaults, `_UNKNOWN` where they must be given."""
     if dataclasses.is_dataclass(cls):
         for field in dataclasses.fields(cls):
             if field.default_factory is not dataclasses.MISSING:
@@ -139,18 +139,18 @@ def _fields(cls: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _meanings(cls: Any) -> dict[str, str]:
-    """What the docstring of a table says of its keys, each as `key: what it means.`"""
+    """Return the meaning of each key from the docstring of its table, written as `key: meaning.`"""
     names = [name for name, _ in _fields(cls)]
     alternatives = "|".join(names)
     text = re.sub(r"\s+", " ", cls.__doc__ or "")
-    found = re.findall(rf"\b({alternatives}): (.*?)(?= (?:\w+, )*(?:{alternatives}): |$)", text)
-    return {name: meaning.strip().rstrip(".") for name, meaning in found}
+    entries = re.findall(rf"\b({alternatives}): (.*?)(?= (?:\w+, )*(?:{alternatives}): |$)", text)
+    return {name: meaning.strip().rstrip(".") for name, meaning in entries}
 
 
 def _lines(
     questions: list[Question] | tuple[Question, ...], answers: Mapping[str, Any], *, optional: bool = False
 ) -> Iterator[str]:
-    """Key and value with the meaning behind it; an optional key without an answer as a comment."""
+    """Yield key and value with the meaning after it; an optional key without an answer as a comment."""
     for question in questions:
         if question.key in answers:
             yield from _commented(f"{question.name} = {_toml(answers[question.key])}", question.meaning)

@@ -83,7 +83,7 @@ class Stand:
     def simulated(self) -> SimParameters:
         """[sim] with the motor and gear of [stand] where [sim.motor] states none.
 
-        The gear is the stand's even where it is left at 1: the recorder reckons with it.
+        The gear is the stand's even where it is left at 1: the recorder uses it.
         """
         stated = self.stand.model_dump(include=self.stand.model_fields_set)
         return self.sim.resolved(
@@ -114,11 +114,11 @@ deflection = 1.0
 velocity = 100.0
 temperature = 80.0
 """
-"""The stand that `--backend sim` means. What is not here is the simulator's own default."""
+"""The stand of `--backend sim`. All other keys have the simulator's defaults."""
 
 
 def load(path: Path) -> Stand:
-    """The stand in a TOML file. Raises WrongUse with every problem of the file at once, each with its key."""
+    """Return the stand in a TOML file. Raises WrongUse with every error of the file at once, each with its key."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -127,26 +127,26 @@ def load(path: Path) -> Stand:
 
 
 def parse(text: str, name: str = "stand.toml") -> Stand:
-    """The stand in `text`. Raises WrongUse with every problem at once, each with its key."""
+    """Return the stand in `text`. Raises WrongUse with every error at once, each with its key."""
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise WrongUse(f"{name} is not TOML: {error}") from None
-    kind, problems = _sensor_kind(table)
+    kind, errors = _sensor_kind(table)
     file: Any = None
     try:
         file = _file_model(frozenset(table) & frozenset(BACKENDS), kind).model_validate(table)
     except ValidationError as error:
-        problems += [_problem(item) for item in error.errors()]
-    if problems:
-        raise WrongUse(f"{name} has {len(problems)} problem(s):\n" + "\n".join(f"  {text}" for text in problems))
+        errors += [_message(item) for item in error.errors()]
+    if errors:
+        raise WrongUse(f"{name} has {len(errors)} error(s):\n" + "\n".join(f"  {text}" for text in errors))
     devices = {backend: getattr(file, backend) for backend in BACKENDS if backend in table}
     sensor = None if kind is None else (kind, file.joint_sensor)
     return Stand(file.stand, file.limits, devices, sensor, text)
 
 
 def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[str]]:
-    """The joint sensor's kind, taken out of [joint_sensor], whose other keys are its own; and what is wrong with it."""
+    """Remove and return the kind in [joint_sensor], whose other keys are the sensor's own; and the errors in it."""
     sensor = table.get("joint_sensor")
     if not isinstance(sensor, dict):
         return None, []
@@ -158,14 +158,14 @@ def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[str]]:
 
 
 def _file_model(backends: frozenset[str], sensor: str | None) -> type[File]:
-    """What a file with the tables of these backends and that sensor must hold; no other device's code is loaded."""
+    """Return the model of a file with the tables of these devices; no other device's code is loaded."""
     tables: dict[str, Any] = {name: (BACKENDS[name].table_class(), ...) for name in sorted(backends)}
     if sensor is not None:
         tables["joint_sensor"] = (SENSORS[sensor].table_class(), ...)
     return create_model("_FileOfStand", __base__=File, **tables)
 
 
-def _problem(item: Any) -> str:
+def _message(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"])
     if item["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
         return f"{key}: no such key"

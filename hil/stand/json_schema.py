@@ -1,4 +1,4 @@
-"""The JSON schema of stand.toml, for editors that check and complete as one types; made from what checks the file."""
+"""The JSON schema of stand.toml, for editors that check and complete; made from the models that check the file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SENSOR = "joint_sensor_"
 
 
 def stand_schema() -> dict[str, Any]:
-    """The schema, with the tables of every backend and joint sensor there is."""
+    """Return the schema, with the tables of every backend and joint sensor."""
     tables: dict[str, Any] = {name: (device.table_class(), None) for name, device in BACKENDS.items()}
     tables |= {f"{_SENSOR}{kind}": (device.table_class(), None) for kind, device in SENSORS.items()}
     schema = create_model("Stand", __base__=File, **tables).model_json_schema()
@@ -30,12 +30,12 @@ def stand_schema() -> dict[str, Any]:
 
 
 def _resolved(field: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """The definition that a field refers to."""
+    """Return the definition that a field refers to."""
     definition: dict[str, Any] = definitions[str(field["$ref"]).rpartition("/")[2]]
     return definition
 
 
 def _with_kind(kind: str, table: dict[str, Any]) -> dict[str, Any]:
-    """A sensor's table with the key that says which it is."""
+    """Return a sensor's table with the key of its kind."""
     properties = {"kind": {"const": kind}, **table.get("properties", {})}
     return table | {"properties": properties, "required": ["kind", *table.get("required", [])]}

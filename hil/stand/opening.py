@@ -18,11 +18,10 @@ from hil.stand.servo import StandServo
 def open_servo(
     stand: Stand, *, quantity: Quantity = Quantity.TORQUE, seed: int = 0, realtime: bool = False
 ) -> tuple[Servo, Mapping[str, float]]:
-    """The stand's servo, closed by whoever asked for it, and the truth where it is simulated ({} otherwise).
+    """Open the stand's servo, which the caller closes. Return it and the truth of a simulated one ({} otherwise).
 
-    Its joint sensor, where the stand has one, is part of it, and so is the stand's zero. quantity: what will be
-    commanded, which chooses a drive's mode. seed: of everything random in a simulated servo. realtime: simulate in wall
-    time. Raises WrongUse, DriverError.
+    The stand's joint sensor and its zero are part of it. quantity: of the set-points, which selects a drive's mode.
+    seed: of everything random in a simulated servo. realtime: simulate in wall time. Raises WrongUse, DriverError.
     """
     name = check_backend(stand.stand.backend)
     truth: Mapping[str, float] = {}
@@ -46,7 +45,7 @@ def open_servo(
 
 
 def _table_of(stand: Stand, name: str) -> Any:
-    """The backend's own table. Raises WrongUse where the file has none, with the keys that it must have."""
+    """Return the backend's own table. Raises WrongUse where the file has none, with the keys that it must have."""
     if name in stand.devices:
         return stand.devices[name]
     try:

@@ -1,7 +1,6 @@
-"""A recording played back as a servo: every exchange returns its next row, whatever is commanded.
+"""A recording played back as a servo: every exchange returns its next row and ignores the command.
 
-For trying out limits, the live view and scripts on what a stand once did. Nothing turns, and what was recorded is not
-an answer to what is commanded now.
+For trying out limits, the live view and scripts on what a stand once did. Nothing turns.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class ReplayServo:
 
     @property
     def info(self) -> ServoInfo:
-        """Which recording it is; it takes every set-point and heeds none."""
+        """The recording's path; every set-point is accepted and ignored."""
         return ServoInfo(backend="replay", model=str(self._recording.path))
 
     @property
@@ -77,7 +76,7 @@ class ReplayServo:
         self._gate.disarm()
 
     def close(self) -> None:
-        """Let go of the file. Harmless when already closed."""
+        """Close the file. Harmless when already closed."""
         self._gate.close()
 
     def _samples(self) -> Iterator[Sample]:
@@ -99,7 +98,7 @@ class ReplayServo:
 
 
 def _at(sample: Sample, now: float) -> Sample:
-    """The sample with its times moved so that it was asked for `now`, s."""
+    """Return the sample with its times moved so that it was requested `now`, s."""
     read = sample.t_read - sample.t
     age = sample.t_joint - sample.t
     return replace(sample, t=now, t_read=now + (read if math.isfinite(read) else 0.0), t_joint=now + age)

@@ -1,4 +1,4 @@
-"""A servo and a sensor at the joint on another link, seen as one servo; and the stand's zero taken off the motor."""
+"""A servo and a joint sensor on another link as one servo, whose motor angle counts from the stand's zero."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.servo import (
 )
 
 SILENCE = 0.25
-"""s without a reading of the joint sensor that are gaps in the data; from then on nobody watches the joint."""
+"""s without a reading of the joint sensor that are gaps in the data; a longer silence ends the run."""
 
 
 class StandServo:
@@ -39,7 +39,7 @@ class StandServo:
 
     @property
     def info(self) -> ServoInfo:
-        """What the servo is."""
+        """The servo's own."""
         return self._servo.info
 
     @property
@@ -70,7 +70,7 @@ class StandServo:
         self._servo.disarm()
 
     def close(self) -> None:
-        """Torque off, then let go of both links. Harmless when already closed."""
+        """Torque off, then close both links. Harmless when already closed."""
         try:
             self._servo.close()
         finally:
@@ -84,10 +84,10 @@ class StandServo:
             t, torque = sensor.read()
         except (NoReply, BadReply) as error:
             t, torque = math.nan, math.nan
-            trouble = str(error)
+            reason = str(error)
         else:
             self._seen = max(self._seen, t)
-            trouble = "it repeats an old reading"
+            reason = "it repeats an old reading"
         if now - self._seen > SILENCE:
-            raise NoReply(f"the joint sensor has told nothing new for {now - self._seen:.2f} s ({trouble})")
+            raise NoReply(f"the joint sensor has given no new reading for {now - self._seen:.2f} s ({reason})")
         return t, torque

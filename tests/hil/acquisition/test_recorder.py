@@ -468,7 +468,7 @@ def test_a_rate_the_servo_cannot_answer_at_is_refused_before_the_motor_is_live(b
     bench.servo = Slow()
     outcome = bench.run()
     assert isinstance(outcome.error, WrongUse)
-    assert "16 ms to answer, so it can be asked at most 62 times a second" in str(outcome.error)
+    assert "16 ms to answer, so it reaches at most 62 Hz" in str(outcome.error)
     assert bench.servo.limits is None
 
 

@@ -84,7 +84,7 @@ def test_every_problem_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path
         "valve: no such key",
     ):
         assert key in said
-    assert "10 problem(s)" in said
+    assert "10 error(s)" in said
 
 
 def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:
@@ -104,7 +104,7 @@ def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("simm", "did you mean 'sim'"), ("valve", "known are sim"), (None, "names no backend")],
+    [("simm", "did you mean 'sim'"), ("valve", "known are sim"), (None, "has no backend")],
 )
 def test_an_unknown_backend_is_refused_with_the_known_ones(name: str | None, said: str) -> None:
     with pytest.raises(WrongUse, match=said):
@@ -121,7 +121,7 @@ def test_a_backends_own_table_is_checked_with_the_rest_of_the_file() -> None:
     id = 300
     bauderate = 57600
     """
-    with pytest.raises(WrongUse, match=r"5 problem\(s\)") as refusal:
+    with pytest.raises(WrongUse, match=r"5 error\(s\)") as refusal:
         parse(text)
     said = str(refusal.value)
     for key in ("stand.gear_ratio", "dynamixel.port: must be given", "dynamixel.model = 'xl333'", "dynamixel.id = 300"):

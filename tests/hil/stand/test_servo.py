@@ -93,7 +93,7 @@ def test_a_lost_reading_is_a_gap_and_a_silent_sensor_ends_the_run(error: DriverE
     stand = StandServo(servo, 0.0, Cell(servo.clock, silent=0.1, error=error))
     last = ask_until(stand, 0.1 + 0.5 * SILENCE)
     assert math.isnan(last[2]) == (error is not None)
-    with pytest.raises(NoReply, match="joint sensor has told nothing new"):
+    with pytest.raises(NoReply, match="joint sensor has given no new reading"):
         ask_until(stand, 0.1 + 2.0 * SILENCE)
 
 
@@ -165,7 +165,7 @@ def test_a_stands_joint_sensor_is_joined_to_its_servo() -> None:
     [
         ('port = "p"', "joint_sensor.kind: must be given; known are cell"),
         ('kind = "sell"', "did you mean 'cell'"),
-        ("kind = 3", "unknown joint sensor 3"),
+        ("kind = 3", "unknown joint sensor '3'"),
         ('kind = "sell"\n[limits]\ntorque = 0.0', "limits.torque"),
         ('kind = "cell"\ncolour = 1', "joint_sensor.port: must be given"),
         ('kind = "cell"\nport = "p"\ncolour = 1', "joint_sensor.colour: no such key"),
