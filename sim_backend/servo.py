@@ -51,11 +51,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TrueState:
-    """What no sensor shows.
+    """The exact state of the simulated stand, which no sensor measures.
 
-    t: s on the servo's clock. motor_*: rad, rad/s, N m at the motor shaft. torque_demand: N m asked of the current
-    loop. joint_*: rad, rad/s at the joint. coupling_torque: sigma_c, N m. cell_torque: N m at the torque cell before it
-    is sampled. winding_temperature: degC. enabled: whether current can flow.
+    t: s on the servo's clock. motor_*: rad, rad/s, N m at the motor shaft. torque_demand: set-point of the current
+    loop, N m. joint_*: rad, rad/s at the joint. coupling_torque: sigma_c, N m. cell_torque: N m at the torque cell
+    before it is sampled. winding_temperature: degC. enabled: whether current can flow.
     """
 
     t: float
@@ -74,7 +74,7 @@ class TrueState:
 class SimServo:
     """A simulated axis. The same parameters, seed, plan and commands give the same samples bit for bit.
 
-    faults: what goes wrong on purpose, in s since construction. Raises ValueError where the seed is negative.
+    faults: planned faults, in s since construction. Raises ValueError where the seed is negative.
     """
 
     def __init__(self, parameters: SimParameters, *, seed: int, clock: Clock, faults: tuple[Fault, ...] = ()) -> None:
@@ -122,9 +122,10 @@ class SimServo:
             self._drive.enable(limits)
 
     def exchange(self, command: Command) -> Sample:
-        """Send the set-point and read the state; a round trip passes on the clock, a lost reply takes the timeout.
+        """Send the set-point and read the state; the clock advances by a round trip, or by the timeout for a lost
+        reply.
 
-        The set-point acts when it has arrived, so the sample shows the state before it. A fault, once latched, is
+        The set-point acts from its arrival, so the sample holds the state before it. A fault, once latched, is
         raised by every exchange. Raises NoReply, BadReply, LinkLost, DeviceFault.
         """
         admitted = self._gate.admit(command)
@@ -161,10 +162,7 @@ class SimServo:
         return Sample(sent, 0.5 * (sent + returned), *reading, status)
 
     def disarm(self) -> None:
-        """Switch the torque off. Harmless when already off.
-
-        Raises DriverError where the request does not reach the drive, whose watchdog then does the same.
-        """
+        """Switch the torque off. Raises as `Gate.disarm`; the drive's watchdog then switches it off."""
         self._gate.disarm()
 
     def close(self) -> None:
@@ -172,9 +170,9 @@ class SimServo:
         self._gate.close()
 
     def truth(self) -> dict[str, float]:
-        """What the stand really is, for the recording's `/truth`: SI, at the joint unless named for the motor.
+        """Return the true parameters for the recording's `/truth`: SI, at the joint unless named for the motor.
 
-        skew_motor, skew_joint: how much older the torque reading is than the angle's, s, filter lag included.
+        skew_motor, skew_joint: age of the torque reading minus age of the angle reading, s, filter lag included.
         """
         p = self._parameters
         c, sensors = self._drive.constants, p.sensors
@@ -198,7 +196,7 @@ class SimServo:
         }
 
     def true_state(self) -> TrueState:
-        """The plant as it is at this moment of the clock, open or closed: what tests judge by. No time passes."""
+        """Return the plant's state at the present time of the clock, open or closed, for tests. No time passes."""
         self._advance(self.clock.now())
         drive = self._drive
         state = drive.path.state
@@ -222,7 +220,7 @@ class SimServo:
         self._drive.disable()
 
     def _reach(self) -> float:
-        """The time of sending. Raises LinkLost, and NoReply once the timeout has passed."""
+        """Return the time of sending. Raises LinkLost, and NoReply once the timeout has passed."""
         now = self.clock.now()
         self._gate.require_open()
         if now - self._opened >= self._link_ends:
@@ -245,7 +243,7 @@ class SimServo:
         raise DeviceFault(code, f"the drive latched fault {code}: {remedy}")
 
     def _advance(self, t: float) -> None:
-        """Carry the drive to `t` on the clock, taking set-points and planned faults in at their times."""
+        """Run the drive until `t` on the clock, with set-points and planned faults at their times."""
         until = t - self._opened
         while self._ahead and self._ahead[0].at <= until:
             fault = self._ahead.popleft()

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 LATE = 0.02
 """s after its deadline that a reply may still arrive; after that it is lost."""
+SECOND_REPLY = 0.004
+"""s in which a second drive with the same id would have replied."""
 
 Classify = Callable[["can.Message"], Hashable | None]
 """Returns the kind of a frame from our drive; None for a frame of another node."""
@@ -96,6 +98,11 @@ class Requests:
                 f"{self.name} sent a reply without a request: a late reply, so that earlier samples may be late too, "
                 "or a second drive with the same id; the sample is dropped"
             )
+
+    def check_alone(self, kind: Hashable) -> None:
+        """Raise BadReply where a second drive replies to the last request, which was for `kind`."""
+        if self.wait_until(SECOND_REPLY, lambda: kind in self.unrequested):
+            raise garbled(self.name, "it answers twice")
 
     def send_now(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> None:
         """Send `frames` at once, without waiting for replies that are still due: torque-off must not wait.

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from drivers.canbus.requests import SECOND_REPLY
 from drivers.cia402.network import Refused
 from drivers.cia402.profiles import ObjectIndex
 from drivers.servo import BadReply, DriverError, NoReply
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
 _DEVICE_TYPE, _NAME = ObjectIndex(0x1000, 0), ObjectIndex(0x1008, 0)
 _IDENTITY = [ObjectIndex(0x1018, sub) for sub in (1, 2, 3, 4)]
-_SECOND_ANSWER = 0.004
-"""s in which a second drive with the same id would have replied."""
 _REVOLUTIONS_PER_MINUTE = 0xB447
 """Code of rev/min in CiA 303-2; in object 0x60A9 between a power of ten and a zero byte."""
 
@@ -85,7 +84,7 @@ class Nameplate:
     def _check_alone(self) -> None:
         """Raise BadReply where a second drive replies to the last request."""
         answers = self._network.node.sdo.responses
-        if self._network.requests.wait_until(_SECOND_ANSWER, lambda: not answers.empty()) or self._link.error_frames:
+        if self._network.requests.wait_until(SECOND_REPLY, lambda: not answers.empty()) or self._link.error_frames:
             raise BadReply(
                 f"node {self._config.id} on {self._link.name} answers twice, or garbled: two drives with that id, "
                 "or a bad cable; connect one alone"

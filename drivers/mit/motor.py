@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.mit.config import MitConfig
 
-_SECOND_ANSWER = 0.004
-"""s in which a second motor with the same id would have replied."""
-
 
 class MitMotor:
     """Requests to one motor. Every method raises as `Requests.ask` does."""
@@ -97,8 +94,7 @@ class MitMotor:
             retry(self.leave)
         except (NoReply, BadReply) as error:
             raise self._nobody(error) from None
-        if self._requests.wait_until(_SECOND_ANSWER, lambda: bool(self._requests.unrequested)):
-            raise garbled(self._requests.name, "it answers twice")
+        self._requests.check_alone("state")
         if not self.damiao:
             return ""
         for name, expected in zip(

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 _REPLY_WANTED = 0x80
 _POLLS = 40
 """Requests to the console for the rest of a line."""
-_SECOND_ANSWER = 0.004
-"""s in which a second controller with the same id would have replied."""
 _WRITE_PIECE = 61
 
 
@@ -66,8 +64,7 @@ class Controller:
             registers = retry(partial(self.exchange, *ask))
         except (NoReply, BadReply) as error:
             raise self._nobody(error) from None
-        if self._requests.wait_until(_SECOND_ANSWER, lambda: bool(self._requests.unrequested)):
-            raise garbled(self._requests.name, "it answers twice")
+        self._requests.check_alone("registers")
         return registers
 
     def get(self, name: str) -> float:

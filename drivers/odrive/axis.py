@@ -23,8 +23,6 @@ HEARTBEAT = 0.6
 """s without a heartbeat until it counts as missing; the drive's default period is 0.1 s."""
 _CYCLE = 0.12
 """s in which a cyclic message of torque or current would have arrived."""
-_SECOND_ANSWER = 0.004
-"""s in which a second drive with the same id would have replied."""
 
 
 class Axis:
@@ -88,8 +86,7 @@ class Axis:
             replies = retry(lambda: self.requests.ask([self.codec.request("version")], ["version"]), (NoReply,))
         except NoReply:
             return None
-        if self.requests.wait_until(_SECOND_ANSWER, lambda: "version" in self.requests.unrequested):
-            raise garbled(self.requests.name, "it answers twice")
+        self.requests.check_alone("version")
         version: tuple[int, ...] = self.codec.decoded("version", replies["version"])[4:7]
         return version
 

@@ -67,7 +67,7 @@ class Codec:
         self._messages = messages(layout)
         self._names = {message.number: name for name, message in self._messages.items()}
 
-    def knows(self, name: str) -> bool:
+    def has(self, name: str) -> bool:
         """Return whether this firmware has the message."""
         return name in self._messages
 

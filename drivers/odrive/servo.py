@@ -89,7 +89,7 @@ class OdriveServo:
         """
         admitted = self._gate.admit(command)
         sign = self._config.sign
-        torque = "torques" if self._axis.codec.knows("torques") else "iq"
+        torque = "torques" if self._axis.codec.has("torques") else "iq"
         frames = [self._axis.codec.put("set_torque", sign * admitted.command.value)] if admitted.command else []
         frames += [self._axis.codec.request("encoder"), self._axis.codec.request(torque), *self._slow_request()]
         self._axis.requests.refuse_unrequested()
@@ -228,7 +228,7 @@ class OdriveServo:
         self._ticks += 1
         if self._ticks % _EVERY:
             return []
-        names = [name for name in ("temperature", "error", "bus") if self._axis.codec.knows(name)]
+        names = [name for name in ("temperature", "error", "bus") if self._axis.codec.has(name)]
         return [self._axis.codec.request(names[self._ticks // _EVERY % len(names)])]
 
     def _check_state(self) -> None:

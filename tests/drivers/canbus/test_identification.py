@@ -73,13 +73,13 @@ def check(signals: Any, scale: float, torque_lsb: float, position_lsb: float) ->
     period, so torque and angle may be half of one apart, which a model without skew puts into Bc, mostly: how much is
     computed by shifting. And the joint is locked by a fixture that gives way, in series with the cable.
     """
-    design = np.column_stack([signals.dtheta, signals.dtheta_dot])
+    design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
     weights = np.linalg.pinv(design)
     truth = np.array([KC * scale, BC * scale])
     counts = 0.5 * (torque_lsb + truth[0] * position_lsb) * np.abs(weights).sum(axis=1)
     skew = np.zeros(2)
     for shift in (-0.5 / RATE, 0.5 / RATE):
-        moved = [np.interp(signals.time + shift, signals.time, column) for column in design.T]
+        moved = [np.interp(signals.motion.time + shift, signals.motion.time, column) for column in design.T]
         skew = np.maximum(skew, np.abs(weights @ (np.column_stack(moved) - design) @ truth))
     series = truth / (1.0 + KC / FixtureParameters().stiffness)
     found = weights @ signals.coupling_torque
