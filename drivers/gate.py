@@ -165,7 +165,7 @@ class Gate:
     def close(self, restore: Callable[[], None] | None = None) -> None:
         """Request torque-off, `restore` what was changed in the device, and close the link. Never raises DriverError.
 
-        No effect where the servo is closed already. Whoever must know that the torque is off calls `disarm` first.
+        No effect where the servo is closed already. To know that the torque is off, call `disarm` first.
         """
         if self._closed:
             return

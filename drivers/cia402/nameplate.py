@@ -63,7 +63,7 @@ class Nameplate:
             vendor, product, revision, serial = (self._identity(place) for place in _IDENTITY)
             self._check_alone()
         except NoReply:
-            raise NoReply(self._nobody()) from None
+            raise NoReply(self._no_reply()) from None
         if kind != 402:
             raise DriverError(f"node {self._config.id} has device profile {kind}, not CiA 402: correct cia402.id")
         if self._profile.vendor is not None and vendor != self._profile.vendor:
@@ -153,7 +153,7 @@ class Nameplate:
         power = (unit >> 24) - (256 if unit >> 31 else 0)
         return math.tau / 60.0 * float(10.0**power)
 
-    def _nobody(self) -> str:
+    def _no_reply(self) -> str:
         if self._link.error_frames:
             return (
                 f"{self._link.error_frames} error frames on {self._link.name} and no CANopen node {self._config.id}: "

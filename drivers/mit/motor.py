@@ -93,7 +93,7 @@ class MitMotor:
         try:
             retry(self.leave)
         except (NoReply, BadReply) as error:
-            raise self._nobody(error) from None
+            raise self._no_reply(error) from None
         self._requests.check_alone("state")
         if not self.damiao:
             return ""
@@ -172,7 +172,7 @@ class MitMotor:
             return "register"
         return "state" if data[0] & 0xF == ident & 0xF else None
 
-    def _nobody(self, error: DriverError) -> DriverError:
+    def _no_reply(self, error: DriverError) -> DriverError:
         if isinstance(error, BadReply) or self._link.error_frames:
             return garbled(self._requests.name, str(error))
         return NoReply(

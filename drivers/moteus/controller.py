@@ -63,7 +63,7 @@ class Controller:
         try:
             registers = retry(partial(self.exchange, *ask))
         except (NoReply, BadReply) as error:
-            raise self._nobody(error) from None
+            raise self._no_reply(error) from None
         self._requests.check_alone("registers")
         return registers
 
@@ -122,7 +122,7 @@ class Controller:
             return None
         return "console" if is_console(bytes(message.data)) else "registers"
 
-    def _nobody(self, error: DriverError) -> DriverError:
+    def _no_reply(self, error: DriverError) -> DriverError:
         if isinstance(error, BadReply) or self._link.error_frames:
             return garbled(self._requests.name, str(error))
         return NoReply(

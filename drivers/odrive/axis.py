@@ -54,7 +54,7 @@ class Axis:
         """
         version = self._version()
         if not self.requests.wait_until(HEARTBEAT, lambda: self.beats > 0):
-            raise self._nobody()
+            raise self._no_reply()
         if version is None:
             self.codec = Codec(self._config.id, "0.5")
         elif version < (0, 6):
@@ -63,7 +63,7 @@ class Axis:
         try:
             retry(lambda: self.requests.ask(both, ["encoder", "iq"]), (NoReply,))
         except NoReply:
-            raise self._nobody() from None
+            raise self._no_reply() from None
         if self._link.error_frames:
             raise garbled(self.requests.name, f"{self._link.error_frames} error frames on the bus")
         if self.requests.wait_until(_CYCLE, lambda: bool(self.requests.unrequested)):
@@ -78,7 +78,7 @@ class Axis:
         self.requests.process()
         beats = self.beats
         if not self.requests.wait_until(HEARTBEAT, lambda: self.beats > beats):
-            raise self._nobody()
+            raise self._no_reply()
 
     def _version(self) -> tuple[int, ...] | None:
         """Return the reply to Get_Version; None where there is none, as from firmware 0.5."""
@@ -109,7 +109,7 @@ class Axis:
             elif kind == "error":
                 self.errors, _ = self.codec.decoded("error", data)
 
-    def _nobody(self) -> DriverError:
+    def _no_reply(self) -> DriverError:
         if self._link.error_frames:
             return garbled(self.requests.name, f"{self._link.error_frames} error frames on the bus")
         return NoReply(

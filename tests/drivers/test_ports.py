@@ -66,7 +66,7 @@ def link(state: str, *, up: bool = True, kind: str = "can") -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("told", "described", "problem"),
+    ("details", "described", "problem"),
     [
         (link("ERROR-ACTIVE"), "can, 500000 bit/s, error-active", ""),
         (link("STOPPED", up=False), "can, 500000 bit/s, stopped", "ip link set can0 up type can bitrate 500000"),
@@ -77,12 +77,12 @@ def link(state: str, *, up: bool = True, kind: str = "can") -> dict[str, Any]:
     ],
 )
 def test_a_can_interface_is_described_and_its_fault_reported_with_the_remedy(
-    tmp_path: Path, told: Mapping[str, Any], described: str, problem: str
+    tmp_path: Path, details: Mapping[str, Any], described: str, problem: str
 ) -> None:
     for name, kind in (("can0", "280"), ("eth0", "1")):
         (tmp_path / "class/net" / name).mkdir(parents=True)
         (tmp_path / "class/net" / name / "type").write_text(f"{kind}\n")
-    (found,) = ports.can_interfaces(tmp_path, lambda _: told)
+    (found,) = ports.can_interfaces(tmp_path, lambda _: details)
     assert (found.name, found.described) == ("can0", described)
     assert problem in found.problem
     assert bool(problem) == bool(found.problem)

@@ -1,4 +1,4 @@
-"""`pytest --stand FILE`: the contract of servos, held against somebody's own stand."""
+"""`pytest --stand FILE`: the servo contract, run against the stand of a file."""
 
 from __future__ import annotations
 

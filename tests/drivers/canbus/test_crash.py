@@ -1,4 +1,4 @@
-"""A program that dies in the middle, on a serial CAN adapter: what the drive does when nobody is left to tell it."""
+"""A program that dies during a run, on a serial CAN adapter: the drive stops when no frame arrives any more."""
 
 from __future__ import annotations
 

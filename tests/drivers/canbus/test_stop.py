@@ -1,4 +1,4 @@
-"""Torque-off on CAN goes out at once, whatever was lost before and whoever else is talking."""
+"""Torque-off on CAN is sent at once, whatever was lost before and whatever other nodes send."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The emulated CiA 402 drives as clients see them that nobody here wrote: the library canopen, and a serial adapter."""
+"""The emulated CiA 402 drives against clients that are not ours: the library canopen, and a serial adapter."""
 
 from __future__ import annotations
 

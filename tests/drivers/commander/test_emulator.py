@@ -1,4 +1,4 @@
-"""The emulated SimpleFOC board as the library's documentation shows it, for clients that nobody here wrote."""
+"""The emulated SimpleFOC board as the library's documentation shows it, for clients that are not ours."""
 
 from __future__ import annotations
 

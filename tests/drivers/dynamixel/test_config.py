@@ -1,4 +1,4 @@
-"""The [dynamixel] table as whoever reads a stand file checks it."""
+"""The validation of the [dynamixel] table of a stand file."""
 
 from __future__ import annotations
 

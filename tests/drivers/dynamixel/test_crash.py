@@ -1,4 +1,4 @@
-"""A program that dies in the middle: what the servo does when nobody is left to tell it anything."""
+"""A program that dies during a run: the servo stops when no request arrives any more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The emulator on a pty against the vendor's own client, which nobody here wrote."""
+"""The emulator on a pty against the vendor's own client."""
 
 from __future__ import annotations
 

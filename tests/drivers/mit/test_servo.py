@@ -132,7 +132,7 @@ def test_a_scale_of_the_torque_acts_both_ways(make_mit: Make) -> None:
 
 def test_what_a_damiao_has_registers_for_is_written_read_back_and_put_back(make_mit: Make) -> None:
     rig = make_mit()
-    rig.device.values[10] = 2.0  # somebody left it in another mode
+    rig.device.values[10] = 2.0  # an earlier program left it in another mode
     servo = rig.open()
     servo.arm(LIMITS)
     values = rig.device.values

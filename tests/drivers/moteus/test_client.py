@@ -1,4 +1,4 @@
-"""The emulated controller against the vendor's own client, which nobody here wrote, over python-can."""
+"""The emulated controller against the vendor's own client, over python-can."""
 
 from __future__ import annotations
 
