@@ -1,7 +1,7 @@
 """The drive's firmware: sampled, with its own loop, its own limits and its own faults.
 
 It runs at `drive.loop_rate`. On each beat it takes the set-point over, closes the position loop on the encoder's
-counts, and turns the torque off by itself where it finds too high a velocity or temperature or hears nothing more.
+counts, and turns the torque off by itself where velocity or temperature is too high or no set-point arrives any more.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ FED = 5
 FAULT = 6
 SATURATED = 7
 FROZEN = 8
-"""rad: what a frozen encoder says; NaN while it works."""
+"""rad: the angle that a frozen encoder repeats; NaN while it works."""
 MAX_TORQUE = 9
 MAX_VELOCITY = 10
 MAX_TEMPERATURE = 11
@@ -70,7 +70,7 @@ PLACES = 12
 
 
 class Settings(NamedTuple):
-    """What the firmware was built with. period, watchdog s; lsb rad; the rest as in `DriveParameters`."""
+    """The firmware's constants. period, watchdog s; lsb rad; the rest as in `DriveParameters`."""
 
     period: float
     watchdog: float
@@ -159,7 +159,7 @@ def _look(path: Path, ages: Vector) -> tuple[float, float, float, float, float, 
 
 
 class Seen(NamedTuple):
-    """What the sensors have before them, each at its own instant, before noise and counts.
+    """The quantities at the sensors, each at its own instant, before noise and counts.
 
     motor_position rad, motor_velocity rad/s (filtered), motor_torque N m, joint_position rad, joint_torque N m
     (filtered), temperature degC.
@@ -205,7 +205,7 @@ class Drive:
 
     @property
     def time(self) -> float:
-        """How far plant and firmware have been carried, s."""
+        """The time that plant and firmware have been carried to, s."""
         return float(self.path.now[TIME])
 
     @property
@@ -233,7 +233,7 @@ class Drive:
         _run(self.path, self._memory, self._settings, self._constants, until)
 
     def enable(self, limits: Limits) -> None:
-        """Take the limits over and let current flow, at zero torque; the watchdog starts now."""
+        """Set the limits and let current flow, at zero torque; the watchdog starts now."""
         memory = self._memory
         _trip(self.path, memory, 0.0)
         memory[MAX_TORQUE] = min(limits.torque, self._ceiling)
@@ -256,7 +256,7 @@ class Drive:
         self._memory[FED] = self.time
 
     def follow(self, command: Command) -> None:
-        """Take a set-point over; it acts from the next beat. Without effect while disabled."""
+        """Set a set-point, which acts from the next beat. No effect while disabled."""
         memory = self._memory
         if memory[ENABLED] == 0.0:
             return
@@ -278,11 +278,11 @@ class Drive:
 
     @property
     def frozen(self) -> float:
-        """What a frozen motor encoder says, rad; NaN while it works."""
+        """The angle that a frozen motor encoder repeats, rad; NaN while it works."""
         return float(self._memory[FROZEN])
 
     def look(self) -> Seen:
-        """What each sensor has before it now.
+        """The quantity at each sensor now.
 
         Raises RuntimeError where one shows an instant further back than the plant remembers.
         """

@@ -1,4 +1,4 @@
-"""What can go wrong on purpose: a plan is a tuple of these, handed to `SimServo`. Times are s since it was opened."""
+"""Faults of the simulated servo, scheduled in time: a plan is a tuple of these. Times are s since it was opened."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class LinkDrops:
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """Nothing passes either way from `start` to `end`: no set-point arrives, no reply comes."""
+    """From `start` to `end` no set-point reaches the drive and no reply comes back."""
 
     start: float
     end: float
@@ -47,7 +47,7 @@ class FaultLatches:
 
 @dataclass(frozen=True, slots=True)
 class EncoderFreezes:
-    """The motor encoder repeats its count from `at` on, and neither drive nor status says so."""
+    """The motor encoder repeats its count from `at` on, and neither drive nor status shows it."""
 
     at: float
 
@@ -78,12 +78,12 @@ def within(plan: tuple[Fault, ...], kind: type[Interval], t: float) -> bool:
 
 
 def link_ends(plan: tuple[Fault, ...]) -> float:
-    """When the link is gone, s; infinity where it holds."""
+    """Return the time from which the link is gone, s; infinity where it stays."""
     return min((fault.at for fault in plan if isinstance(fault, LinkDrops)), default=math.inf)
 
 
 def device_faults(plan: tuple[Fault, ...]) -> list[FaultLatches | EncoderFreezes]:
-    """What happens inside the drive, in order of time."""
+    """Return the faults inside the drive, in order of time."""
     inside = [fault for fault in plan if isinstance(fault, FaultLatches | EncoderFreezes)]
     return sorted(inside, key=lambda fault: fault.at)
 

@@ -32,11 +32,11 @@ class MotorParameters:
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     gear_ratio: Positive | None = None
-    """eta, turns of the motor for one of the joint; None: as [stand] says."""
+    """eta, turns of the motor for one of the joint; None: as in [stand]."""
     inertia: Positive | None = None
-    """Dm, kg m^2 at the motor shaft; None: as [stand] says."""
+    """Dm, kg m^2 at the motor shaft; None: as in [stand]."""
     viscous_friction: NotNegative | None = None
-    """Bm, N m s/rad at the motor shaft; None: as [stand] says."""
+    """Bm, N m s/rad at the motor shaft; None: as in [stand]."""
     torque_constant: Positive = 0.0145
     """N m/A; it does not change with temperature."""
     winding_resistance: Positive = 8.7
@@ -99,7 +99,7 @@ class CouplingParameters:
 
 @dataclass(frozen=True, slots=True)
 class FixtureParameters:
-    """What locks the joint: stiff, but not infinitely so."""
+    """The fixture that locks the joint; its stiffness is finite."""
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
@@ -137,7 +137,7 @@ class DriveParameters:
 
 @dataclass(frozen=True, slots=True)
 class SensorParameters:
-    """What is read, how coarsely, how late and how noisily."""
+    """The sensors: resolution, delay, noise."""
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
@@ -238,7 +238,7 @@ class SimParameters:
         motor_inertia: float | None = None,
         motor_damping: float | None = None,
     ) -> SimParameters:
-        """The same stand with no motor parameter left open.
+        """Return these parameters with every open motor parameter filled in.
 
         What `[sim.motor]` states holds; then what the stand states (the arguments: -, kg m^2, N m s/rad); then the
         default: a small coreless motor behind a gear of 4, which puts the torque-driven resonance near 12 Hz.

@@ -84,7 +84,7 @@ def constants(parameters: SimParameters) -> Constants:
     """The plant's constants from the stand's parameters, with open motor parameters at their defaults."""
     stand = parameters.resolved()
     motor, coupling, fixture = stand.motor, stand.coupling, stand.fixture
-    assert motor.gear_ratio is not None  # noqa: S101 - `resolved` leaves none open; this tells the type checker
+    assert motor.gear_ratio is not None  # noqa: S101 - `resolved` leaves none open; for the type checker
     assert motor.inertia is not None  # noqa: S101 - the same
     assert motor.viscous_friction is not None  # noqa: S101 - the same
     return Constants(
@@ -163,7 +163,7 @@ def elastic_torque(deflection: float, rate: float, c: Constants) -> float:
 
 @compiled
 def bristle_rate(bristle: float, rate: float, c: Constants) -> float:
-    """How fast the friction's bristles bend, rad/s (LuGre); zero where there is no dry friction."""
+    """Return the rate at which the friction's bristles bend, rad/s (LuGre); zero without dry friction."""
     if c.coulomb == 0.0:
         return 0.0
     level = c.coulomb + (c.static - c.coulomb) * math.exp(-((rate / c.stribeck) ** 2))
@@ -172,7 +172,7 @@ def bristle_rate(bristle: float, rate: float, c: Constants) -> float:
 
 @compiled
 def hysteresis_rate(load: float, rate: float, c: Constants) -> float:
-    """How fast the Bouc-Wen element's relative load changes, 1/s: linear on unloading, yielding on loading."""
+    """Return the rate of the Bouc-Wen element's relative load, 1/s: linear on unloading, yielding on loading."""
     if c.hysteresis_torque == 0.0:
         return 0.0
     yielded = abs(load) ** c.hysteresis_exponent if rate * load > 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""What the sensors make of the plant: late, coarse, noisy, or absent."""
+"""The sensors of the simulated servo: delay, resolution, noise, absence."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Noise:
 
 
 class Reading(NamedTuple):
-    """What the drive puts into a reply: `Sample` without its times and status, in the same units."""
+    """The readings in a reply: `Sample` without its times and status, in the same units."""
 
     motor_position: float
     motor_velocity: float

@@ -1,4 +1,4 @@
-"""What is under way on an emulated link, in order of arrival."""
+"""The messages under way on an emulated link, in order of arrival."""
 
 from __future__ import annotations
 
@@ -31,6 +31,6 @@ class Arrivals(Generic[Part]):
         return self._due[0][0] if self._due else math.inf
 
     def until(self, now: float) -> Iterator[Part]:
-        """Take out and yield what has arrived by `now`, s."""
+        """Yield and remove the parts that have arrived by `now`, s."""
         while self.next() <= now:
             yield heapq.heappop(self._due)[2]

@@ -32,7 +32,7 @@ class Served(Protocol):
         ...
 
     def stop(self) -> None:
-        """Let `serve` return; may be called from a signal."""
+        """Make `serve` return; may be called from a signal."""
         ...
 
 
@@ -116,7 +116,7 @@ def _parameter(option: str, takes: Mapping[str, inspect.Parameter]) -> str:
 
 @contextmanager
 def ended_by_signal(served: Served) -> Iterator[None]:
-    """Let Ctrl-C, a kill or a closed terminal stop `served`."""
+    """Make Ctrl-C, a kill or a closed terminal stop `served`."""
     names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
     before = {name: signal.signal(getattr(signal, name), lambda *_: served.stop()) for name in names}
     try:

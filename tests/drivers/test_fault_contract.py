@@ -440,7 +440,7 @@ BOARD = Drive(
     boot=4.0,
     reboot=lambda rig: rig.board.reboot(rig.clock.now()),
     off=lambda rig: not rig.motor.enabled and rig.motor.law.target == 0.0,
-    refused=(lambda rig: rig.board.mishear("MLC0", "MLC9"), "current limit"),
+    refused=(lambda rig: rig.board.garble("MLC0", "MLC9"), "current limit"),
 )
 
 DRIVES = {

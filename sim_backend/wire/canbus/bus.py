@@ -1,6 +1,6 @@
-"""Several emulated drives on one CAN bus: who hears what, who answers, and when it arrives. No I/O.
+"""Several emulated drives on one CAN bus: who receives a frame, who replies, and when replies arrive. No I/O.
 
-What two drives with one identifier do is the bus's physics: they begin to send at the same moment, equal frames are one
+Two drives with one identifier behave as the bus makes them: they begin to send at the same moment; equal frames are one
 frame, and different ones break at the first bit that differs, every time they try.
 """
 
@@ -18,20 +18,20 @@ from sim_backend.wire.faults import BusOff, CanFault, Reboots, Unplug, WireFault
 class CanNode(Protocol):
     """An emulated drive. Times are s on the bus's clock."""
 
-    def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """What it answers to a frame that ended at `now`; every node hears every frame."""
+    def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Return the replies to a frame that ended at `now`; every node receives every frame."""
         ...
 
     def due(self) -> float:
-        """When it next sends something unasked; infinite where it does not."""
+        """Return the time at which it next sends something unasked; infinity where it does not."""
         ...
 
-    def speak(self, now: float) -> list[CanFrame]:
-        """What it sends unasked at `now`, which is the time that `due` gave."""
+    def unasked(self, now: float) -> list[CanFrame]:
+        """Return the frames that it sends unasked at `now`, which is the time that `due` gave."""
         ...
 
     def advance(self, now: float) -> None:
-        """Let time pass for it."""
+        """Carry it to `now`."""
         ...
 
     def reboot(self, now: float) -> None:
@@ -48,7 +48,7 @@ class CanDelivery(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CanTiming:
-    """How long the bus takes. Bit rates in bit/s; turnaround: s from a request to its answer in the drive; latency: s
+    """The durations on the bus. Bit rates in bit/s; turnaround: s from a request to its answer in the drive; latency: s
     that the host's adapter holds a frame back.
     """
 
@@ -72,28 +72,28 @@ class CanBus:
         self.faults = WireFaults[CanFault]()
 
     def due(self) -> float:
-        """When a drive next sends something unasked, s."""
+        """Return the time at which a drive next sends something unasked, s."""
         return min((node.due() for node in self.nodes), default=math.inf)
 
     def advance(self, now: float) -> list[CanDelivery]:
-        """Carry every drive to `now`; what arrived unasked in between."""
+        """Carry every drive to `now` and return what they sent unasked meanwhile."""
         out: list[CanDelivery] = []
         while self.due() <= now:
             at = self.due()
             for node in self.nodes:
                 if node.due() <= at:
-                    out += [delivery for frame in node.speak(at) for delivery in self._sent(frame, at)]
+                    out += [delivery for frame in node.unasked(at) for delivery in self._sent(frame, at)]
         for node in self.nodes:
             node.advance(now)
         return out
 
     def receive(self, frame: CanFrame, now: float) -> list[CanDelivery]:
-        """What `frame`, given to the host's adapter at `now`, makes the drives send, and what they sent before it."""
+        """Return what the drives send unasked until `frame`, sent by the host at `now`, arrives, and in reply to it."""
         arrival = self._occupy(frame, now)
         out = self.advance(arrival)
         if self.faults.loses_request() or self.off:
             return out
-        answers = [answer for node in self.nodes for answer in [node.hear(frame, arrival)] if answer]
+        answers = [answer for node in self.nodes for answer in [node.handle(frame, arrival)] if answer]
         if not answers:
             return out
         ready = arrival + (self._timing.turnaround if self._timing is not None else 0.0)
@@ -115,7 +115,7 @@ class CanBus:
         return out
 
     def _answered(self, frame: CanFrame, now: float) -> list[CanDelivery]:
-        """A reply at the host, spoiled as planned."""
+        """Return a reply as it arrives at the host, with the faults that were injected."""
         at = self._occupy(frame, now)
         match self.faults.interrupts_reply():
             case Unplug():
@@ -134,7 +134,7 @@ class CanBus:
         return self._delivered(self._occupy(frame, now) + self._latency, frame)
 
     def _delivered(self, at: float, frame: CanFrame) -> list[CanDelivery]:
-        """The frame at the host; none overtakes another in the adapter, so one held up holds up what is behind it."""
+        """Return the frame at the host. None overtakes another in the adapter: a delayed one delays all behind it."""
         if self.unplugged or self.off:
             return []
         self._last = max(self._last, at)
@@ -145,7 +145,7 @@ class CanBus:
         return self._timing.latency if self._timing is not None else 0.0
 
     def _occupy(self, frame: CanFrame, now: float) -> float:
-        """When a frame that may begin at `now` has ended."""
+        """Return the time at which a frame that may begin at `now` has ended."""
         if self._timing is None:
             return now
         begin = max(now, self._free)

@@ -28,7 +28,7 @@ class CanFrame:
 
 
 def error_frame(kind: int) -> CanFrame:
-    """What a controller reports: `PROTOCOL_ERROR` or `BUS_OFF`."""
+    """Return the error frame of `kind`: `PROTOCOL_ERROR` or `BUS_OFF`."""
     return CanFrame(kind, bytes(8), error=True)
 
 

@@ -1,5 +1,5 @@
-"""Lets emulated drives answer on a real bus of python-can's: in this process (`virtual`), across processes
-(`udp_multicast`), or on an adapter.
+"""Emulated drives on a real bus of python-can: in this process (`virtual`), across processes (`udp_multicast`), or on
+an adapter.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _IDLE = 0.02
 
 
 class Served(Protocol):
-    """An emulated bus that somebody can connect to."""
+    """An emulated bus that a client can connect to."""
 
     lock: threading.Lock
     """Held while the bus is at work; whoever looks at it takes it."""
@@ -43,7 +43,7 @@ class Served(Protocol):
         ...
 
     def now(self) -> float:
-        """The time the bus lives in, s."""
+        """The time on the bus's clock, s."""
         ...
 
     def serve(self) -> None:
@@ -51,7 +51,7 @@ class Served(Protocol):
         ...
 
     def stop(self) -> None:
-        """Let `serve` return."""
+        """Make `serve` return."""
         ...
 
 
@@ -77,11 +77,11 @@ class CanServer:
         self._wire.shutdown()
 
     def now(self) -> float:
-        """The time the bus lives in, s."""
+        """The time on the bus's clock, s."""
         return time.monotonic()
 
     def stop(self) -> None:
-        """Let `serve` return."""
+        """Make `serve` return."""
         self._stopping.set()
 
     def serve(self) -> None:

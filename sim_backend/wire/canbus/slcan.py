@@ -23,7 +23,7 @@ LONGEST = 160
 
 
 class SlcanAdapter:
-    """Text in, text out. bitrate: bit/s that the bus runs at; None: whatever the client sets is right."""
+    """An adapter as text in and text out. bitrate: bit/s of the bus; None: whatever the client sets is right."""
 
     def __init__(self, bus: CanBus, *, bitrate: int | None = None) -> None:
         self._bus = bus
@@ -93,7 +93,7 @@ class SlcanAdapter:
         return [(now, taken), *self._texts(self._bus.receive(frame, now))]
 
     def _texts(self, deliveries: list[CanDelivery]) -> list[tuple[float, bytes]]:
-        """Frames as text; an adapter of this kind tells of errors only where it is asked for its flags."""
+        """Return frames as text; an adapter of this kind reports errors only when it is asked for its flags."""
         return [(at, _text(frame)) for at, frame in deliveries if self._open and not frame.error]
 
 

@@ -1,4 +1,4 @@
-"""The object dictionary of an emulated CANopen device: what it holds, what it refuses, and its electronic data sheet.
+"""The object dictionary of an emulated CANopen device: values, access rules, and the electronic data sheet.
 
 Source: CiA 301 (data types, access, abort codes) and CiA 306 (the EDS file).
 """
@@ -90,7 +90,7 @@ class Dictionary:
         return (self.get(index, sub) & ((1 << 8 * size) - 1)).to_bytes(size, "little")
 
     def write(self, index: int, sub: int, data: bytes) -> None:
-        """Take a value from the wire. Raises Abort."""
+        """Write a value that came over the wire. Raises Abort."""
         entry = self.entry(index, sub)
         if entry.access in {"ro", "const"}:
             raise Abort(READ_ONLY)

@@ -1,4 +1,4 @@
-"""What every emulated CANopen device does on the bus: NMT, heartbeat and its consumers, SYNC, PDOs, EMCY, SDO.
+"""The communication of an emulated CANopen device: NMT, heartbeat and its consumers, SYNC, PDOs, EMCY, SDO.
 
 Source: CiA 301. What it leaves open: a boot takes `BOOT` s. A PDO of type 254 or 255 is sent when what it carries has
 changed and something gave occasion to look: a frame from the bus, or what the device does by itself.
@@ -36,18 +36,18 @@ _RPDO, _RPDO_MAP, _TPDO, _TPDO_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
 
 
 class Application(Protocol):
-    """What the device is beside a CANopen node."""
+    """The application of a device: everything that is not communication."""
 
     def receive(self, index: int, sub: int, value: int, now: float) -> None:
-        """A mapped object was written by a PDO."""
+        """Handle a mapped object that a PDO has written."""
         ...
 
     def connection_lost(self, code: int, now: float) -> None:
-        """A heartbeat stayed away (its EMCY code), or NMT stopped or reset the node (0)."""
+        """Handle a missing heartbeat (its EMCY code), or an NMT stop or reset of the node (0)."""
         ...
 
     def restarted(self, now: float) -> None:
-        """NMT reset the node."""
+        """Handle a reset of the node by NMT."""
         ...
 
 
@@ -80,10 +80,10 @@ class CanopenNode:
     # -- time -------------------------------------------------------------------------------------------------------
 
     def due(self) -> float:
-        """When it next has to speak or to act."""
+        """Return the time at which it next has to send or to act, s."""
         return min(self._ready if self._pending else math.inf, self._beat, self._lapse())
 
-    def speak(self, now: float) -> list[CanFrame]:
+    def unasked(self, now: float) -> list[CanFrame]:
         """Boot-up, heartbeat and EMCY that are due."""
         self.advance(now)
         if now < self._ready:
@@ -109,7 +109,7 @@ class CanopenNode:
             self._beat = math.inf
 
     def _lapse(self) -> float:
-        """When the first of the heartbeats that were heard has stayed away too long, s."""
+        """Return the time at which the first of the received heartbeats is overdue, s."""
         return min((self._heard[n] + t for n, t in self._consumed() if n in self._heard), default=math.inf)
 
     def _consumed(self) -> Iterator[tuple[int, float]]:
@@ -119,10 +119,10 @@ class CanopenNode:
             if node and milliseconds:
                 yield node, milliseconds * 1e-3
 
-    # -- what it hears ----------------------------------------------------------------------------------------------
+    # -- received frames --------------------------------------------------------------------------------------------
 
-    def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """What it answers to a frame."""
+    def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Return the replies to a frame."""
         if frame.extended or frame.error or frame.remote or now < self._ready or self.state == BOOTING:
             return []
         if frame.ident == 0x000:
@@ -140,7 +140,7 @@ class CanopenNode:
         return self._changed()
 
     def emergency(self, code: int) -> None:
-        """Say an error code: 0 that there is none any more."""
+        """Send an error code; 0: there is none any more."""
         if self.state in {OPERATIONAL, PRE_OPERATIONAL}:
             data = struct.pack("<HB5x", code, self.objects.get(0x1001))
             self._pending.append(CanFrame(0x080 + self.ident, data))
@@ -201,8 +201,8 @@ class CanopenNode:
             at += size
 
     def _sync(self, now: float) -> list[CanFrame]:
-        held, self._synced = self._synced, {}
-        for number, data in held.items():
+        waiting, self._synced = self._synced, {}
+        for number, data in waiting.items():
             self._unpack(number, data, now)
         self._syncs += 1
         out = []

@@ -2,7 +2,7 @@
 
 Source: CiA 402-2 for states and objects, the maxon firmware specifications for units. What they leave open, or what is
 chosen here: the speed limit in torque modes takes away the torque that would go beyond it; a heartbeat that stays
-away switches the power stage off whatever 0x6007 says (and latches 0x8130); in an active quick stop the drive brakes;
+away switches the power stage off whatever 0x6007 is (and latches 0x8130); in an active quick stop the drive brakes;
 averages are not averaged. Modes other than the torque mode are taken and drive nothing.
 """
 
@@ -64,20 +64,20 @@ class Cia402Device:
 
     @property
     def eds(self) -> str:
-        """Its electronic data sheet."""
+        """The electronic data sheet."""
         model = self.model
         return eds(self.objects, vendor=model.vendor, product=model.product, revision=model.revision, name=model.name)
 
     # -- the node's side of the bus ---------------------------------------------------------------------------------
 
     def due(self) -> float:
-        """When it next speaks, or something in it happens."""
+        """Return the time at which it next sends or changes its state, s."""
         return min(self.node.due(), self.machine.due())
 
-    def speak(self, now: float) -> list[CanFrame]:
-        """What it says unasked."""
+    def unasked(self, now: float) -> list[CanFrame]:
+        """Return the frames that it sends unasked."""
         self.advance(now)
-        return self.node.speak(now)
+        return self.node.unasked(now)
 
     def advance(self, now: float) -> None:
         """Carry the motor to `now`."""
@@ -91,10 +91,10 @@ class Cia402Device:
             self.fail(OVERTEMPERATURE)
         self._control()
 
-    def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """What it answers."""
+    def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Return the replies to a frame."""
         self.advance(now)
-        return self.node.hear(frame, now)
+        return self.node.handle(frame, now)
 
     def reboot(self, now: float) -> None:
         """Lose power for a moment: RAM, position and faults are gone."""
@@ -102,7 +102,7 @@ class Cia402Device:
         self.node.reset(now, application=True)
 
     def fail(self, code: int) -> None:
-        """Latch a fault, and say it in an EMCY."""
+        """Latch a fault, and send it in an EMCY."""
         self.machine.fail()
         self.motor.disable()
         count = self.objects.get(0x1003)
@@ -118,7 +118,7 @@ class Cia402Device:
     # -- canopen_node.Application -----------------------------------------------------------------------------------
 
     def receive(self, index: int, _sub: int, value: int, now: float) -> None:
-        """A mapped object came in a PDO."""
+        """Obey a mapped object that came in a PDO."""
         if index == 0x6040:
             self._command(value, now)
         elif index == 0x6060:
@@ -126,7 +126,7 @@ class Cia402Device:
         self._control()
 
     def connection_lost(self, code: int, _now: float) -> None:
-        """Nobody watches any more."""
+        """Fail with the EMCY `code`, or switch off where there is none."""
         live = self.machine.state in {
             Cia402State.OPERATION_ENABLED,
             Cia402State.QUICK_STOP_ACTIVE,
@@ -162,7 +162,7 @@ class Cia402Device:
         return (0x605A, 0) not in self.objects.entries or self.objects.get(0x605A) >= 5
 
     def _control(self) -> None:
-        """Hand the motor what state, set-point and limits make of it."""
+        """Set the motor's torque from state, set-point and limits."""
         state = self.machine.state
         if state is Cia402State.QUICK_STOP_ACTIVE:
             self.motor.follow(Impedance(kd=1e-3, ceiling=self._ceiling()))
@@ -217,7 +217,7 @@ class Cia402Device:
         return float(TURN / 60.0 * 10.0**prefix)
 
     def _hook(self) -> None:
-        """Tie the objects that show or change what the drive does to it."""
+        """Connect the objects that show or change the drive's state."""
         counts = 4 * self.objects.get(0x2210, 1) if self.kind == "epos2" else 0
         counts = counts or self.objects.get(*((0x3000, 5) if self.kind == "epos4" else (0x608F, 1)))
         motor = self.motor
@@ -263,7 +263,7 @@ class Cia402Device:
         self.node.saved = dict(self.objects.values)
 
     def _restored(self, _index: int, _sub: int, value: int) -> None:
-        """Take hold of the delivered values; they count from the next reset on."""
+        """Restore the delivered values; they take effect at the next reset."""
         if value != _LOAD:
             raise Abort(BAD_SIGNATURE)
         delivered = {key: entry.default for key, entry in self.objects.entries.items()}

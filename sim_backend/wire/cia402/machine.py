@@ -38,7 +38,7 @@ class Cia402Machine:
         self.limiting = False
         self.quick_stop_holds = True
         self.ignores_controlword = False
-        """A power stage that does not do what it is told."""
+        """The power stage does not obey."""
         self.can_reset = True
         self._controlword = 0
         self._switching = math.inf
@@ -52,11 +52,11 @@ class Cia402Machine:
         return word | (_LIMITING if self.limiting else 0)
 
     def due(self) -> float:
-        """When the power stage has been switched on, s; infinite where it is not being."""
+        """Return the time at which the power stage will have been switched on, s; infinity where it is not being."""
         return self._switching
 
     def advance(self, now: float) -> None:
-        """Let the power stage come on."""
+        """Switch the power stage on when its time has come."""
         if self._switching <= now:
             self._switching = math.inf
             self._follow(self._controlword, math.inf)
@@ -81,7 +81,7 @@ class Cia402Machine:
         self._switching = math.inf
 
     def command(self, word: int, now: float) -> bool:
-        """Take a controlword; whether it was a fault reset that worked."""
+        """Obey a controlword; return whether it was a fault reset that worked."""
         rising = word & ~self._controlword & 0x80
         self._controlword = word
         if self.ignores_controlword:
@@ -94,7 +94,7 @@ class Cia402Machine:
         return False
 
     def _follow(self, word: int, now: float) -> None:
-        """What a controlword's low bits ask for; `now` infinite where the power stage has come on by now."""
+        """Obey a controlword's low bits; `now` is infinite where the power stage has been switched on."""
         if self.state in {Cia402State.FAULT, Cia402State.FAULT_REACTION, Cia402State.NOT_READY}:
             return
         if not word & 0x02:

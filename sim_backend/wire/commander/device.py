@@ -32,7 +32,7 @@ _BOOT = ("Monitor enabled!", "Init", "Enable driver.", "Align sensor.", "sensor 
 
 
 def number(text: str) -> float:
-    """As `atof` reads it: what there is of a number at the beginning, else 0; kept as a 32 bit float."""
+    """Return the number at the beginning of `text` as `atof` does, 0 where there is none; a 32 bit float."""
     found = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
     with np.errstate(over="ignore"):
         return float(np.float32(found[0])) if found else 0.0
@@ -57,7 +57,7 @@ class CommanderDevice:
         return self.motor.law
 
     def restart(self) -> None:
-        """Everything as the program sets it when it begins: the motor is enabled, its target zero."""
+        """Set everything as the program does when it begins: the motor is enabled, its target zero."""
         self.verbose = FRIENDLY
         self.decimals = 3
         self.torque_type = 0
@@ -73,11 +73,11 @@ class CommanderDevice:
 
     @property
     def greeting(self) -> str:
-        """What it prints while it starts."""
+        """The text that it prints while it starts."""
         return "".join(f"MOT: {line}\r\n" for line in _BOOT)
 
     def monitored(self) -> str:
-        """A line of `motor.monitor()`: the variables that are watched, four digits, currents in mA with two."""
+        """Return a line of `motor.monitor()`: the variables that are watched, four digits, currents in mA with two."""
         target, vq, vd, iq, id_, velocity, angle = self._state()
         shown = (target, vq, vd, iq * 1e3, id_ * 1e3, velocity, angle)
         digits = (4, 4, 4, 2, 2, 4, 4)
@@ -85,7 +85,7 @@ class CommanderDevice:
         return "\t".join(words) + "\r\n" if words else ""
 
     def type(self, character: str) -> str:
-        """What one character makes it print."""
+        """Return the text that it prints after one character."""
         self._typed += character
         if character in "\n\r":
             command, self._typed = self._typed[:-1], ""

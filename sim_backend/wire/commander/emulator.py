@@ -26,8 +26,8 @@ WATCHDOG = 0.1
 
 @dataclass(frozen=True, slots=True)
 class CommanderTiming:
-    """How long things take, s. usb_latency: that the adapter holds bytes back. loop: of the program, which reads
-    commands between two turns of the current loop. boot: from a reset to the first command that it hears.
+    """Durations, s. usb_latency: for which the adapter holds bytes back. loop: of the program, which reads
+    commands between two turns of the current loop. boot: from a reset to the first command that it receives.
     """
 
     usb_latency: float = 1e-3
@@ -61,7 +61,7 @@ class CommanderBoard:
         self._free = now
         self.faults = WireFaults[SerialFault]()
         """Each command is a request, each printed line a reply."""
-        self._misheard: list[tuple[str, str]] = []
+        self._garbled: list[tuple[str, str]] = []
         self.streams = 0.0
         """s between two lines of `motor.monitor()` in the program's loop; 0: it is not there."""
         self._streamed = now
@@ -71,23 +71,23 @@ class CommanderBoard:
         """The motor with its settings."""
         return self.device.motor
 
-    def mishear(self, said: str, heard: str) -> None:
-        """Let the board once hear `heard` where `said` was sent."""
-        self._misheard.append((said, heard))
+    def garble(self, sent: str, received: str) -> None:
+        """Let the board once receive `received` where `sent` was sent."""
+        self._garbled.append((sent, received))
 
     def mean(self, begin: float, end: float) -> float:
-        """N m at the joint, the mean from `begin` to `end`: what a torque cell there feels."""
+        """Return the mean torque at the joint from `begin` to `end`, N m, as a torque cell there measures it."""
         self.advance(end)
         return self.device.joint.mean(begin - self._made, end - self._made)
 
     def reboot(self, now: float) -> None:
-        """Take its power away for a moment."""
+        """Lose power for a moment."""
         self.advance(now)
         self.motor.disable()
         self._awake = now + (self._timing or CommanderTiming()).boot
 
     def advance(self, now: float) -> None:
-        """Let time pass for it."""
+        """Carry it to `now`, s."""
         if self._awake > self._made and now >= self._awake:
             self.motor.run(self._awake - self._made)
             self.device.restart()
@@ -103,17 +103,17 @@ class CommanderBoard:
         return self._streamed + self.streams if self.streams else math.inf
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
-        """What `data`, whose first byte is sent at `now`, makes it print, and when each line has arrived."""
+        """Return the lines printed after `data`, whose first byte is sent at `now`, and when each has arrived."""
         out: list[tuple[float, bytes]] = []
         self.advance(now)
         if baudrate not in {None, self._baudrate}:
             return [(now, bytes(0x80 | byte for byte in data))] if data else []
         out += self._monitored(now)
         text = data.decode("latin-1")
-        for said, heard in list(self._misheard):
-            if said in text:
-                text = text.replace(said, heard, 1)
-                self._misheard.remove((said, heard))
+        for sent, received in list(self._garbled):
+            if sent in text:
+                text = text.replace(sent, received, 1)
+                self._garbled.remove((sent, received))
         at = now
         for character in text:
             at += self._duration(1)
@@ -126,7 +126,7 @@ class CommanderBoard:
         return out
 
     def _monitored(self, now: float) -> list[tuple[float, bytes]]:
-        """The lines that the program printed by itself since it was last looked at."""
+        """Return the lines that the program printed by itself since the last call."""
         out: list[tuple[float, bytes]] = []
         while self.streams and self._streamed + self.streams <= now:
             self._streamed += self.streams
@@ -170,12 +170,12 @@ class Pair:
             self._board.serve()
 
     def stop(self) -> None:
-        """Let `serve` return."""
+        """Make `serve` return."""
         self._board.stop()
 
 
 class _Locked:
-    """The joint of a board that another thread is at."""
+    """The joint of a board that another thread uses."""
 
     def __init__(self, board: CommanderBoard, lock: threading.Lock) -> None:
         self._board = board
@@ -215,7 +215,7 @@ def emulate(
     parameters: SimParameters | None = None,
     instant: bool = False,
 ) -> PtyLine | Pair:
-    """What `hil emulate commander` serves.
+    """Return what `hil emulate commander` serves.
 
     model: "motor", or "motor+loadcell" for a torque cell at its joint on a second pty, named as `link` with ".cell"
     behind it. firmware: the library's version, "2.4-watchdog" for a program that disables the motor after 0.1 s of

@@ -1,4 +1,4 @@
-"""Several servos on one half-duplex line: who answers what, in which order, and when.
+"""Several servos on one half-duplex line: who replies, in which order, and when.
 
 Source: e-manual, "Protocol 2.0": Sync Read to Fast Bulk Read, and the notes on the broadcast id. What it leaves open:
 a servo missing from a Sync Read is passed over; a servo missing from a Fast Read ends the answer, since the ones behind
@@ -28,7 +28,7 @@ class Reply(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DynamixelTiming:
-    """How long the line takes. usb_latency: s that the adapter holds received bytes back."""
+    """Durations on the line. usb_latency: s for which the adapter holds received bytes back."""
 
     usb_latency: float = 1e-3
 
@@ -62,7 +62,7 @@ class DynamixelBus:
         return math.inf
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> list[Reply]:
-        """What `data`, whose first byte is sent at `now`, makes the servos answer.
+        """Return the servos' replies to `data`, whose first byte is sent at `now`.
 
         baudrate: bit/s of the host's line; None where every servo understands it.
         """
@@ -85,7 +85,7 @@ class DynamixelBus:
         self.advance(now)
         awake = [d for d in self.devices if d.listens(now) and baudrate in {None, d.baudrate}]
         for device in awake:
-            device.heard(now)
+            device.feed_watchdog(now)
         if frame.id != BROADCAST:
             return self._addressed(frame, awake, now)
         if not frame.sound:
@@ -99,7 +99,7 @@ class DynamixelBus:
         return self._timed([(d, self._status(d.id, *a)) for d, a in answers if a is not None], now)
 
     def _addressed(self, frame: Frame, awake: list[DynamixelPeer], now: float) -> list[Reply]:
-        """One id; a servo that has it as its shadow id does what it is told and says nothing."""
+        """Execute an instruction to one id; a servo that has it as its shadow id obeys without a reply."""
         for device in awake:
             if device.id != frame.id and device.shadow == frame.id:
                 device.answer(frame, now)
@@ -109,7 +109,7 @@ class DynamixelBus:
         return self._timed([(named[0], _collided(packets))], now) if packets else []
 
     def _together(self, frame: Frame, present: dict[int, DynamixelPeer], now: float) -> list[Reply]:
-        """The instructions that speak to several servos at once."""
+        """Execute an instruction that addresses several servos at once."""
         p = frame.parameters
         if frame.instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
             writes = _sync_writes(p) if frame.instruction == Instruction.SYNC_WRITE else _bulk_writes(p)
@@ -132,7 +132,7 @@ class DynamixelBus:
         return self._timed(packets, now)
 
     def _mx_together(self, frame: Frame, present: dict[int, DynamixelPeer], now: float) -> list[Reply]:
-        """The same of protocol 1.0: Sync Write, and Bulk Read, in which each waits for the one before it."""
+        """Execute Sync Write or Bulk Read of protocol 1.0; in the latter each servo waits for the one before it."""
         if frame.instruction == Instruction.SYNC_WRITE:
             for ident, address, data in mx_sync_writes(frame.parameters):
                 if ident in present:
@@ -147,7 +147,7 @@ class DynamixelBus:
         return self._timed(packets, now)
 
     def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, DynamixelPeer], now: float) -> list[Reply]:
-        """One status packet that the servos write one after the other; it is not stuffed."""
+        """Return one status packet that the servos write one after the other; it is not stuffed."""
         length = 1 + sum(size + 4 for _, _, size in wanted)
         out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([Instruction.STATUS])
         first = None
@@ -162,7 +162,7 @@ class DynamixelBus:
         return [] if first is None else self._timed([(first, out)], now)
 
     def _timed(self, packets: list[tuple[DynamixelPeer, bytes]], now: float) -> list[Reply]:
-        """The packets at the host, one behind the other, spoiled as planned."""
+        """Return the packets as they arrive at the host, one after the other, with the faults that were injected."""
         out: list[Reply] = []
         at = now
         for device, data in packets:
@@ -174,7 +174,7 @@ class DynamixelBus:
         return sorted(out, key=lambda reply: reply.at)
 
     def _delivered(self, data: bytes, now: float, at: float) -> list[Reply]:
-        """A packet sent at `now`, at the host at `at`, with the faults that were injected."""
+        """Return a packet sent at `now` as it arrives at the host at `at`, with the faults that were injected."""
         match self.faults.interrupts_reply():
             case Unplug():
                 self.unplugged = True
@@ -186,7 +186,7 @@ class DynamixelBus:
 
 
 def _collided(packets: list[bytes]) -> bytes:
-    """What arrives where several servos drive the line at once: a bit is low where any of them is."""
+    """Return the bytes that arrive where several servos drive the line at once: a bit is low where any of them is."""
     longest = max(packets, key=len)
     merged = bytearray(longest)
     for data in packets:

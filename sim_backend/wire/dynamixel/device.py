@@ -1,4 +1,4 @@
-"""One servo on the bus: what each instruction does to its control table and its motor, and what it answers.
+"""One servo on the bus: the effect of each instruction on its control table and its motor, and the replies.
 
 Source: e-manual, "Protocol 2.0" for the instructions; "Bus Watchdog(98)", "Operating Mode(11)", "Shutdown(63)" and
 "Hardware Error Status(70)" of the models' pages for what happens inside. What the manual leaves open: a tripped
@@ -66,12 +66,12 @@ class DynamixelDevice:
 
     @property
     def id(self) -> int:
-        """Its id."""
+        """The id."""
         return self.registers.get("id")
 
     @property
     def shadow(self) -> int | None:
-        """Another id it listens to without answering."""
+        """A second id that it obeys without a reply."""
         return self.registers.get("secondary_id")
 
     @property
@@ -113,8 +113,8 @@ class DynamixelDevice:
         if self.motor.temperature > self.registers.get("temperature_limit"):
             self.fail(OVERHEAT)
 
-    def heard(self, now: float) -> None:
-        """Any instruction on the bus, to whomever, feeds the watchdog."""
+    def feed_watchdog(self, now: float) -> None:
+        """Feed the watchdog, as any instruction on the bus does, whatever its id."""
         self._heard = now
 
     def fail(self, bits: int) -> None:
@@ -134,7 +134,7 @@ class DynamixelDevice:
         self._ready = now + BOOT
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Do what `frame`, sent to this id or to all, asks. The error and the parameters; None where it is silent."""
+        """Execute `frame`, sent to this id or to all; return error and parameters, None where it does not reply."""
         if frame.instruction == Instruction.PING and frame.sound:
             identity = self.registers.get("model_number").to_bytes(2, "little")
             return self.alerted(Error.NONE), identity + bytes([self._firmware])
@@ -147,7 +147,7 @@ class DynamixelDevice:
         return (self.alerted(error), b"") if level > 1 else None
 
     def _done(self, frame: Frame, now: float) -> Error:
-        """Do what changes something; how it went."""
+        """Execute an instruction that changes something; return its error."""
         if not frame.sound:
             return Error.CRC
         match frame.instruction:
@@ -227,7 +227,7 @@ class DynamixelDevice:
         return Error.NONE
 
     def _clear(self, parameters: bytes) -> Error:
-        """Take whole turns off the position (0x01 'D' 'X' 'L' 0x22)."""
+        """Subtract whole turns from the position (0x01 'D' 'X' 'L' 0x22)."""
         if parameters != b"\x01\x44\x58\x4c\x22":
             return Error.DATA_RANGE
         if abs(self.motor.velocity) > self.registers.get("moving_threshold") * RPM:
@@ -236,7 +236,7 @@ class DynamixelDevice:
         return Error.NONE
 
     def _position(self) -> int:
-        """Present Position in counts: what the horn shows, reversed where the drive mode says so, plus the offset."""
+        """Return Present Position in counts: the angle of the horn, reversed by the drive mode, plus offset."""
         counts = round(self._sign() * self.motor.position / COUNT)
         return counts + self.registers.get("homing_offset") - 4096 * self._turns_off
 
@@ -244,7 +244,7 @@ class DynamixelDevice:
         return -1 if self.registers.get("drive_mode") & 1 else 1
 
     def _mode_changed(self) -> None:
-        """Goals and profile as the manual's note on Operating Mode(11) says."""
+        """Reset goals and profile, as in the manual's note on Operating Mode(11)."""
         r = self.registers
         r.put("goal_pwm", r.get("pwm_limit"))
         r.put("goal_current", r.get("current_limit"))

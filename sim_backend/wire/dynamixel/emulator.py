@@ -56,7 +56,7 @@ def emulate(
     parameters: SimParameters | None = None,
     instant: bool = False,
 ) -> PtyLine:
-    """What `hil emulate dynamixel` serves: `serve` with the times of a real line and a USB adapter, unless `instant`.
+    """Return what `hil emulate dynamixel` serves: with the times of a real line and a USB adapter, unless `instant`.
 
     parameters: the plant, in which the motor's constant and winding are made the model's. Raises ValueError, with a
     sentence for a person, for a model, an id or a baud rate that cannot be, FileExistsError as `serve` does.

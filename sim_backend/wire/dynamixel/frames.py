@@ -103,7 +103,7 @@ def status(ident: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 class Framer:
-    """Finds the packets in a stream of bytes, whatever the pieces it arrives in and whatever lies in between.
+    """A search for packets in a stream of bytes, whatever the pieces it arrives in and whatever lies in between.
 
     Status packets of other devices are passed over. After a packet with a wrong checksum the search goes on behind
     its header, so that a damaged length costs no more than what it pretends to span.

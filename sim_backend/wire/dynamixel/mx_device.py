@@ -1,4 +1,4 @@
-"""One MX servo with protocol 1.0: its control table, what each instruction does, and what it answers.
+"""One MX servo with protocol 1.0: its control table, the effect of each instruction, and the replies.
 
 Source: e-manual, "Protocol 1.0" and the pages of MX-64 and MX-106. Where they are silent: a write to an address without
 an item, to a read-only one, or to the EEPROM while it is locked, is a range error; a read may span addresses without
@@ -80,12 +80,12 @@ class MxDevice:
         )
 
     def eeprom(self) -> bytes:
-        """What survives a loss of power."""
+        """The bytes that survive a loss of power."""
         return bytes(self._memory[:MX_EEPROM_END])
 
     @property
     def id(self) -> int:
-        """Its id."""
+        """The id."""
         return self.get("id")
 
     @property
@@ -113,8 +113,8 @@ class MxDevice:
         """Whether it is awake, and not booting."""
         return now >= self._ready
 
-    def heard(self, now: float) -> None:
-        """It has no watchdog to feed."""
+    def feed_watchdog(self, now: float) -> None:
+        """Do nothing: it has no watchdog."""
 
     def advance(self, now: float) -> None:
         """Carry the motor to `now`; heat is an error as long as it lasts."""
@@ -149,7 +149,7 @@ class MxDevice:
         return error | self.errors
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Do what `frame`, sent to this id or to all, asks. The error and the parameters; None where it is silent."""
+        """Execute `frame`, sent to this id or to all; return error and parameters, None where it does not reply."""
         if frame.instruction == Instruction.PING and frame.sound:
             return self.alerted(0), b""
         if frame.instruction == Instruction.READ and frame.sound:

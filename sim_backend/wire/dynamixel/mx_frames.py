@@ -11,7 +11,7 @@ HEADER = b"\xff\xff"
 
 
 def mx_checksum(body: bytes) -> int:
-    """Of everything between the header and the checksum: the complement of the low byte of the sum."""
+    """Return the complement of the low byte of the sum of everything between header and checksum."""
     return 0xFF - sum(body) % 0x100
 
 
@@ -22,10 +22,10 @@ def mx_status(ident: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 class MxFramer:
-    """Finds the instruction packets in a stream of bytes.
+    """A search for instruction packets in a stream of bytes.
 
-    Nothing in a packet tells an instruction from another servo's answer, so what the line carries for others must not
-    be fed in. After a wrong checksum the search goes on behind the header.
+    Nothing in a packet distinguishes an instruction from another servo's reply, so replies must not be fed in.
+    After a wrong checksum the search goes on behind the header.
     """
 
     def __init__(self) -> None:

@@ -35,14 +35,14 @@ class Registers:
         self.erase()
 
     def erase(self) -> None:
-        """Everything to its factory value."""
+        """Set everything to its factory value."""
         for item in self._items.values():
             self._store(item, item.initial)
         self.put("model_number", self._model.number)
         self.put("firmware_version", self._model.firmware)
 
     def power_up(self) -> None:
-        """What lies in RAM to its initial value; the EEPROM keeps what it holds."""
+        """Set what lies in RAM to its initial value; the EEPROM keeps its contents."""
         for item in self._items.values():
             if item.address >= EEPROM_END:
                 self._store(item, item.initial)
@@ -66,7 +66,7 @@ class Registers:
             self._store(item, value)
 
     def read(self, address: int, size: int) -> tuple[Error, bytes]:
-        """What a Read answers: the error and the bytes."""
+        """Return the error and the bytes of a Read."""
         if size == 0 or address not in self._defined or address + size > self._end:
             return Error.ACCESS, b""
         first, last = min(self._indirect), max(self._indirect)
@@ -75,7 +75,7 @@ class Registers:
         return Error.NONE, bytes(self._memory[self._behind(a)] for a in range(address, address + size))
 
     def check(self, address: int, data: bytes, *, torque: bool, tripped: bool) -> tuple[Error, list[tuple[Item, int]]]:
-        """What a Write of `data` would change: the error, and where there is none the items with their new values.
+        """Return the error of a Write of `data`, and where there is none the items with their new values.
 
         torque: whether the torque is on. tripped: whether the bus watchdog has stopped the servo.
         """
@@ -102,11 +102,11 @@ class Registers:
             self._store(item, value)
 
     def eeprom(self) -> bytes:
-        """What survives a loss of power."""
+        """The bytes that survive a loss of power."""
         return bytes(self._memory[:EEPROM_END])
 
     def _behind(self, address: int) -> int:
-        """Where an address leads: an indirect data item to what its address item names, unless that is itself."""
+        """Return the address behind an address: of an indirect data item the one that its address item names."""
         pointer = self._indirect.get(address)
         if pointer is None:
             return address

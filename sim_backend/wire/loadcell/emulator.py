@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 SETTLING = 4
 """Conversions over which a reading is the mean."""
 SCALE = 1e-7
-"""N m a count, unless a stand says otherwise."""
+"""N m a count, unless the stand file has another."""
 _BOOT = 1.0  # s; the board's own start, before the converter settles
 
 
 @dataclass(frozen=True, slots=True)
 class LoadCellBoard:
-    """How the board is built and programmed.
+    """The construction and the program of the board.
 
     rate: conversions a second. scale: N m a count. tare: counts without torque. form: "micros,raw" or "value".
     checksum: whether `*` and the exclusive or of the line end it. clock: seconds of its own a second. noise N m, white,
@@ -57,7 +57,7 @@ class LoadCellBoard:
 
 
 class EmulatedLoadCell:
-    """The cell as bytes with times; it talks without being asked. micros: of its clock when it is made at `now` s."""
+    """The cell as bytes with times; it sends unasked. micros: of its clock when it is made at `now` s."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class EmulatedLoadCell:
 
 
 def _misread(line: bytes, ratio: float) -> bytes:
-    """What a receiver at another speed makes of it: nothing sure, but no text."""
+    """Return the bytes that a receiver at another speed reads: not text."""
     return bytes(0x80 | (byte * 37 & 0x7F) for byte in line)[: max(1, round(len(line) / max(1.0, ratio)))]
 
 
@@ -150,7 +150,7 @@ def serve(link: Path, board: LoadCellBoard | None = None, joint: Felt | None = N
 def emulate(
     link: Path, model: str = "hx711", *, baudrate: int = 115200, parameters: SimParameters | None = None
 ) -> PtyLine:
-    """What `hil emulate loadcell` serves: a cell at a joint at rest.
+    """Return what `hil emulate loadcell` serves: a cell at a joint at rest.
 
     model: "hx711" prints `micros,raw`, "hx711-checked" ends its lines with a checksum, "value" prints counts as plain
     numbers. A cell at a joint that a motor turns comes with `hil emulate commander`. Raises ValueError for an unknown

@@ -1,4 +1,4 @@
-"""What a motor's joint feels, for a torque cell on another wire: the past of one plant, seen by two emulators."""
+"""The torque at a motor's joint, for a torque cell on another wire: the past of one plant, shared by two emulators."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Felt(Protocol):
 
 
 class AtRest:
-    """A joint that nothing turns."""
+    """A joint without torque."""
 
     def mean(self, begin: float, end: float) -> float:  # noqa: ARG002 - see `Felt`
         """No torque."""

@@ -1,4 +1,4 @@
-"""One motor that speaks MIT frames on a CAN bus, CubeMars AK or Damiao, with the plant behind its output.
+"""One motor on MIT frames on a CAN bus, CubeMars AK or Damiao, with the plant at its output.
 
 Sources: as in `mit_tables`. As in the mini-cheetah's firmware every frame to the motor's id is answered with its state,
 values are cut off to counts, and zero is nowhere. What the manuals leave open: an AK answers with its own id; a Damiao
@@ -69,7 +69,7 @@ class MitDevice:
 
     @property
     def ident(self) -> int:
-        """Its id on the bus."""
+        """The id on the bus."""
         return int(self.values[8]) if self.damiao else self._ident
 
     @property
@@ -80,11 +80,11 @@ class MitDevice:
         return ENABLED if self.motor.enabled else DISABLED
 
     def due(self) -> float:
-        """It says nothing unasked."""
+        """Return infinity: it sends nothing unasked."""
         return math.inf
 
-    def speak(self, now: float) -> list[CanFrame]:
-        """Nothing."""
+    def unasked(self, now: float) -> list[CanFrame]:
+        """Return no frame."""
         self.advance(now)
         return []
 
@@ -113,8 +113,8 @@ class MitDevice:
             self._zero += round((self.motor.position - self._zero) / turn) * turn
         self._ready = now + BOOT
 
-    def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """What it answers."""
+    def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Return the replies to a frame."""
         if frame.extended or frame.remote or frame.error or now < self._ready or len(frame.data) != 8:
             return []
         self.advance(now)
@@ -191,7 +191,7 @@ class MitDevice:
         return CanFrame(int(self.values[7]) if self.damiao else self._reply, body + tail)
 
     def _register(self, data: bytes, now: float) -> list[CanFrame]:
-        """Read (33), write (55) or store (AA) a register, or say the state (CC)."""
+        """Read (33), write (55) or store (AA) a register, or send the state (CC)."""
         if int.from_bytes(data[:2], "little") != self.ident:
             return []
         self._heard = now
@@ -216,9 +216,9 @@ class MitDevice:
 
 
 def _to_counts(value: float, low: float, high: float, bits: int) -> int:
-    """As the firmware does it: held within the range and cut off."""
-    held = max(low, min(high, value))
-    return int((held - low) * ((1 << bits) - 1) / (high - low))
+    """Return a value in counts as the firmware does: limited to the range and truncated."""
+    bounded = max(low, min(high, value))
+    return int((bounded - low) * ((1 << bits) - 1) / (high - low))
 
 
 def _from_counts(counts: int, low: float, high: float, bits: int) -> float:

@@ -2,7 +2,7 @@
 
 Source: mjbots/moteus docs/protocol/registers.md, can.md, diagnostic.md and docs/reference/configuration.md. What they
 leave open: getting ready takes three commands; a refused register's error number is 1; a boot takes 0.1 s; torque is
-said in steps of 2 mN m, what an analogue converter leaves of it. Ki and the generated trajectories have no effect.
+reported in steps of 2 mN m, the resolution of an analogue converter. Ki and the generated trajectories have no effect.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class MoteusDevice:
 
     @property
     def ident(self) -> int:
-        """Its id on the bus."""
+        """The id on the bus."""
         return int(self.console.values["id.id"])
 
     @property
@@ -90,11 +90,11 @@ class MoteusDevice:
         return round((self.motor.position - self._offset) / TURN * COUNTS) / COUNTS
 
     def due(self) -> float:
-        """It says nothing unasked."""
+        """Return infinity: it sends nothing unasked."""
         return math.inf
 
-    def speak(self, now: float) -> list[CanFrame]:
-        """Nothing."""
+    def unasked(self, now: float) -> list[CanFrame]:
+        """Return no frame."""
         self.advance(now)
         return []
 
@@ -123,8 +123,8 @@ class MoteusDevice:
         if self.mode not in {STOPPED, FAULT} and any(self.motor.temperature > limit for limit in hottest):
             self.fail(OVER_TEMPERATURE)
 
-    def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """What it answers."""
+    def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Return the replies to a frame."""
         source, target = frame.ident >> 8 & 0xFF, frame.ident & 0x7F
         if frame.remote or frame.error or now < self._ready or target not in {self.ident, 0x7F}:
             return []
@@ -240,7 +240,7 @@ class MoteusDevice:
         return math.inf if math.isnan(seconds) else seconds
 
     def _time_out(self) -> None:
-        """As servo.timeout_mode says: disengaged, or damped."""
+        """Disengage or damp, as servo.timeout_mode is set."""
         self.mode = TIMEOUT
         if int(self.console.values["servo.timeout_mode"]) == 0:
             self.motor.disable()
@@ -249,7 +249,7 @@ class MoteusDevice:
             self.motor.follow(Impedance(kd=kd, ceiling=self.console.values["servo.timeout_max_torque_Nm"]))
 
     def _follow(self) -> None:
-        """Hand the law of the position mode to the motor."""
+        """Set the motor's law from the commands of the position mode."""
         if self.mode != POSITION:
             return
         values, commands = self.console.values, self._commands

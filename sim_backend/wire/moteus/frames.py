@@ -133,12 +133,12 @@ def refusal(writing: bool, number: int, code: int = 1) -> bytes:
 
 
 def console(channel: int, text: bytes) -> bytes:
-    """The subframe with what the console says."""
+    """Return the subframe with the console's text."""
     return bytes([0x41]) + varuint(channel) + varuint(len(text)) + text
 
 
 def counted(value: float, unit: tuple[float, float, float] | None, kind: int) -> float:
-    """A value as it goes on the wire: held within the counts, the lowest for what is no number."""
+    """Return a value as counts on the wire: limited to their range, the lowest for NaN."""
     if kind == FLOAT:
         return value
     if unit is None:

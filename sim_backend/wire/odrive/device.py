@@ -2,7 +2,7 @@
 
 Source: the vendor's CAN protocol page and DBC files for 0.5.6 and 0.6.10, and the 0.5.6 firmware's can_simple.cpp and
 controller.cpp. What they leave open: a boot takes 0.5 s; 0.6 feeds its watchdog by set-points and state requests (the
-vendor's watchdog example says so of both) and looks at it in closed loop only; the current sensor counts in 20 mA.
+vendor's watchdog example does both) and looks at it in closed loop only; the current sensor counts in 20 mA.
 Position and velocity control are cascades of plain gains without the firmware's integrator.
 """
 
@@ -81,11 +81,11 @@ class OdriveDevice:
     # -- the node's side of the bus ---------------------------------------------------------------------------------
 
     def due(self) -> float:
-        """When the next cyclic message goes out."""
+        """Return the time at which the next cyclic message is sent, s."""
         return min(self._heartbeat, self._estimates, self._torques)
 
-    def speak(self, now: float) -> list[CanFrame]:
-        """The cyclic messages that are due."""
+    def unasked(self, now: float) -> list[CanFrame]:
+        """Return the cyclic messages that are due."""
         self.advance(now)
         out = []
         if self._heartbeat <= now:
@@ -139,8 +139,8 @@ class OdriveDevice:
             self.disarm_reason = bits
         self._go_idle()
 
-    def hear(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """What it answers."""
+    def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Return the replies to a frame."""
         if frame.extended or frame.error or frame.ident >> 5 != self.ident or now < self._ready:
             return []
         command = frame.ident & 0x1F
@@ -152,7 +152,7 @@ class OdriveDevice:
             return [] if data is None else [self._frame(command, data)]
         if command in {0x04} and self.layout == "0.6":
             return self._parameter(frame.data)
-        self._told(command, frame.data.ljust(8, b"\0"), now)
+        self._obey(command, frame.data.ljust(8, b"\0"), now)
         return []
 
     def _frame(self, command: int, data: bytes) -> CanFrame:
@@ -232,9 +232,9 @@ class OdriveDevice:
         value = self.endpoints.read(number)
         return [] if value is None else [self._frame(0x05, struct.pack("<BHB", 0, number, 0) + value)]
 
-    # -- what it is told --------------------------------------------------------------------------------------------
+    # -- commands ------------------------------------------------------------------------------------------------------
 
-    def _told(self, command: int, data: bytes, now: float) -> None:
+    def _obey(self, command: int, data: bytes, now: float) -> None:
         first, second = _FLOATS.unpack(data)
         words = struct.unpack("<II", data)
         match command:
@@ -258,7 +258,7 @@ class OdriveDevice:
             self._control()
 
     def _configured(self, command: int, first: float, second: float, words: tuple[int, int]) -> None:
-        """What changes the configuration."""
+        """Obey a command that changes the configuration."""
         controller = "axis0.controller.config."
         changes: dict[int, dict[str, float]] = {
             0x0B: {controller + "control_mode": words[0], controller + "input_mode": words[1]},
@@ -289,7 +289,7 @@ class OdriveDevice:
         self.motor.disable()
 
     def _control(self) -> None:
-        """Hand the controller's law to the motor: cascades in position and velocity control, limits in every mode."""
+        """Set the motor's law: cascades in position and velocity control, limits in every mode."""
         get = self.endpoints.get
         mode = int(get("axis0.controller.config.control_mode"))
         ceiling = get("axis0.config.motor.current_soft_max") * TORQUE_CONSTANT

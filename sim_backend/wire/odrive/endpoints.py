@@ -1,4 +1,4 @@
-"""The parameters that an emulated ODrive with firmware 0.6 has, and the file that tells clients their numbers.
+"""The parameters that an emulated ODrive with firmware 0.6 has, and the file that gives clients their numbers.
 
 The vendor publishes a flat_endpoints.json with each firmware; names are the vendor's, numbers are this emulator's own,
 and a client that takes them from anywhere else than the file is wrong on a real drive too.
@@ -70,7 +70,7 @@ class Endpoints:
         return raw.ljust(4, b"\0")
 
     def write(self, number: int, raw: bytes) -> bool:
-        """Take a write; whether there is such an endpoint."""
+        """Write an endpoint; return whether there is such an endpoint."""
         row = self._row(number)
         if row is None:
             return False
@@ -86,7 +86,7 @@ class Endpoints:
 
 
 def flat_endpoints(firmware: str) -> dict[str, object]:
-    """What the vendor's flat_endpoints.json holds for this firmware."""
+    """Return the contents of the vendor's flat_endpoints.json for this firmware."""
     endpoints = {
         name: {"id": _FIRST + place, "type": kind, "access": "rw" if writable else "r"}
         for place, (name, kind, _, writable) in enumerate(_PARAMETERS)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _SPEEDS = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
 _IDLE = 0.05
-"""s between two looks at the emulator while nobody speaks."""
+"""s between two looks at the emulator while nothing is sent."""
 _SPIN = 1.5e-4
 """s before a reply is due that are waited out awake: a sleeping process wakes up late by about as much."""
 
@@ -41,7 +41,7 @@ class SerialPeer(Protocol):
         ...
 
     def advance(self, now: float) -> None:
-        """Let time pass for it."""
+        """Carry it to `now`."""
         ...
 
     def due(self) -> float:
@@ -79,11 +79,11 @@ class PtyLine:
         self._close()
 
     def now(self) -> float:
-        """The time the peer lives in, s."""
+        """The time on the peer's clock, s."""
         return time.monotonic()
 
     def stop(self) -> None:
-        """Let `run` return."""
+        """Make `run` return."""
         with contextlib.suppress(OSError):
             os.write(self._waker, b"x")
 

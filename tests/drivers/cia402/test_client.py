@@ -204,11 +204,11 @@ def test_a_heartbeat_that_stays_away_is_a_latched_fault_on_time() -> None:
     device = Cia402Device()
     device.objects.write(0x1016, 1, struct.pack("<I", 0x7F << 16 | 100))
     device.advance(5.0)  # nothing is watched before the first beat
-    device.hear(CanFrame(0x77F, b"\x05"), 5.0)
+    device.handle(CanFrame(0x77F, b"\x05"), 5.0)
     device.advance(5.0999)
     assert device.objects.get(0x1003) == 0
     assert device.due() == pytest.approx(5.1)
-    (emcy,) = device.speak(device.due())
+    (emcy,) = device.unasked(device.due())
     assert struct.unpack_from("<HB", emcy.data) == (0x8130, 0x11)
     assert device.machine.state is Cia402State.FAULT
 

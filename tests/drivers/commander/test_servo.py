@@ -189,7 +189,7 @@ def test_junk_and_doubled_lines_cost_nothing(foc: Rig, fault: Any) -> None:
 def test_a_digit_lost_on_the_way_to_the_board_is_put_right_within_the_tick(foc: Rig) -> None:
     servo = armed(foc)
     foc.wait(4e-3)
-    foc.board.mishear("M0.1", "M1")  # ten times the current
+    foc.board.garble("M0.1", "M1")  # ten times the current
     with pytest.raises(BadReply):
         servo.exchange(PUSH)
     assert foc.board.motor.law.target == pytest.approx(2e-3 / KT, abs=2 * RESOLUTION)
@@ -256,7 +256,7 @@ def test_a_board_that_streams_is_made_to_stop_even_after_a_restart(foc: Rig) -> 
 
 def test_a_limit_that_the_board_does_not_take_is_refused_with_the_motor_off(foc: Rig) -> None:
     servo = foc.open()
-    foc.board.mishear("MLC0", "MLC9")
+    foc.board.garble("MLC0", "MLC9")
     with pytest.raises(DriverError, match="current limit"):
         servo.arm(LIMITS)
     assert off(foc)

@@ -85,17 +85,17 @@ def test_every_count_of_torque_survives_both_codecs(model: str) -> None:
     spec = models()[model]
     codec = Codec(spec.family, spec.position, spec.velocity, spec.torque)
     device = MitDevice(model)
-    device.hear(CanFrame(1, ENTER), 0.0)
+    device.handle(CanFrame(1, ENTER), 0.0)
     for value in np.linspace(-0.9, 0.9, 7) * spec.torque:
-        device.hear(CanFrame(1, codec.command(codec.torque_counts(float(value)))), 0.0)
+        device.handle(CanFrame(1, codec.command(codec.torque_counts(float(value)))), 0.0)
         assert device.motor.demand == pytest.approx(value, abs=0.5001 * codec.torque_lsb)
 
 
 def test_zero_torque_is_half_a_count_since_zero_lies_between_two() -> None:
     codec = Codec("damiao", 12.5, 30.0, 10.0)
     device = MitDevice("dm-j4310")
-    device.hear(CanFrame(1, ENTER), 0.0)
-    device.hear(CanFrame(1, codec.command(codec.torque_counts(0.0))), 0.0)
+    device.handle(CanFrame(1, ENTER), 0.0)
+    device.handle(CanFrame(1, codec.command(codec.torque_counts(0.0))), 0.0)
     assert device.motor.demand == pytest.approx(0.5 * codec.torque_lsb)
 
 
@@ -191,12 +191,12 @@ def test_two_damiaos_on_one_bus_are_distinguished_by_their_id(make_mit: Make) ->
 def test_an_emulated_damiao_has_every_register_and_its_other_modes() -> None:
     device = MitDevice("dm-j4310", 5, reply_id=0x15)
     for number in [*range(37), *range(50, 57), *range(59, 66), 80, 81]:
-        (reply,) = device.hear(CanFrame(0x7FF, bytes([5, 0, 0x33, number, 0, 0, 0, 0])), 0.0)
+        (reply,) = device.handle(CanFrame(0x7FF, bytes([5, 0, 0x33, number, 0, 0, 0, 0])), 0.0)
         assert (reply.ident, reply.data[:4]) == (0x15, bytes([5, 0, 0x33, number]))
-    assert device.hear(CanFrame(0x7FF, bytes([5, 0, 0x33, 40, 0, 0, 0, 0])), 0.0) == []
-    device.hear(CanFrame(0x7FF, bytes([5, 0, 0x55, 10, 2, 0, 0, 0])), 0.0)
-    device.hear(CanFrame(5, ENTER), 0.0)
-    device.hear(CanFrame(0x105, np.array([0.2, 5.0], dtype="<f4").tobytes()), 0.0)
+    assert device.handle(CanFrame(0x7FF, bytes([5, 0, 0x33, 40, 0, 0, 0, 0])), 0.0) == []
+    device.handle(CanFrame(0x7FF, bytes([5, 0, 0x55, 10, 2, 0, 0, 0])), 0.0)
+    device.handle(CanFrame(5, ENTER), 0.0)
+    device.handle(CanFrame(0x105, np.array([0.2, 5.0], dtype="<f4").tobytes()), 0.0)
     device.advance(3.0)
     assert device.motor.position > 0.1
 

@@ -28,7 +28,7 @@ def torque(value: float) -> Command:
 
 
 def to(device: MoteusDevice, hexadecimal: str, ident: int = 0x8001) -> str:
-    replies = device.hear(CanFrame(ident, bytes.fromhex(hexadecimal), extended=True, fd=True, fast=True), 0.1)
+    replies = device.handle(CanFrame(ident, bytes.fromhex(hexadecimal), extended=True, fd=True, fast=True), 0.1)
     return "".join(reply.data.hex() for reply in replies)
 
 

@@ -56,14 +56,14 @@ def test_what_the_emulator_answers_can_be_read_with_the_vendors_description(layo
         message = known[theirs]
         by_place = sorted(message.signals, key=lambda signal: signal.start)
         data = message.encode({signal.name: value for signal, value in zip(by_place, values, strict=True)})
-        assert device.hear(CanFrame(message.frame_id, data), 0.1) == [], ours
+        assert device.handle(CanFrame(message.frame_id, data), 0.1) == [], ours
     device.advance(1.0)
     unanswered = {"Get_ADC_Voltage"}  # needs a pin
     for name, message in known.items():
         if name.startswith("Get_") and name not in unanswered:
-            (reply,) = device.hear(CanFrame(message.frame_id, remote=True), 1.0)
+            (reply,) = device.handle(CanFrame(message.frame_id, remote=True), 1.0)
             assert message.decode(reply.data).keys() == {signal.name for signal in message.signals}
-    (reply,) = device.hear(CanFrame(known["Get_Iq"].frame_id, remote=True), 1.0)
+    (reply,) = device.handle(CanFrame(known["Get_Iq"].frame_id, remote=True), 1.0)
     assert known["Get_Iq"].decode(reply.data)["Iq_Measured"] == pytest.approx(0.25 / 0.04, abs=0.02)
-    beat = next(frame for frame in device.speak(1.1) if frame.ident == known["Heartbeat"].frame_id)
+    beat = next(frame for frame in device.unasked(1.1) if frame.ident == known["Heartbeat"].frame_id)
     assert str(known["Heartbeat"].decode(beat.data)["Axis_State"]) == "CLOSED_LOOP_CONTROL"

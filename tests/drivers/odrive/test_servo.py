@@ -55,15 +55,15 @@ def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at
 def test_frames_are_those_of_the_vendors_examples() -> None:
     """can_simple.py: node 0; id 0x07, <I 8> for closed loop; id 0x0E torque; heartbeat <IBBB>, estimates <ff>."""
     device = OdriveDevice(0, now=0.0)
-    (encoder,) = device.hear(_frame(0x09, remote=True), 0.1)
+    (encoder,) = device.handle(_frame(0x09, remote=True), 0.1)
     assert struct.unpack("<ff", encoder.data) == (0.0, 0.0)
-    assert device.hear(_frame(0x07, struct.pack("<I", 8)), 0.1) == []
-    (beat,) = [frame for frame in device.speak(device.due()) if frame.ident == 0x01]
+    assert device.handle(_frame(0x07, struct.pack("<I", 8)), 0.1) == []
+    (beat,) = [frame for frame in device.unasked(device.due()) if frame.ident == 0x01]
     assert struct.unpack("<IBBB", beat.data[:7])[:2] == (0, 8)
-    device.hear(_frame(0x0B, struct.pack("<II", 1, 1)), 0.2)
-    device.hear(_frame(0x0E, struct.pack("<f", 0.1)), 0.2)
+    device.handle(_frame(0x0B, struct.pack("<II", 1, 1)), 0.2)
+    device.handle(_frame(0x0E, struct.pack("<f", 0.1)), 0.2)
     device.advance(1.2)
-    (torques,) = device.hear(_frame(0x1C, remote=True), 1.2)
+    (torques,) = device.handle(_frame(0x1C, remote=True), 1.2)
     assert struct.unpack("<ff", torques.data) == pytest.approx((0.1, 0.1), rel=1e-3)
 
 
