@@ -46,7 +46,7 @@ RENAMED: Mapping[str, Mapping[str, str]] = MappingProxyType(
 )
 """The schemas that are read, each with what it called attributes of /profile that have another name now."""
 BLOCK = 65536
-"""Rows handled at a time, so that no run is ever held in memory whole."""
+"""Rows handled at a time, so that no recording is ever in memory whole."""
 
 EVENT = np.dtype([("time", "<f8"), ("code", "S32"), ("message", "S200")])
 EVENTS = 256
@@ -57,7 +57,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at `time` s: a short code and a sentence."""
+    """An event at `time` s: a short code and a sentence."""
 
     time: float
     code: str
@@ -100,32 +100,24 @@ class Recording:
 
     @property
     def stand_toml(self) -> str:
-        """The stand file it was recorded with, "" where there was none."""
+        """The stand file it was recorded with, "" without one."""
         return str(self.attributes.get("stand_toml", ""))
 
     def rows(self, block: int = BLOCK) -> Iterator[tuple[int, Rows]]:
-        """The rows in order, `block` at a time, each time with the index of the first.
-
-        Raises Untrustworthy where the file is damaged.
-        """
+        """Yield the rows in order, `block` at a time with the index of the first. Raises Untrustworthy."""
         for start in range(0, self._length, block):
             stop = min(start + block, self._length)
-            if self.live:
-                yield start, self._read("live", start, stop)
-                continue
-            rows = np.empty(stop - start, dtype=ROW)
-            for name in CHANNELS:
+            rows = self._read("live", start, stop) if self.live else np.empty(stop - start, dtype=ROW)
+            for name in () if self.live else CHANNELS:
                 rows[name] = self._column(name, start, stop)
             yield start, rows
 
     def channel(self, name: str, start: int = 0, stop: int | None = None) -> Array:
-        """Rows `start` to `stop` (None: the last) of one channel, (n,) float64 in its SI unit.
+        """Return rows `start` to `stop` (None: the last) of one channel, (n,) float64 in its SI unit.
 
         Raises Untrustworthy where the file is damaged.
         """
         stop = self._length if stop is None else min(stop, self._length)
-        if self.live:
-            return np.asarray(self._read("live", start, stop)[name], dtype=np.float64)
         return np.asarray(self._column(name, start, stop), dtype=np.float64)
 
     def events(self) -> list[Event]:
@@ -149,15 +141,16 @@ class Recording:
             return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
 
     def verify(self) -> bool:
-        """Whether the samples still have the hash they were written with (an unfinished recording has none)."""
+        """Return whether the samples still have the hash they were written with; True for an unfinished recording."""
         digest = hashlib.sha256()
-        kept = [name for name in CHANNELS if self.live or f"samples/{name}" in self._file]
+        present = [name for name in CHANNELS if self.live or f"samples/{name}" in self._file]
         for _, rows in self.rows():
-            digest.update((rows if len(kept) == len(CHANNELS) else repack_fields(rows[kept])).tobytes())
+            digest.update(repack_fields(rows[present]).tobytes())
         return self.live or digest.hexdigest() == self.attributes.get("sha256")
 
     def _column(self, name: str, start: int, stop: int) -> Any:
-        """Rows of one channel of a finished recording."""
+        if self.live:
+            return self._read("live", start, stop)[name]
         if name in LATER and f"samples/{name}" not in self._file:
             return np.full(stop - start, np.nan)
         return self._read(f"samples/{name}", start, stop)
@@ -171,7 +164,7 @@ class Recording:
     def _group(self, name: str) -> h5py.Group:
         group = self._file.get(name)
         if not isinstance(group, h5py.Group):
-            raise WrongUse(f"{self.path} has no group /{name}: it is not a whole {SCHEMA} recording")
+            raise WrongUse(f"{self.path} has no group /{name}: it is not a complete recording")
         return group
 
     def _renamed(self) -> Mapping[str, str]:
@@ -187,15 +180,15 @@ class Recording:
         return RENAMED[schema]
 
     def _count_live(self) -> int:
-        """Rows before the first whose number is not its index."""
+        """Return the number of rows before the first whose `seq` is not its index."""
         live = self._file["live"]
         if live.dtype != ROW:
             raise WrongUse(f"{self.path}: /live has other fields than {SCHEMA}: use the hil that wrote it")
         for start in range(0, len(live), BLOCK):
             seq = live[start : start + BLOCK]["seq"]
-            wrong = np.flatnonzero(seq != np.arange(start, start + len(seq), dtype=np.uint64))
-            if wrong.size:
-                return start + int(wrong[0])
+            invalid = np.flatnonzero(seq != np.arange(start, start + len(seq), dtype=np.uint64))
+            if invalid.size:
+                return start + int(invalid[0])
         return len(live)
 
     def _check_samples(self) -> int:
@@ -203,20 +196,20 @@ class Recording:
         names = [name for name in CHANNELS if name not in LATER or name in samples]
         absent = [name for name in names if not isinstance(samples.get(name), h5py.Dataset)]
         if absent:
-            raise WrongUse(f"{self.path}: /samples lacks {', '.join(absent)}: it is not a whole {SCHEMA} recording")
+            raise WrongUse(f"{self.path}: /samples lacks {', '.join(absent)}: it is not a complete recording")
         for name in names:
             if samples[name].ndim != 1 or samples[name].dtype.kind not in "fiu":
                 raise WrongUse(f"{self.path}: /samples/{name} is not one column of numbers")
         lengths = {name: len(samples[name]) for name in names}
         if len(set(lengths.values())) > 1:
             odd = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise WrongUse(f"{self.path}: channels of unequal length ({odd}): the file was not written whole")
+            raise WrongUse(f"{self.path}: channels of unequal length ({odd}): the file was not written completely")
         return lengths["time"]
 
 
 @contextmanager
 def _legible(path: Path) -> Iterator[None]:
-    """Turn whatever HDF5 and its wrapper make of damaged metadata into a WrongUse: there is no end to the kinds."""
+    """Turn any exception from damaged metadata into a WrongUse: HDF5 and h5py raise many kinds."""
     try:
         yield
     except (WrongUse, Untrustworthy):
@@ -230,25 +223,24 @@ def _first_line(error: Exception) -> str:
 
 
 def _open(path: Path) -> h5py.File:
-    """Open read-only what is an ordinary HDF5 file; a FIFO or a device would hang the reader."""
+    """Open an ordinary HDF5 file read-only; a FIFO or a device would block the reader."""
     try:
         mode = path.stat().st_mode
     except OSError as error:
         raise WrongUse(f"{path} cannot be opened ({error.strerror}): check the name") from None
     if not stat.S_ISREG(mode):
         raise WrongUse(f"{path} is not a file: name a recording such as recordings/run1.h5")
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        if isinstance(error, PermissionError):
+    with _legible(path):
+        try:
+            return h5py.File(path, "r")
+        except PermissionError:
             raise WrongUse(f"{path} cannot be opened (permission denied)") from None
-        raise WrongUse(f"{path} is not HDF5, or is cut off: bring CSV data in with `hil import`") from error
-    except Exception as error:
-        raise WrongUse(f"{path} is damaged and cannot be opened ({_first_line(error)}): use a copy of it") from error
+        except OSError as error:
+            raise WrongUse(f"{path} is not HDF5, or is cut off: bring CSV data in with `hil import`") from error
 
 
 def _refuse_foreign_storage(file: h5py.File, path: Path) -> None:
-    """A file from a stranger must not read other files: no links out of it, no external or virtual storage."""
+    """Raise WrongUse for links out of the file, external or virtual storage: it must not read other files."""
     for group in (file, *(file.get(name) for name in ("samples", "events") if _is_hard(file, name))):
         for name in group if isinstance(group, h5py.Group) else ():
             if not _is_hard(group, name):
@@ -271,7 +263,7 @@ def _writer(attributes: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """An attribute as Python's own type."""
+    """Return an attribute as Python's own type."""
     if isinstance(value, bytes):
         return value.decode(errors="replace")
     return value.item() if isinstance(value, np.generic) else value

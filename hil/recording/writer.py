@@ -232,20 +232,26 @@ def _reserve_contiguous(file: h5py.File, name: str, length: int, dtype: np.dtype
 
 
 def _write_header(file: h5py.File, header: Header) -> None:
-    file.attrs.update(
-        schema=SCHEMA,
-        uid=str(uuid.uuid4()),
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        software=json.dumps(_software()),
-        host=platform.node(),
-        command_line=header.command_line,
-        seed=header.seed,
-        stand_toml=header.stand_toml,
-        operator_note=header.operator_note,
-    )
-    file.create_group("profile").attrs.update(header.profile)
-    if header.truth:
-        file.create_group("truth").attrs.update(header.truth)
+    attributes = {
+        "uid": str(uuid.uuid4()),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "software": json.dumps(_software()),
+        "host": platform.node(),
+        "command_line": header.command_line,
+        "seed": header.seed,
+        "stand_toml": header.stand_toml,
+        "operator_note": header.operator_note,
+    }
+    _write_attributes(file, attributes, header.profile, header.truth)
+
+
+def _write_attributes(
+    file: h5py.File, attributes: Mapping[str, Any], profile: Mapping[str, Any], truth: Mapping[str, float]
+) -> None:
+    file.attrs.update({**attributes, "schema": SCHEMA})
+    file.create_group("profile").attrs.update(profile)
+    if truth:
+        file.create_group("truth").attrs.update(truth)
 
 
 def _software() -> dict[str, str]:
@@ -271,7 +277,7 @@ def finalise(source: Path, output: Path, *, end_reason: str | None = None, force
     with Recording(source) as recording:
         check_space(output, len(recording) * ROW.itemsize + _OVERHEAD)
         with atomic_write(output, force=force) as temporary, h5py.File(temporary, "w", libver="latest") as file:
-            _copy_attributes(recording, file)
+            _write_attributes(file, recording.attributes, recording.profile, recording.truth())
             file.attrs["complete"] = end_reason == "done"
             file.attrs["end_reason"] = "recovered" if end_reason is None else end_reason
             file.attrs["sha256"] = _write_samples(file, recording)
@@ -297,14 +303,6 @@ def write(path: Path, header: Header, channels: Mapping[str, Array], *, force: b
         except BaseException:
             writer.discard()
             raise
-
-
-def _copy_attributes(recording: Recording, file: h5py.File) -> None:
-    file.attrs.update(recording.attributes | {"schema": SCHEMA})
-    file.create_group("profile").attrs.update(recording.profile)
-    truth = recording.truth()
-    if truth:
-        file.create_group("truth").attrs.update(truth)
 
 
 def _write_samples(file: h5py.File, recording: Recording) -> str:
@@ -333,7 +331,5 @@ def _write_samples(file: h5py.File, recording: Recording) -> str:
 
 def _write_events(file: h5py.File, events: list[Event]) -> None:
     group = file.create_group("events")
-    text = h5py.string_dtype()
-    group.create_dataset("time", data=np.array([event.time for event in events], dtype="<f8"))
-    group.create_dataset("code", data=np.array([event.code for event in events], dtype=object), dtype=text)
-    group.create_dataset("message", data=np.array([event.message for event in events], dtype=object), dtype=text)
+    for name, dtype in (("time", "<f8"), ("code", h5py.string_dtype()), ("message", h5py.string_dtype())):
+        group.create_dataset(name, data=[getattr(event, name) for event in events], dtype=dtype)

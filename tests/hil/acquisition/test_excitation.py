@@ -162,7 +162,7 @@ def test_a_file_with_an_amplitude_is_scaled_to_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("0,0\n1,x\n", "row 2"),
         ("0,0\n1\n", "row 2"),
@@ -172,15 +172,15 @@ def test_a_file_with_an_amplitude_is_scaled_to_it(tmp_path: Path) -> None:
         ("0,0\n1,nan\n", "row 2"),
     ],
 )
-def test_a_bad_file_of_set_points_is_refused_with_its_row(tmp_path: Path, text: str, said: str) -> None:
+def test_a_bad_file_of_set_points_is_refused_with_its_row(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "set.csv"
     path.write_text(text)
-    with pytest.raises(WrongUse, match=said):
+    with pytest.raises(WrongUse, match=message):
         make("file", setpoints=path)
 
 
 @pytest.mark.parametrize(
-    ("kind", "changes", "said"),
+    ("kind", "changes", "message"),
     [
         ("chrip", {}, "unknown profile 'chrip'"),
         ("chirp", {"band": (15.0, 0.1)}, "reversed"),
@@ -197,9 +197,9 @@ def test_a_bad_file_of_set_points_is_refused_with_its_row(tmp_path: Path, text: 
     ],
 )
 def test_what_cannot_be_made_is_refused_with_the_option_to_change(
-    kind: str, changes: dict[str, object], said: str
+    kind: str, changes: dict[str, object], message: str
 ) -> None:
-    with pytest.raises(WrongUse, match=said):
+    with pytest.raises(WrongUse, match=message):
         make(kind, **changes)
 
 

@@ -1,4 +1,4 @@
-"""The live line: what it shows is what the rows say."""
+"""The live line: it shows the state in the rows."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def test_the_time_left_is_that_of_the_profile_and_never_below_zero() -> None:
     assert line(rows(1000), duration=3.0).startswith("   0.0 s left")
 
 
-@pytest.mark.parametrize(("torque", "said"), [(-0.98765, "-987.65 mN m"), (-987.65, "-987.65 N m")])
-def test_the_line_fits_a_terminal_of_eighty_columns(torque: float, said: str) -> None:
+@pytest.mark.parametrize(("torque", "message"), [(-0.98765, "-987.65 mN m"), (-987.65, "-987.65 N m")])
+def test_the_line_fits_a_terminal_of_eighty_columns(torque: float, message: str) -> None:
     table = rows(1000)
     table["time"] = 80_000.0 + np.arange(1000) / 10_000.0
     table["torque"], table["dtheta"], table["status"] = torque, -31.4159, 1
     shown = line(table, duration=172_800.0)
-    assert said in shown
+    assert message in shown
     assert shown.endswith("1000 lost")
     assert len(shown) < 80
 
@@ -79,11 +79,11 @@ def test_a_run_does_without_a_viewer_that_cannot_be_started(tmp_path: Path, monk
         pass
 
 
-def test_before_the_first_rows_the_line_says_so() -> None:
+def test_before_the_first_rows_the_line_is_starting() -> None:
     assert line(rows(0), duration=4.0) == "starting"
 
 
-def test_the_viewer_ends_when_the_recorder_lets_go_of_it(tmp_path: Path) -> None:
+def test_the_viewer_ends_when_the_recorder_closes_it(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "a.h5", Header(profile={"duration": 4.0}), 10) as part:
         command = [sys.executable, "-m", "hil.acquisition.live_view", str(part.path)]
         viewer = subprocess.run(command, check=False, input=b"", capture_output=True)

@@ -198,16 +198,16 @@ def test_a_warm_motor_is_not_started(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rest", "said"), [({"motor_position": math.nan}, "no position"), ({"joint_torque": math.nan}, "torque_source")]
+    ("rest", "message"), [({"motor_position": math.nan}, "no position"), ({"joint_torque": math.nan}, "torque_source")]
 )
-def test_a_stand_that_cannot_measure_is_not_driven(bench: Bench, rest: dict[str, float], said: str) -> None:
+def test_a_stand_that_cannot_measure_is_not_driven(bench: Bench, rest: dict[str, float], message: str) -> None:
     bench.servo.rest = rest
     outcome = bench.run()
-    assert said in str(outcome.error)
+    assert message in str(outcome.error)
     assert bench.servo.driven == []
 
 
-def test_one_request_to_stop_lets_the_cable_down_within_a_tenth_of_a_second(bench: Bench) -> None:
+def test_one_request_to_stop_ramps_the_torque_to_zero_within_a_tenth_of_a_second(bench: Bench) -> None:
     """A tenth of a second at 100 Hz is ten ticks, each a tenth less of what the profile asks."""
     bench.servo.clock.plans = [(100.0 + 0.15 + 1.2, lambda: os.kill(os.getpid(), signal.SIGINT))]
     with bench.stop.listening():
@@ -273,7 +273,7 @@ def test_a_torque_off_that_is_not_confirmed_is_shouted_over_an_earlier_error(ben
     assert outcome.error is bench.servo.script[70]
 
 
-def test_a_torque_off_is_asked_for_until_it_is_heard(bench: Bench) -> None:
+def test_a_torque_off_is_requested_until_it_is_confirmed(bench: Bench) -> None:
     bench.servo.disarm_error, bench.servo.heard_after = NoReply("a moment's silence"), 7
     outcome = bench.run()
     assert (bench.servo.disarms, bench.servo.armed) == (7, False)
@@ -341,7 +341,7 @@ def test_ctrl_c_at_any_line_of_the_recorder_leaves_the_torque_off(
 
 @pytest.mark.parametrize("moment", [100.0, 100.05, 100.1499])
 def test_a_request_to_stop_before_the_start_drives_nothing(bench: Bench, moment: float) -> None:
-    """At rest the axis is read for 0.15 s; the motor must not be made live for somebody who said stop."""
+    """At rest the axis is read for 0.15 s; the motor must not be made live for somebody who message stop."""
     bench.servo.clock.plans = [(moment, lambda: os.kill(os.getpid(), signal.SIGTERM))]
     with bench.stop.listening():
         outcome = bench.run()
@@ -451,7 +451,7 @@ def test_every_set_point_is_worked_out_before_the_motor_is_live(tmp_path: Path) 
     np.testing.assert_allclose(bench.channel("command"), bench.profile.at(np.arange(2001) / RATE))
 
 
-def test_a_set_point_that_is_no_number_is_found_before_the_motor_is_live(bench: Bench) -> None:
+def test_a_set_point_that_is_no_number_ends_the_run_before_the_motor_is_live(bench: Bench) -> None:
     bench.profile = replace(bench.profile, shape=lambda time: np.where(time > 1.5, np.nan, 0.0))
     outcome = bench.run()
     assert isinstance(outcome.error, WrongUse)
@@ -506,7 +506,7 @@ def test_saturated_rows_are_counted(bench: Bench) -> None:
     assert bench.run().saturated == 2
 
 
-def test_a_servo_that_never_answers_is_given_up(bench: Bench) -> None:
+def test_a_servo_that_never_answers_ends_the_run(bench: Bench) -> None:
     class Mute(SpringServo):
         def exchange(self, command: Command) -> object:  # type: ignore[override]
             raise NoReply(f"nothing after {command}")

@@ -22,7 +22,7 @@ from hil.acquisition.run import run
 from hil.acquisition.setpoints import SetPoints
 from hil.cli import app as cli
 from hil.errors import WrongUse
-from hil.recording import writer as part_module
+from hil.recording import writer as writer_module
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand.file import parse
@@ -96,7 +96,7 @@ class Saboteur:
         for name in ("append", "flush", "event", "finish", "discard", "close", "__len__"):
             monkeypatch.setattr(RecordingWriter, name, self.before(getattr(RecordingWriter, name)))
         for name in ("write_at", "finalise", "is_at", "remove"):
-            monkeypatch.setattr(part_module, name, self.before(getattr(part_module, name)))
+            monkeypatch.setattr(writer_module, name, self.before(getattr(writer_module, name)))
         for name in ("extend", "__exit__", "__iter__"):
             monkeypatch.setattr(SetPoints, name, self.before(getattr(SetPoints, name)))
         monkeypatch.setattr(Profile, "at", self.before(Profile.at))
@@ -112,7 +112,7 @@ def test_whatever_fails_at_whichever_call_the_torque_is_off_and_the_rows_are_the
 ) -> None:
     monkeypatch.setattr(recorder, "_REST_SAMPLES", 2)
     monkeypatch.setattr(gc, "collect", lambda: 0)  # these two are most of the time a run takes
-    monkeypatch.setattr(part_module, "_software", dict)
+    monkeypatch.setattr(writer_module, "_software", dict)
     for at in count(1):
         servo, saboteur = SpringServo(), Saboteur(error, at, after=after)
         output = tmp_path / f"{at}.h5"
@@ -129,10 +129,10 @@ def test_whatever_fails_at_whichever_call_the_torque_is_off_and_the_rows_are_the
         if saboteur.calls < at:
             break
         if len(servo.driven) > 1:
-            found = [path for path in (output, output.with_name(output.name + ".part")) if path.exists()]
-            assert found, at
-            assert kept in {None, *found}
-            with Recording(found[0]) as recording:
+            files = [path for path in (output, output.with_name(output.name + ".part")) if path.exists()]
+            assert files, at
+            assert kept in {None, *files}
+            with Recording(files[0]) as recording:
                 assert len(recording) >= len(servo.driven) - 2
     assert at > 60
     assert len(servo.driven) == 6
@@ -159,24 +159,24 @@ def test_what_goes_wrong_on_the_simulated_stand_ends_the_run_and_the_torque(
     with Recording(tmp_path / "a.h5") as recording:
         assert not recording.complete
         assert 400 < len(recording) < 800
-    servo.clock.sleep_until(servo.clock.now() + 0.1)  # what cannot be told to stop is stopped by its watchdog
+    servo.clock.sleep_until(servo.clock.now() + 0.1)  # what cannot be shown to stop is stopped by its watchdog
     assert not servo.true_state().enabled
 
 
-def test_a_torque_off_that_is_not_confirmed_is_the_first_thing_said(
+def test_a_torque_off_that_is_not_confirmed_is_reported_first(
     spring: SpringServo, capfd: pytest.CaptureFixture[str]
 ) -> None:
     spring.script = {50: LinkLost("the cable is out")}
     spring.disarm_error = OSError(5, "Input/output error")
     assert record("-o", "a.h5") == 3
-    said = capfd.readouterr().err.splitlines()
+    message = capfd.readouterr().err.splitlines()
     alarm = "CUT THE POWER: the torque-off is not confirmed ([Errno 5] Input/output error)"
-    assert said == [alarm, "hil: the cable is out", alarm]
+    assert message == [alarm, "hil: the cable is out", alarm]
     with Recording(Path("a.h5")) as recording:
         assert len(recording) == 50
 
 
-def test_an_alarm_is_told_before_the_file_is_made_final(spring: SpringServo, tmp_path: Path) -> None:
+def test_an_alarm_is_raised_before_the_file_is_made_final(spring: SpringServo, tmp_path: Path) -> None:
     spring.disarm_error = OSError(5, "Input/output error")
     seen: list[bool] = []
     run(
@@ -185,7 +185,7 @@ def test_an_alarm_is_told_before_the_file_is_made_final(spring: SpringServo, tmp
         rate=RATE,
         seed=0,
         output=tmp_path / "a.h5",
-        alarm=lambda said: seen.append(said.startswith("CUT THE POWER") and not (tmp_path / "a.h5").exists()),
+        alarm=lambda message: seen.append(message.startswith("CUT THE POWER") and not (tmp_path / "a.h5").exists()),
     )
     assert seen == [True]
     assert (tmp_path / "a.h5").exists()
@@ -224,7 +224,7 @@ def test_a_signal_ends_a_run_with_its_own_status_and_the_data_kept(
         assert 80 < len(recording) < 110
 
 
-def test_a_signal_before_the_start_records_nothing_and_says_so(
+def test_a_signal_before_the_start_records_nothing(
     spring: SpringServo, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     spring.clock.plans = [(100.05, lambda: os.kill(os.getpid(), signal.SIGTERM))]
@@ -246,7 +246,7 @@ def test_a_recording_in_progress_is_not_taken_over_even_with_force(spring: Sprin
     assert record("-o", "a.h5", "--force") == 0
 
 
-def test_a_left_over_part_outlives_a_command_that_cannot_begin(spring: SpringServo) -> None:
+def test_an_unfinished_recording_outlives_a_command_that_cannot_begin(spring: SpringServo) -> None:
     with RecordingWriter(Path("a.h5"), Header(profile={}), 5) as part:
         pass
     assert record("-o", "a.h5", "--force", "--amplitude", "99") == 2
@@ -254,10 +254,10 @@ def test_a_left_over_part_outlives_a_command_that_cannot_begin(spring: SpringSer
     assert spring.driven == []
 
 
-def test_recorders_that_look_for_a_name_at_once_take_different_ones(
+def test_recorders_that_start_at_once_use_different_names(
     spring: SpringServo, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """One found run1 free as we did and records; another was faster still and has ended."""
+    """One saw run1 free as we did and records; another was faster still and has ended."""
     folder = tmp_path / "recordings"
     folder.mkdir()
     names = iter(["run1.h5", "run2.h5", "run3.h5"])
@@ -281,7 +281,7 @@ def test_a_run_whose_ticks_come_late_is_not_taken_for_a_good_one(
     capfd: pytest.CaptureFixture[str],
     late: tuple[int, int, str],
 ) -> None:
-    every, status, said = late
+    every, status, message = late
     exchange = spring.exchange
 
     def sometimes_late(command: Command) -> Sample:
@@ -291,19 +291,19 @@ def test_a_run_whose_ticks_come_late_is_not_taken_for_a_good_one(
 
     monkeypatch.setattr(spring, "exchange", sometimes_late)
     assert record("-o", "a.h5", "--duration", "3") == status
-    assert capfd.readouterr().err.startswith(f"{said} [many-late]" if said else "")
+    assert capfd.readouterr().err.startswith(f"{message} [many-late]" if message else "")
     seen = cli.run(["inspect", "a.h5"])
     assert seen == status
-    assert ("[many-late]" in capfd.readouterr().err) == bool(said)
+    assert ("[many-late]" in capfd.readouterr().err) == bool(message)
 
 
-@pytest.mark.parametrize(("rate", "said"), [("19", "between 20 and 10000"), ("5000", "lower the rate")])
+@pytest.mark.parametrize(("rate", "message"), [("19", "between 20 and 10000"), ("5000", "lower the rate")])
 def test_a_rate_no_drive_or_not_this_one_can_keep_is_wrong_use(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], rate: str, said: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], rate: str, message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert cli.run(["record", "--backend", "sim", "--rate", rate, "--band", "0.5:2", "-o", "a.h5"]) == 2
-    assert said in capfd.readouterr().err
+    assert message in capfd.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

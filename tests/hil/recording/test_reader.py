@@ -23,7 +23,7 @@ import pytest
 
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording import reader
-from hil.recording import writer as part_module
+from hil.recording import writer as writer_module
 from hil.recording.channels import CHANNELS, ROW, Row
 from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, remove_unfinished
 from hil.recording.reader import SCHEMA, Recording
@@ -138,7 +138,7 @@ def test_a_killed_recorder_leaves_every_row_it_handed_over(tmp_path: Path) -> No
         assert not recording.complete
 
 
-def test_recovering_makes_a_final_file_and_leaves_the_part_alone(tmp_path: Path) -> None:
+def test_recovering_makes_a_final_file_and_keeps_the_part(tmp_path: Path) -> None:
     part = recorded(tmp_path / "a.h5", 12, planned=40)
     part.close()
     before = part.path.read_bytes()
@@ -158,7 +158,7 @@ def test_a_changed_sample_does_not_verify(tmp_path: Path) -> None:
         assert not recording.verify()
 
 
-def test_damaged_samples_are_said_to_be_damaged(tmp_path: Path) -> None:
+def test_damaged_samples_are_reported_as_damaged(tmp_path: Path) -> None:
     path = recorded(tmp_path / "a.h5", 500).finish("done")
     with h5py.File(path) as file:
         at = file["samples"]["torque"].id.get_chunk_info(0).byte_offset
@@ -186,7 +186,7 @@ def test_a_failed_second_stage_leaves_the_part_and_no_half_file(
         assert len(recording) == 12
 
 
-def test_a_full_disk_is_found_before_anything_moves(tmp_path: Path) -> None:
+def test_a_full_disk_is_refused_before_anything_moves(tmp_path: Path) -> None:
     """A real refusal by the kernel: the process may write no file larger than 100 kB."""
     code = (
         "import resource, signal, sys; from pathlib import Path\n"
@@ -255,7 +255,7 @@ def test_what_is_read_is_never_overwritten_whatever_it_is_called(tmp_path: Path)
             check_output(tmp_path / name, force=True, inputs=[tmp_path / "a.csv"])
 
 
-def test_a_left_over_part_can_be_given_up_and_a_live_one_cannot(tmp_path: Path) -> None:
+def test_an_unfinished_recording_can_be_removed_and_a_live_one_cannot(tmp_path: Path) -> None:
     remove_unfinished(tmp_path / "a.h5")  # there is none
     part = recorded(tmp_path / "a.h5", 5)
     with pytest.raises(WrongUse, match="is being recorded"):
@@ -267,7 +267,7 @@ def test_a_left_over_part_can_be_given_up_and_a_live_one_cannot(tmp_path: Path) 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_live_part_of_another_process_is_not_given_up(tmp_path: Path) -> None:
+def test_a_live_recording_of_another_process_is_not_removed(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"
         "from hil.errors import WrongUse\n"
@@ -283,7 +283,7 @@ def test_a_live_part_of_another_process_is_not_given_up(tmp_path: Path) -> None:
         assert part.path.exists()
 
 
-def test_a_live_part_can_be_watched_with_any_reader(tmp_path: Path) -> None:
+def test_a_live_recording_can_be_watched_with_any_reader(tmp_path: Path) -> None:
     with recorded(tmp_path / "a.h5", 5) as part, h5py.File(part.path) as file:
         assert file["live"][3]["seq"] == 3
 
@@ -296,7 +296,7 @@ def test_two_recorders_never_share_a_file(tmp_path: Path) -> None:
             assert len(recording) == 5
 
 
-def test_what_took_the_place_of_the_part_is_not_finished_in_its_stead(tmp_path: Path) -> None:
+def test_a_file_that_replaced_the_part_is_not_finished_in_its_place(tmp_path: Path) -> None:
     with recorded(tmp_path / "a.h5", 12) as part:
         part.path.unlink()
         recorded(tmp_path / "b.h5", 3).close()
@@ -333,7 +333,7 @@ def test_a_part_without_a_row_is_recovered_as_an_empty_recording(tmp_path: Path,
 
 
 @pytest.mark.parametrize("where", ["hil.recording.writer.write_at", "os.fsync"])
-def test_a_disk_that_fails_under_a_run_is_said_in_a_sentence(
+def test_a_disk_that_fails_during_a_run_is_reported_in_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     failed = threading.Event()
@@ -362,7 +362,7 @@ def recorded_more(part: RecordingWriter, rows: int) -> None:
         part.append(row(seq))
 
 
-def test_a_target_without_a_folder_is_refused(tmp_path: Path) -> None:
+def test_an_output_without_a_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(WrongUse, match="is not a folder"):
         check_output(tmp_path / "none" / "a.h5", force=False)
     with pytest.raises(WrongUse, match="is a folder"):
@@ -434,7 +434,7 @@ def _nothing(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "expected"),
     [
         (_nothing, "No such file"),
         (_not_hdf5, "is not HDF5"),
@@ -450,11 +450,11 @@ def _nothing(path: Path) -> None:
     ],
 )
 def test_what_is_no_recording_is_refused_in_a_sentence(
-    tmp_path: Path, spoil: Callable[[Path], None], said: str
+    tmp_path: Path, spoil: Callable[[Path], None], expected: str
 ) -> None:
     path = tmp_path / "a.h5"
     spoil(path)
-    with pytest.raises(WrongUse, match=said) as refusal:
+    with pytest.raises(WrongUse, match=expected) as refusal:
         Recording(path)
     assert str(path) in str(refusal.value)
     assert len(str(refusal.value).splitlines()) == 1
@@ -481,7 +481,7 @@ def test_a_checkout_that_was_not_installed_records_too(tmp_path: Path, monkeypat
             raise PackageNotFoundError(name)
         return version(name)
 
-    monkeypatch.setattr(part_module, "version", known)
+    monkeypatch.setattr(writer_module, "version", known)
     with Recording(recorded(tmp_path / "a.h5", 5).finish("done")) as recording:
         software = json.loads(recording.attributes["software"])
     assert "hil" not in software

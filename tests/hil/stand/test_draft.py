@@ -49,16 +49,16 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     typed = [*drive, "my finger", "-3", "2", "", "", "elbow", "motor", "/dev/ttyUSB1", "xl1", "xl330-m288", "0.05"]
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join([*typed, "", "", ""]) + "\n"))
     assert run(["stand", "new", "-o", str(path)]) == 0
-    told = capfd.readouterr()
-    assert told.out.strip() == ""
-    for said in ("-3: Input should be greater than 0", "elbow: Input should be", "xl1: Input should be 'mx-106'"):
-        assert said in told.err
+    shown = capfd.readouterr()
+    assert shown.out.strip() == ""
+    for message in ("-3: Input should be greater than 0", "elbow: Input should be", "xl1: Input should be 'mx-106'"):
+        assert message in shown.err
     stand = load(path)
     assert (stand.stand.name, stand.stand.gear_ratio, stand.checked_limits().torque) == ("my finger", 2.0, 0.05)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--backend", "dynamixel"], "add --set dynamixel.port="),
         (["--backend", "dinamixel"], "did you mean 'dynamixel'"),
@@ -70,10 +70,10 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     ],
 )
 def test_what_cannot_be_written_is_refused_and_nothing_is_left(
-    words: list[str], said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    words: list[str], message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["stand", "new", "--yes", *words, "-o", str(tmp_path / "stand.toml")]) == 2
-    assert said in capfd.readouterr().err
+    assert message in capfd.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -36,7 +36,7 @@ def test_a_file_with_only_a_stand_is_enough_to_import() -> None:
         stand.checked_limits()
 
 
-def test_the_simulator_has_the_motor_the_stand_states_unless_it_is_told_its_own() -> None:
+def test_the_simulator_has_the_motor_of_the_stand_unless_it_has_its_own() -> None:
     text = '[stand]\nbackend = "sim"\ngear_ratio = 6.0\nmotor_inertia = 5e-7\n'
     _, truth = open_servo(parse(text), seed=0, realtime=False)
     assert (truth["gear_ratio"], truth["motor_inertia"]) == (6.0, 5e-7)
@@ -49,7 +49,7 @@ def test_the_simulators_gear_is_the_stands_even_where_it_is_not_stated() -> None
     assert truth["gear_ratio"] == 1.0
 
 
-def test_every_problem_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path) -> None:
+def test_every_error_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path) -> None:
     path = tmp_path / "stand.toml"
     path.write_text(
         """
@@ -70,7 +70,7 @@ def test_every_problem_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path
     )
     with pytest.raises(WrongUse) as refusal:
         load(path)
-    said = str(refusal.value)
+    message = str(refusal.value)
     for key in (
         "stand.gear_ratio",
         "stand.torque_source",
@@ -83,8 +83,8 @@ def test_every_problem_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path
         "sim.sensors.motor_counts",
         "valve: no such key",
     ):
-        assert key in said
-    assert "10 error(s)" in said
+        assert key in message
+    assert "10 error(s)" in message
 
 
 def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:
@@ -103,11 +103,11 @@ def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [("simm", "did you mean 'sim'"), ("valve", "known are sim"), (None, "has no backend")],
 )
-def test_an_unknown_backend_is_refused_with_the_known_ones(name: str | None, said: str) -> None:
-    with pytest.raises(WrongUse, match=said):
+def test_an_unknown_backend_is_refused_with_the_known_ones(name: str | None, message: str) -> None:
+    with pytest.raises(WrongUse, match=message):
         check_backend(name)
 
 
@@ -123,10 +123,10 @@ def test_a_backends_own_table_is_checked_with_the_rest_of_the_file() -> None:
     """
     with pytest.raises(WrongUse, match=r"5 error\(s\)") as refusal:
         parse(text)
-    said = str(refusal.value)
+    message = str(refusal.value)
     for key in ("stand.gear_ratio", "dynamixel.port: must be given", "dynamixel.model = 'xl333'", "dynamixel.id = 300"):
-        assert key in said
-    assert "dynamixel.bauderate: no such key" in said
+        assert key in message
+    assert "dynamixel.bauderate: no such key" in message
 
 
 def test_keys_that_do_not_fit_each_other_are_all_named() -> None:
@@ -171,13 +171,13 @@ def test_a_device_of_the_registry_can_be_loaded_and_forbids_unknown_keys(device:
         ("xl430-w250", None, Quantity.POSITION, "extended-position"),
     ],
 )
-def test_the_quantity_chooses_the_mode_of_a_dynamixel(
+def test_the_set_points_select_the_mode_of_a_dynamixel(
     model: str, mode: Mode | None, quantity: Quantity, expected: str
 ) -> None:
     assert DynamixelConfig(port="p", model=model, mode=mode).for_quantity(quantity).mode == expected
 
 
-def test_the_quantity_chooses_the_mode_of_a_moteus_that_leaves_it_open() -> None:
+def test_the_set_points_select_the_mode_of_a_moteus_that_leaves_it_open() -> None:
     table = MoteusConfig(interface="socketcan", channel="can0")
     for quantity in Quantity:
         chosen = table.for_quantity(quantity)
@@ -188,23 +188,23 @@ def test_the_quantity_chooses_the_mode_of_a_moteus_that_leaves_it_open() -> None
 
 
 @pytest.mark.parametrize(
-    ("table", "quantity", "said"),
+    ("table", "quantity", "message"),
     [
         ('model = "xl430-w250"', Quantity.TORQUE, "no current control"),
         ('model = "xl330-m288"\nmode = "current"', Quantity.POSITION, "does not command position"),
     ],
 )
-def test_a_quantity_the_drive_cannot_take_is_refused_before_its_port_is_opened(
-    table: str, quantity: Quantity, said: str
+def test_set_points_that_a_drive_does_not_accept_are_refused_before_its_port_is_opened(
+    table: str, quantity: Quantity, message: str
 ) -> None:
     stand = parse(f'[stand]\nbackend = "dynamixel"\n[dynamixel]\nport = "/dev/none"\n{table}\n')
-    with pytest.raises(WrongUse, match=said):
+    with pytest.raises(WrongUse, match=message):
         open_servo(stand, quantity=quantity)
 
 
-@pytest.mark.parametrize(("text", "said"), [(b"[stand\n", "not TOML"), (b"\xff\xfe", "cannot be read")])
-def test_what_is_no_toml_is_refused(tmp_path: Path, text: bytes, said: str) -> None:
+@pytest.mark.parametrize(("text", "message"), [(b"[stand\n", "not TOML"), (b"\xff\xfe", "cannot be read")])
+def test_what_is_no_toml_is_refused(tmp_path: Path, text: bytes, message: str) -> None:
     path = tmp_path / "stand.toml"
     path.write_bytes(text)
-    with pytest.raises(WrongUse, match=said):
+    with pytest.raises(WrongUse, match=message):
         load(path)

@@ -117,7 +117,7 @@ def test_the_stands_zero_is_taken_off_the_motor_both_ways() -> None:
     assert sample.motor_position == pytest.approx(0.55, abs=0.01)
 
 
-def test_closing_turns_the_torque_off_and_lets_go_of_both() -> None:
+def test_closing_turns_the_torque_off_and_closes_both_links() -> None:
     servo = simulated()
     cell = Cell(servo.clock)
     stand = StandServo(servo, 0.0, cell)
@@ -161,7 +161,7 @@ def test_a_stands_joint_sensor_is_joined_to_its_servo() -> None:
 
 @pytest.mark.usefixtures("registered")
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ('port = "p"', "joint_sensor.kind: must be given; known are cell"),
         ('kind = "sell"', "did you mean 'cell'"),
@@ -171,8 +171,8 @@ def test_a_stands_joint_sensor_is_joined_to_its_servo() -> None:
         ('kind = "cell"\nport = "p"\ncolour = 1', "joint_sensor.colour: no such key"),
     ],
 )
-def test_a_joint_sensors_table_is_checked_by_its_kind(table: str, said: str) -> None:
-    with pytest.raises(WrongUse, match=said):
+def test_a_joint_sensors_table_is_checked_by_its_kind(table: str, message: str) -> None:
+    with pytest.raises(WrongUse, match=message):
         parse(f"[stand]\n[joint_sensor]\n{table}\n")
 
 
@@ -197,12 +197,12 @@ def test_a_slow_and_late_sensor_leaves_stiffness_and_damping_what_they_are(tmp_p
     with Recording(path) as recording:
         signals = prepare(recording, parse('[stand]\ntorque_source = "joint"\n').stand)
     design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
-    found = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0]
+    fitted = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)[0]
     assert 700 < len(signals) <= 800
-    assert found == pytest.approx([kc, bc], rel=2e-3)
+    assert fitted == pytest.approx([kc, bc], rel=2e-3)
     # as if every row were read when the motor was, damping would be lost in the delay
-    held = np.linalg.lstsq(np.column_stack([dtheta(time), rate(time)]), torque, rcond=None)[0]
-    assert held[1] < 0.5 * bc
+    unshifted = np.linalg.lstsq(np.column_stack([dtheta(time), rate(time)]), torque, rcond=None)[0]
+    assert unshifted[1] < 0.5 * bc
 
 
 def test_a_recording_from_before_there_was_a_joint_time_is_read_as_it_is(make_recording: Maker) -> None:
