@@ -71,7 +71,7 @@ def profile_of(case: Case) -> Profile:
 
 
 def predicted(case: Case, stand: Stand) -> Assessment:
-    task = task_of(stand, kc=None, bc=None, torque_noise=None, model=case.model, quantity=case.quantity, rate=RATE)
+    task = task_of(stand, kc=None, bc=None, torque_noise=None, model=case.model, mode=case.quantity, rate=RATE)
     return assess(task, profile_of(case))
 
 

@@ -24,7 +24,7 @@ from hil.errors import Untrustworthy, WrongUse
 app = typer.Typer(
     name="hil",
     help=(
-        "Record a robot-hand joint against its locked output, identify the stiffness and damping of its coupling. "
+        "Record a robot-hand joint against its locked output and identify the stiffness and damping of its coupling. "
         "--debug anywhere shows the traceback of an error."
     ),
     no_args_is_help=True,
@@ -34,7 +34,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-_UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # what typer raises for wrong words and does not name
+_UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # raised by typer for wrong options, not exported
 
 app.command()(record)
 app.command()(identify)
@@ -57,7 +57,7 @@ def main() -> NoReturn:
 
 
 def run(words: list[str]) -> int:
-    """Run the words of a command; its exit status. A traceback is shown only where "--debug" is among them."""
+    """Run a command and return its exit status. A traceback is shown only with "--debug" among the words."""
     try:
         answer = app([word for word in words if word != "--debug"], standalone_mode=False)
     except _UsageError as error:
@@ -68,7 +68,7 @@ def run(words: list[str]) -> int:
     except (typer.Abort, KeyboardInterrupt):
         say("interrupted")
         return INTERRUPTED
-    except Exception as error:  # noqa: BLE001 - the last line of defence: every error becomes a sentence and a status
+    except Exception as error:  # noqa: BLE001 - every error becomes a sentence and a status
         if "--debug" in words:
             traceback.print_exc()
         say(f"hil: {error}")
@@ -87,5 +87,5 @@ def _status_of(error: Exception) -> int:
     if isinstance(error, DriverError):
         return STAND_FAILED
     if not isinstance(error, Untrustworthy):
-        say("this is a fault in hil itself: run it again with --debug and report what it prints")
+        say("this is a fault in hil itself: run the command again with --debug and report the output")
     return UNTRUSTWORTHY

@@ -7,33 +7,33 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.identify import search_of
-from hil.cli.options import DEFAULT_SEED, Force, Json, Model, Seed, Workers, model_of
+from hil.cli import options
 from hil.cli.progress import progress
 from hil.cli.terminal import UNTRUSTWORTHY, out, out_table, print_diagnostics, print_json, say
 
 
 def compare(
     recordings: Annotated[list[Path], typer.Argument(help="Two or more recordings of one joint on one stand.")],
-    model: Model = "auto",
+    model: options.Model = "auto",
     trials: Annotated[int | None, typer.Option(min=1, help="Independent searches of each, as in hil identify.")] = None,
-    seed: Seed = DEFAULT_SEED,
-    workers: Workers = None,
+    seed: options.Seed = options.DEFAULT_SEED,
+    workers: options.Workers = options.ALL_CORES,
     report: Annotated[Path | None, typer.Option(help="Also draw the recordings side by side (PNG).")] = None,
-    force: Force = False,
-    as_json: Json = False,
+    force: options.Force = False,
+    as_json: options.Json = False,
 ) -> None:
     """Check whether Kc and Bc repeat from recording to recording, and whether they drift."""
     from hil.identification import compare as engine
+    from hil.identification.identify import Search
     from hil.recording.output import check_output
     from hil.report.comparison import as_json as to_json
     from hil.report.comparison import comparison_table, draw
 
     if report is not None:
         check_output(report, force=force)
-    search = search_of(trials=trials, seed=seed, workers=workers)
+    search = Search(trials=trials, seed=seed, workers=workers)
     with progress() as show:
-        found = engine.compare(recordings, model_of(model), search, show)
+        found = engine.compare(recordings, options.model_of(model), search, show)
     if as_json:
         print_json(to_json(found))
     else:

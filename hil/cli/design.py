@@ -8,39 +8,25 @@ from typing import Annotated
 import typer
 
 from drivers.servo import Quantity
-from hil.cli.options import (
-    DEFAULT_RATE,
-    Amplitude,
-    Backend,
-    Band,
-    Duration,
-    Json,
-    Kind,
-    Mode,
-    Rate,
-    Setpoints,
-    StandFile,
-    excitation_of,
-    stand_of,
-)
+from hil.cli import options
 from hil.cli.terminal import out, out_table, print_diagnostics, print_json
 
 
 def design(
-    backend: Backend = None,
-    stand: StandFile = None,
+    backend: options.Backend = None,
+    stand: options.StandFile = None,
     kc: Annotated[float | None, typer.Option(help="Rough stiffness, N m/rad [default: [sim.coupling]'s].")] = None,
     bc: Annotated[float | None, typer.Option(help="Rough damping, N m s/rad [default: [sim.coupling]'s].")] = None,
     torque_noise: Annotated[
         float | None, typer.Option(help="Standard deviation, N m at the joint [default: [sim.sensors]'s].")
     ] = None,
-    profile: Kind = "chirp",
-    amplitude: Amplitude = None,
-    band: Band = None,
-    duration: Duration = None,
-    rate: Rate = DEFAULT_RATE,
-    mode: Mode = Quantity.TORQUE,
-    setpoints: Setpoints = None,
+    profile: options.Kind = "chirp",
+    amplitude: options.Amplitude = None,
+    band: options.Band = None,
+    duration: options.Duration = None,
+    rate: options.Rate = options.DEFAULT_RATE,
+    mode: options.Mode = Quantity.TORQUE,
+    setpoints: options.Setpoints = None,
     model: Annotated[
         str,
         typer.Option(
@@ -48,20 +34,29 @@ def design(
             "errors can be predicted; whichever it then includes, the errors are at most these."
         ),
     ] = "auto",
-    as_json: Json = False,
+    as_json: options.Json = False,
 ) -> None:
     """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest ones."""
+    from hil.acquisition.excitation import make
     from hil.experiment_design import advice
     from hil.experiment_design.assessment import assess, check_limits, task_of
     from hil.experiment_design.search import best
     from hil.report.design import as_json as to_json
     from hil.report.design import design_lines, error_table, headline, limit_table
 
-    opened = stand_of(backend, stand)
-    made = excitation_of(
-        opened, profile, mode, amplitude=amplitude, band=band, duration=duration, rate=rate, setpoints=setpoints
+    opened = options.stand_of(backend, stand)
+    made = make(
+        profile,
+        mode,
+        amplitude=amplitude,
+        default_amplitude=options.limit_of(opened, mode) / 5.0,
+        duration=duration,
+        band=options.band_of(band),
+        rate=options.checked_rate(rate),
+        seed=options.DEFAULT_SEED,
+        setpoints=setpoints,
     )
-    task = task_of(opened, kc=kc, bc=bc, torque_noise=torque_noise, model=model, quantity=mode, rate=rate)
+    task = task_of(opened, kc=kc, bc=bc, torque_noise=torque_noise, model=model, mode=mode, rate=rate)
     given = assess(task, made)
     check_limits(task, given)
     judged = {"given": given, "best": best(task, made.duration)}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from drivers.servo import Quantity
-from hil.cli.options import DEFAULT_RATE, Json, Mode
+from hil.cli import options
 from hil.cli.terminal import STAND_FAILED, out, print_json
 from hil.errors import WrongUse
 
@@ -24,9 +24,9 @@ def doctor(
     amplitude: Annotated[
         float | None, typer.Option(help="Of --move, N m or rad at the joint [default: limit/20].")
     ] = None,
-    mode: Mode = Quantity.TORQUE,
-    rate: Annotated[float, typer.Option(min=1.0, max=10_000.0, help="Hz that the link must reach.")] = DEFAULT_RATE,
-    as_json: Json = False,
+    mode: options.Mode = Quantity.TORQUE,
+    rate: Annotated[float, typer.Option(min=1.0, max=10_000.0, help="Hz to reach.")] = options.DEFAULT_RATE,
+    as_json: options.Json = False,
 ) -> None:
     """Check ports and CAN interfaces, and with a stand file also the drive; say how to mend what is wrong.
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.options import StandFile
+from hil.cli import options
 from hil.cli.terminal import out, say
 from hil.errors import WrongUse
 
@@ -21,7 +21,7 @@ def emulate(
     bus: Annotated[str | None, typer.Option(help="The CAN bus: slcan (at --link), udp_multicast, ...")] = None,
     channel: Annotated[str | None, typer.Option(help="The channel of --bus.")] = None,
     baudrate: Annotated[int | None, typer.Option(help="bit/s.")] = None,
-    stand: StandFile = None,
+    stand: options.StandFile = None,
     instant: Annotated[bool, typer.Option("--instant", help="Answer at once, without the time of the wire.")] = False,
 ) -> None:
     """Emulate a drive on a port or bus until Ctrl-C, moving the simulated plant ([sim] of --stand)."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.options import Force, Json, Output, StandFile
+from hil.cli import options
 from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json
 from hil.errors import WrongUse
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def inspect(
-    recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")], as_json: Json = False
+    recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")], as_json: options.Json = False
 ) -> None:
     """Summarise a recording and check its quality."""
     from hil.report.identification import inspection_json, inspection_table
@@ -50,8 +50,8 @@ def import_data(
     dtheta_scale: Annotated[float, typer.Option(help="Multiply the deflection or the motor position.")] = 1.0,
     dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
     where: Annotated[list[str] | None, typer.Option(help="Row filter: 'test_nr==100'; repeat for several.")] = None,
-    stand: StandFile = None,
-    force: Force = False,
+    stand: options.StandFile = None,
+    force: options.Force = False,
 ) -> None:
     """Make a recording from a table: CSV, Parquet, MATLAB, or a file of hil export."""
     from hil.exchange.importer import import_table
@@ -91,7 +91,7 @@ def _columns(option: str, given: tuple[str | None, float], **names: str | None) 
 def export_data(
     recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="FILE.csv, FILE.csv.gz or FILE.parquet.")],
-    force: Force = False,
+    force: options.Force = False,
 ) -> None:
     """Write every channel of a recording as a table, with the units in its headings."""
     from hil.exchange.exporter import check_format, export
@@ -104,8 +104,8 @@ def export_data(
 
 def recover(
     part: Annotated[Path, typer.Argument(help="An unfinished recording: NAME.h5.part.")],
-    output: Output = None,
-    force: Force = False,
+    output: options.Output = None,
+    force: options.Force = False,
 ) -> None:
     """Turn an unfinished .part file into a recording; the .part file is kept."""
     from hil.recording.output import check_output

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.options import DEFAULT_SEED, Checkpoint, Force, Json, Seed, Workers, model_of
+from hil.cli import options
 from hil.cli.progress import progress
 from hil.cli.terminal import (
     UNTRUSTWORTHY,
@@ -25,7 +23,6 @@ from hil.errors import Untrustworthy, WrongUse
 if TYPE_CHECKING:
     from ga.evolution.evolution import Settings
     from hil.identification.identify import Search
-    from hil.identification.model_choice import Coupling
     from hil.identification.result import Identification
 
 
@@ -51,18 +48,19 @@ def identify(
         str | None, typer.Option(help="Which individual the offspring replaces; see docs/paper.md.")
     ] = None,
     bounds: Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI; repeat for several.")] = None,
-    seed: Seed = DEFAULT_SEED,
-    workers: Workers = None,
-    checkpoint: Checkpoint = None,
+    seed: options.Seed = options.DEFAULT_SEED,
+    workers: options.Workers = options.ALL_CORES,
+    checkpoint: options.Checkpoint = None,
     fixture: Annotated[
         Path | None, typer.Option(help="A recording of the empty rig, to subtract the fixture's compliance.")
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture (PNG).")] = None,
-    force: Force = False,
-    as_json: Json = False,
+    force: options.Force = False,
+    as_json: options.Json = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Also show the optimiser's repeatability.")] = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
+    from hil.identification.identify import Search
     from hil.recording.output import check_output
     from hil.report.identification import page_files
 
@@ -73,73 +71,27 @@ def identify(
     fixed = preset == "paper" or bool(bounds) or checkpoint is not None or fixture is not None
     readings = {"selection": selection, "weights": weights, "replacement": replacement}
     sizes = {"generations": generations, "population": population, "mutation": mutation}
-    search = search_of(
-        preset,
-        {name: value for name, value in (readings | sizes).items() if value is not None},
+    search = Search(
+        preset=preset,
+        settings=_settings(preset, {name: value for name, value in (readings | sizes).items() if value is not None}),
         trials=trials,
         seed=seed,
         workers=workers,
-        bounds=bounds or (),
+        bounds=dict(_bounds(text) for text in bounds or ()),
         checkpoint=checkpoint,
     )
-    chosen = model_of(model or ("linear" if fixed else "auto"))
-    identify_and_show(recordings, chosen, search, report, fixture=fixture, as_json=as_json, verbose=verbose)
+    found = _identified(recordings, model or ("linear" if fixed else "auto"), search, fixture, as_json=as_json)
+    _publish(found, report, as_json=as_json, verbose=verbose)
+    if found.trials.interrupted:
+        exit_interrupted(checkpoint)
+    if not found.trustworthy:
+        raise typer.Exit(UNTRUSTWORTHY)
 
 
-def search_of(
-    preset: str = "default",
-    settings: dict[str, Any] | None = None,
-    *,
-    trials: int | None = None,
-    seed: int = DEFAULT_SEED,
-    workers: int | None = None,
-    bounds: Sequence[str] = (),
-    checkpoint: Path | None = None,
-) -> Search:
-    """Return the search that the options describe. settings: those that differ from the preset's. Raises WrongUse."""
-    from hil.identification.identify import Search
-
-    return Search(
-        preset=preset,
-        settings=_settings(preset, settings or {}),
-        trials=trials,
-        seed=seed,
-        workers=workers or os.cpu_count() or 1,
-        bounds=dict(_bounds(text) for text in bounds),
-        checkpoint=checkpoint,
-    )
-
-
-def identify_and_show(
-    recordings: list[Path],
-    model: Coupling | None,
-    search: Search,
-    report: Path | None,
-    *,
-    fixture: Path | None = None,
-    as_json: bool = False,
-    verbose: bool = False,
-) -> None:
-    """Search with a progress bar, print the result, write the page where one is asked for.
-
-    Raises typer.Exit where the search was interrupted or the result must not be trusted.
-    """
-    from hil.identification.fixture import identify_without_fixture
-    from hil.identification.identify import identify as identify_recordings
+def _publish(found: Identification, report: Path | None, *, as_json: bool, verbose: bool) -> None:
     from hil.report.identification import as_json as to_json
-    from hil.report.identification import unusable_json, write_page
+    from hil.report.identification import write_page
 
-    try:
-        with progress() as show:
-            if fixture is None:
-                found = identify_recordings(recordings, model, search, show)
-            else:
-                found = identify_without_fixture(recordings, fixture, model, search, show)
-    except Untrustworthy as error:
-        if as_json:
-            name = "auto" if model is None else model.name
-            print_json(unusable_json(recordings, name, search.preset, search.seed, str(error)))
-        raise
     if as_json:
         print_json(to_json(found))
     else:
@@ -148,10 +100,27 @@ def identify_and_show(
         for path in write_page(found, report):
             say(f"wrote {path}")
     print_diagnostics(found.diagnostics)
-    if found.trials.interrupted:
-        exit_interrupted(search.checkpoint)
-    if not found.trustworthy:
-        raise typer.Exit(UNTRUSTWORTHY)
+
+
+def _identified(
+    recordings: list[Path], model: str, search: Search, fixture: Path | None, *, as_json: bool
+) -> Identification:
+    """Search with a progress bar. Raises Untrustworthy, after the JSON object that says why."""
+    from hil.identification.fixture import identify_without_fixture
+    from hil.identification.identify import identify as identify_recordings
+    from hil.report.identification import unusable_json
+
+    chosen = options.model_of(model)
+    try:
+        with progress() as show:
+            if fixture is None:
+                return identify_recordings(recordings, chosen, search, show)
+            return identify_without_fixture(recordings, fixture, chosen, search, show)
+    except Untrustworthy as error:
+        if as_json:
+            name = model if chosen is None else chosen.name
+            print_json(unusable_json(recordings, name, search.preset, search.seed, str(error)))
+        raise
 
 
 def _show(found: Identification, *, verbose: bool) -> None:

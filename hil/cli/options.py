@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,6 @@ from drivers.servo import Quantity
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
-    from hil.acquisition.excitation import Profile
     from hil.identification.model_choice import Coupling
     from hil.stand.file import Stand
 
@@ -21,6 +21,7 @@ LARGEST_SEED = 2**63 - 1
 """The largest integer that an attribute of a recording holds."""
 DEFAULT_RATE = 500.0
 """Hz."""
+ALL_CORES = os.cpu_count() or 1
 
 Backend = Annotated[str | None, typer.Option(help="A stand that needs no stand file: sim.")]
 StandFile = Annotated[Path | None, typer.Option(help="The stand file (stand.toml).")]
@@ -33,7 +34,7 @@ Rate = Annotated[float, typer.Option(help="Samples per second.")]
 Setpoints = Annotated[Path | None, typer.Option(help="CSV of time (s) and set-point, for --profile file.")]
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything random.")]
 Model = Annotated[str, typer.Option(help="auto: model selection; or terms, as in linear+offset; or FILE.py:NAME.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="Threads [default: all cores].")]
+Workers = Annotated[int, typer.Option(min=1, help="Threads [default: all cores].", show_default=False)]
 Checkpoint = Annotated[Path | None, typer.Option(help="Save the search to this file; resume from it if it exists.")]
 Output = Annotated[Path | None, typer.Option("-o", "--output", help="The file to write.")]
 Folder = Annotated[Path, typer.Option("-o", "--output", help="The folder to write into.")]
@@ -57,39 +58,14 @@ def stand_of(backend: str | None, path: Path | None) -> Stand:
     return parse(SIMULATED)
 
 
-def excitation_of(
-    stand: Stand,
-    kind: str,
-    mode: Quantity,
-    *,
-    amplitude: float | None = None,
-    band: str | None = None,
-    duration: float | None = None,
-    rate: float = DEFAULT_RATE,
-    fade: float = 1.0,
-    seed: int = DEFAULT_SEED,
-    setpoints: Path | None = None,
-) -> Profile:
-    """Return the excitation that the options describe, with the stand's default amplitude. Raises WrongUse."""
-    from hil.acquisition import excitation
-
+def checked_rate(rate: float) -> float:
+    """Return `rate`, Hz. Raises WrongUse where no drive could be asked so often or so rarely."""
     if not 20.0 <= rate <= 10_000.0:
         raise WrongUse(
             f"--rate {rate:g}: it must lie between 20 and 10000 Hz; a drive that is asked less often assumes that its "
             "host is dead and turns the torque off"
         )
-    return excitation.make(
-        kind,
-        mode,
-        amplitude=amplitude,
-        default_amplitude=limit_of(stand, mode) / 5.0,
-        duration=duration,
-        band=None if band is None else _band(band),
-        rate=rate,
-        fade=fade,
-        seed=seed,
-        setpoints=setpoints,
-    )
+    return rate
 
 
 def limit_of(stand: Stand, mode: Quantity) -> float:
@@ -114,7 +90,10 @@ def model_of(name: str) -> Coupling | None:
         raise WrongUse(f"--model {name!r}: {error}") from None
 
 
-def _band(text: str) -> tuple[float, float]:
+def band_of(text: str | None) -> tuple[float, float] | None:
+    """Return the two ends, Hz, that --band names; None without one. Raises WrongUse."""
+    if text is None:
+        return None
     try:
         parts = [float(part) for part in text.split(":")]
     except ValueError:

@@ -1,4 +1,4 @@
-"""How far a long command is: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of a long command: a bar on a terminal, a line now and then elsewhere."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from contextlib import contextmanager
 
 from hil.cli.terminal import say
 
-_QUIET = 10.0  # s without a line, in which nobody yet wonders
+_QUIET = 10.0  # s between two lines
 
 
 @contextmanager
 def progress() -> Iterator[Callable[[str, float], None]]:
-    """What is told what is being done and the part of it that is done, 0 to 1, and shows it with the time left.
+    """Yield a function that shows a phase by name, the share of it that is done, 0 to 1, and the time left.
 
-    On a terminal a bar, gone at the end; elsewhere a line on standard error for every tenth of what takes long.
+    On a terminal as a bar that is removed at the end; elsewhere as a line on standard error for every tenth.
     """
     if not sys.stderr.isatty():
         yield Lines()
@@ -29,14 +29,14 @@ def progress() -> Iterator[Callable[[str, float], None]]:
 
         def show(what: str, done: float) -> None:
             if what != bar.tasks[0].description or done < bar.tasks[0].completed:
-                bar.reset(task, description=what)  # the next thing: its time left is its own
+                bar.reset(task, description=what)  # a new phase has its own time left
             bar.update(task, completed=done)
 
         yield show
 
 
 class Lines:
-    """A line for every tenth that is done, but none within `_QUIET` of the one before. now: a clock, s."""
+    """Prints a line for every tenth that is done, at most one in `_QUIET`. now: a clock, s."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
@@ -44,7 +44,7 @@ class Lines:
         self._began = self._said = now()
 
     def __call__(self, what: str, done: float) -> None:
-        """Say how far `what` is, if it is time to."""
+        """Print the progress of the phase `what`, if a line is due."""
         now, tenths = self._now(), int(10.0 * done)
         if what != self._what or tenths < self._tenths:
             self._what, self._tenths, self._first, self._began = what, tenths, done, now

@@ -3,31 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from drivers.servo import Quantity
-from hil.cli.options import (
-    DEFAULT_RATE,
-    DEFAULT_SEED,
-    Amplitude,
-    Backend,
-    Band,
-    Duration,
-    Force,
-    Json,
-    Kind,
-    Mode,
-    Output,
-    Rate,
-    Seed,
-    Setpoints,
-    StandFile,
-    excitation_of,
-    limit_of,
-    stand_of,
-)
+from hil.cli import options
 from hil.cli.terminal import STAND_FAILED, UNTRUSTWORTHY, command_line, out, print_diagnostics, print_json, say
 from hil.errors import WrongUse
 
@@ -41,42 +22,42 @@ _FAST_MODE = 1e6  # rad/s; above this a simulated second takes about as long as 
 
 
 def record(
-    backend: Backend = None,
-    stand: StandFile = None,
-    profile: Kind = "chirp",
-    amplitude: Amplitude = None,
-    band: Band = None,
-    duration: Duration = None,
-    rate: Rate = DEFAULT_RATE,
-    mode: Mode = Quantity.TORQUE,
+    backend: options.Backend = None,
+    stand: options.StandFile = None,
+    profile: options.Kind = "chirp",
+    amplitude: options.Amplitude = None,
+    band: options.Band = None,
+    duration: options.Duration = None,
+    rate: options.Rate = options.DEFAULT_RATE,
+    mode: options.Mode = Quantity.TORQUE,
     fade: Annotated[float, typer.Option(help="s over which the excitation fades in and out.")] = 1.0,
-    setpoints: Setpoints = None,
-    seed: Seed = DEFAULT_SEED,
+    setpoints: options.Setpoints = None,
+    seed: options.Seed = options.DEFAULT_SEED,
     realtime: Annotated[bool, typer.Option("--realtime", help="Simulate in real time.")] = False,
     note: Annotated[str, typer.Option(help="A remark to keep in the recording.")] = "",
-    output: Output = None,
-    force: Force = False,
-    as_json: Json = False,
+    output: options.Output = None,
+    force: options.Force = False,
+    as_json: options.Json = False,
     list_profiles: Annotated[bool, typer.Option("--list-profiles", help="List the excitations.")] = False,
     list_backends: Annotated[bool, typer.Option("--list-backends", help="List the backends.")] = False,
 ) -> None:
     """Drive the motor against the locked joint and record torque, deflection and rate."""
+    from hil.acquisition.excitation import make
     from hil.acquisition.run import run
-    from hil.diagnostics import lateness
     from hil.recording.output import check_output
 
     if list_profiles or list_backends:
         _list_kinds(profiles=list_profiles)
         return
-    opened = stand_of(backend, stand)
-    made = excitation_of(
-        opened,
+    opened = options.stand_of(backend, stand)
+    made = make(
         profile,
         mode,
         amplitude=amplitude,
-        band=band,
+        default_amplitude=options.limit_of(opened, mode) / 5.0,
         duration=duration,
-        rate=rate,
+        band=options.band_of(band),
+        rate=options.checked_rate(rate),
         fade=fade,
         seed=seed,
         setpoints=setpoints,
@@ -98,32 +79,33 @@ def record(
         force=force,
         alarm=say,
     )
-    if as_json:
-        print_json(
-            {
-                "schema": "hil-record/1",
-                "recording": str(path) if outcome.samples else None,
-                "samples": outcome.samples,
-                "lost": outcome.lost,
-                "late": outcome.late,
-                "saturated": outcome.saturated,
-                "end_reason": outcome.end_reason,
-                "warnings": [one.as_json() for one in (*foreseen, *lateness(outcome.late, outcome.samples))],
-            }
-        )
-    else:
-        out(outcome_line(path, outcome))
-    check_outcome(outcome)
+    print_json(_json(path, outcome, foreseen)) if as_json else out(_outcome_line(path, outcome))
+    _check_outcome(outcome)
 
 
-def outcome_line(path: Path, outcome: Outcome) -> str:
+def _json(path: Path, outcome: Outcome, foreseen: list[Diagnostic]) -> dict[str, Any]:
+    from hil.diagnostics import lateness
+
+    return {
+        "schema": "hil-record/1",
+        "recording": str(path) if outcome.samples else None,
+        "samples": outcome.samples,
+        "lost": outcome.lost,
+        "late": outcome.late,
+        "saturated": outcome.saturated,
+        "end_reason": outcome.end_reason,
+        "warnings": [one.as_json() for one in (*foreseen, *lateness(outcome.late, outcome.samples))],
+    }
+
+
+def _outcome_line(path: Path, outcome: Outcome) -> str:
     """Return one line on how a run went."""
     if not outcome.samples:
         return f"nothing was recorded ({outcome.end_reason})"
     return f"{path}: {outcome.samples} samples, {outcome.lost} lost, {outcome.late} late ({outcome.end_reason})"
 
 
-def check_outcome(outcome: Outcome) -> None:
+def _check_outcome(outcome: Outcome) -> None:
     """Raise the error or the exit status of a run that did not go as planned.
 
     An alarm (the torque may still be on) was printed when it was raised; it is printed again as the last line.
@@ -179,7 +161,7 @@ def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
 
 
 def _check_amplitude(stand: Stand, profile: Profile) -> None:
-    limit = limit_of(stand, profile.mode)
+    limit = options.limit_of(stand, profile.mode)
     unit = "N m" if profile.mode is Quantity.TORQUE else "rad"
     if profile.amplitude > limit:
         raise WrongUse(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hil.cli.options import DEFAULT_SEED, Checkpoint, Folder, Json, Seed, Workers
+from hil.cli import options
 from hil.cli.progress import progress
 from hil.cli.terminal import exit_interrupted, out, print_diagnostics, print_json, say
 
@@ -16,11 +15,11 @@ from hil.cli.terminal import exit_interrupted, out, print_diagnostics, print_jso
 def replicate(
     evaluations: Annotated[int, typer.Option(min=1, help="Of each trial; the paper's is 200000000.")] = 2_000_000,
     trials: Annotated[int, typer.Option(min=1, help="Independent searches.")] = 30,
-    seed: Seed = DEFAULT_SEED,
-    workers: Workers = None,
-    checkpoint: Checkpoint = None,
-    output: Folder = Path("hil-replicate"),
-    as_json: Json = False,
+    seed: options.Seed = options.DEFAULT_SEED,
+    workers: options.Workers = options.ALL_CORES,
+    checkpoint: options.Checkpoint = None,
+    output: options.Folder = Path("hil-replicate"),
+    as_json: options.Json = False,
 ) -> None:
     """Repeat the paper's experiment on the simulated stand: Table 1 and Figure 8.
 
@@ -35,7 +34,7 @@ def replicate(
             evaluations=evaluations,
             trials=trials,
             seed=seed,
-            workers=workers or os.cpu_count() or 1,
+            workers=workers,
             checkpoint=saved,
             progress=show,
         )

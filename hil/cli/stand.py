@@ -1,4 +1,4 @@
-"""`hil stand new` and `hil stand schema`: a stand file without looking up its keys."""
+"""`hil stand new` and `hil stand schema`: write a stand file, and the schema for editors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.options import Force
+from hil.cli import options
 from hil.cli.terminal import out, say
 from hil.errors import WrongUse
 
@@ -21,16 +21,16 @@ stand = typer.Typer(help="Write a stand file, or its schema for an editor.", no_
 
 @stand.command()
 def new(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Where to write it.")] = Path("stand.toml"),
+    output: Annotated[Path, typer.Option("-o", "--output", help="The file to write.")] = Path("stand.toml"),
     backend: Annotated[str | None, typer.Option(help="The drive; see hil record --list-backends.")] = None,
-    sensor: Annotated[str | None, typer.Option(help="The kind of a joint sensor on a link of its own.")] = None,
+    sensor: Annotated[str | None, typer.Option(help="The kind of a joint sensor on its own link.")] = None,
     answer: Annotated[
         list[str] | None, typer.Option("--set", help="An answer: KEY=VALUE, such as dynamixel.port=/dev/ttyUSB0.")
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: take the defaults.")] = False,
-    force: Force = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: use the defaults.")] = False,
+    force: options.Force = False,
 ) -> None:
-    """Ask what has to be known of a stand, and write it into a commented stand.toml."""
+    """Ask for the data of a stand and write a commented stand.toml."""
     from hil.recording.output import atomic_write, check_output
     from hil.stand.devices import BACKENDS, SENSORS, check_backend, check_sensor
     from hil.stand.draft import Draft
@@ -41,7 +41,7 @@ def new(
         backend = "sim" if yes else typer.prompt(f"Which drive ({', '.join(BACKENDS)})", default="dynamixel", err=True)
     if sensor is None and SENSORS and not yes:
         kind = typer.prompt(
-            f"A sensor at the joint on a link of its own (none, {', '.join(SENSORS)})", default="none", err=True
+            f"A sensor at the joint on its own link (none, {', '.join(SENSORS)})", default="none", err=True
         )
         sensor = None if kind == "none" else kind
     draft = Draft(check_backend(backend), None if sensor is None else check_sensor(sensor))
@@ -58,7 +58,7 @@ def new(
 
 @stand.command()
 def schema() -> None:
-    """Print the JSON schema of stand.toml, for editors that check and complete."""
+    """Print the JSON schema of stand.toml, with which an editor checks and completes it."""
     from hil.stand.json_schema import stand_schema
 
     out(json.dumps(stand_schema(), indent=2, allow_nan=False))
@@ -88,7 +88,7 @@ def _default(question: Question) -> Any:
 
 
 def _asked(draft: Draft, question: Question) -> Any:
-    """What a person answers, asked again until it can be."""
+    """Return the user's answer, asked for again until it is valid."""
     default = _port_here() if question.name == "port" else question.default
     meaning = f" ({question.meaning})" if question.meaning else ""
     while True:
@@ -101,7 +101,7 @@ def _asked(draft: Draft, question: Question) -> Any:
 
 
 def _port_here() -> str | None:
-    """The one serial port of this machine, None where there are none or several."""
+    """Return the only serial port of this machine, None where there are none or several."""
     from drivers.ports import serial_ports
 
     ports = serial_ports()

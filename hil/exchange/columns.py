@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ Rows = NDArray[np.int64]
 def titles(source: Path) -> list[str]:
     """Return the names of a file's columns, in order. Raises WrongUse for a file that cannot be read."""
     if source.suffix.lower() in _FILES:
-        return list(_columns(source))
+        return _columns(source).names
     return delimited.titles(source)
 
 
@@ -73,7 +73,9 @@ def _read_whole(
     source: Path, known: Sequence[str], wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]
 ) -> tuple[Array, Rows]:
     columns = _columns(source)
-    numbers = {at: _numbers(source, known[at], columns[known[at]]()) for at in [*wanted, *(at for at, _ in filters)]}
+    numbers = {
+        at: _numbers(source, known[at], columns.column(known[at])) for at in [*wanted, *(at for at, _ in filters)]
+    }
     lengths = {known[at]: len(values) for at, values in numbers.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -90,7 +92,11 @@ def _numbers(source: Path, name: str, values: Any) -> Array:
     return np.asarray(values, dtype=np.float64)
 
 
-_Columns = Mapping[str, Callable[[], Any]]
+class _Columns(NamedTuple):
+    """The columns of a binary file: their names, and how one is read."""
+
+    names: list[str]
+    column: Callable[[str], Any]
 
 
 def _columns(source: Path) -> _Columns:
@@ -117,16 +123,13 @@ def _parquet(source: Path) -> _Columns:
     except (OSError, ValueError) as error:  # pyarrow's own errors are of these two
         raise WrongUse(f"{source} is not Parquet, or is cut off ({_first_line(error)})") from None
 
-    def reader(name: str) -> Callable[[], Any]:
-        def read_column() -> Any:
-            try:
-                return file.read(columns=[name]).column(name).to_numpy()
-            except (OSError, ValueError) as error:
-                raise WrongUse(f"{source}: column {name!r} is damaged ({_first_line(error)})") from None
+    def column(name: str) -> Any:
+        try:
+            return file.read(columns=[name]).column(name).to_numpy()
+        except (OSError, ValueError) as error:
+            raise WrongUse(f"{source}: column {name!r} is damaged ({_first_line(error)})") from None
 
-        return read_column
-
-    return {name: reader(name) for name in names}
+    return _Columns(names, column)
 
 
 def _first_line(error: Exception) -> str:
@@ -134,10 +137,8 @@ def _first_line(error: Exception) -> str:
 
 
 def _matlab(source: Path) -> _Columns:
-    def holder(values: Array) -> Callable[[], Array]:
-        return lambda: values
-
-    return {name: holder(values) for name, values in matlab.vectors(source).items()}
+    vectors = matlab.vectors(source)
+    return _Columns(list(vectors), vectors.__getitem__)
 
 
 _FILES: Mapping[str, Callable[[Path], _Columns]] = {".parquet": _parquet, ".pq": _parquet, ".mat": _matlab}

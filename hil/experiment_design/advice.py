@@ -26,7 +26,7 @@ def of_task(task: Task, *, noise_stated: bool) -> list[Diagnostic]:
                 "noise; measure it with hil inspect and give it as --torque-noise",
             )
         )
-    if task.joint.inertia == 0.0 and task.quantity is Quantity.TORQUE:
+    if task.joint.inertia == 0.0 and task.mode is Quantity.TORQUE:
         found.append(
             Diagnostic(
                 "no-inertia",
@@ -40,7 +40,7 @@ def of_task(task: Task, *, noise_stated: bool) -> list[Diagnostic]:
 
 
 def _motor_side(task: Task) -> Diagnostic:
-    if task.quantity is Quantity.POSITION:
+    if task.mode is Quantity.POSITION:
         message = (
             "between ticks the motor's torque follows the drive's own position loop, which is not predicted: Bc can be "
             "far from this prediction; use a torque cell, or --mode torque"

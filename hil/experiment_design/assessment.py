@@ -39,14 +39,14 @@ _DIGITS = 3
 class Task:
     """The design task: a roughly known joint, its sensors, its limits, and the terms to estimate.
 
-    limits: N m, N m, rad, rad/s, as `LIMITED` names them. terms: of the model. rate: Hz.
+    terms: of the model. rate: Hz.
     """
 
     joint: Joint
     readings: Readings
-    limits: tuple[float, float, float, float]
+    limits: Peaks
     terms: tuple[str, ...]
-    quantity: Quantity
+    mode: Quantity
     rate: float
 
     @property
@@ -57,14 +57,11 @@ class Task:
     @property
     def own_limit(self) -> float:
         """The limit on the command: N m for torque, rad for position."""
-        return min(self.limits[:2]) if self.quantity is Quantity.TORQUE else self.limits[2]
+        return min(self.limits[:2]) if self.mode is Quantity.TORQUE else self.limits[2]
 
-    def shares(self, found: Peaks) -> tuple[float, float, float, float]:
+    def shares(self, found: Peaks) -> Peaks:
         """Return every peak divided by its limit."""
-        drive, torque, deflection, velocity = (
-            peak / limit for peak, limit in zip(found.in_order, self.limits, strict=True)
-        )
-        return drive, torque, deflection, velocity
+        return Peaks(*(peak / limit for peak, limit in zip(found, self.limits, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +75,8 @@ class Assessment:
     profile: Profile
     parameters: tuple[Parameter, ...]
     peaks: Peaks
-    shares: tuple[float, float, float, float]
-    worst_shares: tuple[float, float, float, float]
+    shares: Peaks
+    worst_shares: Peaks
     friction: float
 
     def __getitem__(self, name: str) -> Parameter:
@@ -119,7 +116,7 @@ def task_of(
     bc: float | None,
     torque_noise: float | None,
     model: str,
-    quantity: Quantity,
+    mode: Quantity,
     rate: float,
 ) -> Task:
     """Return the task for a stand: rough kc, N m/rad, and bc, N m s/rad; torque_noise, N m at the joint; rate, Hz.
@@ -127,16 +124,16 @@ def task_of(
     None: the value of `[sim]`. Raises WrongUse.
     """
     limits, simulated = stand.checked_limits(), stand.stand.backend == "sim"
-    plant = _simulated(stand)
+    plant = stand.simulated()
     joint = _joint(stand, plant if simulated else None, kc, bc)
     ratio = stand.stand.gear_ratio
     ceiling = min(limits.torque, plant.drive.torque_limit * ratio) if simulated else limits.torque
     task = Task(
         joint=joint,
         readings=_readings(stand, plant, torque_noise),
-        limits=(ceiling, limits.torque, limits.deflection, limits.velocity),
+        limits=Peaks(ceiling, limits.torque, limits.deflection, limits.velocity),
         terms=terms_of(model),
-        quantity=quantity,
+        mode=mode,
         rate=rate,
     )
     reach = min(limits.deflection, limits.torque / joint.stiffness, ceiling / joint.stiffness)
@@ -146,15 +143,6 @@ def task_of(
             f"{task.readings.angle_lsb:.2g} rad; raise limits.torque or limits.deflection in the stand file"
         )
     return task
-
-
-def _simulated(stand: Stand) -> SimParameters:
-    stated = stand.stand.model_dump(include=stand.stand.model_fields_set)
-    return stand.sim.resolved(
-        gear_ratio=stated.get("gear_ratio"),
-        motor_inertia=stated.get("motor_inertia") or None,
-        motor_damping=stated.get("motor_damping"),
-    )
 
 
 def _joint(stand: Stand, plant: SimParameters | None, kc: float | None, bc: float | None) -> Joint:
@@ -197,7 +185,7 @@ def assess(task: Task, profile: Profile) -> Assessment:
     motion, found = respond(task.joint, profile, task.rate)
     if found.deflection < task.readings.angle_lsb:
         raise WrongUse(
-            f"a {profile.kind} of {profile.amplitude:g} {_unit(task.quantity)} moves the joint by "
+            f"a {profile.kind} of {profile.amplitude:g} {_unit(task.mode)} moves the joint by "
             f"{found.deflection:.2g} rad, less than one count of {task.readings.angle_lsb:.2g} rad: raise --amplitude"
         )
     parameters = predict(task.terms, task.joint, motion, task.readings)
@@ -211,29 +199,27 @@ def check_limits(task: Task, judged: Assessment) -> None:
     if worst <= 1.0 + 1e-9:
         return
     index = judged.shares.index(worst)
-    peak, unit = judged.peaks.in_order[index], UNITS[index]
+    peak, unit = judged.peaks[index], UNITS[index]
     profile = judged.profile
     raise WrongUse(
-        f"a {profile.kind} of {profile.amplitude:g} {_unit(task.quantity)} takes the {LIMITED[index]} to {peak:.3g} "
+        f"a {profile.kind} of {profile.amplitude:g} {_unit(task.mode)} takes the {LIMITED[index]} to {peak:.3g} "
         f"{unit}, and its limit is {task.limits[index]:g} {unit}: lower --amplitude to "
         f"{rounded(profile.amplitude / worst, down=True):g}, or change --band"
     )
 
 
-def _unit(quantity: Quantity) -> str:
-    return "N m" if quantity is Quantity.TORQUE else "rad"
+def _unit(mode: Quantity) -> str:
+    return "N m" if mode is Quantity.TORQUE else "rad"
 
 
-def worst_shares(task: Task, profile: Profile) -> tuple[float, float, float, float]:
+def worst_shares(task: Task, profile: Profile) -> Peaks:
     """Return the largest share of every limit that the excitation reaches for Kc and Bc within `ROUGH_RANGE`."""
     joints = [
         replace(task.joint, stiffness=task.joint.stiffness * stiffer, damping=task.joint.damping * thicker)
         for stiffer, thicker in itertools.product(*ROUGH_RANGE)
     ]
-    drive, torque, deflection, velocity = (
-        max(values) for values in zip(*(task.shares(found) for found in peaks(joints, profile, task.rate)), strict=True)
-    )
-    return drive, torque, deflection, velocity
+    shares = [task.shares(found) for found in peaks(joints, profile, task.rate)]
+    return Peaks(*(max(values) for values in zip(*shares, strict=True)))
 
 
 def rounded(value: float, *, down: bool = False) -> float:

@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,8 +64,7 @@ class Motion:
     drive: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Peaks:
+class Peaks(NamedTuple):
     """The largest magnitudes at any instant, at the joint.
 
     drive: the motor's torque, N m. torque: the coupling's, N m. deflection: rad. velocity: rad/s.
@@ -73,26 +75,27 @@ class Peaks:
     deflection: float
     velocity: float
 
-    @property
-    def in_order(self) -> tuple[float, float, float, float]:
-        """Return all four, in the order above."""
-        return self.drive, self.torque, self.deflection, self.velocity
-
 
 def respond(joint: Joint, profile: Profile, rate: float) -> tuple[Motion, Peaks]:
     """Return the motion at `rate` Hz and its peaks, between the ticks too."""
-    if profile.mode is Quantity.POSITION:
-        return _prescribed(joint, _course(profile, rate), rate)
-    return _driven(joint, set_points(profile, rate), rate)
+    return _responder(profile, rate)(joint)
 
 
 def peaks(joints: list[Joint], profile: Profile, rate: float) -> list[Peaks]:
     """Return the peaks alone, for each of the joints."""
-    if profile.mode is Quantity.POSITION:
-        course = _course(profile, rate)
-        return [_prescribed(joint, course, rate)[1] for joint in joints]
-    held = set_points(profile, rate)
-    return [_driven(joint, held, rate)[1] for joint in joints]
+    answer = _responder(profile, rate)
+    return [answer(joint)[1] for joint in joints]
+
+
+def _responder(profile: Profile, rate: float) -> Callable[[Joint], tuple[Motion, Peaks]]:
+    if profile.mode is Quantity.TORQUE:
+        return partial(_driven, held=set_points(profile, rate), rate=rate)
+    fine = max(1, math.ceil(_POINTS * profile.band[1] / rate))
+    steps = fine if profile.excitation.smooth else _FEWEST
+    step = 1.0 / (rate * steps)
+    dtheta = profile.at(np.arange(round(profile.duration * rate) * steps + 1, dtype=np.float64) * step)
+    velocity = np.gradient(dtheta, step)
+    return partial(_prescribed, course=(dtheta, velocity, np.gradient(velocity, step)), steps=steps, rate=rate)
 
 
 def set_points(profile: Profile, rate: float) -> Array:
@@ -104,14 +107,14 @@ def _driven(joint: Joint, held: Array, rate: float) -> tuple[Motion, Peaks]:
     steps = min(_MOST, max(_FEWEST, math.ceil(_POINTS * min(joint.resonance, _MOST * rate) / rate)))
     dtheta, velocity = _oscillator(joint, np.repeat(held[:-1], steps), 1.0 / (rate * steps))
     torque = joint.stiffness * dtheta + joint.damping * velocity
-    found = Peaks(*(float(np.abs(values).max()) for values in (held, torque, dtheta, velocity)))
     angle, speed, carried = (values[::steps] for values in (dtheta, velocity, torque))
     before = np.append(0.0, held[:-1])
     if joint.inertia:  # it jumps at a tick; the mean of both sides is what an average over a few ticks gives
         acceleration = (0.5 * (before + held) - carried - joint.friction * speed) / joint.inertia
     else:
         acceleration = np.gradient(speed, 1.0 / rate)
-    return Motion(np.arange(held.size) / rate, angle, speed, acceleration, carried, before), found
+    motion = Motion(np.arange(held.size) / rate, angle, speed, acceleration, carried, before)
+    return motion, _peaks(held, torque, dtheta, velocity)
 
 
 def _oscillator(joint: Joint, held: Array, step: float) -> tuple[Array, Array]:
@@ -144,29 +147,14 @@ def _oscillator(joint: Joint, held: Array, step: float) -> tuple[Array, Array]:
     return found[0], found[1]
 
 
-@dataclass(frozen=True, slots=True)
-class _Course:
-    """A prescribed deflection, rad, its rate and acceleration, `steps` times a tick, (n,)."""
-
-    dtheta: Array
-    velocity: Array
-    acceleration: Array
-    steps: int
-
-
-def _course(profile: Profile, rate: float) -> _Course:
-    fine = max(1, math.ceil(_POINTS * profile.band[1] / rate))
-    steps = fine if profile.excitation.smooth else _FEWEST
-    step = 1.0 / (rate * steps)
-    dtheta = profile.at(np.arange(round(profile.duration * rate) * steps + 1, dtype=np.float64) * step)
-    velocity = np.gradient(dtheta, step)
-    return _Course(dtheta, velocity, np.gradient(velocity, step), steps)
+def _prescribed(joint: Joint, course: tuple[Array, Array, Array], steps: int, rate: float) -> tuple[Motion, Peaks]:
+    """Return the response to a prescribed deflection, its rate and acceleration, `steps` times a tick."""
+    dtheta, velocity, acceleration = course
+    torque = joint.stiffness * dtheta + joint.damping * velocity
+    drive = torque + joint.inertia * acceleration + joint.friction * velocity  # equation 1
+    ticks = [values[::steps] for values in (*course, torque, drive)]
+    return Motion(np.arange(len(ticks[0])) / rate, *ticks), _peaks(drive, torque, dtheta, velocity)
 
 
-def _prescribed(joint: Joint, course: _Course, rate: float) -> tuple[Motion, Peaks]:
-    torque = joint.stiffness * course.dtheta + joint.damping * course.velocity
-    drive = torque + joint.inertia * course.acceleration + joint.friction * course.velocity  # equation 1
-    every = (course.dtheta, course.velocity, course.acceleration, torque, drive)
-    found = Peaks(*(float(np.abs(values).max()) for values in (drive, torque, course.dtheta, course.velocity)))
-    ticks = [values[:: course.steps] for values in every]
-    return Motion(np.arange(len(ticks[0])) / rate, *ticks), found
+def _peaks(*values: Array) -> Peaks:
+    return Peaks(*(float(np.abs(one).max()) for one in values))

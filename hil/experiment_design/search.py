@@ -112,7 +112,7 @@ def _largest(task: Task, profile: Profile) -> Profile:
 def _made(task: Task, kind: str, band: tuple[float, float], duration: float, fade: float) -> Profile:
     return excitation.make(
         kind,
-        task.quantity,
+        task.mode,
         amplitude=1.0,
         default_amplitude=1.0,
         duration=duration,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
-from ga.evolution.evolution import Settings
+from ga.evolution.evolution import PRESETS, Settings
 from ga.lad.exact import Optimum
 from ga.lad.out_of_core import Reduced, reduce
 from ga.model.separable import Problem, descend, fit
@@ -50,12 +51,12 @@ class Search:
     checkpoint: a file that keeps the state of the search; where it exists, the search continues from it.
     """
 
-    preset: str
-    settings: Settings
-    trials: int | None
-    seed: int
-    workers: int
-    bounds: Mapping[str, tuple[float, float]]
+    preset: str = "default"
+    settings: Settings = PRESETS["default"]
+    trials: int | None = None
+    seed: int = 0
+    workers: int = os.cpu_count() or 1
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     checkpoint: Path | None = None
 
 

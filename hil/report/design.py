@@ -61,7 +61,7 @@ def limit_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
     for heading in ("", *judged, "limit", ""):
         table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     for index, name in enumerate(LIMITED):
-        cells = [f"{one.peaks.in_order[index]:.3g} ({one.shares[index]:.0%})" for one in judged.values()]
+        cells = [f"{one.peaks[index]:.3g} ({one.shares[index]:.0%})" for one in judged.values()]
         table.add_row(name, *cells, f"{task.limits[index]:g}", UNITS[index])
     return table
 
@@ -92,7 +92,7 @@ def as_json(task: Task, judged: Mapping[str, Assessment], general: list[Diagnost
 
 
 def _profile(task: Task, judged: Assessment, stand: str) -> dict[str, Any]:
-    limits = zip(LIMITED, UNITS, judged.peaks.in_order, task.limits, judged.shares, judged.worst_shares, strict=True)
+    limits = zip(LIMITED, UNITS, judged.peaks, task.limits, judged.shares, judged.worst_shares, strict=True)
     return {
         "profile": judged.profile.attributes() | {"rate": task.rate},
         "command": command(judged, stand, task.rate),

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from drivers.servo import Command, Limits, NoReply, Quantity, Sample, ServoInfo, Status
+from hil.cli.app import run
 from hil.recording.reader import Array
 from hil.recording.writer import Header, write
 
@@ -127,3 +130,32 @@ def make_recording(tmp_path: Path) -> Maker:
         return path
 
     return make
+
+
+class Ended(NamedTuple):
+    """How a command ended: its exit status, standard output and standard error."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(self.out)
+        return found
+
+
+Hil = Callable[..., Ended]
+
+
+@pytest.fixture
+def hil(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hil:
+    """Run a command in an empty folder, 80 characters wide, where standard error is no terminal."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def call(*words: object) -> Ended:
+        status = run([str(word) for word in words])
+        return Ended(status, *capfd.readouterr())
+
+    return call

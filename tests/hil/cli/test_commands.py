@@ -2,55 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
-from hil.cli.app import run
 from hil.recording.channels import Row
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, RecordingWriter
 
-from ..conftest import Maker
+from ..conftest import Ended, Hil, Maker
 
 SHORT = ("--duration", "2", "--fade", "0.2")
-
-
-@dataclass(frozen=True)
-class Ended:
-    status: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(self.out)
-        return found
-
-
-Hil = Callable[..., Ended]
-
-
-@pytest.fixture
-def hil(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hil:
-    """Run a command in an empty folder, where standard error is no terminal."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*words: object) -> Ended:
-        status = run([str(word) for word in words])
-        out, err = capfd.readouterr()
-        return Ended(status, out, err)
-
-    return call
 
 
 def record(hil: Hil, *words: object) -> Ended:

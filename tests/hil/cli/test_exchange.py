@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hil.cli.app import run
 from hil.recording.reader import Recording
 
-from ..conftest import Maker
+from ..conftest import Hil, Maker
 
-Hil = Callable[..., tuple[int, str, str]]
 NAMED = ("--time", "t", "--torque", "q", "--dtheta", "a")
 GOOD = "t,q,a,run\n" + "".join(f"{i / 100},{np.sin(i)},{np.cos(i)},{i // 50}\n" for i in range(100))
-
-
-@pytest.fixture
-def hil(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hil:
-    monkeypatch.chdir(tmp_path)
-
-    def call(*words: object) -> tuple[int, str, str]:
-        status = run([str(word) for word in words])
-        return status, *capfd.readouterr()
-
-    return call
 
 
 @pytest.mark.parametrize(

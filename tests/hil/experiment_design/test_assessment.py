@@ -31,7 +31,7 @@ REAL = SIMULATED.replace('backend = "sim"\n', "").replace("motor_inertia = 2.0e-
 
 def task(model: str = "linear", *, text: str = SIMULATED, rate: float = 250.0, quantity: str = "torque") -> Task:
     return task_of(
-        parse(text), kc=0.01775, bc=1.9e-4, torque_noise=None, model=model, quantity=Quantity(quantity), rate=rate
+        parse(text), kc=0.01775, bc=1.9e-4, torque_noise=None, model=model, mode=Quantity(quantity), rate=rate
     )
 
 
@@ -40,7 +40,7 @@ def judged(asked: Task, kind: str, band: tuple[float, float], amplitude: float, 
         asked,
         excitation.make(
             kind,
-            asked.quantity,
+            asked.mode,
             amplitude=amplitude,
             default_amplitude=amplitude,
             duration=duration,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ import pytest
 
 from ga.evolution.evolution import PRESETS
 from ga.model.terms import parse as parse_model
-from hil.cli.app import run
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table
@@ -26,7 +24,7 @@ from hil.identification.result import Estimate, Repeatability
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.signals.source import open_sources
 
-from ..conftest import Maker
+from ..conftest import Hil, Maker
 
 SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
 STAND = '[stand]\nname = "finger"\ngear_ratio = 4.0\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n'
@@ -198,20 +196,6 @@ def test_the_same_run_twice_is_refused(make_recording: Maker, tmp_path: Path) ->
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
-
-Hil = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def hil(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hil:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "80")
-
-    def call(*words: object) -> tuple[int, str, str]:
-        status = run([str(word) for word in words])
-        return status, *capfd.readouterr()
-
-    return call
 
 
 def test_the_command_prints_each_recording_what_they_share_and_a_verdict(hil: Hil, make_recording: Maker) -> None:

@@ -1,4 +1,4 @@
-"""What people do to the commands: outputs that are inputs, odd names, damaged files, closed pipes."""
+"""Bad input to the commands: outputs that are inputs, odd names, damaged files, closed pipes."""
 
 from __future__ import annotations
 
@@ -13,26 +13,18 @@ import numpy as np
 import pytest
 
 import hil as hil_package
-from hil.cli.app import run
 from hil.recording.channels import Row
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 
-from ..conftest import Maker
+from ..conftest import Hil, Maker
 
-Captured = pytest.CaptureFixture[str]
 SIM = ("record", "--backend", "sim", "--duration", "1", "--fade", "0.2")
 
 
 @pytest.fixture(autouse=True)
 def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-def hil(capfd: Captured, *words: object) -> tuple[int, str, str]:
-    status = run([str(word) for word in words])
-    out, err = capfd.readouterr()
-    return status, out, err
 
 
 def unfinished(name: str, rows: int = 800) -> Path:
@@ -45,44 +37,44 @@ def unfinished(name: str, rows: int = 800) -> Path:
 # --- nothing that is there is destroyed ------------------------------------------------------------------------------
 
 
-def test_recovering_with_force_keeps_what_it_recovers(capfd: Captured) -> None:
+def test_recovering_with_force_keeps_what_it_recovers(hil: Hil) -> None:
     part = unfinished("a.h5")
     before = part.read_bytes()
     Path("a.h5").write_text("an old one")
-    assert hil(capfd, "recover", part)[0] == 2
-    assert hil(capfd, "recover", part, "--force")[0] == 0
+    assert hil("recover", part)[0] == 2
+    assert hil("recover", part, "--force")[0] == 0
     assert part.read_bytes() == before
     with Recording(Path("a.h5")) as recording:
         assert len(recording) == 800
 
 
-def test_recovering_a_part_without_a_row_gives_an_empty_recording(capfd: Captured) -> None:
-    status, out, _ = hil(capfd, "recover", unfinished("a.h5", rows=0))
+def test_recovering_a_part_without_a_row_gives_an_empty_recording(hil: Hil) -> None:
+    status, out, _ = hil("recover", unfinished("a.h5", rows=0))
     assert (status, out) == (0, "a.h5: 0 samples recovered; a.h5.part is still there\n")
-    status, _, err = hil(capfd, "inspect", "a.h5")
+    status, _, err = hil("inspect", "a.h5")
     assert status == 1
     assert "fault in hil" not in err
 
 
-def test_a_report_with_force_leaves_a_part_of_its_name_alone(capfd: Captured, make_recording: Maker) -> None:
+def test_a_report_with_force_leaves_a_part_of_its_name_alone(hil: Hil, make_recording: Maker) -> None:
     for name in ("d.html", "d.html.part", "d.png.part"):
         Path(name).write_text("mine")
-    assert hil(capfd, "identify", make_recording(noise=1e-5), "--report", "d.html", "--force")[0] == 0
+    assert hil("identify", make_recording(noise=1e-5), "--report", "d.html", "--force")[0] == 0
     assert Path("d.html.part").read_text() == Path("d.png.part").read_text() == "mine"
 
 
-def test_importing_gives_no_unfinished_recording_up(capfd: Captured) -> None:
+def test_importing_gives_no_unfinished_recording_up(hil: Hil) -> None:
     part = unfinished("a.h5")
     Path("s.csv").write_text("t,q,p\n0,1,2\n1,2,3\n")
     columns = ("--time", "t", "--torque", "q", "--dtheta", "p")
     for force in ((), ("--force",)):
-        status, _, err = hil(capfd, "import", "s.csv", *columns, "-o", "a.h5", *force)
+        status, _, err = hil("import", "s.csv", *columns, "-o", "a.h5", *force)
         assert status == 2
         assert "never ended" in err
     assert part.exists()
 
 
-def test_no_command_overwrites_what_it_reads(capfd: Captured, make_recording: Maker) -> None:
+def test_no_command_overwrites_what_it_reads(hil: Hil, make_recording: Maker) -> None:
     recording = make_recording("c.h5")
     Path("s.csv").write_text("0,0\n1,0.004\n2,0\n")
     Path("stand.toml").write_text('[stand]\nbackend = "sim"\n[limits]\ntorque = 0.03\ndeflection = 1\nvelocity = 100\n')
@@ -97,27 +89,27 @@ def test_no_command_overwrites_what_it_reads(capfd: Captured, make_recording: Ma
         ("record", "--stand", "stand.toml", "-o", "stand.toml"),
         (*SIM, "--profile", "file", "--setpoints", "s.csv", "-o", "./s.csv"),
     ]:
-        status, _, err = hil(capfd, *words, "--force")
+        status, _, err = hil(*words, "--force")
         assert (status, "is also an input" in err) == (2, True), words
     assert {path: path.read_bytes() for path in before} == before
 
 
 @pytest.mark.parametrize("existing", ["p.html", "p.png"])
 def test_both_files_of_a_report_are_looked_at_before_any_work(
-    capfd: Captured, make_recording: Maker, monkeypatch: pytest.MonkeyPatch, existing: str
+    hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch, existing: str
 ) -> None:
     monkeypatch.setattr("hil.identification.identify.identify", lambda *_: pytest.fail("it has begun to work"))
     Path(existing).write_text("mine")
-    status, _, err = hil(capfd, "identify", make_recording(), "--report", "p.html")
+    status, _, err = hil("identify", make_recording(), "--report", "p.html")
     assert status == 2
     assert f"{existing} exists" in err
-    assert hil(capfd, "identify", make_recording(), "--report", "q.png")[0] == 2
+    assert hil("identify", make_recording(), "--report", "q.png")[0] == 2
 
 
-def test_a_demo_does_not_overwrite_the_report_of_an_earlier_one(capfd: Captured) -> None:
+def test_a_demo_does_not_overwrite_the_report_of_an_earlier_one(hil: Hil) -> None:
     Path("hil-demo").mkdir()
     Path("hil-demo/run1.png").write_text("mine")
-    status, _, err = hil(capfd, "demo")
+    status, _, err = hil("demo")
     assert status == 2
     assert "run1.png exists" in err
     assert [item.name for item in Path("hil-demo").iterdir()] == ["run1.png"]
@@ -149,25 +141,25 @@ def test_a_demo_does_not_overwrite_the_report_of_an_earlier_one(capfd: Captured)
     ids=lambda words: " ".join(str(word)[:12] for word in words),
 )
 def test_what_cannot_be_done_is_wrong_use_and_no_fault_of_hils(
-    capfd: Captured, make_recording: Maker, words: tuple[object, ...]
+    hil: Hil, make_recording: Maker, words: tuple[object, ...]
 ) -> None:
     make_recording(samples=50)
     Path("set.csv").write_text("0,0\n1,0.004\n2,0\n")
     Path("wide.csv").write_text("t,q,p\n0,1," + "2" * 140_000 + "\n")
-    status, out, err = hil(capfd, *words)
+    status, out, err = hil(*words)
     assert (status, out) == (2, "")
     assert "fault in hil" not in err
     assert "Traceback" not in err
     assert [path.name for path in Path().iterdir() if path.suffix not in {".h5", ".csv"}] == []
 
 
-def test_the_largest_seed_is_kept(capfd: Captured) -> None:
-    assert hil(capfd, *SIM, "--seed", 2**63 - 1, "-o", "a.h5")[0] == 0
+def test_the_largest_seed_is_kept(hil: Hil) -> None:
+    assert hil(*SIM, "--seed", 2**63 - 1, "-o", "a.h5")[0] == 0
     with h5py.File("a.h5") as file:
         assert file.attrs["seed"] == 2**63 - 1
 
 
-def test_damaged_files_are_said_to_be_damaged(capfd: Captured, make_recording: Maker) -> None:
+def test_damaged_files_are_said_to_be_damaged(hil: Hil, make_recording: Maker) -> None:
     """Bytes anywhere, most of them metadata; the samples have their checksums. Never a fault of hil's."""
     data = make_recording("a.h5", samples=64).read_bytes()
     generator = random.Random(1)  # noqa: S311 - no secret
@@ -178,13 +170,13 @@ def test_damaged_files_are_said_to_be_damaged(capfd: Captured, make_recording: M
             damaged[generator.randrange(len(data))] = generator.randrange(256)
         Path("m.h5").write_bytes(damaged)
         for words in (("inspect", "m.h5"), ("recover", "m.h5", "-o", "r.h5", "--force")):
-            status, _, err = hil(capfd, *words)
+            status, _, err = hil(*words)
             assert "fault in hil" not in err
             seen.add(status)
     assert {0, 2} <= seen <= {0, 1, 2}
 
 
-def test_a_stiff_simulated_stand_is_said_to_be_slow(capfd: Captured) -> None:
+def test_a_stiff_simulated_stand_is_said_to_be_slow(hil: Hil) -> None:
     text = (
         '[stand]\nbackend = "sim"\ngear_ratio = 4.0\n[limits]\ntorque = 0.03\ndeflection = 1\nvelocity = 100\n'
         "[sim.fixture]\nstiffness = {}\n"
@@ -192,16 +184,16 @@ def test_a_stiff_simulated_stand_is_said_to_be_slow(capfd: Captured) -> None:
     for stiffness, slow in ((20.0, False), (1e7, True)):
         Path("stand.toml").write_text(text.format(stiffness))
         words = ("record", "--stand", "stand.toml", "--duration", "0.2", "--band", "10:15", "-o", f"{stiffness}.h5")
-        status, _, err = hil(capfd, *words)
+        status, _, err = hil(*words)
         assert (status, "[slow-simulation]" in err) == (0, slow)
 
 
 # --- what is shown ---------------------------------------------------------------------------------------------------
 
 
-def test_a_name_is_shown_as_it_is(capfd: Captured) -> None:
-    assert hil(capfd, *SIM, "--duration", "3", "-o", "[red]a.h5")[0] == 0
-    assert "[red]a.h5: chirp, done" in hil(capfd, "inspect", "[red]a.h5")[1]
+def test_a_name_is_shown_as_it_is(hil: Hil) -> None:
+    assert hil(*SIM, "--duration", "3", "-o", "[red]a.h5")[0] == 0
+    assert "[red]a.h5: chirp, done" in hil("inspect", "[red]a.h5")[1]
 
 
 @pytest.mark.parametrize("words", ["inspect a.h5", "inspect a.h5 --json"])
@@ -218,16 +210,10 @@ def test_a_reader_that_has_seen_enough_is_no_error(make_recording: Maker, words:
         assert (process.wait(), err) == (0, b"")
 
 
-def test_a_single_trial_shows_no_spread(capfd: Captured, make_recording: Maker) -> None:
-    status, out, _ = hil(capfd, "identify", make_recording(noise=1e-4), "--trials", "1")
-    assert status == 0
-    assert "nan" not in out
-
-
-def test_a_multisine_of_many_lines_keeps_to_its_amplitude(capfd: Captured) -> None:
+def test_a_multisine_of_many_lines_keeps_to_its_amplitude(hil: Hil) -> None:
     """4 to 400 Hz over 20 s has some 8000 lines."""
     words = ("--profile", "multisine", "--band", "4:375", "--rate", "1500", "--amplitude", "0.006")
-    assert hil(capfd, *SIM, *words, "--duration", "2", "-o", "a.h5")[0] == 0
+    assert hil(*SIM, *words, "--duration", "2", "-o", "a.h5")[0] == 0
     with Recording(Path("a.h5")) as recording:
         command = recording.channel("command")
     assert 0.8 * 0.006 < float(np.abs(command).max()) <= 0.006
