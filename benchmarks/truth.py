@@ -62,7 +62,7 @@ def estimate(path: Path, model: str) -> dict[str, Any]:
     return {
         "status": status,
         "model": found["model"],
-        "codes": sorted({warning["code"] for warning in found["warnings"]}),
+        "codes": sorted({warning["code"] for warning in (*found["warnings"], *found["errors"])}),
         "seconds": seconds,
         **{name: _parameter(found["parameters"][name]) for name in ("Kc", "Bc")},
     }

@@ -13,7 +13,7 @@ from hil.cli.terminal import out
 def demo(output: options.Folder = Path("hil-demo")) -> None:
     """Run the main job on the simulated servo: record a chirp, identify, write the report."""
     from hil.recording.output import check_output, next_free
-    from hil.report.identification import page_files
+    from hil.report.page import page_files
 
     path = next_free(output)
     page = path.with_suffix(".html")

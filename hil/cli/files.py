@@ -19,12 +19,13 @@ def inspect(
     recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")], as_json: options.Json = False
 ) -> None:
     """Summarise a recording and check its quality."""
-    from hil.report.identification import inspection_json, inspection_table
+    from hil.report.inspection import as_json as to_json
+    from hil.report.inspection import inspection_table
     from hil.signals.inspection import inspect as look
 
     seen = look(recording)
     if as_json:
-        print_json(inspection_json(seen))
+        print_json(to_json(seen))
     else:
         out("usable" if seen.usable else "not usable")
         out_table(inspection_table(seen))

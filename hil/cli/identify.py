@@ -62,7 +62,7 @@ def identify(
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
     from hil.identification.identify import Search
     from hil.recording.output import check_output
-    from hil.report.identification import page_files
+    from hil.report.page import page_files
 
     if report is not None:
         for path in page_files(report):
@@ -90,7 +90,7 @@ def identify(
 
 def _publish(found: Identification, report: Path | None, *, as_json: bool, verbose: bool) -> None:
     from hil.report.identification import as_json as to_json
-    from hil.report.identification import write_page
+    from hil.report.page import write_page
 
     if as_json:
         print_json(to_json(found))
@@ -128,14 +128,14 @@ def _show(found: Identification, *, verbose: bool) -> None:
         estimates_table,
         headline,
         identification_lines,
-        ladder_table,
+        model_selection_table,
         repeatability_table,
     )
 
     out(headline(found))
     out_table(estimates_table(found))
     if found.steps:
-        out_table(ladder_table(found))
+        out_table(model_selection_table(found))
     if verbose:
         out_table(repeatability_table(found))
     for line in identification_lines(found):

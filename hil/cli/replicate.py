@@ -25,11 +25,13 @@ def replicate(
 
     Ctrl-C saves the search to the output folder (or to --checkpoint); the same command resumes it.
     """
-    from hil.identification import replicate as experiment
+    from hil.identification.replicate import replicate as run_replication
+    from hil.report.replication import as_json as to_json
+    from hil.report.replication import draw_convergence, replication_lines
 
     saved = checkpoint or output / f"search-{trials}x{evaluations}-seed{seed}.npz"
     with progress() as show:
-        done = experiment.replicate(
+        done = run_replication(
             output,
             evaluations=evaluations,
             trials=trials,
@@ -43,11 +45,11 @@ def replicate(
         saved.unlink(missing_ok=True)
     recording = done.identification.recordings[0]
     picture = recording.with_suffix(".png")
-    experiment.draw_convergence(done, picture)
+    draw_convergence(done, picture)
     if as_json:
-        print_json(experiment.as_json(done))
+        print_json(to_json(done))
     else:
-        for line in experiment.table(done):
+        for line in replication_lines(done):
             out(line)
         out(
             f"{done.identification.trials.made:.3g} evaluations in {done.identification.search_seconds:.1f} s: "

@@ -178,8 +178,8 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
         found.append(
             Diagnostic(
                 "at-bound",
-                f"{name} lies at the {end} end of its bounds: the answer is the bound's, not the data's; "
-                f"widen it with --bounds {name}=LOW:HIGH",
+                f"{name} lies at or beyond the {end} end of its bounds, where the search cannot go; "
+                f"widen them with --bounds {name}=LOW:HIGH",
                 name,
                 is_error=is_error,
             )

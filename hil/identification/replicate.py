@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from hil.acquisition.run import run
 from hil.identification.disk_table import Progress
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification
-from hil.recording.output import atomic_write, next_free
+from hil.recording.output import next_free
 from hil.recording.reader import Recording
 from hil.signals.prepare import Signals
 from hil.stand.file import SIMULATED, parse
@@ -32,7 +31,7 @@ _MEASURE = 0.5  # s over which the NumPy expression is timed
 
 @dataclass(frozen=True, slots=True)
 class Replication:
-    """What came of it. truth: of the simulated stand, SI. numpy_seconds: of one evaluation with NumPy, same data."""
+    """The result. truth: of the simulated stand, SI. numpy_seconds: of one evaluation with NumPy, same data."""
 
     identification: Identification
     truth: dict[str, float]
@@ -48,7 +47,7 @@ class Replication:
     def ratio_to_numpy(self) -> float:
         """How many times faster one evaluation is, on one core, than the NumPy expression in the same process.
 
-        By processor time: what else the machine does counts for neither.
+        By processor time, so that other work of the machine counts for neither.
         """
         trials = self.identification.trials
         return self.numpy_seconds * trials.made / trials.processor_seconds
@@ -120,84 +119,3 @@ def _numpy_seconds(signals: Signals) -> float:
             np.mean(np.abs(torque - (dtheta * 0.0177 + rate * 1.9e-4)))
         best = min(best, (time.process_time() - began) / 100)
     return best
-
-
-def as_json(done: Replication) -> dict[str, Any]:
-    """The JSON object of `hil replicate --json`, SI units."""
-    found = done.identification
-    return {
-        "schema": "hil-replication/1",
-        "recording": str(found.recordings[0]),
-        "samples": found.samples,
-        "trials": len(found.trials.fitness),
-        "evaluations": found.trials.evaluations,
-        "seconds": found.search_seconds,
-        "processor_seconds": found.trials.processor_seconds,
-        "workers": done.workers,
-        "evaluations_per_second": done.evaluations_per_second,
-        "numpy_seconds_per_evaluation": done.numpy_seconds,
-        "ratio_to_numpy": done.ratio_to_numpy,
-        "relative_gap": found.optimiser_gap,
-        "interrupted": found.trials.interrupted,
-        "parameters": {
-            estimate.name: {
-                "unit": estimate.unit,
-                "true": done.truth[estimate.name],
-                "best": estimate.optimiser.best,
-                "mean": estimate.optimiser.mean,
-                "std": estimate.optimiser.std if len(found.trials.fitness) > 1 else None,
-                "exact": estimate.value,
-                "paper_mean": PAPER[estimate.name][0],
-                "paper_std": PAPER[estimate.name][1],
-            }
-            for estimate in found.estimates
-        },
-    }
-
-
-def table(done: Replication) -> list[str]:
-    """Table 1 beside the paper's, a line each, in mN m."""
-    kc, bc = done.identification.estimates
-    rows = [
-        ("", "Kc [mN m/rad]", "Bc [mN m s/rad]"),
-        ("real parameters (simulated stand)", f"{done.truth['Kc'] * 1e3:.2f}", f"{done.truth['Bc'] * 1e3:.3f}"),
-        ("best of the trials", f"{kc.optimiser.best * 1e3:.4f}", f"{bc.optimiser.best * 1e3:.5f}"),
-        (
-            "trials, mean ± std",
-            _spread(kc.optimiser.mean, kc.optimiser.std),
-            _spread(bc.optimiser.mean, bc.optimiser.std),
-        ),
-        ("the paper's, mean ± std", *(_spread(*PAPER[name]) for name in ("Kc", "Bc"))),
-        ("exact optimum of these data", f"{kc.value * 1e3:.4f}", f"{bc.value * 1e3:.5f}"),
-    ]
-    return [f"{what:36}{first:>20}{second:>22}" for what, first, second in rows]
-
-
-def _spread(mean: float, std: float) -> str:
-    return f"{mean * 1e3:.4g} ± {std * 1e3:.2g}"
-
-
-def draw_convergence(done: Replication, path: Path) -> None:
-    """Write Figure 8 as a PNG: the best fitness of every trial against the generation, above the exact optimum.
-
-    Raises WrongUse where the file cannot be written.
-    """
-    from matplotlib.figure import Figure
-
-    found = done.identification
-    history = found.trials.history
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    panels = figure.subplots(1, 2)
-    generation = np.maximum(history.generation, 1)
-    for fitness in history.fitness:
-        panels[0].plot(generation, fitness * 1e3, lw=0.7)
-        above = np.maximum(fitness / found.optimum - 1.0, 1e-16)
-        panels[1].plot(generation, above, lw=0.7)
-    panels[0].axhline(found.optimum * 1e3, color="k", ls="--", lw=1, label="exact optimum")
-    panels[0].set(xscale="log", yscale="log", xlabel="generation", ylabel="best fitness [mN m]", title="Figure 8")
-    panels[0].legend()
-    panels[1].set(xscale="log", yscale="log", xlabel="generation", ylabel="above the exact optimum, relative")
-    for panel in panels:
-        panel.grid(visible=True, lw=0.3)
-    with atomic_write(path, force=True) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)

@@ -1,4 +1,4 @@
-"""A comparison as people and machines read it: a table, JSON, a picture. Nothing here prints."""
+"""The result of `hil compare`: its table, its JSON object and its picture."""
 
 from __future__ import annotations
 
@@ -7,24 +7,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.identification.compare import COMPARED, Comparison, Measured, Repeated
-from hil.recording.output import atomic_write
-from hil.report.identification import people_unit
+from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
+from hil.report.page import save_picture
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-SCHEMA = "hil-comparison/1"
+SCHEMA = "hil-comparison/2"
+"""Version 1 had the errors among the warnings."""
 
 
 def as_json(found: Comparison) -> dict[str, Any]:
-    """The JSON object of `hil compare --json`, SI units and hours; what is not known is null."""
+    """Return the JSON object of `hil compare --json`, SI units and hours; an unknown value is null."""
     return {
         "schema": SCHEMA,
         "model": found.model,
         "recordings": [_recording(one) for one in found.recordings],
         "parameters": {one.name: _parameter(one) for one in found.parameters},
         "verdict": [one.verdict for one in found.parameters],
-        "warnings": [diagnostic.as_json() for diagnostic in found.diagnostics],
+        **diagnostics_json(found.diagnostics),
     }
 
 
@@ -32,13 +33,13 @@ def _recording(one: Measured) -> dict[str, Any]:
     return {
         "path": str(one.path),
         "created": None if one.created is None else one.created.isoformat(),
-        "hours": _number(one.hours),
+        "hours": json_number(one.hours),
         "model": one.model,
         "parameters": {
             name: {
                 "value": estimate.value,
                 "unit": estimate.unit,
-                "ci95": [_number(end) for end in estimate.ci95],
+                "ci95": [json_number(end) for end in estimate.ci95],
                 "identifiable": name in one.identifiable,
             }
             for name, estimate in one.estimates.items()
@@ -64,29 +65,24 @@ def _parameter(one: Repeated) -> dict[str, Any]:
     }
 
 
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _scale(found: Comparison, unit: str) -> tuple[float, str]:
-    """In mN m where the joint is as soft as a hand's, as in the paper."""
+    """The factor and unit of a column: in mN m where the joint is as soft as a hand's."""
     kc = [abs(one.estimates["Kc"].value) for one in found.recordings if one.estimates]
     return people_unit(unit, milli=not kc or min(kc) < 1.0)
 
 
 def comparison_table(found: Comparison) -> Table:
-    """The recordings one by one, and below them what they have in common."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    table = Table(title=f"{found.model}, each recording on its own", box=SIMPLE, pad_edge=False)
-    table.add_column("")
-    table.add_column("hours", justify="right")
-    for parameter in found.parameters:
-        table.add_column(f"{parameter.name}, {_scale(found, parameter.unit)[1]}", justify="right", no_wrap=True)
-    for one in found.recordings:
-        cells = [_cell(found, one, name) for name in COMPARED]
-        table.add_row(str(one.path), f"{one.hours:.3g}" if math.isfinite(one.hours) else "?", *cells)
+    """Return the table of the recordings one by one, and below them their pooled value and variance components."""
+    columns = [f"{parameter.name}, {_scale(found, parameter.unit)[1]}" for parameter in found.parameters]
+    rows = [
+        (
+            str(one.path),
+            f"{one.hours:.3g}" if math.isfinite(one.hours) else "unknown",
+            *(_cell(found, one, name) for name in COMPARED),
+        )
+        for one in found.recordings
+    ]
+    table = plain_table(f"{found.model}, each recording on its own", ("", "hours", *columns), rows)
     table.add_section()
     headings = ("pooled", "95 % interval", "within a recording", "between them", "drift an hour")
     together = [_together(found, parameter) for parameter in found.parameters]
@@ -101,19 +97,21 @@ def _cell(found: Comparison, one: Measured, name: str) -> str:
     estimate = one.estimates[name]
     factor = _scale(found, estimate.unit)[0]
     half = 0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor
-    shown = f"{estimate.value * factor:.5g} ± {half:.1g}" if math.isfinite(half) else f"{estimate.value * factor:.3g}"
-    return shown if name in one.identifiable else f"{shown} ?"
+    if name not in one.identifiable or not math.isfinite(half):
+        return f"{estimate.value * factor:.3g} (not identifiable)"
+    return " ± ".join(rounded(half, estimate.value * factor))
 
 
 def _together(found: Comparison, one: Repeated) -> list[str]:
     if one.pooled is None:
-        return ["?"] * 5
+        return ["unknown"] * 5
     factor = _scale(found, one.unit)[0]
     low, high = (end * factor for end in one.pooled.ci95)
     share = 100.0 / abs(one.pooled.value)
-    spread = [f"{part * share:.2g} %" for part in (one.pooled.within, one.pooled.between)]
-    slope = "?" if one.drift is None else f"{one.drift.slope * share:+.2g} % (p = {one.drift.p:.2g})"
-    return [f"{one.pooled.value * factor:.5g}", f"{low:.5g} to {high:.5g}", *spread, slope]
+    components = [f"{part * share:.2g} %" for part in (one.pooled.within, one.pooled.between)]
+    slope = "unknown" if one.drift is None else f"{one.drift.slope * share:+.2g} % (p = {one.drift.p:.2g})"
+    value, first, last, _ = rounded(0.05 * (high - low), one.pooled.value * factor, low, high)
+    return [value, f"{first} to {last}", *components, slope]
 
 
 def draw(found: Comparison, path: Path) -> None:
@@ -142,5 +140,4 @@ def draw(found: Comparison, path: Path) -> None:
         panel.set(ylabel=f"{parameter.name} [{unit}]")
         panel.grid(visible=True, lw=0.3)
     panels[-1].set_xticks(range(len(found.recordings)), [one.path.stem for one in found.recordings], rotation=30)
-    with atomic_write(path, force=True) as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
+    save_picture(figure, path)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.experiment_design.advice import command, described, of_profile
 from hil.experiment_design.assessment import LIMITED, UNITS, Assessment, Task
-from hil.report.identification import people_unit
+from hil.report.formatting import json_number, people_unit, plain_table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,18 +31,12 @@ def headline(judged: Mapping[str, Assessment]) -> str:
 
 def error_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
     """Return the predicted standard error of every parameter, a column for each of the excitations by name."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    table = Table(title=task.model, box=SIMPLE, pad_edge=False)
-    table.add_column("", no_wrap=True)
-    for name, one in judged.items():
-        table.add_column(f"{name}: {described(one.profile)}", justify="right")
-    table.add_column("")
-    for rows in zip(*(one.parameters for one in judged.values()), strict=True):
-        factor, unit = people_unit(rows[0].unit, milli=task.limits[1] < 1.0)
-        table.add_row(rows[0].name, *(_error(parameter, factor) for parameter in rows), unit)
-    return table
+    rows = []
+    for parameters in zip(*(one.parameters for one in judged.values()), strict=True):
+        factor, unit = people_unit(parameters[0].unit, milli=task.limits[1] < 1.0)
+        rows.append((parameters[0].name, *(_error(parameter, factor) for parameter in parameters), unit))
+    columns = (f"{name}: {described(one.profile)}" for name, one in judged.items())
+    return plain_table(task.model, ("", *columns, ""), rows)
 
 
 def _error(parameter: Parameter, factor: float) -> str:
@@ -54,16 +48,11 @@ def _error(parameter: Parameter, factor: float) -> str:
 
 def limit_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
     """Return the predicted peaks beside their limits."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    table = Table(title="predicted peaks, and their share of the limit", box=SIMPLE, pad_edge=False)
-    for heading in ("", *judged, "limit", ""):
-        table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    rows = []
     for index, name in enumerate(LIMITED):
         cells = [f"{one.peaks[index]:.3g} ({one.shares[index]:.0%})" for one in judged.values()]
-        table.add_row(name, *cells, f"{task.limits[index]:g}", UNITS[index])
-    return table
+        rows.append((name, *cells, f"{task.limits[index]:g}", UNITS[index]))
+    return plain_table("predicted peaks, and their share of the limit", ("", *judged, "limit", ""), rows)
 
 
 def design_lines(task: Task, judged: Mapping[str, Assessment], stand: str) -> list[str]:
@@ -82,7 +71,7 @@ def as_json(task: Task, judged: Mapping[str, Assessment], general: list[Diagnost
         "model": "+".join(task.terms),
         "rough": {"Kc": task.joint.stiffness, "Bc": task.joint.damping},
         "corner": task.joint.corner,
-        "resonance": _number(task.joint.resonance),
+        "resonance": json_number(task.joint.resonance),
         "torque_noise": task.readings.white,
         "angle_lsb": task.readings.angle_lsb,
         "skew": task.readings.skew,
@@ -116,13 +105,9 @@ def _parameter(parameter: Parameter) -> dict[str, Any]:
     return {
         "rough": parameter.rough,
         "unit": parameter.unit,
-        "standard_error": _number(parameter.error),
-        "cramer_rao": _number(parameter.bound),
-        "bias": _number(parameter.bias),
-        "relative": _number(parameter.error / parameter.rough) if parameter.rough else None,
-        "inflation": _number(parameter.inflation),
+        "standard_error": json_number(parameter.error),
+        "cramer_rao": json_number(parameter.bound),
+        "bias": json_number(parameter.bias),
+        "relative": json_number(parameter.error / parameter.rough) if parameter.rough else None,
+        "inflation": json_number(parameter.inflation),
     }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

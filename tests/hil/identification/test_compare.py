@@ -215,7 +215,7 @@ def test_the_json_is_one_object_of_numbers_in_si(hil: Hil, make_recording: Maker
     status, out, _ = hil("compare", *paths, "--trials", 2, "--json")
     found = json.loads(out)
     assert status == 0
-    assert found["schema"] == "hil-comparison/1"
+    assert found["schema"] == "hil-comparison/2"
     kc = found["parameters"]["Kc"]
     assert kc["ci95"][0] < 0.02 < kc["ci95"][1]
     assert kc["between_ci95"][0] <= kc["between"] <= kc["between_ci95"][1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from drivers.servo import Status
 from ga.evolution.evolution import PRESETS
 from ga.model.terms import parse
 from hil.diagnostics import Diagnostic
@@ -12,6 +13,7 @@ from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.stepwise import Rung
 from hil.recording.reader import Array
+from hil.signals.inspection import inspect
 
 from ..conftest import Maker
 
@@ -134,3 +136,23 @@ def test_friction_that_is_not_there_cannot_be_told_from_zero(make_recording: Mak
     assert (said.code, said.is_error) == ("not-identifiable", False)
     assert "cannot be told from zero" in said.message
     assert found["Kc"].identifiable
+
+
+def test_a_recording_that_inspect_calls_unusable_is_an_error_of_identify_too(make_recording: Maker) -> None:
+    def late(channels: dict[str, Array]) -> None:
+        channels["status"] = np.where(np.arange(2000) % 5 == 0, float(Status.LATE), 0.0)
+
+    path = make_recording(noise=1e-4, change=late)
+    found, seen = identify([path], parse("linear"), SEARCH), inspect(path)
+    assert not seen.usable
+    assert [one for one in found.diagnostics if one.is_error] == [one for one in seen.diagnostics if one.is_error]
+
+
+def test_the_last_included_step_of_model_selection_is_the_result(make_recording: Maker) -> None:
+    def friction(channels: dict[str, Array]) -> None:
+        channels["torque"] += 1e-3 * np.sign(np.gradient(channels["dtheta"]))
+
+    found = identify([make_recording(noise=2e-5, change=friction)], None, SEARCH)
+    last = [step for step in found.steps if step.taken][-1]
+    assert last.model == found.model.name
+    assert (last.Kc, last.Bc, last.fitness) == (found["Kc"].value, found["Bc"].value, found.optimum)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ga.evolution.evolution import PRESETS
@@ -40,9 +41,18 @@ def test_it_comes_to_what_the_linear_model_comes_to(make_recording: Maker, tmp_p
     linear = identify([path], parse("linear"), SEARCH)
     for one, other in zip(own.estimates, linear.estimates, strict=True):
         assert one.value == pytest.approx(other.value, rel=1e-5)
-        assert one.value == pytest.approx(other.value, rel=1e-4)
+        assert one.optimiser.best == pytest.approx(other.optimiser.best, rel=1e-4)
         assert one.ci95 == pytest.approx(other.ci95, rel=1e-3)
         assert one.identifiable
+
+
+def test_its_validation_error_is_relative_to_the_torque(make_recording: Maker, tmp_path: Path) -> None:
+    """The stiffness is 2500 Kc^3, whose linearisation is three times as large: white noise over the torque's RMS."""
+    noise, path = 2e-4, make_recording(noise=2e-4, samples=8000)
+    own = identify([path], load(written(tmp_path, GOOD.replace("Kc * dtheta", "2500 * Kc**3 * dtheta"))), SEARCH)
+    assert own["Kc"].value == pytest.approx(0.02, rel=1e-3)
+    assert own.validation.nrmse == pytest.approx(noise / float(np.std(own.signals.torque)), rel=0.05)
+    assert own.validation.fitness == pytest.approx(noise * np.sqrt(2.0 / np.pi), rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,64 @@
+"""Numbers and tables as they are printed, and the parts that every JSON object shares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from hil.diagnostics import Diagnostic
+
+if TYPE_CHECKING:  # rich costs 50 ms
+    from rich.table import Table
+
+_PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
+
+
+def people_unit(unit: str, *, milli: bool) -> tuple[float, str]:
+    """Return the factor to the printed unit of a parameter, and that unit: mN m where `milli`, as in the paper."""
+    if milli and unit.startswith("N*m"):
+        return 1e3, ("mN m" + unit.removeprefix("N*m")).replace("*", " ")
+    return 1.0, unit.replace("*", " ")
+
+
+def engineering(value: float, unit: str, digits: int = 3) -> str:
+    """Return a value with an engineering prefix: 4.02 ms for 0.00402 s."""
+    rounded = float(f"{value:.{digits}g}")
+    exponent = 0 if rounded == 0.0 or not math.isfinite(rounded) else 3 * math.floor(math.log10(abs(rounded)) / 3.0)
+    exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
+    return f"{value / 10.0**exponent:.{digits}g} {_PREFIXES[exponent]}{unit}"
+
+
+def rounded(half: float, *values: float) -> list[str]:
+    """Return the values, and last `half`, rounded to the first digit of `half`, half the width of their interval."""
+    if not (math.isfinite(half) and half > 0.0):
+        return [f"{value:.5g}" for value in (*values, half)]
+    decimals = -math.floor(math.log10(float(f"{half:.0e}")))
+    return [f"{round(value, decimals):.{max(decimals, 0)}f}" for value in (*values, half)]
+
+
+def json_number(value: float) -> float | None:
+    """Return the value, None where it is not finite: JSON has no such numbers."""
+    return value if math.isfinite(value) else None
+
+
+def diagnostics_json(diagnostics: Iterable[Diagnostic]) -> dict[str, list[dict[str, str | None]]]:
+    """Return the lists "warnings" and "errors"."""
+    found: dict[str, list[dict[str, str | None]]] = {"warnings": [], "errors": []}
+    for one in diagnostics:
+        found["errors" if one.is_error else "warnings"].append(one.as_json())
+    return found
+
+
+def plain_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+    """Return a table without lines; the columns with a heading are to the right."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), box=SIMPLE, pad_edge=False)  # as it is: "[red]" in a file's name is no colour
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(cell if cell is None else Text(str(cell)) for cell in row))
+    return table

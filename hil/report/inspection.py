@@ -1,0 +1,54 @@
+"""The summary of a recording: its table and its JSON object."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hil.report.formatting import diagnostics_json, engineering, json_number
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from hil.signals.inspection import Inspection
+
+SCHEMA = "hil-inspection/2"
+"""Version 1 had the errors among the warnings."""
+
+
+def inspection_table(seen: Inspection) -> Table:
+    """Return the table of a recording's summary."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(f"{seen.path}: {seen.kind}, {seen.end_reason}"), show_header=False)
+    rows = {
+        "samples": f"{seen.samples} over {seen.duration:.3g} s",
+        "rate": f"{seen.rate:.5g} Hz, 99 % of intervals within {engineering(seen.jitter, 's')} of it",
+        "lost, NaN, late": f"{seen.lost}, {seen.not_numbers}, {seen.late}; longest gap "
+        f"{engineering(seen.longest_gap, 's')}",
+        "saturated": f"{seen.saturated} rows",
+        "deflection": f"{engineering(seen.deflection, 'rad', 4)} peak to peak, smallest step "
+        f"{engineering(seen.deflection_lsb, 'rad', 2)}",
+        "torque": f"{engineering(seen.torque, 'N m', 4)} peak to peak, from {seen.torque_from}",
+        "torque noise": f"{engineering(seen.torque_noise, 'N m')}; signal to noise {seen.snr:.0f} dB",
+        "excited band": f"{seen.band[0]:.3g} to {seen.band[1]:.3g} Hz (99 % of the rate's power)",
+        "rate from": f"a local polynomial over {engineering(seen.rate_window, 's')}"
+        if seen.rate_window
+        else "the file",
+    }
+    for name, text in rows.items():
+        table.add_row(name, Text(text))
+    return table
+
+
+def as_json(seen: Inspection) -> dict[str, Any]:
+    """Return the JSON object of `hil inspect --json`, SI units."""
+    plain = {name: getattr(seen, name) for name in seen.__slots__ if name not in {"path", "diagnostics"}}
+    plain["snr"] = json_number(seen.snr)
+    return {
+        "schema": SCHEMA,
+        "recording": str(seen.path),
+        "usable": seen.usable,
+        **plain,
+        **diagnostics_json(seen.diagnostics),
+    }

@@ -1,0 +1,98 @@
+"""The paper's experiment repeated: Table 1, Figure 8 and the JSON object of `hil replicate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hil.identification.replicate import PAPER
+from hil.report.formatting import diagnostics_json, json_number
+from hil.report.page import save_picture
+
+if TYPE_CHECKING:
+    from hil.identification.replicate import Replication
+    from hil.identification.result import Estimate
+
+SCHEMA = "hil-replication/2"
+"""Version 1 called the optimiser gap relative_gap, and had no diagnostics."""
+
+
+def as_json(done: Replication) -> dict[str, Any]:
+    """Return the JSON object of `hil replicate --json`, SI units."""
+    found = done.identification
+    return {
+        "schema": SCHEMA,
+        "recording": str(found.recordings[0]),
+        "samples": found.samples,
+        "trials": len(found.trials.fitness),
+        "evaluations": found.trials.evaluations,
+        "seconds": found.search_seconds,
+        "processor_seconds": found.trials.processor_seconds,
+        "workers": done.workers,
+        "evaluations_per_second": done.evaluations_per_second,
+        "numpy_seconds_per_evaluation": done.numpy_seconds,
+        "ratio_to_numpy": done.ratio_to_numpy,
+        "optimiser_gap": found.optimiser_gap,
+        "interrupted": found.trials.interrupted,
+        "parameters": {estimate.name: _parameter(done, estimate) for estimate in found.estimates},
+        **diagnostics_json(found.diagnostics),
+    }
+
+
+def _parameter(done: Replication, estimate: Estimate) -> dict[str, Any]:
+    mean, std = PAPER[estimate.name]
+    return {
+        "unit": estimate.unit,
+        "true": done.truth[estimate.name],
+        "value": estimate.value,
+        "best": estimate.optimiser.best,
+        "trials_mean": estimate.optimiser.mean,
+        "trials_std": json_number(estimate.optimiser.std),
+        "paper_mean": mean,
+        "paper_std": std,
+    }
+
+
+def replication_lines(done: Replication) -> list[str]:
+    """Return Table 1 beside the paper's, a line each, in mN m."""
+    kc, bc = done.identification.estimates
+    trials = [_mean(one.optimiser.mean, one.optimiser.std) for one in (kc, bc)]
+    rows = [
+        ("", "Kc [mN m/rad]", "Bc [mN m s/rad]"),
+        ("real parameters (simulated stand)", f"{done.truth['Kc'] * 1e3:.2f}", f"{done.truth['Bc'] * 1e3:.3f}"),
+        ("best of the trials", f"{kc.optimiser.best * 1e3:.4f}", f"{bc.optimiser.best * 1e3:.5f}"),
+        ("trials, mean ± std", *trials),
+        ("the paper's, mean ± std", *(_mean(*PAPER[name]) for name in ("Kc", "Bc"))),
+        ("exact optimum of these data", f"{kc.value * 1e3:.4f}", f"{bc.value * 1e3:.5f}"),
+    ]
+    return [f"{name:36}{first:>20}{second:>22}" for name, first, second in rows]
+
+
+def _mean(mean: float, std: float) -> str:
+    return f"{mean * 1e3:.4g} ± {std * 1e3:.2g}"
+
+
+def draw_convergence(done: Replication, path: Path) -> None:
+    """Write Figure 8 as a PNG: the best fitness of every trial against the generation, above the exact optimum.
+
+    Raises WrongUse where the file cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    found = done.identification
+    history = found.trials.history
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    panels = figure.subplots(1, 2)
+    generation = np.maximum(history.generation, 1)
+    for fitness in history.fitness:
+        panels[0].plot(generation, fitness * 1e3, lw=0.7)
+        panels[1].plot(generation, np.maximum(fitness / found.optimum - 1.0, 1e-16), lw=0.7)
+    panels[0].axhline(found.optimum * 1e3, color="k", ls="--", lw=1, label="exact optimum")
+    panels[0].set(xscale="log", yscale="log", xlabel="generation", ylabel="best fitness [mN m]", title="Figure 8")
+    panels[0].legend()
+    panels[1].set(xscale="log", yscale="log", xlabel="generation", ylabel="optimiser gap")
+    for panel in panels:
+        panel.grid(visible=True, lw=0.3)
+    save_picture(figure, path)

@@ -1,0 +1,42 @@
+"""Numbers as they are printed."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from hil.report.formatting import engineering, rounded
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "printed"),
+    [
+        (0.00402, "s", "4.02 ms"),
+        (9.996e-4, "s", "1 ms"),
+        (-2.5e-6, "rad", "-2.5 urad"),
+        (1500.0, "Hz", "1.5 kHz"),
+        (0.0, "s", "0 s"),
+        (3e-15, "N m", "3e-06 nN m"),
+        (math.inf, "s", "inf s"),
+    ],
+)
+def test_a_value_has_an_engineering_prefix(value: float, unit: str, printed: str) -> None:
+    assert engineering(value, unit) == printed
+
+
+@pytest.mark.parametrize(
+    ("half", "value", "printed"),
+    [
+        (0.0163, 17.7754, ["17.78", "0.02"]),
+        (0.096, 17.7754, ["17.8", "0.1"]),
+        (230.0, 17775.0, ["17800", "200"]),
+        (0.0, 1 / 3, ["0.33333", "0"]),
+        (math.inf, 1 / 3, ["0.33333", "inf"]),
+        (2.0, math.nan, ["nan", "2"]),
+    ],
+)
+def test_a_value_is_rounded_to_the_first_digit_of_its_uncertainty(
+    half: float, value: float, printed: list[str]
+) -> None:
+    assert rounded(half, value) == printed
