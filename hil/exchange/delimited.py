@@ -144,7 +144,6 @@ class _Cells:
             return self._with_comma(line, at, text)
         if not self._point and "." in text:
             self._point = self._place(line, at, text)
-            self._refuse_both()
         return value
 
     def _with_comma(self, line: int, at: int, text: str) -> float:
@@ -153,21 +152,18 @@ class _Cells:
             raise WrongUse(f"{self._source}, row {line}, column {self._names[at]}: {shown!r} is not a number")
         if not self._comma:
             self._comma = self._place(line, at, text)
-            self._refuse_both()
         self._sure = self._sure or not _THOUSANDS.fullmatch(text)
         return float(text.replace(",", "."))
 
     def _place(self, line: int, at: int, text: str) -> str:
         return f"{text!r} in row {line}, column {self._names[at]}"
 
-    def _refuse_both(self) -> None:
+    def check_commas(self) -> None:
+        """Raise WrongUse where decimals are written both ways, or every comma may also be a thousands separator."""
         if self._point and self._comma:
             raise WrongUse(
                 f"{self._source} writes decimals both ways, {self._point}, and {self._comma}: write all with a point"
             )
-
-    def check_commas(self) -> None:
-        """Raise WrongUse where every comma may also be a thousands separator."""
         if self._comma and not self._sure:
             raise WrongUse(
                 f"{self._source}: {self._comma}, may be a decimal or a thousand, like every number with a comma "

@@ -13,6 +13,7 @@ from hil.errors import WrongUse
 _STANDARD_GRAVITY = 9.80665  # m/s^2, exact by definition (CGPM 1901)
 _POUND = 0.45359237  # kg, exact
 _INCH = 0.0254  # m, exact
+_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
 
 UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
@@ -30,14 +31,8 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
             "lbf*in": _POUND * _STANDARD_GRAVITY * _INCH,
             "lbf*ft": _POUND * _STANDARD_GRAVITY * _INCH * 12.0,
         },
-        "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
-        "rate": {
-            "rad/s": 1.0,
-            "mrad/s": 1e-3,
-            "deg/s": math.pi / 180.0,
-            "rev/s": 2.0 * math.pi,
-            "rpm": math.pi / 30.0,
-        },
+        "angle": _ANGLES,
+        "rate": {f"{unit}/s": factor for unit, factor in _ANGLES.items()} | {"rpm": math.pi / 30.0},
     }
 )
 
