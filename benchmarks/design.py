@@ -18,7 +18,7 @@ from page import DOCS, machine
 
 from drivers.servo import Quantity
 from ga.evolution.evolution import PRESETS
-from ga.model.terms import parse as parse_model
+from ga.model.coupling import parse as parse_model
 from hil.acquisition import excitation
 from hil.acquisition.excitation import Profile
 from hil.acquisition.run import run

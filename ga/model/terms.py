@@ -1,39 +1,26 @@
-"""The ladder of coupling models: terms that add up to the torque.
+"""The table of coupling terms: all that the models, the fits, the predictions and the command line know of each.
 
-torque = known + columns(shape) . genes. `linear` is the paper's equation 3. What else a stand shows lands in Bc when it
-is left out, which is why the other terms exist. Most add a column, whose factor is solved for exactly; skew, gap and
-slack shape the columns instead, and are searched. Nothing here knows how a recording came about.
+A linear term adds columns to the model, whose factors are solved for exactly. A nonlinear term changes the motion that
+all columns are made of: it delays it, or takes a part of the deflection away. Nothing here imports numpy before a
+column is computed, because the command line reads its help from this table.
 """
 
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
-
-import numpy as np
+from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from ga.model.trajectory import Motion
 
     Array = NDArray[np.float64]
-
-STUCK: Final = 0.075
-"""Part of the samples, the slowest, in which friction may hold the joint and its sign says nothing."""
-
-BESIDE: Final = 0.25
-"""Part of the time between two samples by which the skew may be wrong when those are told."""
-
-NOISY: Final = 0.5
-FINEST: Final = 0.001
-SMOOTHEST: Final = 0.05
-"""v_s of the Coulomb term as a part of the rate's noise, at least and at most these parts of the r.m.s. rate: a sign
-where friction slides, for 1.3 % of softness takes as much off Bc."""
 
 LONGEST_SKEW: Final = 0.02
 """s between two readings of one tick, at most."""
@@ -41,286 +28,330 @@ LONGEST_SKEW: Final = 0.02
 WIDEST_GAP: Final = 0.95
 """Part of the whole deflection that a gap or slack may take."""
 
+ANYWHERE: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Starting values of a nonlinear parameter of which nothing is known, as parts of its range."""
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of a model: its name, its SI unit and what it means. scales: in proportion to the torque's."""
+    """One parameter of a model: its name, its SI unit and its meaning.
+
+    scales: whether it is proportional to the torque. absent: the value that removes it from the model, None where none
+    does. presence: whether its presence is in question, so that it is identifiable only if its interval excludes
+    `absent`. friction: whether its torque turns with the motion.
+    Of nonlinear parameters: starts, values to begin at as parts of the range; kinked, whether the torque has breaks
+    where it ends; refined, whether breaks make the fitness rough along it; about, the parameter that is the middle
+    between the two ends that this one moves.
+    """
 
     name: str
     unit: str
     meaning: str
     scales: bool = True
+    absent: float | None = 0.0
+    presence: bool = False
+    friction: bool = False
+    starts: tuple[float, ...] = ANYWHERE
+    kinked: bool = False
+    refined: bool = False
+    about: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Regressors:
+    """The signals (n,) that columns are made of.
+
+    time: s since the model's origin. motion: as the torque reading saw it. angle: rad, the deflection beyond gap or
+    slack, 0 out of contact. contact: 1 or 0. smoothing: rad/s, the v_s of friction.
+    """
+
+    time: Array
+    motion: Motion
+    angle: Array
+    contact: Array
+    smoothing: float
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One term of the coupling: a record in `TERMS`.
+
+    meaning: for the help. A linear term gives columns, each (n,), N m per unit of its parameters in their order; rates,
+    how fast these change, per second, where the motion changes as the second argument says; and stiffness, N m/rad, how
+    its torque changes with the deflection for given parameters, None where it does not.
+    A nonlinear term gives bounds, low and high of each parameter for motion up to so many Hz; and either delays the
+    motion by its parameter, or gives remaining, the deflection (n,) that its parameters leave, and shifts, how much of
+    the deflection is taken away per unit of each.
+    needs: the term without which it means nothing. excludes: the term that it cannot stand beside, and why.
+    breaks: whether the torque has breaks in it. confusable: terms beside which it must pay as much as one with breaks,
+    because it can pass for a part of them. sticks: whether friction holds the joint where it is slow.
+    unilateral: whether the flanks can only push. selection: in the smallest model that `auto` begins with, among the
+    terms that it considers, or among them only where the torque is the motor's.
+    """
+
+    name: str
+    meaning: str
+    parameters: tuple[Parameter, ...]
+    columns: Callable[[Regressors], tuple[Array, ...]] | None = None
+    rates: Callable[[Regressors, Motion], tuple[Array, ...]] | None = None
+    stiffness: Callable[[Regressors, Array], Array] | None = None
+    bounds: Callable[[Motion, float], tuple[tuple[float, float], ...]] | None = None
+    delays: bool = False
+    remaining: Callable[[Array, Array], Array] | None = None
+    shifts: Callable[[Array], tuple[Array, ...]] | None = None
+    needs: str = ""
+    excludes: str = ""
+    reason: str = ""
+    breaks: bool = False
+    confusable: tuple[str, ...] = ()
+    sticks: bool = False
+    unilateral: bool = False
+    selection: Literal["smallest", "considered", "motor torque"] = "considered"
+
+    @property
+    def linear(self) -> bool:
+        """Whether the torque is linear in its parameters."""
+        return self.columns is not None
 
 
 class UnknownTerm(ValueError):
     """A model names a term that there is none of; the message lists those there are."""
 
 
-@dataclass(frozen=True)
-class Model:
-    """A sum of terms. name: canonical, such as "linear+offset+coulomb+skew".
+def _zero(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
 
-    linear: the parameters (p,) of the columns, in their order. shape: those (q,) that shape the columns.
-    origin: s, where the drift begins; slowest: rad/s, below which friction may hold the joint; smoothing: v_s of the
-    Coulomb term, rad/s. None: each call takes its own data's.
-    """
-
-    name: str
-    linear: tuple[Parameter, ...]
-    shape: tuple[Parameter, ...] = ()
-    origin: float | None = None
-    slowest: float | None = None
-    smoothing: float | None = None
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """The names of its terms."""
-        return tuple(self.name.split("+"))
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters: those of the columns, then those that shape them."""
-        return self.linear + self.shape
-
-    def anchored(self, motion: Motion) -> Model:
-        """The same model with origin and slowest rate of this motion, so that it is one model for every part of it.
-
-        Needed where a recording is taken block by block, or where one part is judged by a fit to another.
-        """
-        slowest = _slowest(motion)
-        origin = float(motion.time[0]) if len(motion) else 0.0
-        return replace(self, origin=origin, slowest=slowest, smoothing=_smoothing(motion))
-
-    def told(self, motion: Motion, skew: float = 0.0) -> NDArray[np.bool_]:
-        """The samples (n,) that the model says something about: with Coulomb friction not those it may hold a joint in.
-
-        There its torque is anything between -Fc and Fc. skew: s, how much older the torque reading is; where the model
-        has one, samples next to a reversal are left out as well, whose sign would say what the skew is.
-        """
-        if "Fc" not in self:
-            return np.ones(len(motion), dtype=bool)
-        slowest = _slowest(motion) if self.slowest is None else self.slowest
-        beside = BESIDE * float(np.median(np.diff(motion.time))) if "skew" in self and len(motion) > 1 else 0.0
-        rates = [motion.delayed(skew + shift).dtheta_dot for shift in (-beside, 0.0, beside)]
-        least, most = np.min(rates, axis=0), np.max(rates, axis=0)
-        return np.asarray((least >= slowest) | (most <= -slowest))
-
-    @property
-    def lets_go(self) -> bool:
-        """Whether the coupling has flanks that can push only: where damping would make them pull, they part."""
-        return bool({"gap", "slack"} & set(self._names))
-
-    def columns(self, motion: Motion, shape: Array | None = None, lag: float = 0.0) -> Array:
-        """The columns (n, p) for the shape parameters (q,), SI; None: all zero.
-
-        lag: Bc/Kc, s, which says when flanks that can push only let go.
-        """
-        model = self if self.smoothing is not None else self.anchored(motion)
-        return model._stacked(model._engaged(motion, shape, lag), changing=None)
-
-    def target(self, motion: Motion, torque: Array, shape: Array | None = None) -> Array:
-        """What the columns are to make up, (n,) N m: the torque (n,) without what is known of it."""
-        return np.asarray(torque - motion.delayed(self._of("skew", shape)).known)
-
-    def slopes(self, motion: Motion, shape: Array, genes: Array, lag: float = 0.0) -> Array:
-        """How the torque changes with each shape parameter: (n, q), N m per unit, at shape (q,) and genes (p,).
-
-        Where flanks meet the damping torque jumps, and where the joint turns its friction; what that adds at single
-        samples is left out.
-        """
-        model = self if self.smoothing is not None else self.anchored(motion)
-        engaged = model._engaged(motion, shape, lag)
-        found = []
-        for parameter in self.shape:
-            if parameter.name == "skew":
-                changing = motion.changing(self._of("skew", shape))
-                found.append(-(model._stacked(engaged, changing) @ genes + changing.known))
-            else:
-                stiffness = genes[0] + (3.0 * genes[self._index("K3")] * engaged.angle**2 if "K3" in self else 0.0)
-                moved = 0.5 * np.sign(engaged.angle) if parameter.name == "gap" else np.ones(len(motion))
-                found.append(-stiffness * moved * engaged.touching)
-        return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
-
-    def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]:
-        """Where each shape parameter can be: low (q,) and high (q,), for motion up to `highest` Hz."""
-        low, high = [], []
-        for parameter in self.shape:
-            if parameter.name == "skew":
-                longest = min(LONGEST_SKEW, 0.25 / highest)  # a quarter of the shortest period: beyond it, none is told
-                low.append(-longest)
-                high.append(longest)
-            else:
-                least, span = float(motion.dtheta.min()), float(np.ptp(motion.dtheta))
-                low.append({"gap": 0.0, "centre": least, "slack": least}[parameter.name])
-                high.append(
-                    {"gap": WIDEST_GAP * span, "centre": least + span}.get(parameter.name, least + WIDEST_GAP * span)
-                )
-        return np.array(low), np.array(high)
-
-    def __contains__(self, parameter: str) -> bool:
-        return any(known.name == parameter for known in self.parameters)
-
-    def _index(self, parameter: str) -> int:
-        return [known.name for known in self.parameters].index(parameter)
-
-    def _of(self, parameter: str, shape: Array | None) -> float:
-        if shape is None or parameter not in self:
-            return 0.0
-        return float(shape[self._index(parameter) - len(self.linear)])
-
-    def _engaged(self, motion: Motion, shape: Array | None, lag: float = 0.0) -> _Engaged:
-        """The motion as the torque reading saw it, beyond the gap or slack."""
-        seen = motion.delayed(self._of("skew", shape))
-        angle = seen.dtheta
-        if "gap" in self:
-            angle = angle - self._of("centre", shape)
-            angle = np.sign(angle) * np.maximum(np.abs(angle) - 0.5 * self._of("gap", shape), 0.0)
-        elif "slack" in self and shape is not None:
-            angle = np.maximum(angle - self._of("slack", shape), 0.0)
-        touching = np.ones(len(motion))
-        if self.lets_go:
-            touching = (angle * (angle + lag * seen.dtheta_dot) > 0.0).astype(np.float64)
-            angle = angle * touching
-        return _Engaged(motion.time - (self.origin or 0.0), seen, angle, touching, self.smoothing or 0.0)
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        return tuple(parameter.name for parameter in self.shape)
-
-    def _stacked(self, engaged: _Engaged, changing: Motion | None) -> Array:
-        """The columns, or how they change in time."""
-        columns = [
-            column
-            for term in self.terms
-            if term in _COLUMNS
-            for column in (
-                _COLUMNS[term].columns(engaged) if changing is None else _COLUMNS[term].changing(engaged, changing)
-            )
-        ]
-        return np.stack(columns, axis=1).astype(np.float64, copy=False)
+    return (np.zeros_like(regressors.angle),)
 
 
-@dataclass(frozen=True, slots=True)
-class _Engaged:
-    """What the columns are made of: time s since the origin, the motion as the torque saw it, the deflection (n,) rad
-    beyond the gap and whether (n,) it is beyond, v_s rad/s."""
+def _one(regressors: Regressors) -> tuple[Array, ...]:
+    import numpy as np
 
-    time: Array
-    seen: Motion
-    angle: Array
-    touching: Array
-    smoothing: float
+    return (np.ones_like(regressors.angle),)
 
 
-def parse(name: str) -> Model:
-    """The model of a name such as "linear+offset+coulomb"; the order of the terms does not matter.
+def _sign(regressors: Regressors) -> tuple[Array, ...]:
+    import numpy as np
+
+    rate, smoothing = regressors.motion.dtheta_dot, regressors.smoothing
+    return (np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate),)
+
+
+def _beyond_gap(angle: Array, values: Array) -> Array:
+    import numpy as np
+
+    gap, centre = values
+    from_centre = angle - centre
+    return np.asarray(np.sign(from_centre) * np.maximum(np.abs(from_centre) - 0.5 * gap, 0.0))
+
+
+def _gap_shifts(angle: Array) -> tuple[Array, ...]:
+    import numpy as np
+
+    return 0.5 * np.sign(angle), np.ones_like(angle)
+
+
+def _beyond_slack(angle: Array, values: Array) -> Array:
+    import numpy as np
+
+    return np.asarray(np.maximum(angle - values[0], 0.0))
+
+
+def _slack_shifts(angle: Array) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (np.ones_like(angle),)
+
+
+def _gap_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    least, span = _extent(motion)
+    return (0.0, WIDEST_GAP * span), (least, least + span)
+
+
+def _slack_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    least, span = _extent(motion)
+    return ((least, least + WIDEST_GAP * span),)
+
+
+def _extent(motion: Motion) -> tuple[float, float]:
+    least = float(motion.dtheta.min())
+    return least, float(motion.dtheta.max() - motion.dtheta.min())
+
+
+def _skew_bounds(_motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
+    longest = min(LONGEST_SKEW, 0.25 / highest)  # beyond a quarter of the shortest period it cannot be identified
+    return ((-longest, longest),)
+
+
+_RECORDS: Final = (
+    Term(
+        "linear",
+        "a spring Kc and a damper Bc, the paper's equation 3",
+        (
+            Parameter("Kc", "N*m/rad", "stiffness of the coupling"),
+            Parameter("Bc", "N*m*s/rad", "damping of the coupling"),
+        ),
+        columns=lambda r: (r.angle, r.motion.dtheta_dot * r.contact),
+        rates=lambda r, c: (c.dtheta * r.contact, c.dtheta_dot * r.contact),
+        stiffness=lambda _r, genes: genes[0],
+        selection="smallest",
+    ),
+    Term(
+        "offset",
+        "a constant torque",
+        (Parameter("tau0", "N*m", "torque at rest, at the first sample"),),
+        columns=_one,
+        rates=_zero,
+        selection="smallest",  # no reading's zero is quite the coupling's: other terms would stand in for it on the way
+    ),
+    Term(
+        "drift",
+        "a torque that grows in time",
+        (Parameter("drift", "N*m/s", "slope of the torque reading in time"),),
+        # from the first sample on: an absolute time would be nearly collinear with the offset
+        columns=lambda r: (r.time,),
+        rates=_zero,
+        needs="offset",
+    ),
+    Term(
+        "coulomb",
+        "dry friction",
+        (Parameter("Fc", "N*m", "Coulomb friction", presence=True, friction=True),),
+        columns=_sign,
+        rates=_zero,
+        sticks=True,
+    ),
+    Term(
+        "cubic",
+        "a spring that stiffens",
+        (Parameter("K3", "N*m/rad^3", "cubic stiffness", presence=True),),
+        columns=lambda r: (r.angle**3,),
+        rates=lambda r, c: (3.0 * r.angle**2 * c.dtheta,),
+        stiffness=lambda r, genes: 3.0 * genes[0] * r.angle**2,
+        confusable=("backlash", "slack"),
+    ),
+    Term(
+        "inertia",
+        "an inertia that moves with the deflection",
+        (Parameter("J", "kg*m^2", "inertia that moves with the deflection", presence=True),),
+        columns=lambda r: (r.motion.dtheta_ddot,),
+        rates=lambda _r, c: (c.dtheta_ddot,),
+        selection="motor torque",  # elsewhere it differs too little from skew
+    ),
+    Term(
+        "backlash",
+        "a gap with a flank on both sides",
+        (
+            Parameter(
+                "gap",
+                "rad",
+                "play of the coupling, its whole width",
+                scales=False,
+                presence=True,
+                starts=(0.0, 0.03, 0.1, 0.25, 0.5),
+                kinked=True,
+                refined=True,
+                about="centre",
+            ),
+            Parameter(
+                "centre",
+                "rad",
+                "deflection in the middle of the play",
+                scales=False,
+                absent=None,
+                starts=(0.3, 0.5, 0.7),
+                kinked=True,
+                refined=True,
+            ),
+        ),
+        bounds=_gap_bounds,
+        remaining=_beyond_gap,
+        shifts=_gap_shifts,
+        needs="offset",
+        excludes="slack",
+        reason="a single tendon (slack) has no second flank (backlash)",
+        breaks=True,
+        unilateral=True,
+    ),
+    Term(
+        "slack",
+        "a tendon that only pulls",
+        (
+            Parameter(
+                "slack",
+                "rad",
+                "deflection before the tendon pulls",
+                scales=False,
+                absent=None,
+                starts=(0.05, 0.2, 0.4, 0.6, 0.8),
+                kinked=True,
+                refined=True,
+            ),
+        ),
+        bounds=_slack_bounds,
+        remaining=_beyond_slack,
+        shifts=_slack_shifts,
+        needs="offset",
+        excludes="backlash",
+        reason="a single tendon (slack) has no second flank (backlash)",
+        breaks=True,
+        unilateral=True,
+    ),
+    Term(
+        "skew",
+        "a torque reading older than the angle's",
+        (
+            Parameter(
+                "skew",
+                "s",
+                "how much older the torque reading is than that of the angle",
+                scales=False,
+                starts=(0.25, 0.5, 0.75),
+                refined=True,
+            ),
+        ),
+        bounds=_skew_bounds,
+        delays=True,
+        confusable=("coulomb",),  # it moves the breaks that friction makes at every reversal
+    ),
+)
+
+TERMS: Final[Mapping[str, Term]] = MappingProxyType({term.name: term for term in _RECORDS})
+"""Every term by its name, in the order in which a model names them."""
+
+PARAMETERS: Final[Mapping[str, Parameter]] = MappingProxyType({p.name: p for t in _RECORDS for p in t.parameters})
+"""Every parameter by its name."""
+
+CONSIDERED: Final = tuple(t.name for t in _RECORDS if t.name != "linear" and t.selection != "motor torque")
+"""The terms that model selection considers for every recording."""
+
+SYNTAX: Final = "linear" + "".join(f"[+{name}]" for name in TERMS if name != "linear")
+"""How a model is written."""
+
+MEANINGS: Final = "; ".join(f"{term.name}: {term.meaning}" for term in _RECORDS)
+"""What each term adds, for the help."""
+
+
+def canonical(name: str) -> str:
+    """Return the name of a model, such as "linear+offset+coulomb", with its terms in the order of the table.
 
     Raises UnknownTerm for a term there is none of, ValueError for one named twice, where `linear` is missing or where
     two exclude each other.
     """
-    terms = [term.strip() for term in name.split("+")]
-    for term in terms:
+    names = [term.strip() for term in name.split("+")]
+    for term in names:
         _refuse_unknown(term)
-        if terms.count(term) > 1:
+        if names.count(term) > 1:
             raise ValueError(f'model "{name}": {term} is named twice')
-    if "linear" not in terms:
+        if TERMS[term].excludes in names:
+            raise ValueError(f'model "{name}": {TERMS[term].reason}: leave one out')
+    if "linear" not in names:
         raise ValueError(f'model "{name}": every model begins with linear, as in "linear+{name}"')
-    if {"backlash", "slack"} <= set(terms):
-        raise ValueError(f'model "{name}": a single tendon (slack) has no second flank (backlash): leave one out')
-    return _model([term for term in TERMS if term in terms])
-
-
-def _model(terms: list[str]) -> Model:
-    linear = tuple(p for term in terms if term in _COLUMNS for p in _COLUMNS[term].parameters)
-    return Model("+".join(terms), linear, tuple(p for term in terms if term in _SHAPES for p in _SHAPES[term]))
+    return "+".join(term for term in TERMS if term in names)
 
 
 def _refuse_unknown(term: str) -> None:
-    if term in TERMS:
-        return
-    near = difflib.get_close_matches(term, TERMS, n=1)
-    hint = f' - did you mean "{near[0]}"?' if near else ""
-    raise UnknownTerm(f'no model term "{term}"; there are {", ".join(TERMS)}{hint}')
-
-
-def _slowest(motion: Motion) -> float:
-    """The rate, rad/s, below which friction may hold the joint; zero where the rate's noise hides which samples are.
-
-    It is taken from the data because rates differ by four decades between stands.
-    """
-    slowest = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)) if len(motion) else 0.0
-    return slowest if slowest > (motion.rate_noise or 0.0) else 0.0
-
-
-def _smoothing(motion: Motion) -> float:
-    """v_s, rad/s, of the Coulomb term."""
-    if not len(motion):
-        return 0.0
-    usual = float(np.linalg.norm(motion.dtheta_dot) / np.sqrt(len(motion)))
-    return float(np.clip(NOISY * (motion.rate_noise or 0.0), FINEST * usual, SMOOTHEST * usual))
-
-
-@dataclass(frozen=True, slots=True)
-class _Columns:
-    """A term that adds columns. changing: how fast they change in time, per second."""
-
-    parameters: tuple[Parameter, ...]
-    columns: Callable[[_Engaged], tuple[Array, ...]]
-    changing: Callable[[_Engaged, Motion], tuple[Array, ...]]
-
-
-def _sign(rate: Array, smoothing: float) -> Array:
-    return np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate)
-
-
-_COLUMNS: Final[Mapping[str, _Columns]] = MappingProxyType(
-    {
-        "linear": _Columns(
-            (
-                Parameter("Kc", "N*m/rad", "stiffness of the coupling"),
-                Parameter("Bc", "N*m*s/rad", "damping of the coupling"),
-            ),
-            lambda e: (e.angle, e.seen.dtheta_dot * e.touching),
-            lambda e, c: (c.dtheta * e.touching, c.dtheta_dot * e.touching),
-        ),
-        "offset": _Columns(
-            (Parameter("tau0", "N*m", "torque at rest, at the first sample"),),
-            lambda e: (np.ones_like(e.angle),),
-            lambda e, _c: (np.zeros_like(e.angle),),
-        ),
-        "drift": _Columns(
-            (Parameter("drift", "N*m/s", "slope of the torque reading in time"),),
-            # from the first sample on: an absolute time would be nearly collinear with the offset
-            lambda e: (e.time,),
-            lambda e, _c: (np.zeros_like(e.angle),),
-        ),
-        "coulomb": _Columns(
-            (Parameter("Fc", "N*m", "Coulomb friction"),),
-            lambda e: (_sign(e.seen.dtheta_dot, e.smoothing),),
-            lambda e, _c: (np.zeros_like(e.angle),),
-        ),
-        "cubic": _Columns(
-            (Parameter("K3", "N*m/rad^3", "cubic stiffness"),),
-            lambda e: (e.angle**3,),
-            lambda e, c: (3.0 * e.angle**2 * c.dtheta,),
-        ),
-        "inertia": _Columns(
-            (Parameter("J", "kg*m^2", "inertia that moves with the deflection"),),
-            lambda e: (e.seen.dtheta_ddot,),
-            lambda _e, c: (c.dtheta_ddot,),
-        ),
-    }
-)
-
-_SHAPES: Final[Mapping[str, tuple[Parameter, ...]]] = MappingProxyType(
-    {
-        "backlash": (
-            Parameter("gap", "rad", "play of the coupling, its whole width", scales=False),
-            Parameter("centre", "rad", "deflection in the middle of the play", scales=False),
-        ),
-        "slack": (Parameter("slack", "rad", "deflection before the tendon pulls", scales=False),),
-        "skew": (Parameter("skew", "s", "how much older the torque reading is than that of the angle", scales=False),),
-    }
-)
-
-TERMS: Final = (*_COLUMNS, *_SHAPES)
+    if term not in TERMS:
+        near = difflib.get_close_matches(term, TERMS, n=1)
+        hint = f' - did you mean "{near[0]}"?' if near else ""
+        raise UnknownTerm(f'no model term "{term}"; there are {", ".join(TERMS)}{hint}')

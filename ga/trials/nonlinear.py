@@ -1,8 +1,8 @@
-"""Many independent searches for the shape of a model, the linear parameters solved for exactly inside.
+"""Many independent searches for a model's nonlinear parameters, the linear ones solved for exactly inside.
 
-Each runs the `default` scheme on some hundred rows, where a shape costs a fraction of a millisecond, until its
-population has gathered in one valley, and goes down that by descent, on more rows and then on all: trials that end in
-different valleys differ, others hardly.
+Each runs the `default` scheme on some hundred rows, where one evaluation costs a fraction of a millisecond, until its
+population has gathered at one local minimum, and descends from there, on more rows and then on all: trials that end in
+different local minima differ, others hardly.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import numpy as np
 from ga.bounds import Bounds
 from ga.evolution.ask_tell import Search
 from ga.evolution.evolution import Settings
-from ga.model.separable import FEW, Fit, Problem, attempted, by_compass, descend
+from ga.model.separable import FEW, Fit, Problem, at_least_contained, compass_search, descend, solve_or_none
 from ga.trials.trials import History, Trials
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 _TOLERANCE: Final = 1e-3
-"""Spread of the population's fitness at which it has gathered in one valley."""
+"""Spread of the population's fitness at which it has gathered at one local minimum."""
 
 _POLL: Final = 0.1
 
@@ -40,7 +40,7 @@ class _Trial:
     seconds: float = 0.0
 
 
-def search_shapes(
+def search_nonlinear(
     problem: Problem,
     settings: Settings,
     *,
@@ -48,10 +48,11 @@ def search_shapes(
     seed: int,
     workers: int,
     progress: Callable[[float], None] | None = None,
-) -> Trials:
-    """Search `trials` times for the shape of the problem's model; genes are all its parameters, (p + q,).
+) -> tuple[Trials, Fit]:
+    """Search `trials` times for the nonlinear parameters of a model; genes are all its parameters, (p + q,).
 
-    The result does not depend on `workers`. Ctrl-C ends the searches where they are: what is found so far is returned.
+    Returns the trials and the fit of the best, which is never worse than the models that this one contains. The result
+    does not depend on `workers`. Ctrl-C ends the searches where they are: what is found so far is returned.
     Raises ValueError for settings that are not of the generational scheme.
     """
     thin = problem.thinned(FEW)
@@ -65,7 +66,7 @@ def search_shapes(
         try:
             _watch(futures, progress)
         except KeyboardInterrupt:
-            pass  # said by the trials that are not finished
+            pass  # the trials that are not finished show it
         finally:
             cancelled.set()
     begun = [trial for trial in running if trial.record]
@@ -74,10 +75,10 @@ def search_shapes(
 
 
 def _polish(finished: list[_Trial], problem: Problem) -> None:
-    """The lowest place of the best trial's valley."""
+    """Go on from the best trial's local minimum to the lowest place nearby."""
     if finished:
         best = min(finished, key=lambda trial: trial.fit.fitness if trial.fit else np.inf)
-        best.fit = best.fit and by_compass(problem, best.fit)
+        best.fit = best.fit and at_least_contained(problem, compass_search(problem, best.fit))
 
 
 def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None) -> None:
@@ -95,22 +96,24 @@ def _run(trial: _Trial, problem: Problem, thin: Problem, cancelled: threading.Ev
     while not search.done:
         if cancelled.is_set():
             break
-        shapes = search.ask()
-        fits = [attempted(thin, shape, near) for shape in shapes]
+        points = search.ask()
+        fits = [solve_or_none(thin, point, near) for point in points]
         near = min((fit for fit in (*fits, near) if fit), key=lambda fit: fit.fitness, default=None)
-        search.tell(shapes, [fit.fitness if fit else np.inf for fit in fits])
+        search.tell(points, [fit.fitness if fit else np.inf for fit in fits])
         trial.record.append(search.best_fitness)
     if search.done:
         some = problem.thinned()
-        trial.fit = by_compass(problem, descend(problem, by_compass(some, descend(some, search.best)).shape))
+        trial.fit = compass_search(
+            problem, descend(problem, compass_search(some, descend(some, search.best)).nonlinear)
+        )
     trial.seconds = time.thread_time() - began
 
 
-def _outcome(running: list[_Trial], problem: Problem) -> Trials:
+def _outcome(running: list[_Trial], problem: Problem) -> tuple[Trials, Fit]:
     fits = [trial.fit or problem.solve(trial.search.best) for trial in running]
     last = max(len(trial.record) for trial in running)
     record = np.array([trial.record + [trial.record[-1]] * (last - len(trial.record)) for trial in running])
-    return Trials(
+    trials = Trials(
         genes=np.stack([fit.values for fit in fits]),
         fitness=np.array([fit.fitness for fit in fits]),
         evaluations=sum(trial.search.evaluations for trial in running),
@@ -120,3 +123,4 @@ def _outcome(running: list[_Trial], problem: Problem) -> Trials:
         history=History(np.arange(last), record),
         finished=np.array([trial.fit is not None for trial in running]),
     )
+    return trials, min(fits, key=lambda fit: fit.fitness)

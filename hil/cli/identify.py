@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ga.model.terms import MEANINGS, SYNTAX
 from hil.cli import options
 from hil.cli.progress import progress
 from hil.cli.terminal import (
@@ -31,8 +32,8 @@ def identify(
     model: Annotated[
         str | None,
         typer.Option(
-            help="auto: model selection; or linear[+offset][+drift][+coulomb][+cubic][+inertia][+backlash][+slack]"
-            "[+skew]; or FILE.py:NAME [default: auto; linear with --preset paper, --bounds, --checkpoint or --fixture]."
+            help=f"auto: model selection; or {SYNTAX} ({MEANINGS}); or FILE.py:NAME [default: auto; linear with "
+            "--preset paper, --bounds, --checkpoint or --fixture]."
         ),
     ] = None,
     preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",

@@ -76,7 +76,7 @@ def limit_of(stand: Stand, mode: Quantity) -> float:
 
 def model_of(name: str) -> Coupling | None:
     """Return the coupling model of that name, None for model selection ("auto"). Raises WrongUse."""
-    from ga.model.terms import parse
+    from ga.model.coupling import parse
 
     if name == "auto":
         return None

@@ -6,12 +6,13 @@ import math
 import shlex
 
 from drivers.servo import Quantity
+from ga.model.terms import TERMS
 from hil.acquisition.excitation import Profile
 from hil.diagnostics import Diagnostic
 from hil.experiment_design.assessment import Assessment, Task
+from hil.uncertainty.criteria import COUPLING, LIKE_FRICTION, ONE_SPEED, distinguishable, narrow
 
-_CONFUSED = 30.0  # variance inflation from which two parameters look alike, as in `hil identify`
-_FEW_SPEEDS = 4.0  # the ratio of a band's ends below which friction and damping look alike
+_NORMAL = 1.96
 
 
 def of_task(task: Task, *, noise_stated: bool) -> list[Diagnostic]:
@@ -98,12 +99,11 @@ def _corner(task: Task, judged: Assessment) -> list[Diagnostic]:
 
 def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
     profile, found = judged.profile, []
-    speeds, narrow = profile.excitation.speeds, profile.band[1] < _FEW_SPEEDS * profile.band[0]
-    if speeds == "one" or (speeds == "band" and narrow):
+    if ONE_SPEED < judged.friction_likeness < LIKE_FRICTION:
         found.append(
             Diagnostic(
                 "one-speed",
-                f"{described(profile)}: at one speed, dry friction and Bc cannot be distinguished, whatever the model; "
+                f"{described(profile)}: at one speed, Bc would hold most of any dry friction, which the model omits; "
                 "drive at several (--profile chirp or multisine over two octaves)",
                 "Bc",
             )
@@ -122,7 +122,8 @@ def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
 
 
 def _biased(task: Task, judged: Assessment) -> list[Diagnostic]:
-    remedy = "" if "skew" in task.terms else "; add +skew to --model"
+    delays = next(name for name, term in TERMS.items() if term.delays)
+    remedy = "" if delays in task.terms else f"; add +{delays} to --model"
     return [
         Diagnostic(
             "biased",
@@ -140,9 +141,11 @@ def _not_identifiable(judged: Assessment) -> list[Diagnostic]:
     found = []
     for parameter in judged.parameters:
         name = parameter.name
-        if math.isinf(parameter.error) or parameter.inflation > _CONFUSED:
+        if not distinguishable(parameter.error, parameter.inflation):
             reason = "it has no effect on the torque, or another parameter has the same; leave a term out of --model"
-        elif name in {"Kc", "Bc"} and 1.96 * parameter.error > 0.5 * parameter.rough:
+        elif name == "Bc" and judged.friction_likeness >= LIKE_FRICTION:
+            reason = "at the one speed driven it cannot be distinguished from dry friction; drive at several speeds"
+        elif name in COUPLING and not narrow(_NORMAL * parameter.error, parameter.rough):
             reason = "its 95 % interval is as wide as its value; raise --amplitude or --duration"
         else:
             continue

@@ -11,12 +11,13 @@ import math
 from dataclasses import dataclass, replace
 
 from drivers.servo import Quantity
+from ga.model.terms import CONSIDERED
 from hil.acquisition.excitation import Profile
 from hil.errors import WrongUse
-from hil.experiment_design.fisher import TERMS, Parameter, Readings, mistaken_friction, predict
+from hil.experiment_design.fisher import TERMS, Prediction, Readings, mistaken_friction, predict
 from hil.experiment_design.response import Joint, Peaks, peaks, respond
-from hil.identification import stepwise
 from hil.stand.file import Stand
+from hil.uncertainty.criteria import friction_likeness
 from sim_backend.parameters import SimParameters
 
 ROUGH_RANGE = ((0.8, 1.0, 1.25), (2.0 / 3.0, 1.0, 1.5))
@@ -28,7 +29,7 @@ LIMITED = ("drive torque", "torque", "deflection", "velocity")
 UNITS = ("N m", "N m", "rad", "rad/s")
 """The units of the limits."""
 
-AUTO = tuple(term for term in TERMS if term == "linear" or term in stepwise.TERMS)
+AUTO = tuple(term for term in TERMS if term == "linear" or term in CONSIDERED)
 """The terms that model selection considers and whose errors can be predicted: more terms never lower an error, so that
 those of any model that it selects from them are at most these."""
 
@@ -70,16 +71,18 @@ class Assessment:
 
     peaks: at the rough Kc and Bc. shares: each divided by its limit. worst_shares: the largest within `ROUGH_RANGE`.
     friction: the bias of Bc, N m s/rad, for one N m of dry friction that the model omits; 0 where it has friction.
+    friction_likeness: the part of the damping torque that such friction would explain.
     """
 
     profile: Profile
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Prediction, ...]
     peaks: Peaks
     shares: Peaks
     worst_shares: Peaks
     friction: float
+    friction_likeness: float
 
-    def __getitem__(self, name: str) -> Parameter:
+    def __getitem__(self, name: str) -> Prediction:
         return next(parameter for parameter in self.parameters if parameter.name == name)
 
     @property
@@ -190,7 +193,8 @@ def assess(task: Task, profile: Profile) -> Assessment:
         )
     parameters = predict(task.terms, task.joint, motion, task.readings)
     friction = mistaken_friction(task.terms, task.joint, motion)
-    return Assessment(profile, parameters, found, task.shares(found), worst_shares(task, profile), friction)
+    likeness = friction_likeness(motion.dtheta_dot) if friction else 0.0
+    return Assessment(profile, parameters, found, task.shares(found), worst_shares(task, profile), friction, likeness)
 
 
 def check_limits(task: Task, judged: Assessment) -> None:

@@ -11,13 +11,14 @@ the model is right: the torque's own noise, and that of the angle, which the cou
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.coupling import CouplingModel, parse
+from ga.model.terms import TERMS as TABLE
+from ga.model.trajectory import Motion as Signals
 from hil.experiment_design.response import Joint, Motion
 from hil.signals.savitzky_golay import kernel
 from hil.signals.windows import excited_band, narrowed, windows
@@ -52,8 +53,8 @@ class Readings:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
-    """One parameter as it would be told, SI.
+class Prediction:
+    """The predicted estimate of one parameter, SI.
 
     rough: the value the prediction is for. error: standard error of the least absolute deviations of `hil identify`.
     bound: of Cramer and Rao. bias: what the stand's known skew and the way the rate is made add to the mean.
@@ -69,41 +70,33 @@ class Parameter:
     inflation: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Term:
-    parameters: tuple[tuple[str, str], ...]
-    columns: Callable[[Joint, Motion], tuple[Array, ...]]
+TERMS = tuple(name for name, term in TABLE.items() if not term.breaks)
+"""The terms whose errors can be predicted: where a term breaks, near zero, the torque has no derivative."""
 
 
-def _coulomb(motion: Motion) -> Array:
+def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Motion) -> Array:
+    """Return the torque's derivative (n, p + q) by every parameter of the terms, the nonlinear ones last.
+
+    It is taken at the rough Kc and Bc and zero for the others.
+    """
     speed = _SMOOTHING * float(np.sqrt(np.mean(motion.dtheta_dot**2)))
-    return np.tanh(motion.dtheta_dot / speed) if speed > 0.0 else np.zeros_like(motion.dtheta_dot)
+    model = replace(_model(terms), origin=float(motion.time[0]), slowest=0.0, smoothing=speed)
+    still = np.zeros_like(motion.time)
+    seen = Signals(motion.time, motion.dtheta, motion.dtheta_dot, motion.acceleration, still)
+    changing = Signals(motion.time, motion.dtheta_dot, motion.acceleration, still, still)
+    absent = np.zeros(len(model.nonlinear))
+    genes = np.array([joint.stiffness, joint.damping, *np.zeros(len(model.linear) - 2)])
+    columns = (model.columns(seen, absent), model.jacobian(seen, absent, genes, changing=changing))
+    return np.concatenate(columns, axis=1)
 
 
-_TERMS: Mapping[str, _Term] = MappingProxyType(
-    {
-        "linear": _Term((("Kc", "N*m/rad"), ("Bc", "N*m*s/rad")), lambda _, motion: (motion.dtheta, motion.dtheta_dot)),
-        "offset": _Term((("tau0", "N*m"),), lambda _, motion: (np.ones_like(motion.time),)),
-        "drift": _Term((("drift", "N*m/s"),), lambda _, motion: (motion.time,)),
-        "coulomb": _Term((("Fc", "N*m"),), lambda _, motion: (_coulomb(motion),)),
-        "cubic": _Term((("K3", "N*m/rad^3"),), lambda _, motion: (motion.dtheta**3,)),
-        "skew": _Term((("skew", "s"),), lambda joint, motion: (_ageing(joint, motion),)),
-        "inertia": _Term((("J", "kg*m^2"),), lambda _, motion: (motion.acceleration,)),
-    }
-)
-
-TERMS = tuple(_TERMS)
-"""The terms whose errors can be predicted. Play and slack are not among them: near zero the torque has no slope."""
+def _model(terms: tuple[str, ...]) -> CouplingModel:
+    return parse("+".join(terms))
 
 
 def _ageing(joint: Joint, motion: Motion) -> Array:
     """How the torque read changes with its age, (n,) N m/s."""
     return -(joint.stiffness * motion.dtheta_dot + joint.damping * motion.acceleration)
-
-
-def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Motion) -> Array:
-    """The torque's slope (n, p) along every parameter of the terms, at the rough Kc, Bc and zero for the others."""
-    return np.stack([column for term in terms for column in _TERMS[term].columns(joint, motion)], axis=1)
 
 
 def covariance(columns: Array) -> Array:
@@ -118,7 +111,7 @@ def covariance(columns: Array) -> Array:
     return np.asarray(inverse / np.outer(scale, scale))
 
 
-def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Readings) -> tuple[Parameter, ...]:
+def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Readings) -> tuple[Prediction, ...]:
     """What would be told of every parameter of the terms from this motion."""
     columns = sensitivities(terms, joint, motion)
     window = _Window(motion, readings.angle_lsb)
@@ -133,22 +126,24 @@ def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Read
         bias[told] = fitted - _rough(terms, joint, readings)[told]
         error[told] = np.sqrt(np.diag(_absolute(kept, misfit, residual)))
         inflation[told] = np.diag(inverse)[told] * np.sum(kept**2, axis=0)
-    names = [parameter for term in terms for parameter in _TERMS[term].parameters]
     rough = _rough(terms, joint, readings)
     return tuple(
-        Parameter(name, unit, *(float(values[index]) for values in (rough, error, bound, bias, inflation)))
-        for index, (name, unit) in enumerate(names)
+        Prediction(
+            parameter.name, parameter.unit, *(float(values[index]) for values in (rough, error, bound, bias, inflation))
+        )
+        for index, parameter in enumerate(_model(terms).parameters)
     )
 
 
 def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> float:
     """What one N m of dry friction that the terms leave out adds to Bc in a fit, N m s/rad; 0 where they do not."""
-    if "coulomb" in terms:
+    if _model(terms).sticks:
         return 0.0
     columns = sensitivities(terms, joint, motion)
+    friction = sensitivities(("linear", *(name for name, term in TABLE.items() if term.sticks)), joint, motion)[:, 2]
     norms = np.linalg.norm(columns, axis=0)
     norms[norms == 0.0] = 1.0
-    return float((np.linalg.lstsq(columns / norms, _coulomb(motion), rcond=None)[0] / norms)[1])
+    return float((np.linalg.lstsq(columns / norms, friction, rcond=None)[0] / norms)[1])
 
 
 class _Window:
@@ -278,8 +273,9 @@ def _misfit(columns: Array, torque: Array, residual: _Residual) -> tuple[Array, 
 
 
 def _rough(terms: tuple[str, ...], joint: Joint, readings: Readings) -> Array:
-    values = {"Kc": joint.stiffness, "Bc": joint.damping, "skew": readings.skew}
-    return np.array([values.get(name, 0.0) for term in terms for name, _ in _TERMS[term].parameters])
+    model = _model(terms)
+    linear = [joint.stiffness, joint.damping, *np.zeros(len(model.linear) - 2)]
+    return np.array([*linear, *(readings.skew for term in model.terms if term.delays)])
 
 
 def _padded(count: int) -> int:

@@ -120,7 +120,7 @@ def compare(
 
 
 def _check_names(model: Coupling) -> None:
-    names = [parameter.name for parameter in (*model.linear, *model.shape)]
+    names = [parameter.name for parameter in (*model.linear, *model.nonlinear)]
     if not set(COMPARED) <= set(names):
         raise WrongUse(
             f"{' and '.join(COMPARED)} are compared, and model {model.name!r} has {', '.join(names)}: name them so "

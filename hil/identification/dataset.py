@@ -68,7 +68,7 @@ def open_dataset(sources: Sequence[Source], choose: Choose, progress: Progress |
     choice = choose(signals, False)
     with DiskTable(sources[0].path, rows, len(choice.model.linear), progress) as table:
         edges, diagnostics = _to_disk(sources, glimpses, choice, table, progress)
-        used = choice.told(signals.motion)
+        used = choice.described(signals.motion)
         yield Dataset(choice, signals, used, False, table.blocks, edges, _uncertainty(sources), diagnostics)
 
 
@@ -80,7 +80,7 @@ def _in_memory(sources: Sequence[Source], choose: Choose) -> Dataset:
         diagnostics += _diagnostics(source, [part], part.defects)
     signals = joined(parts)
     choice = choose(signals, True)
-    used = choice.told(signals.motion)
+    used = choice.described(signals.motion)
     blocks = Blocks.of(*_rows(choice, signals, used))
     edges = tuple(np.cumsum(used)[np.cumsum([len(part) for part in parts]) - 1].tolist())
     diagnostics += _slow(len(used) - blocks.rows, len(used))
@@ -100,7 +100,7 @@ def _to_disk(
     for source, stretches in zip(sources, glimpses, strict=True):
         defects = Defects()
         for part in stream(source.recording, source.table):
-            table.extend(*_rows(choice, part, choice.told(part.motion)))
+            table.extend(*_rows(choice, part, choice.described(part.motion)))
             defects += part.defects
             read += len(part)
             if progress is not None:

@@ -11,12 +11,12 @@ from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification.compare import standard_error
 from hil.identification.disk_table import Progress
-from hil.identification.identifiability import TOLD
 from hil.identification.identify import Search, identify_sources
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Fixture, Identification
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.signals.source import open_sources
+from hil.uncertainty.criteria import narrow
 from hil.uncertainty.series_compliance import Element, Excitation, corrected
 
 _NORMAL = 1.96
@@ -40,7 +40,7 @@ def identify_without_fixture(
 
 
 def _check_names(model: Coupling | None) -> None:
-    names = _CORRECTED if model is None else [parameter.name for parameter in (*model.linear, *model.shape)]
+    names = _CORRECTED if model is None else [parameter.name for parameter in (*model.linear, *model.nonlinear)]
     if model is not None and not set(_CORRECTED) <= set(names):
         raise WrongUse(
             f"--fixture corrects Kc and Bc, and model {model.name!r} has {', '.join(names)}: name them so in the "
@@ -119,5 +119,5 @@ def _corrected(estimate: Estimate, value: float, error: float, common: float) ->
         value=value,
         ci95=(value - half, value + half),
         optimiser=replace(trials, best=trials.best + shift, mean=trials.mean + shift),
-        identifiable=estimate.identifiable and bool(half < TOLD * value),
+        identifiable=estimate.identifiable and narrow(half, value),
     )

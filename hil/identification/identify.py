@@ -19,7 +19,7 @@ from ga.lad.out_of_core import Reduced, reduce
 from ga.model.separable import Problem, descend, fit
 from ga.model.terms import Parameter
 from ga.trials.checkpoint import WrongCheckpoint
-from ga.trials.nonlinear import search_shapes
+from ga.trials.nonlinear import search_nonlinear
 from ga.trials.trials import Trials, run_trials
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
@@ -29,7 +29,7 @@ from hil.identification.identifiability import Evidence, estimates, judge, rival
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification, Validation
 from hil.identification.same_stand import same_stand_diagnostics
-from hil.identification.stepwise import Rung
+from hil.identification.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.blocks import Blocks
@@ -100,13 +100,13 @@ def identify_sources(
     def chosen(signals: Signals, whole: bool) -> Choice:
         if progress is not None and model is None:
             progress("choosing the model", 0.0)
-        return choose(model, signals, straight=not whole or search.preset == "paper")
+        return choose(model, signals, linear_only=not whole or search.preset == "paper")
 
     with open_dataset(sources, chosen, progress) as data:
-        solution = (_nonlinear if data.choice.model.shape else _linear)(data, search, progress)
+        solution = (_nonlinear if data.choice.model.nonlinear else _linear)(data, search, progress)
         evidence = _evidence(data, solution)
         found = estimates(evidence)
-        steps = _with_result(data.choice.rungs, found, solution)
+        steps = _with_result(data.choice.steps, found, solution)
         return Identification(
             recordings=tuple(source.path for source in sources),
             model=data.choice.model,
@@ -132,7 +132,7 @@ def identify_sources(
 
 def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     """The intervals, the validation and the gap, by which the result is judged."""
-    parameters = (*data.choice.model.linear, *data.choice.model.shape)
+    parameters = (*data.choice.model.linear, *data.choice.model.nonlinear)
     scales = np.array([parameter.scales for parameter in parameters])
     sampling = confidence_intervals(solution.blocks, solution.values)
     pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
@@ -152,7 +152,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     )
 
 
-def _with_result(steps: Sequence[Rung], found: Sequence[Estimate], solution: _Solution) -> tuple[Rung, ...]:
+def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: _Solution) -> tuple[Step, ...]:
     """The steps of model selection, the last included one with the values of the result.
 
     Model selection sees the samples before those where the joint may stick are left out, and of a recording that does
@@ -160,7 +160,7 @@ def _with_result(steps: Sequence[Rung], found: Sequence[Estimate], solution: _So
     """
     if not steps:
         return ()
-    last = max(at for at, step in enumerate(steps) if step.taken)
+    last = max(at for at, step in enumerate(steps) if step.included)
     final = replace(steps[last], fitness=solution.optimum.fitness, Kc=found[0].value, Bc=found[1].value)
     return (*steps[:last], final, *steps[last + 1 :])
 
@@ -168,7 +168,7 @@ def _with_result(steps: Sequence[Rung], found: Sequence[Estimate], solution: _So
 def _stationarity(data: Dataset, solution: _Solution) -> list[Diagnostic]:
     """The check of Kc over each recording; left out where the samples would have to be read from disk again for it."""
     model = data.choice.model
-    names = _names((*model.linear, *model.shape))
+    names = _names((*model.linear, *model.nonlinear))
     return stationarity_errors(solution.blocks, data.edges, names.index("Kc")) if data.whole and "Kc" in names else []
 
 
@@ -193,15 +193,15 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Sol
     """The solution of a model with nonlinear parameters: they are searched, and the linear ones solved for exactly."""
     model, motion = data.choice.model, data.signals.motion
     if search.checkpoint is not None:
-        names = ", ".join(_names(model.shape))
+        names = ", ".join(_names(model.nonlinear))
         raise WrongUse(f"--checkpoint: the search for {names} takes seconds and is not kept: leave the option out")
     unbounded, p = np.full(len(model.linear), np.nan), len(model.linear)
     low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
-    low, high = _narrowed(low, high, search, _names((*model.linear, *model.shape)), model.name)
-    _check_population(search, len(model.shape))
+    low, high = _narrowed(low, high, search, _names((*model.linear, *model.nonlinear)), model.name)
+    _check_population(search, len(model.nonlinear))
     problem = Problem(model, motion, data.signals.torque, low[p:], high[p:]).of(data.used)
     began = time.perf_counter()
-    trials = search_shapes(
+    trials, best = search_nonlinear(
         problem,
         search.settings,
         trials=search.trials or _NONLINEAR_TRIALS,
@@ -211,10 +211,10 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Sol
     )
     seconds = time.perf_counter() - began
     try:
-        # the valleys of a user's own model are not known beforehand: its optimum is where its best trial ended
-        exact = problem.solve(trials.best[p:]) if model.linear else descend(problem, trials.best)
-        if model.linear:
-            exact = min(exact, fit(problem), key=lambda found: found.fitness)
+        # the best trial is among them, so that none is ever better than the optimum it is compared with
+        near = problem.solve(best.nonlinear) if model.linear else descend(problem, best.nonlinear)
+        candidates = [near, best, *([fit(problem)] if model.linear else [])]
+        exact = min(candidates, key=lambda found: found.fitness)
     except RuntimeError as error:
         raise _unproven(error) from error
     columns, target = problem.linearised(exact)

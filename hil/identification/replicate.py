@@ -11,7 +11,7 @@ import numpy as np
 from drivers.servo import Quantity
 from ga.evolution.evolution import PRESETS
 from ga.fitness.engine import REPAID, WORTHWHILE
-from ga.model.terms import parse as parse_model
+from ga.model.coupling import parse as parse_model
 from hil.acquisition import excitation
 from hil.acquisition.run import run
 from hil.identification.disk_table import Progress

@@ -8,7 +8,7 @@ from pathlib import Path
 from ga.trials.trials import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
-from hil.identification.stepwise import Rung
+from hil.identification.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.stationarity import VarianceComponents
 
@@ -76,7 +76,7 @@ class Identification:
 
     recordings: tuple[Path, ...]
     model: Coupling
-    steps: tuple[Rung, ...]
+    steps: tuple[Step, ...]
     preset: str
     seed: int
     estimates: tuple[Estimate, ...]

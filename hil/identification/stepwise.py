@@ -1,13 +1,12 @@
-"""Which model a recording asks for: from `linear` upwards, a term at a time, as long as the data pay for it.
+"""Model selection by forward steps: a term is included as long as the data pay for it.
 
-Each step up takes the term that tells held-out blocks best, of those that pay; terms that do not pay any more are let
-go. What a term gains is held against what one of no meaning would: the likelihood ratio of a median regression (Koenker
-and Machado 1999, 4 f(0) times the fall of the sum of absolute residuals), divided by how much more the residuals' own
-correlation makes its parameters vary (`hil.uncertainty.residual_spectrum`), less log n for each (Schwarz 1978) and
-what it costs to choose from so many terms (Chen and Chen 2008). Held-out blocks must not be told clearly worse.
-A term with a break, whose likelihood ratio has no known law, must tell them better and gain much.
-What the density f(0) and the correlation are is read from the richest model, lest what a term leaves out is taken for
-noise.
+Each step includes the term that predicts held-out blocks best, of those that pay; terms that do not pay any more are
+removed. The gain of a term is the likelihood ratio of a median regression (Koenker and Machado 1999, 4 f(0) times the
+fall of the sum of absolute residuals), divided by the factor by which the residuals' correlation raises the variance of
+its parameters (`hil.uncertainty.residual_spectrum`), less log n for each (Schwarz 1978) and the cost of choosing from
+so many terms (Chen and Chen 2008). Held-out blocks must not be predicted clearly worse. A term with a break, whose
+likelihood ratio has no known law, must predict them better and gain much. The density f(0) and the correlation are
+those of the richest model's residuals, because a missing term must not be taken for noise.
 """
 
 from __future__ import annotations
@@ -19,40 +18,30 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.separable import Curved, Fit, Problem, descend, fit, settled, valley
-from ga.model.terms import Model, parse
+from ga.model.coupling import CouplingModel, parse
+from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
+from ga.model.terms import CONSIDERED, TERMS
 from ga.model.trajectory import Motion
 from hil.uncertainty.residual_spectrum import measure
 
 Array = NDArray[np.float64]
 
-TERMS = ("offset", "drift", "coulomb", "cubic", "backlash", "slack", "skew")
-"""What `auto` tries. `inertia` only where the torque is the motor's: from skew it differs too little to be told."""
-
-SHAPING = frozenset({"backlash", "slack", "skew"})
-"""Those of them that a model is not linear in."""
-
 _FOLDS = 10  # blocks in time, two of which at a time are held out
 _RIVAL = 1.1  # a term that makes the fitness worse than by this factor is none
-_BROKEN = frozenset({"backlash", "slack"})
-"""Terms with a break."""
-
 _WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, and better
 _STRONG = 10.0  # gain of a term with a break, whose chance is not known to be that of others
-_CONFUSED = 1000.0  # variance inflation from which a term's parameter is another's as much as its own
+_CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
 _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
 _MARGIN = 1e-4  # of a range, within which a value is at its end
-_EXCLUDES = {"slack": "backlash", "backlash": "slack"}
-_NEEDS = {"drift": "offset", "backlash": "offset", "slack": "offset"}
 
 
 @dataclass(frozen=True, slots=True)
-class Rung:
-    """One model of the ladder, and what its last term brought.
+class Step:
+    """One model of the selection, and the gain of its last term.
 
     fitness: N m, of all samples; held_out: N m, of blocks that the fit did not see. gain: by how much the criterion
-    falls for `term`, in units in which chance gives less than zero; NaN for the lowest. Kc, Bc: SI. taken: whether the
-    term is in the model that was chosen.
+    falls for `term`, in units in which chance gives less than zero; NaN for the first. Kc, Bc: SI. included: whether
+    the term is in the model selected, or was rejected.
     """
 
     model: str
@@ -62,66 +51,66 @@ class Rung:
     gain: float
     Kc: float
     Bc: float
-    taken: bool
+    included: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Ladder:
-    """model: the one chosen, anchored. rungs: up to it, then one for each term that was not taken, on top of it.
+class Selection:
+    """The model selected, anchored, and the steps: up to it, then one for each rejected term on top of it.
 
-    residuals: (n,) N m, of its fit. skew: s, how much older the torque reading is, 0 where the model has no such term.
+    residuals: (n,) N m, of its fit. delay: s, how much older the torque reading is, 0 where no term of the model says.
     """
 
-    model: Model
-    rungs: tuple[Rung, ...]
+    model: CouplingModel
+    steps: tuple[Step, ...]
     residuals: Array
-    skew: float
+    delay: float
 
 
 @dataclass(frozen=True, eq=False)
-class _Step:
+class _Candidate:
     """A model's fit to all the samples; held_out: (_FOLDS,) N m, of blocks that fits to the others did not see."""
 
     terms: tuple[str, ...]
-    model: Model
+    model: CouplingModel
     problem: Problem
     fit: Fit
     held_out: Array
 
 
-def climb(motion: Motion, torque: Array, highest: float, terms: tuple[str, ...] = TERMS) -> Ladder:
-    """The model that motion (n,) and torque (n,), N m, ask for; highest: Hz, up to where the joint moved.
+def select(motion: Motion, torque: Array, highest: float, terms: tuple[str, ...] = CONSIDERED) -> Selection:
+    """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
 
-    Raises RuntimeError where not even the lowest rung can be fitted.
+    Raises RuntimeError where not even the smallest model can be fitted.
     """
-    climber = _Climber(motion, torque, highest, terms)
-    climber.listen()
-    chosen, seen = climber.step(climber.lowest), set[frozenset[str]]()
-    while (larger := climber.higher(chosen)) is not None:
+    selector = _Selector(motion, torque, highest, terms)
+    selector.measure_noise()
+    chosen, seen = selector.candidate(selector.smallest), set[frozenset[str]]()
+    while (larger := selector.larger(chosen)) is not None:
         seen.add(frozenset(chosen.terms))
-        larger = climber.pruned(larger)
+        larger = selector.pruned(larger)
         if frozenset(larger.terms) in seen:
-            break  # the new term took the place of one that it needs: round and round
+            break  # the new term replaced one that it needs: this would repeat for ever
         chosen = larger
-    return climber.ladder(climber.pruned(chosen))
+    return selector.selection(selector.pruned(chosen))
 
 
-class _Climber:
-    """A recording, the models fitted to it so far, and what its noise is like."""
+class _Selector:
+    """A recording, the models fitted to it so far, and the properties of its noise."""
 
     def __init__(self, motion: Motion, torque: Array, highest: float, terms: tuple[str, ...]) -> None:
         self._motion, self._torque, self._highest, self._candidates = motion, torque, highest, terms
-        self._steps: dict[tuple[str, ...], _Step] = {}
-        self._glimpses: dict[tuple[str, ...], Fit | None] = {}
+        self._fitted: dict[tuple[str, ...], _Candidate] = {}
+        self._previews: dict[tuple[str, ...], Fit | None] = {}
         self._size = float(np.mean(np.abs(torque)))
-        # no reading's zero is quite where the coupling's is: other terms would stand in for it on the way
-        self.lowest = ("linear", "offset") if "offset" in terms else ("linear",)
+        smallest = [name for name, term in TERMS.items() if term.selection == "smallest"]
+        self.smallest = tuple(name for name in smallest if name == "linear" or name in terms)
 
-    def listen(self) -> None:
-        """Take what the richest model leaves of the torque for the noise: less would take missing terms for noise."""
+    def measure_noise(self) -> None:
+        """Take the residuals of the richest model for the noise: those of a smaller one would hold missing terms."""
         terms = self._richest()
-        problem, seen = self._problem(terms), self._glimpse(terms)
-        residuals = problem.residuals(descend(problem, seen.shape if seen else problem.low))
+        problem, seen = self._problem(terms), self._preview(terms)
+        residuals = problem.residuals(descend(problem, seen.nonlinear if seen else problem.low))
         self._signs = np.sign(residuals)
         near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
         inside = np.count_nonzero(np.abs(residuals) <= near)
@@ -129,151 +118,149 @@ class _Climber:
 
     def _richest(self) -> tuple[str, ...]:
         """All terms that lower the fitness one after the other, the better of two that exclude each other."""
-        found = {self.lowest}
+        found = {self.smallest}
         for term in self._candidates:
             for terms in tuple(found):
                 more = (*terms, term)
                 if _fits_in(term, terms) and self._fitness(more) < self._fitness(terms):
                     found.add(more)
-                    found -= set() if term in _EXCLUDES else {terms}
+                    found -= set() if TERMS[term].excludes else {terms}
         return min(found, key=self._fitness)
 
     def _fitness(self, terms: tuple[str, ...]) -> float:
-        seen = self._glimpse(terms)
+        seen = self._preview(terms)
         return seen.fitness if seen else np.inf
 
     def _beyond(self, terms: tuple[str, ...]) -> dict[str, Fit]:
-        """The terms that lower the fitness, as some of the samples show, and what is then seen of them."""
-        less, found = self._glimpse(terms), {}
+        """The terms that lower the fitness on some of the samples, each with its fit to these."""
+        less, found = self._preview(terms), {}
         for term in self._candidates:
-            more = self._glimpse((*terms, term)) if _fits_in(term, terms) else None
+            more = self._preview((*terms, term)) if _fits_in(term, terms) else None
             if less is not None and more is not None and more.fitness < less.fitness:
                 found[term] = more
         return found
 
-    def _glimpse(self, terms: tuple[str, ...]) -> Fit | None:
+    def _preview(self, terms: tuple[str, ...]) -> Fit | None:
         """The fit to some of the samples; None where the columns are too much alike."""
-        if terms not in self._glimpses:
-            less = self._glimpse(terms[:-1]) if len(terms) > 1 else None
-            near = {} if less is None else _shape(_model(terms[:-1]), less)
+        if terms not in self._previews:
+            less = self._preview(terms[:-1]) if len(terms) > 1 else None
+            near = {} if less is None else _named(_model(terms[:-1]), less)
             try:
-                self._glimpses[terms] = valley(self._problem(terms).thinned(), near)
+                self._previews[terms] = best_start(self._problem(terms).thinned(), near)
             except RuntimeError:
-                self._glimpses[terms] = None
-        return self._glimpses[terms]
+                self._previews[terms] = None
+        return self._previews[terms]
 
-    def higher(self, step: _Step) -> _Step | None:
-        """With one more term: of those that pay, the one that tells held-out blocks best; None where none pays."""
+    def larger(self, smaller: _Candidate) -> _Candidate | None:
+        """Return the model with one more term that pays, the one that predicts held-out blocks best; None if none."""
         errors = {
-            term: self._held_out(self._problem((*step.terms, term)), found).mean()
-            for term, found in self._beyond(step.terms).items()
+            term: self._held_out(self._problem((*smaller.terms, term)), found).mean()
+            for term, found in self._beyond(smaller.terms).items()
         }
         for term in sorted(errors, key=lambda term: errors[term]):
-            larger = self.step((*step.terms, term), beside=step)
-            if self.pays(step, larger, term):
+            larger = self.candidate((*smaller.terms, term), beside=smaller)
+            if self.pays(smaller, larger, term):
                 return larger
         return None
 
-    def step(self, terms: tuple[str, ...], beside: _Step | None = None) -> _Step:
-        """The model of these terms, fitted to all samples; beside: a fit that its shape may be like."""
-        if terms not in self._steps:
-            problem, seen = self._problem(terms), self._glimpses.get(terms)
-            near = _shape(beside.model, beside.fit) if beside else {}
-            found = fit(problem, near) if seen is None else settled(problem, seen.shape)
-            self._steps[terms] = _Step(terms, _model(terms), problem, found, self._held_out(problem, found))
-        return self._steps[terms]
+    def candidate(self, terms: tuple[str, ...], beside: _Candidate | None = None) -> _Candidate:
+        """Return the model of these terms, fitted to all samples; beside: a fit with similar nonlinear parameters."""
+        if terms not in self._fitted:
+            problem, seen = self._problem(terms), self._previews.get(terms)
+            near = _named(beside.model, beside.fit) if beside else {}
+            found = fit(problem, near) if seen is None else local_minimum(problem, seen.nonlinear, near)
+            self._fitted[terms] = _Candidate(terms, _model(terms), problem, found, self._held_out(problem, found))
+        return self._fitted[terms]
 
     def _held_out(self, problem: Problem, found: Fit) -> Array:
-        """The mean error, N m, of each block in time, left out of the fit that judges it; the shape is that of all."""
+        """The mean error, N m, of each block in time under a fit to the others with all's nonlinear parameters."""
         thin = problem.thinned()
         block = np.arange(len(thin.torque)) * _FOLDS // len(thin.torque)
         errors = np.empty(_FOLDS)
         for first in range(_FOLDS // 2):
             out = block % (_FOLDS // 2) == first
-            left = np.abs(thin.of(out).residuals(thin.of(~out).solve(found.shape)))
+            left = np.abs(thin.of(out).residuals(thin.of(~out).solve(found.nonlinear)))
             for number in (first, first + _FOLDS // 2):
                 errors[number] = left[block[out] == number].mean()
         return errors
 
-    def gain(self, smaller: _Step, larger: _Step, term: str) -> float:
-        """What the term gains beyond chance that the larger model has and the smaller has not."""
+    def gain(self, smaller: _Candidate, larger: _Candidate, term: str) -> float:
+        """Return the gain beyond chance of the term that the larger model has and the smaller has not."""
         count = len(self._torque)
         ratio = 4.0 * self._density * count * (smaller.fit.fitness - larger.fit.fitness)
         alike = self._correlation(larger, term)
         chosen_from = np.log(len(self._candidates))  # their gamma of 1/2
         return float(ratio / alike - len(_own(term)) * np.log(max(count / alike, np.e)) - chosen_from)
 
-    def pays(self, smaller: _Step, larger: _Step, term: str) -> bool:
-        """Whether the larger model is worth the term."""
+    def pays(self, smaller: _Candidate, larger: _Candidate, term: str) -> bool:
+        """Return whether the term pays that the larger model has and the smaller has not."""
         if smaller.fit.fitness < _EXPLAINED * self._size:
             return False
-        if self._ends(larger, term) or not self._is_told(larger, term):
+        if self._ends(larger, term) or not self._is_distinct(larger, term):
             return False
         if _stiffness(larger) <= 0.0 < _stiffness(smaller):  # no coupling pushes: the term stands in for it
             return False
         better = smaller.held_out - larger.held_out
-        # a skew moves the breaks that friction makes at every reversal, and a spring that stiffens looks like a gap
-        beside = {"skew": {"coulomb"}, "cubic": _BROKEN}.get(term, set())
-        broken = term in _BROKEN or bool(beside & set(larger.terms))
-        least, gain = (_BETTER, _STRONG) if broken else (-_WORSE, 0.0)
+        breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable)
+        least, gain = (_BETTER, _STRONG) if breaks else (-_WORSE, 0.0)
         if better.mean() < least * better.std(ddof=1) / np.sqrt(_FOLDS):
             return False
         return self.gain(smaller, larger, term) > gain
 
-    def _own_columns(self, step: _Step, term: str) -> Iterator[tuple[Array, Array]]:
-        """For each parameter of the term: its column (n,), and what of that no other parameter's column can make."""
-        columns = step.problem.linearised(step.fit)[0]
-        names = [parameter.name for parameter in step.model.parameters]
+    def _own_columns(self, fitted: _Candidate, term: str) -> Iterator[tuple[Array, Array]]:
+        """For each parameter of the term: its column (n,), and the part of it orthogonal to all other columns."""
+        columns = fitted.problem.linearised(fitted.fit)[0]
+        names = [parameter.name for parameter in fitted.model.parameters]
         for name in _own(term):
             at = names.index(name)
             others = np.delete(columns, at, axis=1)
             yield columns[:, at], columns[:, at] - others @ np.linalg.lstsq(others, columns[:, at], rcond=None)[0]
 
-    def _correlation(self, step: _Step, term: str) -> float:
-        """How many times more the term's parameters vary than if the residuals did not follow each other."""
+    def _correlation(self, fitted: _Candidate, term: str) -> float:
+        """The factor by which the residuals' correlation raises the variance of the term's parameters."""
         found = 1.0
-        for _, alone in self._own_columns(step, term):
+        for _, alone in self._own_columns(fitted, term):
             power = float(alone @ alone)
             spectrum = measure([(alone[:, None], self._signs)])
             found = max(found, float(spectrum.covariance[0, 0]) / power) if power > 0.0 else np.inf
         return found
 
-    def _is_told(self, step: _Step, term: str) -> bool:
-        """Whether the term does what no other does: a skew is a damping where the joint moves slowly."""
-        return all(column @ column < _CONFUSED * (alone @ alone) for column, alone in self._own_columns(step, term))
+    def _is_distinct(self, fitted: _Candidate, term: str) -> bool:
+        """Whether the term can be distinguished from the others: where the joint moves slowly a skew is a damping."""
+        return all(column @ column < _CONFUSED * (alone @ alone) for column, alone in self._own_columns(fitted, term))
 
-    def _ends(self, step: _Step, term: str) -> bool:
-        """Whether a parameter of the term came to an end of its bounds: the data do not want it at all."""
-        problem = step.problem
+    def _ends(self, fitted: _Candidate, term: str) -> bool:
+        """Whether a parameter of the term came to an end of its bounds: the data reject it."""
+        problem, values = fitted.problem, fitted.fit.nonlinear
         near = _MARGIN * (problem.high - problem.low)
-        ends = (step.fit.shape <= problem.low + near) | (step.fit.shape >= problem.high - near)
-        return any(end and p.name in _own(term) for end, p in zip(ends, step.model.shape, strict=True))
+        ends = (values <= problem.low + near) | (values >= problem.high - near)
+        return any(end and p.name in _own(term) for end, p in zip(ends, fitted.model.nonlinear, strict=True))
 
-    def pruned(self, step: _Step) -> _Step:
-        """The same without the terms that, now that all are there, do not pay."""
+    def pruned(self, larger: _Candidate) -> _Candidate:
+        """Return the model without the terms that, now that all are there, do not pay."""
         idle = []
-        for term in step.terms[1:]:
-            if term not in (_NEEDS.get(other) for other in step.terms):
-                smaller = self.step(tuple(other for other in step.terms if other != term), beside=step)
-                if not self.pays(smaller, step, term):
-                    idle.append((self.gain(smaller, step, term), smaller))
-        return self.pruned(min(idle, key=lambda pair: pair[0])[1]) if idle else step
+        for term in larger.terms[1:]:
+            if term not in (TERMS[other].needs for other in larger.terms):
+                smaller = self.candidate(tuple(other for other in larger.terms if other != term), beside=larger)
+                if not self.pays(smaller, larger, term):
+                    idle.append((self.gain(smaller, larger, term), smaller))
+        return self.pruned(min(idle, key=lambda pair: pair[0])[1]) if idle else larger
 
-    def ladder(self, chosen: _Step) -> Ladder:
-        """What was chosen and why."""
-        model = chosen.model.anchored(self._motion)
-        return Ladder(model, self._rungs(chosen), chosen.problem.residuals(chosen.fit), skew_of(model, chosen.fit))
+    def selection(self, chosen: _Candidate) -> Selection:
+        """Return the model selected, with the steps to it and the terms rejected."""
+        model, residuals = chosen.model.anchored(self._motion), chosen.problem.residuals(chosen.fit)
+        return Selection(model, self._steps(chosen), residuals, model.delay(chosen.fit.nonlinear))
 
-    def _rungs(self, chosen: _Step) -> tuple[Rung, ...]:
-        """Up to the chosen model a term at a time, then what each other term would do to it."""
-        steps = [self.step(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
-        found = [_rung(steps[0], float("nan"), taken=True)]
-        found += [_rung(b, self.gain(a, b, b.terms[-1]), taken=True) for a, b in pairwise(steps)]
+    def _steps(self, chosen: _Candidate) -> tuple[Step, ...]:
+        """The steps up to the chosen model, then one with each rejected term on top of it."""
+        nested = [self.candidate(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
+        found = [_step(nested[0], float("nan"), included=True)]
+        found += [_step(b, self.gain(a, b, b.terms[-1]), included=True) for a, b in pairwise(nested)]
         for term in self._candidates:
-            glimpsed = self._glimpse((*chosen.terms, term)) if _fits_in(term, chosen.terms) else None
-            if glimpsed is not None and glimpsed.fitness < _RIVAL * chosen.fit.fitness:
-                more = self.step((*chosen.terms, term), beside=chosen)
-                found.append(_rung(more, self.gain(chosen, more, term), taken=False))
+            seen = self._preview((*chosen.terms, term)) if _fits_in(term, chosen.terms) else None
+            if seen is not None and seen.fitness < _RIVAL * chosen.fit.fitness:
+                more = self.candidate((*chosen.terms, term), beside=chosen)
+                found.append(_step(more, self.gain(chosen, more, term), included=False))
         return tuple(found)
 
     def _problem(self, terms: tuple[str, ...]) -> Problem:
@@ -281,42 +268,37 @@ class _Climber:
         return Problem(model, self._motion, self._torque, *model.bounds(self._motion, self._highest))
 
 
-def _model(terms: tuple[str, ...]) -> Model:
+def _model(terms: tuple[str, ...]) -> CouplingModel:
     return parse("+".join(terms))
 
 
-def skew_of(model: Curved, fit: Fit) -> float:
-    """The skew, s, that a fit found; 0 where the model has none."""
-    return _shape(model, fit).get("skew", 0.0)
-
-
-def _shape(model: Curved, fit: Fit) -> dict[str, float]:
-    """What a fit found for the shape, by name."""
-    return dict(zip((parameter.name for parameter in model.shape), fit.shape.tolist(), strict=True))
+def _named(model: CouplingModel, found: Fit) -> dict[str, float]:
+    """The nonlinear parameters of a fit by name."""
+    return dict(zip((parameter.name for parameter in model.nonlinear), found.nonlinear.tolist(), strict=True))
 
 
 def _fits_in(term: str, terms: tuple[str, ...]) -> bool:
-    return term not in terms and _EXCLUDES.get(term) not in terms and (_NEEDS.get(term) or "linear") in terms
+    return term not in terms and TERMS[term].excludes not in terms and (TERMS[term].needs or "linear") in terms
 
 
 def _own(term: str) -> tuple[str, ...]:
     """The names of a term's own parameters."""
-    return tuple(p.name for p in _model(("linear", term)).parameters if p.name not in {"Kc", "Bc"})
+    return tuple(parameter.name for parameter in TERMS[term].parameters)
 
 
-def _stiffness(step: _Step) -> float:
-    return float(step.fit.optimum.genes[0])
+def _stiffness(fitted: _Candidate) -> float:
+    return float(fitted.fit.optimum.genes[0])
 
 
-def _rung(step: _Step, gain: float, *, taken: bool) -> Rung:
-    kc, bc = step.fit.optimum.genes[:2]
-    return Rung(
-        step.model.name,
-        step.terms[-1],
-        step.fit.fitness,
-        float(step.held_out.mean()),
+def _step(fitted: _Candidate, gain: float, *, included: bool) -> Step:
+    kc, bc = fitted.fit.optimum.genes[:2]
+    return Step(
+        fitted.model.name,
+        fitted.terms[-1],
+        fitted.fit.fitness,
+        float(fitted.held_out.mean()),
         gain,
         float(kc),
         float(bc),
-        taken,
+        included,
     )

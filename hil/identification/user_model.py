@@ -18,14 +18,14 @@ import importlib.util
 import inspect
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.terms import Parameter
+from ga.model.terms import PARAMETERS, Parameter
 from ga.model.trajectory import Motion
 from hil.errors import WrongUse
 
@@ -34,55 +34,60 @@ Array = NDArray[np.float64]
 _TORQUE = re.compile(
     r"[mu]?N[\s*.·]?m(?![a-z])"
 )  # what a unit begins with that is a torque, by itself or per something
-_STEP = 1e-6  # of the bounds' width, for the slopes
+_STEP = 1e-6  # of the bounds' width, for the Jacobian
 
 
 @dataclass(frozen=True)
-class OwnModel:
-    """A model of `ga.model.separable` without columns: each parameter is of its shape. low, high: (q,), SI."""
+class UserModel:
+    """A model of `ga.model.separable` without columns: each parameter is nonlinear. low, high: (q,), SI."""
 
     name: str
     function: Callable[..., Any]
-    shape: tuple[Parameter, ...]
+    nonlinear: tuple[Parameter, ...]
     low: Array
     high: Array
     linear: tuple[Parameter, ...] = ()
-    lets_go: bool = False
+    unilateral: bool = False
+    sticks: bool = False
 
-    def anchored(self, motion: Motion) -> OwnModel:
-        """The same: it takes nothing from the data. Raises WrongUse where the function cannot be used on them."""
+    def anchored(self, motion: Motion) -> UserModel:
+        """Return the model itself. Raises WrongUse where the function cannot be used on these data."""
         self._torque(motion, 0.5 * (self.low + self.high))
         return self
 
-    def told(self, motion: Motion, _skew: float = 0.0) -> NDArray[np.bool_]:
-        """All samples (n,)."""
+    def described(self, motion: Motion, _delay: float = 0.0) -> NDArray[np.bool_]:
+        """Return all samples (n,)."""
         return np.ones(len(motion), dtype=bool)
 
+    def delay(self, _nonlinear: Array | None) -> float:
+        """Return 0 s: the function gets angle and torque as they were read."""
+        return 0.0
+
     def bounds(self, _motion: Motion, _highest: float) -> tuple[Array, Array]:
-        """Where each parameter can be: low (q,) and high (q,)."""
+        """Return low (q,) and high (q,) of the parameters."""
         return self.low, self.high
 
-    def columns(self, motion: Motion, _shape: Array | None = None, _lag: float = 0.0) -> Array:
-        """None, (n, 0)."""
+    def columns(self, motion: Motion, _nonlinear: Array | None = None, _lag: float = 0.0) -> Array:
+        """Return no columns, (n, 0)."""
         return np.zeros((len(motion), 0))
 
-    def target(self, motion: Motion, torque: Array, shape: Array | None = None) -> Array:
-        """What the function leaves of the torque (n,), N m."""
-        values = 0.5 * (self.low + self.high) if shape is None else shape
+    def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
+        """Return the torque (n,), N m, less what is known of it and what the function gives."""
+        values = 0.5 * (self.low + self.high) if nonlinear is None else nonlinear
         return np.asarray(torque - motion.known - self._torque(motion, values))
 
-    def slopes(self, motion: Motion, shape: Array, _genes: Array, _lag: float = 0.0) -> Array:
-        """How the torque changes with each parameter, (n, q), by differences within the bounds."""
+    def jacobian(self, motion: Motion, nonlinear: Array, _genes: Array, _lag: float = 0.0) -> Array:
+        """Return how the torque changes with each parameter, (n, q), by differences within the bounds."""
         found = []
         for at, width in enumerate(self.high - self.low):
-            step = np.zeros(len(shape))
+            step = np.zeros(len(nonlinear))
             step[at] = _STEP * width
-            above, below = np.minimum(shape + step, self.high), np.maximum(shape - step, self.low)
+            above, below = np.minimum(nonlinear + step, self.high), np.maximum(nonlinear - step, self.low)
             found.append((self._torque(motion, above) - self._torque(motion, below)) / (above[at] - below[at]))
         return np.stack(found, axis=1)
 
     def _torque(self, motion: Motion, values: Array) -> Array:
-        given = dict(zip((parameter.name for parameter in self.shape), values.tolist(), strict=True))
+        given = dict(zip((parameter.name for parameter in self.nonlinear), values.tolist(), strict=True))
         where = ", ".join(f"{name} = {value:g}" for name, value in given.items())
         arrays = [_read_only(values) for values in (motion.time, motion.dtheta, motion.dtheta_dot)]
         try:
@@ -100,14 +105,14 @@ class OwnModel:
 
 
 def _read_only(values: Array) -> Array:
-    """The same: a function that writes into what it is given would change the recording for all that follows."""
+    """Return a read-only view: a function that writes into its arguments would change the recording."""
     view = values.view()
     view.flags.writeable = False
     return view
 
 
-def load(name: str) -> OwnModel:
-    """The model of `path/to/model.py:name`. Raises WrongUse for a file or function that is none."""
+def load(name: str) -> UserModel:
+    """Return the model of `path/to/model.py:name`. Raises WrongUse for a file or function that is none."""
     path, _, function = name.rpartition(":")
     file = Path(path)
     if not file.is_file():
@@ -126,7 +131,7 @@ def load(name: str) -> OwnModel:
     return _of(name, found)
 
 
-def _of(name: str, function: Callable[..., Any]) -> OwnModel:
+def _of(name: str, function: Callable[..., Any]) -> UserModel:
     try:
         hints = get_type_hints(function, include_extras=True)
     except NameError as error:
@@ -134,13 +139,16 @@ def _of(name: str, function: Callable[..., Any]) -> OwnModel:
     keywords = [p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
     if not keywords:
         raise WrongUse(f"--model {name}: no parameters; name them after a * as Annotated[float, unit, low, high]")
-    shape, bounds = [], []
+    parameters, bounds = [], []
     for keyword in keywords:
         unit, low, high = _annotation(name, keyword, hints.get(keyword))
-        shape.append(Parameter(keyword, unit, "of the user's model", scales=_TORQUE.match(unit) is not None))
+        # a name that a term uses, such as a gap, has that parameter's properties
+        known = PARAMETERS.get(keyword, Parameter(keyword, unit, "", absent=None))
+        scales = _TORQUE.match(unit) is not None
+        parameters.append(replace(known, unit=unit, meaning="of the user's model", scales=scales))
         bounds.append((low, high))
     low, high = np.array(bounds).T
-    return OwnModel(name, function, tuple(shape), low, high)
+    return UserModel(name, function, tuple(parameters), low, high)
 
 
 def _annotation(name: str, keyword: str, hint: Any) -> tuple[str, float, float]:

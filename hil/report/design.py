@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hil.diagnostics import Diagnostic
-    from hil.experiment_design.fisher import Parameter
+    from hil.experiment_design.fisher import Prediction
 
 SCHEMA = "hil-design/2"
 """Version 1 had the warning not-identifiable under another code, and its default model was linear."""
@@ -39,7 +39,7 @@ def error_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
     return plain_table(task.model, ("", *columns, ""), rows)
 
 
-def _error(parameter: Parameter, factor: float) -> str:
+def _error(parameter: Prediction, factor: float) -> str:
     if math.isinf(parameter.error):
         return "not identifiable"
     share = f" ({parameter.error / parameter.rough:.2%})" if parameter.name in {"Kc", "Bc"} else ""
@@ -101,7 +101,7 @@ def _profile(task: Task, judged: Assessment, stand: str) -> dict[str, Any]:
     }
 
 
-def _parameter(parameter: Parameter) -> dict[str, Any]:
+def _parameter(parameter: Prediction) -> dict[str, Any]:
     return {
         "rough": parameter.rough,
         "unit": parameter.unit,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hil.identification.result import Estimate, Fixture, Identification
-    from hil.identification.stepwise import Rung
+    from hil.identification.stepwise import Step
 
 SCHEMA = "hil-identification/2"
 _FIRST = "hil-identification/1"
@@ -98,11 +98,11 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _step(step: Rung) -> dict[str, Any]:
+def _step(step: Step) -> dict[str, Any]:
     return {
         "model": step.model,
         "term": step.term,
-        "decision": "included" if step.taken else "rejected",
+        "decision": "included" if step.included else "rejected",
         "fitness": step.fitness,
         "validation_fitness": step.held_out,
         "gain": json_number(step.gain),
@@ -229,7 +229,7 @@ def model_selection_table(found: Identification) -> Table:
             f"{step.gain:.3g}" if math.isfinite(step.gain) else "",
             f"{step.Kc * kc[0]:.5g}",
             f"{step.Bc * bc[0]:.4g}",
-            "included" if step.taken else "rejected",
+            "included" if step.included else "rejected",
         )
         for step in found.steps
     ]

@@ -14,7 +14,7 @@ from drivers.loadcell.config import LoadCellConfig
 from drivers.loadcell.sensor import LoadCell
 from drivers.servo import Quantity, Servo
 from ga.evolution.evolution import PRESETS
-from ga.model.terms import parse as model
+from ga.model.coupling import parse as model
 from hil.acquisition import excitation
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ga.model.terms import UnknownTerm, parse
+from ga.model.coupling import parse
+from ga.model.terms import UnknownTerm
 from ga.model.trajectory import Motion
 
 TIME = np.linspace(1.7e9, 1.7e9 + 4.0, 401)
@@ -73,26 +74,26 @@ def test_an_unknown_term_is_answered_with_the_known_ones_and_the_nearest() -> No
 
 def test_friction_says_nothing_of_the_slowest_samples_and_is_a_sign_of_the_others() -> None:
     model = parse("linear+coulomb").anchored(MOTION)
-    told = model.told(MOTION)
+    told = model.described(MOTION)
     assert np.mean(~told) == pytest.approx(0.075, abs=0.005)
     assert np.abs(RATE[~told]).max() <= np.abs(RATE[told]).min()
     assert np.all(np.abs(model.columns(MOTION)[told, 2]) > 0.999)
-    assert parse("linear+skew").anchored(MOTION).told(MOTION).all()
+    assert parse("linear+skew").anchored(MOTION).described(MOTION).all()
 
 
 def test_the_slowest_samples_are_those_of_when_the_torque_was_read() -> None:
     model = parse("linear+coulomb+skew").anchored(MOTION)
-    told = model.told(MOTION, 0.03)
+    told = model.described(MOTION, 0.03)
     late = MOTION.delayed(0.03).dtheta_dot
     assert np.all(np.abs(late[told]) >= model.slowest)
     turned = np.abs(MOTION.delayed(0.0325).dtheta_dot) < model.slowest  # a quarter of the time between two samples
     assert not told[turned].any()
-    assert not np.array_equal(told, model.told(MOTION))
+    assert not np.array_equal(told, model.described(MOTION))
 
 
 def test_where_noise_hides_which_samples_are_slow_none_is_left_out() -> None:
     noise = 2.0 * float(np.quantile(np.abs(RATE), 0.075))
-    assert parse("linear+coulomb").anchored(moving(rate_noise=noise)).told(MOTION).all()
+    assert parse("linear+coulomb").anchored(moving(rate_noise=noise)).described(MOTION).all()
 
 
 @pytest.mark.parametrize(("noise", "smoothing"), [(0.01, 0.005), (1e-9, 1e-3), (1.0, 0.05)])
@@ -109,7 +110,7 @@ def test_the_sign_of_friction_is_as_soft_as_the_noise_of_the_rate(noise: float, 
 def test_a_term_that_shapes_the_columns_adds_none(term: str, parameters: list[str]) -> None:
     model = parse(f"linear+offset+{term}")
     assert [p.name for p in model.linear] == ["Kc", "Bc", "tau0"]
-    assert [p.name for p in model.shape] == parameters
+    assert [p.name for p in model.nonlinear] == parameters
     assert model.columns(MOTION, np.full(len(parameters), 0.01)).shape == (401, 3)
 
 
@@ -161,9 +162,9 @@ def test_the_slopes_are_the_derivative_of_the_torque(name: str) -> None:
     """Against finite differences, away from where a gap ends or the motion turns."""
     motion = Motion(TIME - TIME[0], DTHETA, RATE, ACCELERATION, np.zeros(401), rate_noise=0.02)
     model = parse(name).anchored(motion)
-    shape = np.array([-0.03, 0.02][-len(model.shape) :])
+    shape = np.array([-0.03, 0.02][-len(model.nonlinear) :])
     genes = np.linspace(0.5, 1.5, len(model.linear))
-    slopes = model.slopes(motion, shape, genes)
+    slopes = model.jacobian(motion, shape, genes)
     for k in range(len(shape)):
         step = np.zeros(len(shape))
         step[k] = 1e-6
@@ -175,7 +176,7 @@ def test_the_slopes_are_the_derivative_of_the_torque(name: str) -> None:
 
 
 def test_the_slope_of_a_gap_is_half_the_stiffness_on_either_flank() -> None:
-    slopes = parse("linear+backlash").slopes(MOTION, np.array([0.1, 0.0]), np.array([2.0, 0.1]))
+    slopes = parse("linear+backlash").jacobian(MOTION, np.array([0.1, 0.0]), np.array([2.0, 0.1]))
     assert set(np.unique(slopes[:, 0])) == {-1.0, 0.0, 1.0}
     assert np.array_equal(slopes[:, 1], np.where(np.abs(DTHETA) > 0.05, -2.0, 0.0))
     assert np.array_equal(slopes[:, 0], np.where(np.abs(DTHETA) > 0.05, -np.sign(DTHETA), 0.0))

@@ -126,7 +126,7 @@ def test_the_command_it_prints_records_without_passing_a_limit(
 
 
 def test_the_table_names_both_profiles_their_errors_and_what_limits_them(capfd: pytest.CaptureFixture[str]) -> None:
-    words = ["design", "--backend", "sim", "--duration", "3", "--rate", "250", "--profile", "sine", "--band", "2"]
+    words = ["design", "--backend", "sim", "--duration", "60", "--rate", "250", "--profile", "sine", "--band", "2"]
     assert hil([*words, "--model", "linear"]) == 0
     out, err = capfd.readouterr()
     for text in ("given: sine 2 Hz", "best: ", "mN m s/rad", "%", "limited by deflection", "hil record --backend sim"):

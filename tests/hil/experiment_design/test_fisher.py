@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from drivers.servo import Quantity
 from ga.lad.exact import least_absolute_deviations
 from hil.acquisition import excitation
-from hil.experiment_design.fisher import Parameter, Readings, covariance, mistaken_friction, predict
+from hil.experiment_design.fisher import Prediction, Readings, covariance, mistaken_friction, predict
 from hil.experiment_design.response import Joint, Motion, respond
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.windows import excited_band, windows
@@ -33,7 +33,7 @@ def moved(kind: str = "chirp", quantity: Quantity = Quantity.POSITION, duration:
     return respond(JOINT, profile, RATE)[0]
 
 
-def told(terms: tuple[str, ...], motion: Motion, readings: Readings) -> dict[str, Parameter]:
+def told(terms: tuple[str, ...], motion: Motion, readings: Readings) -> dict[str, Prediction]:
     return {parameter.name: parameter for parameter in predict(terms, JOINT, motion, readings)}
 
 

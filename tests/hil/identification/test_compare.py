@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ga.evolution.evolution import PRESETS
-from ga.model.terms import parse as parse_model
+from ga.model.coupling import parse as parse_model
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table

@@ -10,7 +10,7 @@ import pytest
 
 from ga.evolution.evolution import PRESETS
 from ga.lad import out_of_core
-from ga.model.terms import parse as parse_model
+from ga.model.coupling import parse as parse_model
 from hil.cli.app import run
 from hil.identification import dataset
 from hil.identification.dataset import open_dataset

@@ -6,12 +6,12 @@ import numpy as np
 
 from drivers.servo import Status
 from ga.evolution.evolution import PRESETS
-from ga.model.terms import parse
+from ga.model.coupling import parse
 from hil.diagnostics import Diagnostic
 from hil.identification.identifiability import rivals
 from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification, Repeatability
-from hil.identification.stepwise import Rung
+from hil.identification.stepwise import Step
 from hil.recording.reader import Array
 from hil.signals.inspection import inspect
 
@@ -20,8 +20,8 @@ from ..conftest import Maker
 SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
 
 
-def rung(term: str, bc: float, gain: float = -5.0, *, taken: bool = False) -> Rung:
-    return Rung(f"linear+{term}", term, 1e-4, 1e-4, gain, 0.02, bc, taken)
+def step(term: str, bc: float, gain: float = -5.0, *, included: bool = False) -> Step:
+    return Step(f"linear+{term}", term, 1e-4, 1e-4, gain, 0.02, bc, included)
 
 
 def estimate(name: str, value: float, half: float) -> Estimate:
@@ -31,18 +31,18 @@ def estimate(name: str, value: float, half: float) -> Estimate:
 
 
 FOUND = (estimate("Kc", 0.02, 1e-5), estimate("Bc", 2e-4, 1e-6))
-CHOSEN = rung("linear", 2e-4, taken=True)
+CHOSEN = step("linear", 2e-4, included=True)
 
 
 def test_a_term_that_would_move_a_parameter_out_of_its_interval_is_named() -> None:
-    (diagnostic,) = rivals((CHOSEN, rung("skew", 2.1e-4)), FOUND)
+    (diagnostic,) = rivals((CHOSEN, step("skew", 2.1e-4)), FOUND)
     assert (diagnostic.code, diagnostic.parameter, diagnostic.is_error) == ("model-dependent", "Bc", False)
-    assert "with skew" in diagnostic.message
+    assert "whether skew is present" in diagnostic.message
     assert "+5.00%" in diagnostic.message
 
 
 def test_a_term_that_moves_nothing_or_has_strong_evidence_against_it_is_not() -> None:
-    assert not rivals((CHOSEN, rung("skew", 2.005e-4), rung("slack", 3e-4, gain=-7.0)), FOUND)
+    assert not rivals((CHOSEN, step("skew", 2.005e-4), step("slack", 3e-4, gain=-7.0)), FOUND)
 
 
 def sine(channels: dict[str, Array], frequency: float) -> None:
@@ -129,12 +129,12 @@ def test_a_unit_that_changes_in_the_middle_of_a_recording_is_found(make_recordin
     assert not [diagnostic for diagnostic in steady.diagnostics if diagnostic.code == "not-stationary"]
 
 
-def test_friction_that_is_not_there_cannot_be_told_from_zero(make_recording: Maker) -> None:
+def test_friction_that_is_not_there_cannot_be_distinguished_from_zero(make_recording: Maker) -> None:
     found = identify([make_recording(noise=1e-4)], parse("linear+coulomb"), SEARCH)
     assert not found["Fc"].identifiable
     (said,) = [diagnostic for diagnostic in found.diagnostics if diagnostic.parameter == "Fc"]
     assert (said.code, said.is_error) == ("not-identifiable", False)
-    assert "cannot be told from zero" in said.message
+    assert "cannot be distinguished from zero" in said.message
     assert found["Kc"].identifiable
 
 
@@ -153,6 +153,6 @@ def test_the_last_included_step_of_model_selection_is_the_result(make_recording:
         channels["torque"] += 1e-3 * np.sign(np.gradient(channels["dtheta"]))
 
     found = identify([make_recording(noise=2e-5, change=friction)], None, SEARCH)
-    last = [step for step in found.steps if step.taken][-1]
+    last = [step for step in found.steps if step.included][-1]
     assert last.model == found.model.name
     assert (last.Kc, last.Bc, last.fitness) == (found["Kc"].value, found["Bc"].value, found.optimum)

@@ -14,8 +14,8 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from drivers.servo import Quantity
+from ga.model.coupling import parse as model_of
 from ga.model.separable import Problem, fit
-from ga.model.terms import parse as model_of
 from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
@@ -91,43 +91,43 @@ def recorded(friction: float, skew: float = 0.0) -> Signals:
 
 def error(found: Signals, model: str, *, of_all: bool) -> float:
     """How far Kc, told by the samples that the choice takes or by all of them, is from the truth."""
-    choice = choose(model_of(model), found, straight=False)
+    choice = choose(model_of(model), found, linear_only=False)
     problem = Problem(choice.model, found.motion, found.torque, *choice.model.bounds(found.motion, found.band[1]))
-    taken = problem if of_all else problem.of(choice.told(found.motion))
+    taken = problem if of_all else problem.of(choice.described(found.motion))
     return abs(float(fit(taken).optimum.genes[0]) / KC - 1.0)
 
 
 @pytest.mark.parametrize(("model", "skew"), [("linear+coulomb", 0.0), ("linear+coulomb+skew", 2e-3)])
 def test_where_friction_holds_the_joint_its_samples_are_left_out(model: str, skew: float) -> None:
     found = recorded(1e-3, skew)
-    choice = choose(model_of(model), found, straight=False)
-    assert choice.held
-    assert choice.skew == pytest.approx(skew, abs=1e-4)
-    assert 0.85 < choice.told(found.motion).mean() < 0.95
+    choice = choose(model_of(model), found, linear_only=False)
+    assert choice.sticking
+    assert choice.delay == pytest.approx(skew, abs=1e-4)
+    assert 0.85 < choice.described(found.motion).mean() < 0.95
     assert error(found, model, of_all=False) < 1.5e-3
     assert error(found, model, of_all=True) > 2e-3
 
 
 def test_where_there_is_next_to_no_friction_all_samples_are_taken() -> None:
     found = recorded(1e-6)
-    choice = choose(model_of("linear+coulomb"), found, straight=False)
-    assert not choice.held
-    assert choice.told(found.motion).all()
+    choice = choose(model_of("linear+coulomb"), found, linear_only=False)
+    assert not choice.sticking
+    assert choice.described(found.motion).all()
 
 
 def test_the_ladder_leaves_them_out_as_well() -> None:
-    choice = choose(None, recorded(1e-3), straight=False)
+    choice = choose(None, recorded(1e-3), linear_only=False)
     assert choice.model.name == "linear+coulomb"
-    assert choice.held
-    assert all(abs(rung.Kc / KC - 1.0) < 3e-3 for rung in choice.rungs if rung.taken and rung.term == "coulomb")
+    assert choice.sticking
+    assert all(abs(step.Kc / KC - 1.0) < 3e-3 for step in choice.steps if step.included and step.term == "coulomb")
 
 
 def test_a_model_without_friction_takes_all_samples() -> None:
     found = recorded(1e-3)
-    assert choose(model_of("linear+offset"), found, straight=False).told(found.motion).all()
+    assert choose(model_of("linear+offset"), found, linear_only=False).described(found.motion).all()
 
 
 def test_noise_that_hides_which_samples_are_slow_leaves_none_out() -> None:
     quiet = recorded(1e-3)
     noisy = replace(quiet, motion=replace(quiet.motion, rate_noise=1.0))
-    assert not choose(model_of("linear+coulomb"), noisy, straight=False).held
+    assert not choose(model_of("linear+coulomb"), noisy, linear_only=False).sticking

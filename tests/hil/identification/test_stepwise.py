@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
 from hil.identification import stepwise
-from hil.identification.stepwise import Ladder, climb
+from hil.identification.stepwise import Selection, select
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
 
 Array = NDArray[np.float64]
@@ -67,9 +67,9 @@ CASES: dict[str, Callable[[Moved], Array]] = {
 }
 
 
-def climbed(torque: Array, moved: Moved, highest: float = HIGHEST) -> Ladder:
+def climbed(torque: Array, moved: Moved, highest: float = HIGHEST) -> Selection:
     motion = Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES), rate_noise=0.02)
-    return climb(motion, torque, highest)
+    return select(motion, torque, highest)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -77,7 +77,7 @@ def test_the_terms_that_are_there_are_taken_and_no_others(name: str) -> None:
     moved = chirp(TIME)
     found = climbed(CASES[name](moved) + 2e-4 * np.random.default_rng(1).standard_normal(SAMPLES), moved)
     assert found.model.name == name
-    top = [rung for rung in found.rungs if rung.taken][-1]
+    top = [step for step in found.steps if step.included][-1]
     assert top.Kc == pytest.approx(KC, rel=1e-2)
     assert top.Bc == pytest.approx(BC, rel=3e-2)
 
@@ -85,16 +85,16 @@ def test_the_terms_that_are_there_are_taken_and_no_others(name: str) -> None:
 def test_each_rung_says_what_its_term_gains_and_does_to_stiffness_and_damping() -> None:
     moved = chirp(TIME)
     torque = CASES["linear+coulomb"](moved) + 2e-4 * np.random.default_rng(2).standard_normal(SAMPLES)
-    first, second, *others = climbed(torque, moved).rungs
-    assert (first.term, first.taken) == ("linear", True)
+    first, second, *others = climbed(torque, moved).steps
+    assert (first.term, first.included) == ("linear", True)
     assert np.isnan(first.gain)
-    assert (second.term, second.taken) == ("coulomb", True)
+    assert (second.term, second.included) == ("coulomb", True)
     assert second.gain > 1000.0
     assert second.fitness < 0.5 * first.fitness
     assert second.held_out < 0.5 * first.held_out
     assert first.Bc > 1.2 * BC  # friction that is left out lands in the damping
-    assert {rung.term for rung in others} >= {"offset", "cubic", "skew"}
-    assert all(rung.gain < 0.0 and not rung.taken for rung in others)
+    assert {step.term for step in others} >= {"offset", "cubic", "skew"}
+    assert all(step.gain < 0.0 and not step.included for step in others)
 
 
 def as_if_white(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
@@ -125,7 +125,7 @@ def test_a_skew_is_not_told_from_damping_where_the_joint_moves_slowly() -> None:
     moved = chirp(TIME, 0.02, 0.3)
     late = chirp(TIME - 5e-3, 0.02, 0.3)
     torque = linear(late) + 2e-4 * np.random.default_rng(0).standard_normal(SAMPLES)
-    assert "skew" not in climbed(torque, moved, highest=0.3).model.terms
+    assert "skew" not in climbed(torque, moved, highest=0.3).model.name
 
 
 def test_what_is_explained_to_the_accuracy_of_the_rate_needs_no_further_term() -> None:

@@ -36,7 +36,7 @@ def test_it_comes_to_what_the_linear_model_comes_to(make_recording: Maker, tmp_p
     path = make_recording(noise=1e-4)
     own = identify([path], load(written(tmp_path, GOOD)), SEARCH)
     assert [estimate.unit for estimate in own.estimates] == ["N*m/rad", "N*m*s/rad"]
-    from ga.model.terms import parse
+    from ga.model.coupling import parse
 
     linear = identify([path], parse("linear"), SEARCH)
     for one, other in zip(own.estimates, linear.estimates, strict=True):
@@ -91,7 +91,7 @@ def test_a_file_that_is_not_there_is_said() -> None:
 @pytest.mark.parametrize("unit", ["N*m/rad", "N m/rad", "Nm/rad", "mN*m/rad", "N*m"])
 def test_the_uncertainty_of_the_torque_is_carried_into_what_scales_with_it(tmp_path: Path, unit: str) -> None:
     own = load(written(tmp_path, GOOD.replace('"N*m/rad"', f'"{unit}"').replace('"N*m*s/rad"', '"s"')))
-    assert [parameter.scales for parameter in own.shape] == [True, False]
+    assert [parameter.scales for parameter in own.nonlinear] == [True, False]
 
 
 def test_a_model_without_kc_and_bc_is_identified_and_cannot_be_compared(make_recording: Maker, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from ga.evolution.evolution import PRESETS
-from ga.model.terms import parse
+from ga.model.coupling import parse
 from hil.errors import WrongUse
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification

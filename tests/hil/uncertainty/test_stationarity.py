@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ga.evolution.evolution import PRESETS
-from ga.model.terms import parse
+from ga.model.coupling import parse
 from hil.errors import WrongUse
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification

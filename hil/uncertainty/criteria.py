@@ -1,0 +1,63 @@
+"""The criteria of trust: the same numbers for a recording that is planned and for one that is identified."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+INFLATION: Final = 300.0
+"""Variance inflation from which a parameter cannot be distinguished from others.
+
+A part of 1/300 of its column is its own: what distorts the columns by 6 % (1/sqrt(300)), as the rate's noise and window
+do, moves the parameter by as much as its value.
+"""
+
+INTERVAL: Final = 0.35
+"""Half the 95 % interval over the value, from which Kc or Bc is not identifiable: 1.96 standard errors are then a third
+of the value, and two recordings of one joint differ by a half.
+"""
+
+LIKE_FRICTION: Final = 0.95
+"""`friction_likeness` from which Bc cannot be distinguished from dry friction that the model omits."""
+
+ONE_SPEED: Final = 0.79
+"""`friction_likeness` from which Bc would hold most of it.
+
+A triangle has 1, a sine 0.81, less with soft start and stop; a chirp over two octaves 0.72, two sines 0.66.
+"""
+
+OPTIMISER_GAP: Final = 1e-3
+"""Optimiser gap from which the search has not converged: a tenth of the usual relative interval of Kc."""
+
+UNEXPLAINED: Final = 0.9
+"""Part of the torque's spread left in held-out blocks from which a model explains nothing."""
+
+EVIDENCE_AGAINST: Final = -6.0
+"""Gain below which the evidence against a term is strong (Kass and Raftery 1995)."""
+
+BETWEEN: Final = 3.0
+"""Standard deviation between recordings over that within, from which the recordings differ and not their noise."""
+
+COUPLING: Final = ("Kc", "Bc")
+"""The parameters without which a result is not usable."""
+
+
+def distinguishable(half: float, inflation: float) -> bool:
+    """Return whether a parameter of this half-interval and variance inflation is distinguishable from others."""
+    return bool(np.isfinite(half) and inflation < INFLATION)
+
+
+def narrow(half: float, value: float) -> bool:
+    """Return whether half a 95 % interval is narrow enough for a value of Kc or Bc; both in its unit."""
+    return bool(half < INTERVAL * abs(value))
+
+
+def friction_likeness(rate: NDArray[np.float64]) -> float:
+    """Return the square of the cosine between a rate (n,) and its sign, 0 to 1, 0 for no motion.
+
+    It is the part of a damping torque that dry friction would explain.
+    """
+    power = float(np.mean(rate**2))
+    return float(np.mean(np.abs(rate))) ** 2 / power if power else 0.0
