@@ -65,7 +65,12 @@ def _on_a_pty(noun: str, folder: str) -> Emulator:
 
 EMULATORS: Mapping[str, Emulator] = MappingProxyType(
     {
-        "dynamixel": _on_a_pty("a DYNAMIXEL", "dynamixel"),
+        "dynamixel": Emulator(
+            "a DYNAMIXEL",
+            "on a pty: --link",
+            "sim_backend.wire.dynamixel.emulator:serve",
+            "sim_backend.wire.dynamixel.bus:DynamixelTiming",
+        ),
         "odrive": _on_can("an ODrive", "odrive"),
         "mit": _on_can("a CubeMars AK or Damiao motor", "mit"),
         "moteus": _on_can("a moteus", "moteus", "CAN FD"),

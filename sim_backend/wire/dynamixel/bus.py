@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from sim_backend.wire.dynamixel.device import DynamixelDevice
-from sim_backend.wire.dynamixel.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status
+from sim_backend.wire.dynamixel.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status, take_packet
 from sim_backend.wire.dynamixel.mx_device import MxDevice
-from sim_backend.wire.dynamixel.mx_frames import MxFramer, mx_bulk_reads, mx_status, mx_sync_writes
+from sim_backend.wire.dynamixel.mx_frames import mx_bulk_reads, mx_status, mx_sync_writes, take_mx_packet
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 
 
@@ -47,7 +47,7 @@ class DynamixelBus:
         self.unplugged = False
         self._timing = timing
         self._protocol = protocol
-        self._framer = Framer() if protocol == 2 else MxFramer()
+        self._framer = Framer(take_packet if protocol == 2 else take_mx_packet)
         self._status = status if protocol == 2 else mx_status
         self._free = 0.0
         self.faults = WireFaults[SerialFault]()

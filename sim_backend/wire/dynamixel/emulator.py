@@ -1,4 +1,4 @@
-"""Emulated DYNAMIXEL servos on a pty: what `hil emulate dynamixel` serves."""
+"""Emulated DYNAMIXEL servos on a pty, as `hil emulate dynamixel` serves them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim_backend.wire.dynamixel.tables import BAUD, MODELS
 from sim_backend.wire.uart.pty_line import PtyLine
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from sim_backend.parameters import SimParameters
@@ -25,53 +25,32 @@ KNOWN = tuple(sorted(MODELS | MX_MODELS))
 
 def serve(
     link: Path,
-    model: str,
-    idents: Iterable[int] = (1,),
-    *,
-    baudrate: int = 1_000_000,
-    parameters: SimParameters | None = None,
-    timing: DynamixelTiming | None = None,
-) -> PtyLine:
-    """Servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
-
-    `with serve(...) as line:` answers from a thread; `serve(...).serve()` from this one, until an exception or
-    `line.stop()`. parameters: the plant; None: the paper's joint on the horn. timing: None answers at once.
-    Raises KeyError for a model that is not KNOWN, ValueError for an unknown baud rate, FileExistsError where `link` is
-    a file.
-    """
-    now = time.monotonic()
-    if model in MX_MODELS:
-        old = [MxDevice(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
-        return PtyLine(link, DynamixelBus(old, timing=timing, protocol=1))
-    devices = [DynamixelDevice(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
-    return PtyLine(link, DynamixelBus(devices, timing=timing))
-
-
-def emulate(
-    link: Path,
     model: str = "xl330-m288",
     idents: Sequence[int] = (1,),
     *,
     baudrate: int = 1_000_000,
     parameters: SimParameters | None = None,
-    instant: bool = False,
+    timing: DynamixelTiming | None = None,
 ) -> PtyLine:
-    """Return what `hil emulate dynamixel` serves: with the times of a real line and a USB adapter, unless `instant`.
+    """Return servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
 
-    parameters: the plant, in which the motor's constant and winding are made the model's. Raises ValueError, with a
-    sentence for a person, for a model, an id or a baud rate that cannot be, FileExistsError as `serve` does.
+    `with serve(...) as line:` answers from a thread; `serve(...).serve()` from this one until `line.stop()`.
+    parameters: the plant, in which the motor's constant and winding are made the model's; None: the paper's joint on
+    the horn. timing: None answers at once. Raises ValueError for a model, an id or a baud rate that cannot be,
+    FileExistsError where `link` is a file.
     """
     if model not in KNOWN:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(KNOWN)}")
     rates = sorted(MX_BAUD.values() if model in MX_MODELS else BAUD)
     if baudrate not in rates:
-        raise ValueError(f"baud rate {baudrate}: a servo knows {', '.join(map(str, rates))}")
+        raise ValueError(f"baud rate {baudrate}: choose one of {', '.join(map(str, rates))}")
     if len(set(idents)) < len(idents) or not all(0 <= ident <= 252 for ident in idents):
         raise ValueError("ids must differ and lie between 0 and 252")
     if parameters is not None:
         volts, amperes, torque = (MODELS | MX_MODELS)[model].stall
         motor = replace(parameters.motor, torque_constant=torque / amperes, winding_resistance=volts / amperes)
         parameters = replace(parameters, motor=motor)
-    return serve(
-        link, model, idents, baudrate=baudrate, parameters=parameters, timing=None if instant else DynamixelTiming()
-    )
+    make = MxDevice if model in MX_MODELS else DynamixelDevice
+    now = time.monotonic()
+    servos = [make(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
+    return PtyLine(link, DynamixelBus(servos, timing=timing, protocol=1 if model in MX_MODELS else 2))

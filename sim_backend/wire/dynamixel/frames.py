@@ -6,8 +6,10 @@ Source: ROBOTIS e-manual, "Protocol 2.0" (emanual.robotis.com/docs/en/dxl/protoc
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
@@ -102,53 +104,57 @@ def status(ident: int, error: int, parameters: bytes = b"") -> bytes:
     return packet(ident, bytes([Instruction.STATUS, error]) + parameters)
 
 
+class Taken(NamedTuple):
+    """The beginning of a stream of bytes: a packet, or junk where `frame` is None, and its number of bytes."""
+
+    frame: Frame | None
+    used: int
+
+
 class Framer:
     """A search for packets in a stream of bytes, whatever the pieces it arrives in and whatever lies in between.
 
-    Status packets of other devices are passed over. After a packet with a wrong checksum the search goes on behind
-    its header, so that a damaged length costs no more than what it pretends to span.
+    take: the protocol's `take_packet`, which returns None where more bytes are needed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, take: Callable[[bytes], Taken | None]) -> None:
+        self._take = take
         self._rest = b""
 
     def feed(self, data: bytes) -> list[tuple[Frame, int]]:
-        """The packets completed by `data`, each with the number of bytes of `data` used up when it was complete."""
+        """Return the packets completed by `data`, each with the number of bytes of `data` used up by then."""
         before = len(self._rest)
         self._rest += data
         used = 0
         found = []
-        while (frame := self._next()) is not None:
-            found_frame, length = frame
-            used += length
-            if found_frame.instruction != Instruction.STATUS:
-                found.append((found_frame, max(0, used - before)))
+        while (taken := self._take(self._rest)) is not None:
+            self._rest = self._rest[taken.used :]
+            used += taken.used
+            if taken.frame is not None:
+                found.append((taken.frame, max(0, used - before)))
         return found
 
-    def _next(self) -> tuple[Frame, int] | None:
-        """The next packet and what was used up with it, junk before it included; None where none is complete."""
-        skipped = 0
-        while True:
-            at = self._rest.find(HEADER)
-            if at < 0:
-                keep = next((n for n in (3, 2, 1) if self._rest.endswith(HEADER[:n])), 0)
-                self._rest = self._rest[len(self._rest) - keep :]
-                return None
-            skipped += at
-            self._rest = self._rest[at:]
-            if len(self._rest) < 7:
-                return None
-            length = int.from_bytes(self._rest[5:7], "little")
-            if self._rest[4] in {0xFD, 0xFF} or not 3 <= length <= LONGEST:
-                skipped += len(HEADER)
-                self._rest = self._rest[len(HEADER) :]
-                continue
-            total = 7 + length
-            if len(self._rest) < total:
-                return None
-            raw = self._rest[:total]
-            sound = crc(raw[:-2]) == int.from_bytes(raw[-2:], "little")
-            used = total if sound else len(HEADER)
-            self._rest = self._rest[used:]
-            body = unstuffed(raw[7:-2])
-            return Frame(raw[4], body[0], body[1:], sound, total), skipped + used
+
+def take_packet(rest: bytes) -> Taken | None:
+    """Return the packet or the junk with which `rest` begins. Status packets of other devices count as junk.
+
+    After a packet with a wrong checksum the search goes on behind its header, so that a damaged length costs no more
+    than the bytes that it spans.
+    """
+    at = rest.find(HEADER)
+    if at < 0:
+        at = len(rest) - next((n for n in (3, 2, 1) if rest.endswith(HEADER[:n])), 0)
+    if at > 0:
+        return Taken(None, at)
+    if len(rest) < 7:
+        return None
+    length = int.from_bytes(rest[5:7], "little")
+    if rest[4] in {0xFD, 0xFF} or not 3 <= length <= LONGEST:
+        return Taken(None, len(HEADER))
+    total = 7 + length
+    if len(rest) < total:
+        return None
+    sound = crc(rest[: total - 2]) == int.from_bytes(rest[total - 2 : total], "little")
+    body = unstuffed(rest[7 : total - 2])
+    frame = Frame(rest[4], body[0], body[1:], sound, total)
+    return Taken(None if frame.instruction == Instruction.STATUS else frame, total if sound else len(HEADER))

@@ -5,7 +5,7 @@ Source: ROBOTIS e-manual, "Protocol 1.0" (emanual.robotis.com/docs/en/dxl/protoc
 
 from __future__ import annotations
 
-from sim_backend.wire.dynamixel.frames import Frame, Instruction
+from sim_backend.wire.dynamixel.frames import Frame, Instruction, Taken
 
 HEADER = b"\xff\xff"
 
@@ -21,53 +21,27 @@ def mx_status(ident: int, error: int, parameters: bytes = b"") -> bytes:
     return HEADER + body + bytes([mx_checksum(body)])
 
 
-class MxFramer:
-    """A search for instruction packets in a stream of bytes.
+def take_mx_packet(rest: bytes) -> Taken | None:
+    """Return the instruction packet or the junk with which `rest` begins, None where more bytes are needed.
 
-    Nothing in a packet distinguishes an instruction from another servo's reply, so replies must not be fed in.
-    After a wrong checksum the search goes on behind the header.
+    Nothing in a packet distinguishes an instruction from another servo's reply, so replies must not be fed in. After a
+    wrong checksum the search goes on behind the header.
     """
-
-    def __init__(self) -> None:
-        self._rest = b""
-
-    def feed(self, data: bytes) -> list[tuple[Frame, int]]:
-        """The packets completed by `data`, each with the number of bytes of `data` used up when it was complete."""
-        before = len(self._rest)
-        self._rest += data
-        used = 0
-        found = []
-        while (next_one := self._next()) is not None:
-            frame, length = next_one
-            used += length
-            found.append((frame, max(0, used - before)))
-        return found
-
-    def _next(self) -> tuple[Frame, int] | None:
-        """The next packet and what was used up with it, junk before it included; None where none is complete."""
-        skipped = 0
-        while True:
-            at = self._rest.find(HEADER)
-            if at < 0:
-                self._rest = self._rest[-1:] if self._rest.endswith(HEADER[:1]) else b""
-                return None
-            skipped += at
-            self._rest = self._rest[at:]
-            if len(self._rest) < 4:
-                return None
-            ident, length = self._rest[2], self._rest[3]
-            if ident == 0xFF or length < 2:  # three FF: the header is the last two
-                skipped += 1
-                self._rest = self._rest[1:]
-                continue
-            total = 4 + length
-            if len(self._rest) < total:
-                return None
-            raw = self._rest[:total]
-            sound = mx_checksum(raw[2:-1]) == raw[-1]
-            used = total if sound else len(HEADER)
-            self._rest = self._rest[used:]
-            return Frame(ident, raw[4], raw[5:-1], sound, total), skipped + used
+    at = rest.find(HEADER)
+    if at < 0:
+        at = len(rest) - int(rest.endswith(HEADER[:1]))
+    if at > 0:
+        return Taken(None, at)
+    if len(rest) < 4:
+        return None
+    ident, length = rest[2], rest[3]
+    if ident == 0xFF or length < 2:  # three FF: the header is the last two
+        return Taken(None, 1)
+    total = 4 + length
+    if len(rest) < total:
+        return None
+    sound = mx_checksum(rest[2 : total - 1]) == rest[total - 1]
+    return Taken(Frame(ident, rest[4], rest[5 : total - 1], sound, total), total if sound else len(HEADER))
 
 
 def mx_sync_writes(p: bytes) -> list[tuple[int, int, bytes]]:

@@ -7,7 +7,7 @@ import pytest
 
 from sim_backend.wire.dynamixel.bus import DynamixelBus
 from sim_backend.wire.dynamixel.device import DynamixelDevice
-from sim_backend.wire.dynamixel.frames import Frame, Framer, Instruction, packet, status
+from sim_backend.wire.dynamixel.frames import Frame, Framer, Instruction, packet, status, take_packet
 
 PING_1 = "FF FF FD 00 01 03 00 01 19 4E"
 READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"
@@ -52,7 +52,7 @@ def test_every_instruction_packet_of_the_manual_is_understood_and_written_alike(
     ident: int, payload: str, printed: str
 ) -> None:
     assert packet(ident, octets(payload)) == octets(printed)
-    ((frame, used),) = Framer().feed(octets(printed))
+    ((frame, used),) = Framer(take_packet).feed(octets(printed))
     assert frame == Frame(ident, octets(payload)[0], octets(payload)[1:], sound=True, size=len(octets(printed)))
     assert used == len(octets(printed))
 
@@ -98,7 +98,7 @@ def test_a_fast_bulk_read_is_laid_out_as_the_manual_prints_it() -> None:
 
 
 def test_packets_are_found_a_byte_at_a_time() -> None:
-    framer = Framer()
+    framer = Framer(take_packet)
     stream = octets(PING_1) + octets(READ_POSITION)
     found = [frame for byte in stream for frame, _ in framer.feed(bytes([byte]))]
     assert [frame.instruction for frame in found] == [Instruction.PING, Instruction.READ]
@@ -109,7 +109,7 @@ def test_packets_are_found_between_junk_of_every_kind() -> None:
     for _ in range(200):
         junk = [bytes(rng.choice([0xFF, 0xFD, 0x00, 0x55, 0x01], size=int(rng.integers(0, 12)))) for _ in range(3)]
         stream = junk[0] + octets(PING_1) + junk[1] + octets(READ_POSITION) + junk[2] + 1100 * b"\0"
-        sound = [frame.instruction for frame, _ in Framer().feed(stream) if frame.sound]
+        sound = [frame.instruction for frame, _ in Framer(take_packet).feed(stream) if frame.sound]
         assert sound == [Instruction.PING, Instruction.READ]
 
 
@@ -119,12 +119,12 @@ def test_a_payload_survives_stuffing_both_ways_whatever_is_in_it() -> None:
         payload = b"\x03" + bytes(rng.choice([0xFF, 0xFD, 0x00], size=int(rng.integers(1, 14))))
         sent = packet(1, payload)
         assert b"\xff\xff\xfd" not in sent[4:-2].replace(b"\xff\xff\xfd\xfd", b"")
-        ((frame, _),) = Framer().feed(sent)
+        ((frame, _),) = Framer(take_packet).feed(sent)
         assert frame.parameters == payload[1:]
 
 
 def test_a_damaged_packet_is_reported_and_the_next_one_still_found() -> None:
     damaged = bytearray(octets(READ_POSITION))
     damaged[9] ^= 0x40
-    frames = [frame for frame, _ in Framer().feed(bytes(damaged) + octets(PING_1))]
+    frames = [frame for frame, _ in Framer(take_packet).feed(bytes(damaged) + octets(PING_1))]
     assert [frame.sound for frame in frames] == [False, True]

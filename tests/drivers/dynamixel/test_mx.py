@@ -27,6 +27,7 @@ from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import CouplingParameters, FixtureParameters
 from sim_backend.wire.dynamixel.bus import DynamixelBus
+from sim_backend.wire.dynamixel.frames import Framer
 from sim_backend.wire.dynamixel.mx_device import (
     MX_ANGLE,
     MX_CHECKSUM,
@@ -36,7 +37,7 @@ from sim_backend.wire.dynamixel.mx_device import (
     MX_RANGE,
     MxDevice,
 )
-from sim_backend.wire.dynamixel.mx_frames import MxFramer, mx_status
+from sim_backend.wire.dynamixel.mx_frames import mx_status, take_mx_packet
 from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
 from sim_backend.wire.dynamixel.regulator import COUNT, joint_at_horn
 from sim_backend.wire.faults import CorruptReplies, DelayReplies, DropReplies, Reboots, TruncateReplies
@@ -109,7 +110,7 @@ def test_the_manuals_sync_write_reaches_the_servo_it_names() -> None:
 def test_packets_are_found_whatever_pieces_they_come_in(junk: bytes, pieces: list[int], parameters: bytes) -> None:
     body = bytes([7, 2 + len(parameters), 3]) + parameters
     data = junk + b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
-    framer, frames = MxFramer(), []
+    framer, frames = Framer(take_mx_packet), []
     for size in pieces:
         frames += framer.feed(data[:size])
         data = data[size:]

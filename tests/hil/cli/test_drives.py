@@ -153,7 +153,7 @@ def test_the_backends_and_the_emulators_are_listed(capfd: pytest.CaptureFixture[
         (["dynamixel", "--link", "x", "--bus", "slcan"], "takes no --bus: it takes --link, --model, --id"),
         (["dynamixel", "--link", "x", "--model", "xl1"], "choose one of mx-106"),
         (["dynamixel", "--link", "x", "--id", "1", "--id", "1"], "ids must differ"),
-        (["dynamixel", "--link", "x", "--baudrate", "1000"], "a servo knows 9600"),
+        (["dynamixel", "--link", "x", "--baudrate", "1000"], "choose one of 9600"),
         (["dynamixel", "--link", "."], "is not a link"),
     ],
 )
