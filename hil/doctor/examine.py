@@ -150,7 +150,7 @@ def _check_jog(checks: CheckList, jog: Jog, info: ServoInfo) -> None:
     wrong = jog.wrong_signs()
     right = (
         "command, position and torque agree; the first swing was a positive command: if that went the way you call "
-        "negative, set sign = -1 in [{info.backend}]"
+        f"negative, set sign = -1 in [{info.backend}]"
     )
     checks.add("signs", Verdict.ERROR if wrong else Verdict.OK, "; ".join(wrong) or right)
     locked, reason = jog.locked()

@@ -89,6 +89,7 @@ def test_a_sound_stand_passes_every_check_and_is_left_with_its_torque_off(
     checks = examine_rig(rig, quantity)
     names = ["connection", "bus", "readings", "stop", "move", "signs", "lock", "watchdog"]
     assert verdicts(checks) == dict.fromkeys(names, "ok")
+    assert message(checks, "signs").endswith("set sign = -1 in [dynamixel]")
     assert checks.info is not None
     assert checks.info.model == "xl330-m288"
     assert checks.bus is not None
