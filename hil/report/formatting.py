@@ -26,7 +26,7 @@ def engineering(value: float, unit: str, digits: int = 3) -> str:
     rounded = float(f"{value:.{digits}g}")
     exponent = 0 if rounded == 0.0 or not math.isfinite(rounded) else 3 * math.floor(math.log10(abs(rounded)) / 3.0)
     exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
-    return f"{value / 10.0**exponent:.{digits}g} {_PREFIXES[exponent]}{unit}"
+    return f"{rounded / 10.0**exponent:.6g} {_PREFIXES[exponent]}{unit}"
 
 
 def rounded(half: float, *values: float) -> list[str]:
