@@ -15,7 +15,7 @@ from hil.identification.model_choice import Choice
 from hil.signals.prepare import Defects, Signals, glimpse, joined, prepare, stream
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import Source
-from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.blocks import Block, Blocks
 
 Array = NDArray[np.float64]
 Choose = Callable[[Signals, bool], Choice]
@@ -31,8 +31,8 @@ class Dataset:
 
     choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones; whole: whether they
     are all. used (n,): which of these signals are fitted. blocks: columns of the linear parameters, and torque, of all
-    fitted samples. edges: where each recording ends in them. uncertainty: of the torque's scale, relative, one standard
-    deviation.
+    fitted samples; in_memory: of those in `signals`. edges: where each recording ends in the blocks. uncertainty: of
+    the torque's scale, relative, one standard deviation.
     """
 
     choice: Choice
@@ -40,6 +40,7 @@ class Dataset:
     used: NDArray[np.bool_]
     whole: bool
     blocks: Blocks
+    in_memory: Block
     edges: tuple[int, ...]
     uncertainty: float
     diagnostics: list[Diagnostic]
@@ -69,7 +70,8 @@ def open_dataset(sources: Sequence[Source], choose: Choose, progress: Progress |
     with DiskTable(sources[0].path, rows, len(choice.model.linear), progress) as table:
         edges, diagnostics = _to_disk(sources, glimpses, choice, table, progress)
         used = choice.described(signals.motion)
-        yield Dataset(choice, signals, used, False, table.blocks, edges, _uncertainty(sources), diagnostics)
+        seen = _rows(choice, signals, used)
+        yield Dataset(choice, signals, used, False, table.blocks, seen, edges, _uncertainty(sources), diagnostics)
 
 
 def _in_memory(sources: Sequence[Source], choose: Choose) -> Dataset:
@@ -81,10 +83,11 @@ def _in_memory(sources: Sequence[Source], choose: Choose) -> Dataset:
     signals = joined(parts)
     choice = choose(signals, True)
     used = choice.described(signals.motion)
-    blocks = Blocks.of(*_rows(choice, signals, used))
+    rows = _rows(choice, signals, used)
+    blocks = Blocks.of(*rows)
     edges = tuple(np.cumsum(used)[np.cumsum([len(part) for part in parts]) - 1].tolist())
     diagnostics += _slow(len(used) - blocks.rows, len(used))
-    return Dataset(choice, signals, used, True, blocks, edges, _uncertainty(sources), diagnostics)
+    return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), diagnostics)
 
 
 def _to_disk(
@@ -110,7 +113,7 @@ def _to_disk(
     return tuple(edges), diagnostics + _slow(read - table.rows, read)
 
 
-def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> Block:
     """Columns (m, p) and torque (m,) of the samples that are used; nonlinear parameters are left at zero."""
     model, motion = choice.model, signals.motion
     return model.columns(motion)[used], model.target(motion, signals.torque)[used]

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 _FOLDS = 10  # blocks in time; every fifth is held out
 _TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
-_UNMOVED = ("few-counts", "poor-snr")  # errors of a recording in which nothing moved
+_UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +174,7 @@ def _stationarity(data: Dataset, solution: _Solution) -> list[Diagnostic]:
 
 def _linear(data: Dataset, search: Search, progress: Progress | None) -> _Solution:
     """The solution of a model that is linear in its parameters: all of them are searched."""
-    columns, torque = next(iter(data.blocks())) if data.whole else _glimpsed(data)
+    columns, torque = data.in_memory
     bounds = _bounds(data.choice.model, search, columns, torque)
     reduced = _exact(data.blocks)
     began = time.perf_counter()
@@ -182,11 +182,6 @@ def _linear(data: Dataset, search: Search, progress: Progress | None) -> _Soluti
     seconds = time.perf_counter() - began
     optimum = reduced.optimum
     return _Solution(optimum.genes, optimum, bounds.low, bounds.high, trials, seconds, columns, data.blocks)
-
-
-def _glimpsed(data: Dataset) -> tuple[Array, Array]:
-    model, motion = data.choice.model, data.signals.motion
-    return model.columns(motion)[data.used], model.target(motion, data.signals.torque)[data.used]
 
 
 def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Solution:
@@ -239,7 +234,7 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
     Raises WrongUse for a population that is too small, or a checkpoint that is of another search or cannot be written.
     """
     _check_population(search, len(bounds.low))
-    columns, torque = next(iter(data.blocks())) if data.whole else (reduced.columns, reduced.torque)
+    columns, torque = data.in_memory if data.whole else (reduced.columns, reduced.torque)
     try:
         trials = run_trials(
             columns,

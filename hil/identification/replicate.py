@@ -45,7 +45,7 @@ class Replication:
 
     @property
     def ratio_to_numpy(self) -> float:
-        """How many times faster one evaluation is, on one core, than the NumPy expression in the same process.
+        """The speed of one evaluation, on one core, over that of the NumPy expression in the same process.
 
         By processor time, so that other work of the machine counts for neither.
         """
@@ -66,14 +66,14 @@ def replicate(
     """Record the paper's 2,500 samples into `folder` and search them as the paper did.
 
     evaluations: of each trial. seed: of the simulated stand and of the search. checkpoint: as of `Search`; the same
-    seed records the same samples again, so that a search can be gone on with. Raises WrongUse, DriverError.
+    seed records the same samples again, so that a search can be resumed. Raises WrongUse, DriverError.
     """
     path = _record(folder, seed)
     settings = replace(PRESETS["paper"], generations=evaluations)
     workers = min(workers, trials)
     search = Search("paper", settings, trials=trials, seed=seed, workers=workers, bounds={}, checkpoint=checkpoint)
     model = parse_model("linear")
-    # compiles what is timed next: as many generations as it takes to choose the same engine
+    # compile before the timed search, with enough generations for the same engine to be chosen
     short = replace(settings, generations=min(evaluations, max(REPAID, WORTHWHILE // SAMPLES)))
     identify([path], model, replace(search, settings=short, trials=1, checkpoint=None))
     found = identify([path], model, search, progress)

@@ -48,17 +48,12 @@ def _recording(one: Measured) -> dict[str, Any]:
 
 
 def _parameter(one: Repeated) -> dict[str, Any]:
-    pooled, drift = one.pooled, one.drift
+    drift = one.drift
+    names = ("value", "standard_error", "ci95", "within", "between", "between_ci95", "p_alike")
     return {
         "unit": one.unit,
         "recordings": len(one.recordings),
-        "value": None if pooled is None else pooled.value,
-        "standard_error": None if pooled is None else pooled.standard_error,
-        "ci95": None if pooled is None else list(pooled.ci95),
-        "within": None if pooled is None else pooled.within,
-        "between": None if pooled is None else pooled.between,
-        "between_ci95": None if pooled is None else list(pooled.between_ci95),
-        "p_alike": None if pooled is None else pooled.p_alike,
+        **{name: None if one.pooled is None else getattr(one.pooled, name) for name in names},
         "drift_per_hour": None if drift is None else {"value": drift.slope, "ci95": list(drift.ci95), "p": drift.p},
         "repeats": one.repeats,
         "verdict": one.verdict,

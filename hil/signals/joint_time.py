@@ -1,6 +1,6 @@
-"""A joint that another device reads, at its own times and mostly more slowly: what moved is looked up at those times.
+"""A joint that another device reads, at its own times and mostly more slowly: the motion is interpolated there.
 
-The torque is left as it was read, since a line drawn between few readings would be flatter than what they are of.
+The torque is left as it was read, since interpolation between few readings would flatten it.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ Array = NDArray[np.float64]
 
 
 def is_fresh(joint_time: Array) -> NDArray[np.bool_]:
-    """Whether (n,) a row holds a reading that the row before did not; joint_time (n,) s, NaN where there is none."""
+    """Return whether (n,) each row holds a new reading of the joint; joint_time (n,) s, NaN without one."""
     fresh: NDArray[np.bool_] = np.isfinite(joint_time) & (np.diff(joint_time, prepend=np.nan) != 0.0)
     return fresh
 
 
-def looked_up(at: Array, time: Array, value: Array, slope: Array) -> Array:
-    """A value (n,) with the slope it has (n,) at `time` (n,) s, looked up at `at` (m,) s; (m,), NaN outside."""
+def interpolated(at: Array, time: Array, value: Array, slope: Array) -> Array:
+    """Return a value (n,) with slope (n,) at `time` (n,) s, interpolated at `at` (m,) s: (m,), NaN outside."""
     found: Array = CubicHermiteSpline(time, value, slope, extrapolate=False)(at)
     return found

@@ -19,7 +19,7 @@ from drivers.servo import Status
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy
 from hil.recording.reader import Recording
-from hil.signals.joint_time import is_fresh, looked_up
+from hil.signals.joint_time import interpolated, is_fresh
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.windows import Window, is_whole, window_for
 from hil.stand.file import StandTable
@@ -226,7 +226,7 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
     if columns.own_time:
         kept &= is_fresh(usable.torque_time)
         at = usable.torque_time
-        dtheta, rate = looked_up(at, time, dtheta, rate), looked_up(at, time, rate, acceleration)
+        dtheta, rate = interpolated(at, time, dtheta, rate), interpolated(at, time, rate, acceleration)
         time, acceleration = at, np.interp(at, time, acceleration)
     return Signals(
         motion=Motion(
@@ -290,7 +290,9 @@ def _refuse_hopeless(recording: Recording, usable: _Usable) -> None:
     if np.ptp(time) == 0.0:
         raise Untrustworthy(f"{name}: every sample has the same time: mend the stamps first")
     if np.ptp(dtheta) == 0.0:
-        raise Untrustworthy(f"{name}: the deflection never changes: nothing moved; raise --amplitude or free the cable")
+        raise Untrustworthy(
+            f"{name}: the deflection never changes: no Kc or Bc can be estimated; raise --amplitude or free the cable"
+        )
 
 
 def spread_stamps(time: Array) -> tuple[Array, bool]:

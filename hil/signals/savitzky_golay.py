@@ -1,6 +1,6 @@
-"""Value, slope and curvature of a reading by the polynomial that fits its neighbourhood best (Savitzky and Golay 1964).
+"""Value, slope and curvature of a reading by a polynomial fitted to its neighbourhood (Savitzky and Golay 1964).
 
-No phase shift, stamps need not be even, and the gain is one up to a frequency that the window's width sets.
+It has no phase shift, time stamps need not be even, and its gain is one up to a frequency set by the window's width.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from ga.compiled import compiled_inline, compiled_no_refcount
 Array = NDArray[np.float64]
 
 DEGREE = 7
-"""Of the polynomial: high, so that a wide window, which quiets noise, is still flat over the band that moved."""
+"""The polynomial's: high, so that a wide window, which averages noise, has a flat gain over the excited band."""
 
 LEAST = (DEGREE + 1) // 2
-"""Neighbours a side below which there are fewer readings than coefficients."""
+"""The fewest neighbours a side: with fewer there are fewer readings than coefficients."""
 
 
 def local_polynomial(time: Array, values: Array, half: int) -> tuple[Array, Array, Array]:
-    """Value, slope and curvature at every sample: three arrays (n,), in the values' unit, per s and per s^2.
+    """Return value, slope and curvature at every sample: three arrays (n,), in the values' unit, per s and per s^2.
 
     time (n,) s, rising; values (n,). A window is the sample and `half` neighbours a side; at the ends it is the first
     or last 2*half+1 samples, evaluated off its centre, where the noise is many times larger.
@@ -34,7 +34,7 @@ def local_polynomial(time: Array, values: Array, half: int) -> tuple[Array, Arra
 
 
 def kernel(half: int, order: int) -> Array:
-    """The weights (2*half+1,) that give the derivative of that order, per sample^order, on an even grid."""
+    """Return the weights (2*half+1,) of the derivative of that order, per sample^order, on an even grid."""
     offsets = np.arange(-half, half + 1, dtype=np.float64) / half
     weights = np.linalg.pinv(np.polynomial.chebyshev.chebvander(offsets, DEGREE))
     at_centre = [
@@ -45,7 +45,7 @@ def kernel(half: int, order: int) -> Array:
 
 
 def gain(half: int, order: int, cycles: float) -> float:
-    """The gain of that derivative for a sine of `cycles` periods a sample, on an even grid."""
+    """Return the gain of that derivative for a sine of `cycles` periods a sample, on an even grid."""
     offsets = np.arange(-half, half + 1, dtype=np.float64)
     omega = 2.0 * math.pi * cycles
     wave = np.cos(omega * offsets) if order % 2 == 0 else np.sin(omega * offsets)
@@ -53,7 +53,7 @@ def gain(half: int, order: int, cycles: float) -> float:
 
 
 def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
-    """The widest window, neighbours a side, whose gain at `cycles` periods a sample is one within the tolerance."""
+    """Return the widest window, neighbours a side, whose gain at `cycles` periods a sample is 1 within `tolerance`."""
     half = LEAST
     while half < most and abs(gain(half + 1, order, cycles) - 1.0) <= tolerance:
         half += 1
@@ -83,7 +83,7 @@ def fit_all(
                 right[k] += row[k] * left
         for k in range(p):
             for m in range(k + 1):
-                normal[k, m] = 0.5 * (sums[k + m] + sums[k - m])  # what two of them make together: T_k T_m
+                normal[k, m] = 0.5 * (sums[k + m] + sums[k - m])  # the product T_k T_m
         _solve(normal, right)
         _derivatives((time[i] - middle) / scale, at)
         for order in range(3):

@@ -1,9 +1,9 @@
-"""How residuals follow each other: the power of their signs in bands of frequency, and what it does to estimates.
+"""Autocorrelated residuals: the power of their signs in bands of frequency, and the covariance it gives estimates.
 
 The sum of x sign(e) of a median regression has the covariance sum over s, t of x_s x_t' E[sign(e_s) sign(e_t)]. By
 Parseval's theorem that is the columns' cross-spectrum weighted with the power spectrum of the signs (Hannan 1963 has it
-for least squares). The power is read off all residuals, wherever a column is large: blocks in time, the usual way, are
-too few where one column lives in a few of them, as a skew does in the fast end of a chirp.
+for least squares). The power is estimated from all residuals, wherever a column is large: blocks in time, the usual
+way, are too few where a column is large in few of them, as a skew's is at the fast end of a chirp.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_LONGEST = 1 << 15  # samples of a segment: residuals further apart count as unrelated
-_FEWEST = 8  # lines of a spectrum in a band: fewer tell its power too badly
+_LONGEST = 1 << 15  # samples of a segment: residuals further apart count as uncorrelated
+_FEWEST = 8  # lines of a spectrum in a band: with fewer, its power is too uncertain
 _WIDENING = 0.25  # of a band's lower end, its width: the power of a drive's noise changes by octaves
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualSpectrum:
-    """In bands of rising frequency (b,): lines, how many lie in each; power, the signs' mean square in each, 1 where
-    they do not follow each other; crossed (b, p, p), the columns' products, which add up to columns^T columns.
+    """In bands of rising frequency (b,): lines, their number in each; power, the signs' mean square in each, 1 where
+    they are uncorrelated; crossed (b, p, p), the columns' products, which add up to columns^T columns.
 
-    A power below one is what the fit took out of the band with its own columns: it counts as one.
+    A power below one counts as one: the fit has removed that part of the band with its own columns.
     """
 
     lines: Array
@@ -35,7 +35,7 @@ class ResidualSpectrum:
 
     @property
     def covariance(self) -> Array:
-        """Of the sum of x sign(e), (p, p)."""
+        """The covariance of the sum of x sign(e), (p, p)."""
         return np.asarray(np.einsum("b,bpq->pq", self._counted, self.crossed))
 
     @property
@@ -43,14 +43,14 @@ class ResidualSpectrum:
         return np.maximum(self.power, 1.0)
 
     def freedom(self, bread: Array) -> Array:
-        """Degrees of freedom (p,) of the variances bread . covariance . bread (Satterthwaite 1946)."""
+        """Return the degrees of freedom (p,) of the variances bread . covariance . bread (Satterthwaite 1946)."""
         parts = np.einsum("b,kp,bpq,qk->kb", self._counted, bread, self.crossed, bread)
         squares = (parts**2 / self.lines).sum(axis=1)
         return np.asarray(2.0 * parts.sum(axis=1) ** 2 / np.where(squares > 0.0, squares, np.inf))
 
 
 def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
-    """The spectrum of signs (m,) beside columns (m, p), in blocks of any length, in the order of time."""
+    """Return the spectrum of signs (m,) beside columns (m, p), in blocks of any length, in the order of time."""
     edges, lines, power, crossed = np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0)
     for columns, signs in _segments(blocks):
         count, p = columns.shape
@@ -58,7 +58,7 @@ def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
             edges = _edges(count)
             lines, power, crossed = np.zeros(len(edges)), np.zeros(len(edges)), np.zeros((len(edges), p, p))
         spectrum, waves = np.fft.rfft(signs), np.fft.rfft(columns, axis=0)
-        twice = np.full(len(spectrum), 2.0)  # a line stands for its negative frequency too
+        twice = np.full(len(spectrum), 2.0)  # a line counts for its negative frequency too
         twice[[0, -1] if count % 2 == 0 else [0]] = 1.0
         firsts = np.searchsorted(np.arange(len(spectrum)) / count, edges)
         kept = np.flatnonzero(np.diff(firsts, append=len(spectrum)) > 0)  # a short last segment has empty bands
@@ -71,7 +71,7 @@ def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
 
 
 def _edges(count: int) -> Array:
-    """Where bands begin, in cycles a sample, for a segment of `count` samples."""
+    """The lower ends of the bands, in cycles a sample, for a segment of `count` samples."""
     starts, last = [0], count // 2 + 1
     while (following := starts[-1] + max(_FEWEST, int(_WIDENING * starts[-1]))) <= last - _FEWEST:
         starts.append(following)
@@ -79,7 +79,7 @@ def _edges(count: int) -> Array:
 
 
 def _segments(blocks: Iterable[tuple[Array, Array]]) -> Iterator[tuple[Array, Array]]:
-    """The same rows in segments of `_LONGEST`, the last of them shorter."""
+    """The rows in segments of `_LONGEST`, the last of them shorter."""
     waiting: list[tuple[Array, Array]] = []
     for block in blocks:
         waiting.append(block)

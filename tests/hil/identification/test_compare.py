@@ -1,4 +1,4 @@
-"""Recordings side by side: what is said of their repeatability, against recordings whose scatter was put in."""
+"""Recordings side by side: their repeatability, against recordings with a known variance between them."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_recordings_of_the_same_coupling_are_said_to_agree(make_recording: Maker
     assert found.trustworthy
 
 
-def test_a_scatter_between_recordings_is_found_in_its_size_and_said_in_words(make_recording: Maker) -> None:
+def test_a_variance_between_recordings_is_estimated_and_stated_in_words(make_recording: Maker) -> None:
     put_in = np.array([0.0, 3e-4, -4e-4, 5e-4, -2e-4, 1e-4])
     kc, bc = compared(make_recording, list(0.02 + put_in)).parameters
     assert kc.pooled is not None

@@ -1,4 +1,4 @@
-"""The compliance of the fixture taken off a result."""
+"""The compliance of the fixture removed from a result."""
 
 from __future__ import annotations
 

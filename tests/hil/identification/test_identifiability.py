@@ -1,4 +1,4 @@
-"""What is said of parameters that a recording cannot tell, and of terms that it neither asks for nor rules out."""
+"""Diagnostics of parameters that are not identifiable, and of terms that the data cannot decide about."""
 
 from __future__ import annotations
 

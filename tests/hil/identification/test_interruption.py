@@ -1,4 +1,4 @@
-"""Ctrl-C while a command searches: what is kept, what is said, and that the search can be gone on with."""
+"""Ctrl-C while a command searches: the result so far, the message, and that the search can be resumed."""
 
 from __future__ import annotations
 

@@ -175,7 +175,7 @@ def test_a_parameter_that_is_not_identifiable_is_said_to_be_in_every_place(make_
     assert headline(doubted).endswith("mN m s/rad (not identifiable)")
 
 
-def test_one_trial_has_a_mean_and_no_spread(make_recording: Maker) -> None:
+def test_one_trial_has_a_mean_and_no_standard_deviation(make_recording: Maker) -> None:
     shown = text(found(make_recording(noise=2e-4), trials=1), 100)
     assert "nan" not in shown
     assert "±" not in shown.replace("mean ± std", "")

@@ -1,4 +1,4 @@
-"""The fixture's compliance taken out: against the closed forms of slow motion and an integrated two-spring joint."""
+"""The fixture's compliance removed: against the closed forms of slow motion and an integrated two-spring joint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pooled recordings: what lies between them is in the interval, and told apart from what lies within."""
+"""Pooled recordings: the interval includes the variance between them, which is separate from that within."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_recordings_that_are_alike_have_nothing_between_them(make_recording: Mak
     assert alike.ci95[0] < 0.02 < alike.ci95[1]
 
 
-def test_one_recording_has_no_scatter(make_recording: Maker) -> None:
+def test_one_recording_has_no_variance_components(make_recording: Maker) -> None:
     assert identified([make_recording(noise=1e-4)])["Kc"].components is None
 
 
