@@ -260,9 +260,7 @@ def _from_file(path: Path) -> tuple[Shape, float, float]:
     body = rows[1:] if rows and not _is_number(rows[0][0]) else rows
     for number, row in enumerate(body, start=1 + len(rows) - len(body)):
         if len(row) != 2 or not all(_is_number(cell) for cell in row):
-            raise WrongUse(
-                f"{path}, row {number}: expected two numbers, time (s) and set-point, found {','.join(row)!r}"
-            )
+            raise WrongUse(f"{path}, row {number}: expected two numbers, time (s) and set-point, got {','.join(row)!r}")
     table = np.array(body, dtype=np.float64).reshape(-1, 2)
     time, value = table[:, 0], table[:, 1]
     if time.size < 2 or np.any(np.diff(time) <= 0.0) or time[0] < 0.0:

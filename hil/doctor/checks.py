@@ -68,9 +68,9 @@ class CheckList:
         self.on_check(check)
 
     def passed(self, name: str, message: str) -> None:
-        """Add a check that found nothing wrong."""
+        """Add a check that passed."""
         self.add(name, Verdict.OK, message)
 
     def failed(self, name: str, message: str) -> None:
-        """Add a check that found an error."""
+        """Add a check that failed: an error."""
         self.add(name, Verdict.ERROR, message)

@@ -86,11 +86,11 @@ class Draft:
 
     def question(self, key: str) -> Question | None:
         """Return the question of a key, `table.name`; None where there is no such key."""
-        return next((q for q in [*_STAND, *_LIMITS, *self._device_questions()] if q.key == key), None)
+        return self._by_key().get(key)
 
     def keys(self) -> list[str]:
         """Return every key."""
-        return [q.key for q in [*_STAND, *_LIMITS, *self._device_questions()]]
+        return list(self._by_key())
 
     def text(self, answers: Mapping[str, Any]) -> str:
         """Return the file. answers: by key; a key without one has its default, the device's in a comment."""
@@ -110,6 +110,9 @@ class Draft:
             lines += _lines([q for q in mine if q.table == table], answers, optional=True)
         lines += ["", "[limits]" + " " * 22 + "# at the joint; no option can raise them", *_lines(_LIMITS, answers)]
         return "\n".join(lines) + "\n"
+
+    def _by_key(self) -> dict[str, Question]:
+        return {question.key: question for question in (*_STAND, *_LIMITS, *self._device_questions())}
 
     def _class_of(self, table: str) -> Any:
         if table == "joint_sensor":
