@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import partial
 from pathlib import Path
 
@@ -13,11 +14,13 @@ from ga.lad import out_of_core
 from ga.model.coupling import parse as parse_model
 from hil.cli.app import run
 from hil.identification import dataset
+from hil.identification.compare import compare
 from hil.identification.dataset import open_dataset
 from hil.identification.identify import Search, identify
 from hil.identification.model_choice import Choice
 from hil.identification.result import Identification
-from hil.recording.reader import Array
+from hil.recording.reader import Array, Recording
+from hil.signals import source
 from hil.signals.prepare import Signals, glimpse
 from hil.signals.source import open_sources
 
@@ -81,3 +84,21 @@ def test_nothing_is_left_on_disk(
     assert run(["identify", str(recordings[0]), "--json"]) == 0
     assert '"samples": 11' in capfd.readouterr().out
     assert sorted(recordings[0].parent.iterdir()) == before
+
+
+def test_each_recording_is_opened_and_verified_once(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    opened, verified = Counter[Path](), Counter[Path]()
+
+    class Counted(Recording):
+        def __init__(self, path: Path) -> None:
+            opened[path] += 1
+            super().__init__(path)
+
+        def verify(self) -> bool:
+            verified[self.path] += 1
+            return super().verify()
+
+    monkeypatch.setattr(source, "Recording", Counted)
+    identified(recordings, "linear")
+    compare(recordings, parse_model("linear"), Search("default", PRESETS["default"], 1, 0, 1, {}))
+    assert opened == verified == Counter(dict.fromkeys(recordings, 2))
