@@ -18,7 +18,7 @@ def compare(
     trials: Annotated[int | None, typer.Option(min=1, help="Independent searches of each, as in hil identify.")] = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
-    report: Annotated[Path | None, typer.Option(help="Also draw the recordings side by side (PNG).")] = None,
+    report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture (PNG).")] = None,
     force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
@@ -27,10 +27,12 @@ def compare(
     from hil.identification.identify import Search
     from hil.recording.output import check_output
     from hil.report.comparison import as_json as to_json
-    from hil.report.comparison import comparison_table, draw
+    from hil.report.comparison import comparison_table, write_page
+    from hil.report.page import page_files
 
     if report is not None:
-        check_output(report, force=force)
+        for path in page_files(report):
+            check_output(path, force=force, inputs=recordings)
     search = Search(trials=trials, seed=seed, workers=workers)
     with progress() as show:
         found = engine.compare(recordings, options.model_of(model), search, show)
@@ -41,8 +43,8 @@ def compare(
             out(parameter.verdict)
         out_table(comparison_table(found))
     if report is not None:
-        draw(found, report)
-        say(f"wrote {report}")
+        for path in write_page(found, report):
+            say(f"wrote {path}")
     print_diagnostics(found.diagnostics)
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)

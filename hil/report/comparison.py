@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.identification.compare import COMPARED, Comparison, Measured, Repeated
 from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
-from hil.report.page import save_picture
+from hil.report.page import page_files, save_picture, write_html
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -68,22 +68,51 @@ def _scale(found: Comparison, unit: str) -> tuple[float, str]:
 
 def comparison_table(found: Comparison) -> Table:
     """Return the table of the recordings one by one, and below them their pooled value and variance components."""
-    columns = [f"{parameter.name}, {_scale(found, parameter.unit)[1]}" for parameter in found.parameters]
-    rows = [
-        (
+    table = plain_table(f"{found.model}, each recording on its own", _headings(found), _recording_rows(found))
+    table.add_section()
+    for row in _pooled_rows(found):
+        table.add_row(*row)
+    return table
+
+
+def _headings(found: Comparison) -> list[str]:
+    columns = (f"{parameter.name}, {_scale(found, parameter.unit)[1]}" for parameter in found.parameters)
+    return ["", "hours", *columns]
+
+
+def _recording_rows(found: Comparison) -> list[list[str]]:
+    return [
+        [
             str(one.path),
             f"{one.hours:.3g}" if math.isfinite(one.hours) else "unknown",
             *(_cell(found, one, name) for name in COMPARED),
-        )
+        ]
         for one in found.recordings
     ]
-    table = plain_table(f"{found.model}, each recording on its own", ("", "hours", *columns), rows)
-    table.add_section()
+
+
+def _pooled_rows(found: Comparison) -> list[list[str]]:
     headings = ("pooled", "95 % interval", "within a recording", "between them", "drift an hour")
     together = [_together(found, parameter) for parameter in found.parameters]
-    for heading, *cells in zip(headings, *together, strict=True):
-        table.add_row(heading, "", *cells)
-    return table
+    return [[heading, "", *cells] for heading, *cells in zip(headings, *together, strict=True)]
+
+
+def write_page(found: Comparison, path: Path) -> list[Path]:
+    """Write the page to `path` and its picture beside it; return both. Raises WrongUse."""
+    path, picture = page_files(path)
+    draw(found, picture)
+    rows = [_headings(found), *_recording_rows(found), *_pooled_rows(found)]
+    verdicts = [parameter.verdict for parameter in found.parameters]
+    write_html(
+        path,
+        picture,
+        alt="Kc and Bc of each recording",
+        heading=found.model,
+        rows=rows,
+        lines=verdicts,
+        diagnostics=found.diagnostics,
+    )
+    return [path, picture]
 
 
 def _cell(found: Comparison, one: Measured, name: str) -> str:

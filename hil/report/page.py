@@ -1,9 +1,10 @@
-"""The page of an identification: HTML that stands alone, and its picture beside it."""
+"""The page of a result: HTML that stands alone, and its picture beside it."""
 
 from __future__ import annotations
 
 import base64
 import html
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from hil.report.identification import headline, identification_lines, milli, pri
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from hil.diagnostics import Diagnostic
     from hil.identification.result import Identification
 
 Array = NDArray[np.float64]
@@ -41,27 +43,49 @@ def write_page(found: Identification, path: Path) -> list[Path]:
     """Write the page to `path` and its picture beside it; return both. Raises WrongUse."""
     path, picture = page_files(path)
     draw(found, picture)
-    names = html.escape(", ".join(str(recording) for recording in found.recordings))
-    messages = "".join(f"<li>{one.severity}: {html.escape(one.message)}</li>" for one in found.diagnostics)
-    lines = "".join(f"<p>{html.escape(line)}</p>" for line in identification_lines(found))
-    data = base64.b64encode(picture.read_bytes()).decode()
-    page = (
-        '<!doctype html><html lang="en"><meta charset="utf-8"><title>hil</title>'
-        f"<style>{_STYLE}</style><h1>{names}</h1>{_rows(found)}{lines}<ul>{messages}</ul>"
-        f'<img alt="measured and modelled torque" src="data:image/png;base64,{data}"></html>\n'
+    heading = ", ".join(str(recording) for recording in found.recordings)
+    lines = identification_lines(found)
+    write_html(
+        path,
+        picture,
+        alt="measured and modelled torque",
+        heading=heading,
+        rows=_rows(found),
+        lines=lines,
+        diagnostics=found.diagnostics,
     )
-    with atomic_write(path, force=True) as temporary:
-        temporary.write_text(page, encoding="utf-8")
     return [path, picture]
 
 
-def _rows(found: Identification) -> str:
-    rows = "<tr><th></th><th>value</th><th>95 % interval</th><th>unit</th><th>identifiable</th></tr>"
+def write_html(
+    path: Path,
+    picture: Path,
+    *,
+    alt: str,
+    heading: str,
+    rows: Iterable[Sequence[str]],
+    lines: Iterable[str],
+    diagnostics: Iterable[Diagnostic],
+) -> None:
+    """Write a page that holds its picture: heading, a table whose first row is its headings, lines, warnings."""
+    table = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    text = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
+    messages = "".join(f"<li>{one.severity}: {html.escape(one.message)}</li>" for one in diagnostics)
+    data = base64.b64encode(picture.read_bytes()).decode()
+    page = (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>hil</title>'
+        f"<style>{_STYLE}</style><h1>{html.escape(heading)}</h1><table>{table}</table>{text}<ul>{messages}</ul>"
+        f'<img alt="{alt}" src="data:image/png;base64,{data}"></html>\n'
+    )
+    with atomic_write(path, force=True) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _rows(found: Identification) -> Iterator[Sequence[str]]:
+    yield "", "value", "95 % interval", "unit", "identifiable"
     for estimate in found.estimates:
         value, _, interval, unit = printed(found, estimate)
-        cells = (estimate.name, value, interval, unit, "yes" if estimate.identifiable else "no")
-        rows += "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>"
-    return f"<table>{rows}</table>"
+        yield estimate.name, value, interval, unit, "yes" if estimate.identifiable else "no"
 
 
 def draw(found: Identification, path: Path) -> None:

@@ -46,6 +46,7 @@ def test_recordings_are_compared_as_shown(tmp_path: Path, monkeypatch: pytest.Mo
         torque = 0.02 * angle + 2e-4 * np.gradient(angle, time) + noise
         write(tmp_path / f"{name}.h5", Header({"kind": "chirp"}), {"time": time, "torque": torque, "dtheta": angle})
     assert run(shlex.split(block("compare", "sh"))[1:]) == 0
+    assert (tmp_path / "abc.html").exists()
     assert (tmp_path / "abc.png").exists()
 
 

@@ -201,12 +201,13 @@ def test_the_same_run_twice_is_refused(make_recording: Maker, tmp_path: Path) ->
 def test_the_command_prints_each_recording_what_they_share_and_a_verdict(hil: Hil, make_recording: Maker) -> None:
     for index, kc in enumerate([0.02, 0.021, 0.0205]):
         stamped(make_recording(f"r{index}.h5", kc=kc, noise=1e-5, seed=index), hour=index / 2)
-    status, out, err = hil("compare", "r0.h5", "r1.h5", "r2.h5", "--trials", 2, "--report", "c.png")
+    status, out, err = hil("compare", "r0.h5", "r1.h5", "r2.h5", "--trials", 2, "--report", "c.html")
     assert status == 0
     assert all(name in out for name in ("r0.h5", "r1.h5", "r2.h5", "Kc, mN m/rad", "pooled", "within", "between"))
     assert "…" not in out  # nothing is cut off at 80 characters
     assert "Kc does not repeat" in out
-    assert "wrote c.png" in err
+    assert "wrote c.html\nwrote c.png" in err
+    assert "Kc does not repeat" in Path("c.html").read_text()
     assert Path("c.png").read_bytes().startswith(b"\x89PNG")
 
 
