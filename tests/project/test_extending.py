@@ -1,0 +1,134 @@
+"""docs/extending.md: each of its worked examples runs as it stands on the page."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from drivers.clock import VirtualClock
+from drivers.servo import Command, DriverError, Limits, Quantity, UnsafeCommand
+from hil.cli.app import run
+from hil.recording.reader import Recording
+from hil.stand.devices import BACKENDS, Device
+from sim_backend.wire.uart.loopback import SerialLoopback
+
+PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+LIMITS = Limits(torque=0.01, velocity=50.0, temperature=80.0, position=(-3.0, 3.0))
+STAND = """
+[stand]
+backend = "lineboard"
+motor_inertia = 2.0e-7
+torque_source = "motor"
+[limits]
+torque = 0.01
+deflection = 1.0
+velocity = 50.0
+[lineboard]
+port = "loopback"
+"""
+
+
+def block(name: str) -> str:
+    """The code under the mark `name` of the page."""
+    found = re.search(rf"<!-- {name} -->\n```\w+\n(.+?)```", PAGE, re.DOTALL)
+    assert found is not None, name
+    return found[1]
+
+
+class LineBoard:
+    """The other end of the wire: a spring of 0.02 N m/rad that follows at once. torque: N m, None while it is off."""
+
+    unplugged = False
+
+    def __init__(self) -> None:
+        self.torque: float | None = 0.004  # left on by an earlier program
+        self.received: list[str] = []
+        self.refuses_off = False
+
+    def advance(self, now: float) -> None:
+        """Nothing moves by itself."""
+
+    def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
+        del baudrate
+        return [(now + 1e-3, self._answer(line)) for line in data.decode().splitlines()]
+
+    def _answer(self, line: str) -> bytes:
+        self.received.append(line)
+        if line == "X":
+            self.torque = self.torque if self.refuses_off else None
+            return b"busy\n" if self.refuses_off else b"off\n"
+        self.torque = float(line.removeprefix("T "))
+        return f"{self.torque / 0.02:.6f} 0.0 {self.torque:.6f}\n".encode()
+
+
+@pytest.fixture
+def lineboard(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The page's drive as a module that stands in the table of drives."""
+    module = ModuleType("lineboard")
+    monkeypatch.setitem(sys.modules, "lineboard", module)
+    exec(compile(block("drive: config") + block("drive: servo"), "docs/extending.md", "exec"), vars(module))  # noqa: S102
+    line = Device("a board that speaks lines", "lineboard:LineBoardConfig", "lineboard:LineBoardServo")
+    for place in ("hil.stand.devices.BACKENDS", "hil.stand.file.BACKENDS", "hil.stand.opening.BACKENDS"):
+        monkeypatch.setattr(place, {**BACKENDS, "lineboard": line}, raising=False)
+    return module
+
+
+def opened(lineboard: ModuleType, board: LineBoard) -> Any:
+    clock = VirtualClock()
+    return lineboard.LineBoardServo(
+        lineboard.LineBoardConfig("loopback"), clock=clock, port=SerialLoopback(board, clock)
+    )
+
+
+def test_the_drive_of_the_page_turns_off_what_an_earlier_program_left_on(lineboard: ModuleType) -> None:
+    board = LineBoard()
+    opened(lineboard, board)
+    assert board.received == ["X"]
+    assert board.torque is None
+
+
+def test_the_drive_of_the_page_sends_no_more_than_its_limits_and_nothing_that_is_not_a_number(
+    lineboard: ModuleType,
+) -> None:
+    board = LineBoard()
+    servo = opened(lineboard, board)
+    servo.arm(LIMITS)
+    servo.exchange(Command(Quantity.TORQUE, 5.0))
+    assert board.torque == 0.01
+    with pytest.raises(UnsafeCommand):
+        servo.exchange(Command(Quantity.TORQUE, float("nan")))
+    servo.close()
+    assert board.torque is None
+
+
+def test_the_drive_of_the_page_says_when_torque_off_is_not_confirmed(lineboard: ModuleType) -> None:
+    board = LineBoard()
+    servo = opened(lineboard, board)
+    servo.arm(LIMITS)
+    board.refuses_off = True
+    with pytest.raises(DriverError, match="not confirmed"):
+        servo.disarm()
+
+
+def test_the_drive_of_the_page_is_recorded_from_its_stand_file(
+    lineboard: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board, clock = LineBoard(), VirtualClock()
+    made = lineboard.LineBoardServo
+    monkeypatch.setattr(
+        lineboard, "LineBoardServo", lambda config: made(config, clock=clock, port=SerialLoopback(board, clock))
+    )
+    (tmp_path / "stand.toml").write_text(STAND, encoding="utf-8")
+    words = ["record", "--stand", str(tmp_path / "stand.toml"), "--profile", "sine", "--band", "1", "--duration", "4"]
+    assert run([*words, "--rate", "100", "-o", str(tmp_path / "a.h5")]) == 0
+    assert board.torque is None
+    with Recording(tmp_path / "a.h5") as recording:
+        torque, angle = recording.channel("motor_torque"), recording.channel("dtheta")
+    assert len(torque) == 401
+    assert angle == pytest.approx(torque / 0.02, abs=1e-5)
