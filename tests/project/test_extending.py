@@ -9,11 +9,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.clock import VirtualClock
 from drivers.servo import Command, DriverError, Limits, Quantity, UnsafeCommand
+from ga.evolution.evolution import PRESETS
+from ga.model.terms import parse
+from hil.acquisition import excitation
 from hil.cli.app import run
+from hil.identification.identify import Search, identify
 from hil.recording.reader import Recording
 from hil.stand.devices import BACKENDS, Device
 from sim_backend.wire.uart.loopback import SerialLoopback
@@ -132,3 +137,24 @@ def test_the_drive_of_the_page_is_recorded_from_its_stand_file(
         torque, angle = recording.channel("motor_torque"), recording.channel("dtheta")
     assert len(torque) == 401
     assert angle == pytest.approx(torque / 0.02, abs=1e-5)
+
+
+def test_the_excitation_of_the_page_is_recorded_and_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: dict[str, Any] = {}
+    exec(compile(block("excitation"), "docs/extending.md", "exec"), made)  # noqa: S102
+    monkeypatch.setattr(excitation, "EXCITATIONS", {**excitation.EXCITATIONS, "stepped": made["STEPPED_SINE"]})
+    path = tmp_path / "a.h5"
+    assert run(["record", "--backend", "sim", "--profile", "stepped", "--duration", "12", "-o", str(path)]) == 0
+    identified = identify(
+        [path], parse("linear"), Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
+    )
+    assert identified["Kc"].exact == pytest.approx(0.01775, rel=0.02)
+
+
+def test_the_excitation_of_the_page_never_jumps() -> None:
+    made: dict[str, Any] = {}
+    exec(compile(block("excitation"), "docs/extending.md", "exec"), made)  # noqa: S102
+    time = np.linspace(0.0, 12.0, 120_001)
+    values = made["stepped_sine"]((0.5, 10.0), 12.0, 0)(time)
+    assert np.abs(np.diff(values)).max() <= 2.0 * np.pi * 10.0 * 1.0001e-4
+    assert np.abs(values).max() <= 1.0
