@@ -18,10 +18,10 @@ from drivers.dynamixel.models import POSITION_LSB, DynamixelModel, models
 from drivers.dynamixel.mx import MxSeries
 from drivers.dynamixel.port import SerialPort
 from drivers.dynamixel.series import Series
-from drivers.dynamixel.tick import Freshness, TickClock
 from drivers.dynamixel.x import XSeries
 from drivers.gate import Admitted, Gate, to_counts
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.tick import Freshness, TickClock
 
 _LATE = 0.02  # s before the watchdog trips; a later tick checks whether it has
 _TRIES = 3

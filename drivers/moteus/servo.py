@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock
-from drivers.dynamixel.tick import WRAP, Freshness, TickClock
 from drivers.gate import Gate
 from drivers.moteus.config import MoteusConfig
 from drivers.moteus.controller import Controller
@@ -33,6 +32,7 @@ from drivers.moteus.frames import (
     write,
 )
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.tick import WRAP, Freshness, TickClock
 
 if TYPE_CHECKING:
     import can

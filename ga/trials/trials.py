@@ -159,10 +159,7 @@ def run_trials(
         raise ValueError(f"{trials} trials with {workers} workers: give 1 or more of each")
     began = time.process_time()
     columns, torque = (np.require(array, np.float64, ["C", "W"]) for array in (columns, torque))  # as is compiled for
-    if settings.start == "uniform":
-        start = None
-    else:
-        start = start_of(columns, torque, bounds) if start is None else within(start, bounds)
+    start = _start(columns, torque, bounds, settings, start)
     engine = engine_for(columns, torque, bounds, _expected(settings, bounds.low.size), start)
     run = _Run(SimpleQueue(), bounds, settings, _grid(settings.generations), threading.Event())
     belongs = (
@@ -187,6 +184,15 @@ def run_trials(
     finally:
         keep()
     return _outcome(running, run.grid, before, time.process_time() - began)
+
+
+def _start(
+    columns: NDArray[np.float64], torque: NDArray[np.float64], bounds: Bounds, settings: Settings, start: Start | None
+) -> Start | None:
+    """Return where the search begins, None for a uniform population."""
+    if settings.start == "uniform":
+        return None
+    return start_of(columns, torque, bounds) if start is None else within(start, bounds)
 
 
 def _expected(settings: Settings, p: int) -> int:

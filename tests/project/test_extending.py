@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from collections.abc import Sequence
@@ -15,7 +16,8 @@ import pytest
 from drivers.clock import VirtualClock
 from drivers.servo import Command, DriverError, Limits, Quantity, UnsafeCommand
 from ga.evolution.evolution import PRESETS
-from ga.model.terms import parse
+from ga.model import terms
+from ga.model.coupling import parse
 from hil.acquisition import excitation
 from hil.cli.app import run
 from hil.identification.identify import Search, identify
@@ -58,6 +60,9 @@ class LineBoard:
 
     def advance(self, now: float) -> None:
         """Nothing moves by itself."""
+
+    def due(self) -> float:
+        return float("inf")
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
         del baudrate
@@ -148,7 +153,7 @@ def test_the_excitation_of_the_page_is_recorded_and_identified(tmp_path: Path, m
     identified = identify(
         [path], parse("linear"), Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
     )
-    assert identified["Kc"].exact == pytest.approx(0.01775, rel=0.02)
+    assert identified["Kc"].value == pytest.approx(0.01775, rel=0.02)
 
 
 def test_the_excitation_of_the_page_never_jumps() -> None:
@@ -158,3 +163,39 @@ def test_the_excitation_of_the_page_never_jumps() -> None:
     values = made["stepped_sine"]((0.5, 10.0), 12.0, 0)(time)
     assert np.abs(np.diff(values)).max() <= 2.0 * np.pi * 10.0 * 1.0001e-4
     assert np.abs(values).max() <= 1.0
+
+
+@pytest.fixture
+def with_fifth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page's term as one more record of the table, wherever that was imported."""
+    made: dict[str, Any] = {}
+    exec(compile(block("term"), "docs/extending.md", "exec"), made)  # noqa: S102
+    longer = {
+        "TERMS": (terms.TERMS, {**terms.TERMS, "fifth": made["FIFTH"]}),
+        "PARAMETERS": (terms.PARAMETERS, {**terms.PARAMETERS, "K5": made["FIFTH"].parameters[0]}),
+    }
+    for module in list(sys.modules.values()):
+        for name, (table, longer_table) in longer.items():
+            if getattr(module, name, None) is table:
+                monkeypatch.setattr(module, name, longer_table)
+
+
+@pytest.mark.usefixtures("with_fifth")
+def test_the_term_of_the_page_is_identified_in_a_table_that_was_made_with_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    time = np.arange(0.0, 12.0, 0.002)
+    angle = 0.4 * np.sin(2.0 * np.pi * 0.7 * time) + 0.2 * np.sin(2.0 * np.pi * 2.9 * time)
+    rate = np.gradient(angle, time)
+    noise = np.random.default_rng(1).normal(0.0, 1e-4, time.size)
+    torque = 0.02 * angle + 2e-4 * rate + 0.05 * angle**5 + noise
+    table, path = tmp_path / "a.csv", tmp_path / "a.h5"
+    np.savetxt(table, np.column_stack([time, torque, angle]), "%.9g", ",", header="t,tau,angle", comments="")
+    columns = ["--time", "t", "--torque", "tau", "--dtheta", "angle", "--torque-unit", "N*m", "--dtheta-unit", "rad"]
+    assert run(["import", str(table), *columns, "--time-unit", "s", "-o", str(path)]) == 0
+    capfd.readouterr()
+    assert run(["identify", str(path), "--model", "linear+offset+fifth", "--json"]) == 0
+    values = {name: one["value"] for name, one in json.loads(capfd.readouterr().out)["parameters"].items()}
+    assert values["Kc"] == pytest.approx(0.02, rel=0.01)
+    assert values["Bc"] == pytest.approx(2e-4, rel=0.03)
+    assert values["K5"] == pytest.approx(0.05, rel=0.02)

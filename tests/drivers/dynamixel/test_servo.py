@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from drivers.dynamixel.models import POSITION_LSB, VELOCITY_LSB, models
-from drivers.dynamixel.tick import WRAP, Freshness, TickClock
 from drivers.servo import Command, Limits, Quantity, Sample, Status, UnsafeCommand
+from drivers.tick import WRAP, Freshness, TickClock
 from sim_backend.wire.dynamixel.tables import MODELS
 
 Rig = Any
