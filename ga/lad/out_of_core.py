@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import compiled_no_refcount
-from ga.lad.exact import Optimum, least_absolute_deviations
+from ga.lad.exact import Optimum, fitness_of, least_absolute_deviations
 from ga.start import Start
 
 Vector = NDArray[np.float64]
@@ -56,6 +56,16 @@ class Reduced:
     def share(self) -> float:
         """Rows here over rows of the whole."""
         return len(self.torque) / self.length
+
+    def compared(self, genes: Vector) -> tuple[Optimum, float]:
+        """Return the optimum, and how much worse genes (p,) are, relative to it: the optimiser gap, never negative.
+
+        Genes that are better are so by rounding, as their distance to the proven optimum is: they become the optimum.
+        """
+        fitness = fitness_of(self.columns, self.torque, genes) * self.share
+        better = fitness < self.optimum.fitness
+        optimum = replace(self.optimum, genes=genes, fitness=fitness) if better else self.optimum
+        return optimum, optimum.relative_gap(fitness)
 
 
 def reduce(blocks: Blocks, rows: int) -> Reduced:

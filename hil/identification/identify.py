@@ -64,12 +64,14 @@ class Search:
 class _Solution:
     """The result of the search and of the exact solution.
 
-    values (p + q,): of the exact solution. low and high (p + q,): the bounds of the parameters that were searched, NaN
-    for the others. columns (m, p + q): of the signals. blocks: the linear problem around the solution.
+    values (p + q,): of the exact solution. gap: the optimiser's, relative. low and high (p + q,): the bounds of the
+    parameters that were searched, NaN for the others. columns (m, p + q): of the signals. blocks: the linear problem
+    around the solution.
     """
 
     values: Array
     optimum: Optimum
+    gap: float
     low: Array
     high: Array
     trials: Trials
@@ -146,7 +148,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         trials=solution.trials,
         low=solution.low,
         high=solution.high,
-        gap=solution.optimum.relative_gap(float(solution.trials.fitness.min())),
+        gap=solution.gap,
         holdout=_validation(data, solution),
         unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
     )
@@ -180,8 +182,8 @@ def _linear(data: Dataset, search: Search, progress: Progress | None) -> _Soluti
     began = time.perf_counter()
     trials = _search(data, reduced, bounds, search, progress)
     seconds = time.perf_counter() - began
-    optimum = reduced.optimum
-    return _Solution(optimum.genes, optimum, bounds.low, bounds.high, trials, seconds, columns, data.blocks)
+    optimum, gap = reduced.compared(trials.best)
+    return _Solution(optimum.genes, optimum, gap, bounds.low, bounds.high, trials, seconds, columns, data.blocks)
 
 
 def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Solution:
@@ -214,7 +216,8 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Sol
         raise _unproven(error) from error
     columns, target = problem.linearised(exact)
     blocks = Blocks.of(columns, target)
-    return _Solution(exact.values, exact.optimum, low, high, trials, seconds, columns, blocks)
+    gap = exact.optimum.relative_gap(best.fitness)
+    return _Solution(exact.values, exact.optimum, gap, low, high, trials, seconds, columns, blocks)
 
 
 def _exact(blocks: Blocks) -> Reduced:

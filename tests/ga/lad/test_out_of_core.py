@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ga.bounds import bounds_from_data
 from ga.evolution.evolution import PRESETS
 from ga.lad import out_of_core
-from ga.lad.exact import least_absolute_deviations
+from ga.lad.exact import fitness_of, least_absolute_deviations
 from ga.lad.out_of_core import Blocks, Reduced, reduce
 from ga.trials.trials import run_trials
 
@@ -119,3 +119,23 @@ def test_data_without_noise_are_fitted_exactly() -> None:
     found = reduced(columns, columns @ np.array([2.0, 3.0]))
     np.testing.assert_allclose(found.optimum.genes, [2.0, 3.0], rtol=1e-9)
     assert found.optimum.fitness < 1e-12
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-3])
+@pytest.mark.parametrize("seed", range(4))
+def test_no_search_is_better_than_the_optimum_it_is_compared_with(noise: float, seed: int) -> None:
+    """Without noise both are rounding, and which is the smaller would be chance."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(3000) / 300.0
+    angle = 0.3 * np.sin(2.0 * np.pi * (0.3 + 0.6 * time) * time)
+    columns = np.stack([angle, np.gradient(angle, time), np.ones_like(time)], axis=1)
+    torque = columns @ np.array([0.02, 2e-4, 1e-3]) + noise * rng.standard_normal(len(time))
+    bounds = bounds_from_data(columns, torque)
+    trials = run_trials(columns, torque, bounds, PRESETS["default"], trials=10, seed=seed, workers=1)
+    found = reduced(columns, torque)
+    for genes in (*trials.genes, np.array([0.02, 2e-4, 1e-3])):
+        optimum, gap = found.compared(genes)
+        assert gap >= 0.0
+        assert optimum.fitness <= found.optimum.fitness
+        assert gap == optimum.relative_gap(fitness_of(found.columns, found.torque, genes) * found.share)
+        assert optimum.genes == pytest.approx(found.optimum.genes, rel=1e-9)
