@@ -52,7 +52,7 @@ def still(time: Array) -> Motion:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The parameters of the closed form, SI, named as in the ladder of models. skew: s the torque reading is late."""
+    """The parameters of the closed form, SI, named as in `ga.model.terms`. skew: s the torque reading is late."""
 
     Kc: float = KC
     Bc: float = BC

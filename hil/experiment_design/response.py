@@ -89,7 +89,7 @@ def peaks(joints: list[Joint], profile: Profile, rate: float) -> list[Peaks]:
 
 def _responder(profile: Profile, rate: float) -> Callable[[Joint], tuple[Motion, Peaks]]:
     if profile.mode is Quantity.TORQUE:
-        return partial(_driven, held=set_points(profile, rate), rate=rate)
+        return partial(_driven, command=set_points(profile, rate), rate=rate)
     fine = max(1, math.ceil(_POINTS * profile.band[1] / rate))
     steps = fine if profile.excitation.smooth else _FEWEST
     step = 1.0 / (rate * steps)
@@ -103,21 +103,21 @@ def set_points(profile: Profile, rate: float) -> Array:
     return profile.at(np.arange(round(profile.duration * rate) + 1) / rate)
 
 
-def _driven(joint: Joint, held: Array, rate: float) -> tuple[Motion, Peaks]:
+def _driven(joint: Joint, command: Array, rate: float) -> tuple[Motion, Peaks]:
     steps = min(_MOST, max(_FEWEST, math.ceil(_POINTS * min(joint.resonance, _MOST * rate) / rate)))
-    dtheta, velocity = _oscillator(joint, np.repeat(held[:-1], steps), 1.0 / (rate * steps))
+    dtheta, velocity = _oscillator(joint, np.repeat(command[:-1], steps), 1.0 / (rate * steps))
     torque = joint.stiffness * dtheta + joint.damping * velocity
     angle, speed, carried = (values[::steps] for values in (dtheta, velocity, torque))
-    before = np.append(0.0, held[:-1])
+    before = np.append(0.0, command[:-1])
     if joint.inertia:  # it jumps at a tick; the mean of both sides is what an average over a few ticks gives
-        acceleration = (0.5 * (before + held) - carried - joint.friction * speed) / joint.inertia
+        acceleration = (0.5 * (before + command) - carried - joint.friction * speed) / joint.inertia
     else:
         acceleration = np.gradient(speed, 1.0 / rate)
-    motion = Motion(np.arange(held.size) / rate, angle, speed, acceleration, carried, before)
-    return motion, _peaks(held, torque, dtheta, velocity)
+    motion = Motion(np.arange(command.size) / rate, angle, speed, acceleration, carried, before)
+    return motion, _peaks(command, torque, dtheta, velocity)
 
 
-def _oscillator(joint: Joint, held: Array, step: float) -> tuple[Array, Array]:
+def _oscillator(joint: Joint, command: Array, step: float) -> tuple[Array, Array]:
     """Return deflection and rate (n + 1,) from rest, under torques (n,) each constant for `step` s: exact at each step.
 
     J d'' + b d' + Kc d = u has the poles p and q, which advance the state by a step; as a recursion that is a
@@ -140,7 +140,7 @@ def _oscillator(joint: Joint, held: Array, step: float) -> tuple[Array, Array]:
     entry = (np.eye(2) - state)[:, 0] / joint.stiffness  # from rest at one deflection to rest at another
     trace, determinant = float(np.trace(state)), (first * second).real
     delayed = (state - trace * np.eye(2)) @ entry  # of the adjugate of zI - A, which is zI - (tr A) I + A
-    entering = np.append(held, 0.0)
+    entering = np.append(command, 0.0)
     found = [
         np.asarray(lfilter([0.0, entry[row], delayed[row]], [1.0, -trace, determinant], entering)) for row in (0, 1)
     ]

@@ -158,7 +158,7 @@ def test_real_locked_outputs_are_imported_and_identified(
     assert "coarse-clock" in {warning["code"] for warning in found["warnings"]}
     assert not found["parameters"]["Bc"]["identifiable"]
     assert any(
-        warning["parameter"] == "Bc" and "cannot be told from Coulomb friction" in warning["message"]
+        warning["parameter"] == "Bc" and "cannot be distinguished from Coulomb friction" in warning["message"]
         for warning in found["errors"]
     )
 
@@ -340,7 +340,7 @@ def test_a_constant_deflection_is_refused(hil: Hil, make_recording: Maker) -> No
 
 
 @pytest.mark.parametrize("words", [(), ("--model", "auto"), ("--preset", "paper")])
-def test_a_recording_of_nothing_is_told_in_the_json_too(
+def test_an_unusable_recording_is_reported_in_the_json_too(
     hil: Hil, make_recording: Maker, words: tuple[str, ...]
 ) -> None:
     path = make_recording(change=lambda channels: channels.update(dtheta=np.full(2000, 0.1)))
