@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 
 from drivers.servo import Status
+from hil.child import command
 from hil.recording.channels import ROW, Rows
 
 _REFRESH = 0.1  # s
@@ -32,9 +33,9 @@ def beside(part: Path) -> Iterator[None]:
     if not sys.stderr.isatty():
         yield
         return
-    command = [sys.executable, "-m", "hil.acquisition.live_view", str(part)]
     try:
-        viewer = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - our own module
+        words = command("hil.acquisition.live_view", str(part))
+        viewer = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - our own module
     except OSError:
         yield
         return

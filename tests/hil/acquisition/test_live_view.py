@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hil.acquisition.live_view import beside, line
+from hil.child import command
 from hil.recording.channels import END_MARK, ROW, Row
 from hil.recording.writer import Header, RecordingWriter
 
@@ -85,6 +86,6 @@ def test_before_the_first_rows_the_line_is_starting() -> None:
 
 def test_the_viewer_ends_when_the_recorder_closes_it(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "a.h5", Header(profile={"duration": 4.0}), 10) as part:
-        command = [sys.executable, "-m", "hil.acquisition.live_view", str(part.path)]
-        viewer = subprocess.run(command, check=False, input=b"", capture_output=True)
+        words = command("hil.acquisition.live_view", str(part.path))
+        viewer = subprocess.run(words, check=False, input=b"", capture_output=True)
     assert viewer.returncode == 0

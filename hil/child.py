@@ -1,0 +1,31 @@
+"""The command line that starts a module of hil in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+_ROOT = Path(__file__).resolve().parents[1]
+_START = (
+    "import os, runpy, sys; _, path, module, *words = sys.argv; sys.path[:] = path.split(os.pathsep); "
+    "sys.argv = [module, *words]; runpy.run_module(module, run_name='__main__', alter_sys=True)"
+)
+
+
+def command(module: str, *words: str) -> list[str]:
+    """Return the command that runs `module` with `words` as its arguments.
+
+    `python -m` would search the working directory first, and so run any `h5py.py` that lies there. The new process
+    searches this one's absolute folders, in their order and without the working directory, unless hil itself is there.
+    """
+    return [sys.executable, "-I", "-c", _START, os.pathsep.join(_search_path()), module, *words]
+
+
+def _search_path() -> list[str]:
+    here = Path.cwd()
+    folders = [Path(entry) for entry in sys.path if Path(entry).is_absolute()]
+    kept = [folder for folder in folders if (place := folder.resolve()) != here or place == _ROOT]
+    if _ROOT not in [folder.resolve() for folder in kept]:  # a checkout that is run from within by `python -m hil`
+        kept.append(_ROOT)
+    return [str(folder) for folder in kept]
