@@ -26,11 +26,11 @@ REPEATS = 15
 
 
 def serve(link: str, baudrate: int, ready: Event, done: Event) -> None:
-    from sim_backend.wire.dynamixel.bus import DynamixelBus, DynamixelTiming
     from sim_backend.wire.dynamixel.device import DynamixelDevice
+    from sim_backend.wire.packets.bus import PacketBus, PacketTiming
     from sim_backend.wire.uart.pty_line import PtyLine
 
-    bus = DynamixelBus([], timing=DynamixelTiming(usb_latency=USB_LATENCY))
+    bus = PacketBus([], timing=PacketTiming(usb_latency=USB_LATENCY))
     with PtyLine(Path(link), bus) as line:
         bus.devices.append(DynamixelDevice("xl330-m288", baudrate=baudrate, now=line.now()))
         ready.set()

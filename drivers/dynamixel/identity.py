@@ -9,10 +9,10 @@ from drivers.retry import ATTEMPTS, retry
 from drivers.servo import BadReply, DriverError, NoReply
 
 if TYPE_CHECKING:
-    from drivers.dynamixel.bus import Bus
     from drivers.dynamixel.config import DynamixelConfig
-    from drivers.dynamixel.control_table import ControlTable
     from drivers.dynamixel.series import Series
+    from drivers.packets.bus import Bus
+    from drivers.packets.control_table import ControlTable
 
 RETURN_DELAY_LSB = 2e-6
 """s in one count of Return Delay Time."""

@@ -17,14 +17,15 @@ from typing import TYPE_CHECKING
 from drivers.dynamixel.faults import reboot, shut_down
 from drivers.dynamixel.models import DynamixelModel, DynamixelRegister, registers
 from drivers.dynamixel.series import DynamixelState
-from drivers.dynamixel.wire import Wire, Wire1
+from drivers.dynamixel.wire import wire_1
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from drivers.dynamixel.bus import Bus
     from drivers.dynamixel.config import DynamixelConfig
-    from drivers.dynamixel.control_table import ControlTable
+    from drivers.packets.bus import Bus
+    from drivers.packets.control_table import ControlTable
+    from drivers.packets.wire import Wire
     from drivers.servo import Limits
 
 _FIELDS = struct.Struct("<hHHBBBBBBHH16xH")  # position, speed, load, V, degC, 44 to 47, punch, tick, current
@@ -45,7 +46,7 @@ class MxSeries:
     velocity_lsb = 0.114 * math.tau / 60.0
 
     def __init__(self, model: DynamixelModel, config: DynamixelConfig, torque_lsb: float) -> None:
-        self.wire: Wire = Wire1()
+        self.wire: Wire = wire_1()
         self.registers: Mapping[str, DynamixelRegister] = registers(1)
         self._model = model
         self._torque_mode = config.effective_mode == "current"

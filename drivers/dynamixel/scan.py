@@ -6,11 +6,12 @@ import contextlib
 from typing import get_args
 
 from drivers.clock import Clock, MonotonicClock
-from drivers.dynamixel.bus import Bus
 from drivers.dynamixel.config import Baudrate, DynamixelConfig
 from drivers.dynamixel.models import name_of
-from drivers.dynamixel.port import SerialPort
-from drivers.dynamixel.wire import BROADCAST, Wire1, Wire2
+from drivers.dynamixel.wire import Wire2, wire_1
+from drivers.packets.bus import Bus
+from drivers.packets.port import SerialPort
+from drivers.packets.wire import BROADCAST
 from drivers.servo import DriverError
 
 
@@ -27,7 +28,7 @@ def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort
         line.baudrate = baudrate
         line.openPort()
         try:
-            for wire in (Wire2(), Wire1()):
+            for wire in (Wire2(), wire_1()):
                 with contextlib.suppress(DriverError):
                     pinged = Bus(line, BROADCAST, clock, 0.0, wire).ping_all()
                     sentences += [

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from drivers.dynamixel.bus import Bus
-    from drivers.dynamixel.control_table import ControlTable
     from drivers.dynamixel.models import DynamixelRegister
-    from drivers.dynamixel.wire import Wire
+    from drivers.packets.bus import Bus
+    from drivers.packets.control_table import ControlTable
+    from drivers.packets.wire import Wire
     from drivers.servo import Limits
 
 

@@ -10,16 +10,16 @@ import contextlib
 import math
 
 from drivers.clock import Clock, MonotonicClock
-from drivers.dynamixel.bus import Bus
 from drivers.dynamixel.config import DynamixelConfig
-from drivers.dynamixel.control_table import ControlTable
 from drivers.dynamixel.identity import RETURN_DELAY_LSB, identify
 from drivers.dynamixel.models import POSITION_LSB, DynamixelModel, models
 from drivers.dynamixel.mx import MxSeries
-from drivers.dynamixel.port import SerialPort
 from drivers.dynamixel.series import Series
 from drivers.dynamixel.x import XSeries
 from drivers.gate import Admitted, Gate, to_counts
+from drivers.packets.bus import Bus
+from drivers.packets.control_table import ControlTable
+from drivers.packets.port import SerialPort
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 from drivers.tick import Freshness, TickClock
 

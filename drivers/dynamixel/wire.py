@@ -5,58 +5,18 @@ Source: e-manual, emanual.robotis.com/docs/en/dxl/protocol1/ and .../protocol2/.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING
 
-from dynamixel_sdk import Protocol1PacketHandler, Protocol2PacketHandler
+from dynamixel_sdk import Protocol2PacketHandler
+
+from drivers.packets.wire import Answer, Wire1
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from drivers.dynamixel.port import SerialPort
+    from drivers.packets.port import SerialPort
 
-PING, READ, WRITE, STATUS, SYNC_WRITE = 0x01, 0x02, 0x03, 0x55, 0x83
-BROADCAST = 0xFE
-
-
-class Answer(NamedTuple):
-    """A status packet with a valid checksum.
-
-    alert: the hardware errors it reports, 0 for none. damaged: whether the request reached the servo damaged.
-    refused: why the servo refused the request, "" where it did not.
-    """
-
-    ident: int
-    alert: int
-    damaged: bool
-    refused: str
-    data: bytes
-
-
-class Wire(Protocol):
-    """One of the protocols. status_size: bytes of a status packet without parameters."""
-
-    status_size: int
-
-    def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
-        """Return the bytes of a request."""
-        ...
-
-    def place(self, *numbers: int) -> bytes:
-        """Return addresses and lengths as the protocol encodes them."""
-        ...
-
-    def receive(self, port: SerialPort) -> tuple[bytes, int]:
-        """Return the packet that the SDK reads from `port`, and its result. Raises IndexError for a bad length."""
-        ...
-
-    def opened(self, raw: bytes) -> Answer | None:
-        """Return the content of a packet from `receive`; None where it is no status packet."""
-        ...
-
-    def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
-        """Yield id and model number (0 where the protocol has none) of each reply to a ping in received bytes."""
-        ...
-
+_STATUS = 0x55
 
 _REFUSALS_2 = {
     1: "it could not execute the request",
@@ -100,7 +60,7 @@ class Wire2:
     def opened(self, raw: bytes) -> Answer | None:
         """See `Wire`. alert: the alert bit, 0x80."""
         body = raw[7 : 5 + int.from_bytes(raw[5:7], "little")].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-        if body[:1] != bytes([STATUS]) or len(body) < 2:
+        if body[:1] != bytes([_STATUS]) or len(body) < 2:
             return None
         number = body[1] & 0x7F
         refused = _REFUSALS_2.get(number, f"error {number}") if number not in {0, 3} else ""
@@ -127,38 +87,6 @@ _REFUSALS_1 = {
 }
 
 
-class Wire1:
-    """Protocol 1.0. Every status packet carries the servo's hardware errors, and none names its request."""
-
-    status_size = 6
-
-    def __init__(self) -> None:
-        self._packets = Protocol1PacketHandler()
-
-    def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
-        """Return the bytes of a request."""
-        body = bytes([ident, len(parameters) + 2, instruction]) + parameters
-        return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
-
-    def place(self, *numbers: int) -> bytes:
-        """Return one byte for each."""
-        return bytes(numbers)
-
-    def receive(self, port: SerialPort) -> tuple[bytes, int]:
-        """See `Wire`."""
-        raw, result = self._packets.rxPacket(port)
-        return bytes(raw), result
-
-    def opened(self, raw: bytes) -> Answer | None:
-        """See `Wire`. alert: bit 0 voltage, 2 heat, 5 overload."""
-        if len(raw) < self.status_size or raw[3] != len(raw) - 4:
-            return None
-        bits = raw[4]
-        refused = "; ".join(text for bit, text in _REFUSALS_1.items() if bits & bit)
-        return Answer(raw[2], bits & _ALERTS_1, bool(bits & _DAMAGED_1), refused, raw[5:-1])
-
-    def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
-        """See `Wire`; the model number is not reported."""
-        for part in received.split(b"\xff\xff")[1:]:
-            if len(part) == 4 and part[1] == 2 and part[3] == ~sum(part[:3]) & 0xFF:
-                yield part[0], 0
+def wire_1() -> Wire1:
+    """Return protocol 1.0 with the error bits of DYNAMIXEL servos."""
+    return Wire1(_ALERTS_1, damaged=_DAMAGED_1, refusals=_REFUSALS_1)

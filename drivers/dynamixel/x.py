@@ -14,14 +14,15 @@ from typing import TYPE_CHECKING
 from drivers.dynamixel.faults import latched, reboot, watchdog
 from drivers.dynamixel.models import VELOCITY_LSB, DynamixelModel, DynamixelRegister, registers
 from drivers.dynamixel.series import DynamixelState
-from drivers.dynamixel.wire import Wire, Wire2
+from drivers.dynamixel.wire import Wire2
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from drivers.dynamixel.bus import Bus
     from drivers.dynamixel.config import DynamixelConfig, Mode
-    from drivers.dynamixel.control_table import ControlTable
+    from drivers.packets.bus import Bus
+    from drivers.packets.control_table import ControlTable
+    from drivers.packets.wire import Wire
     from drivers.servo import Limits
 
 _MODE_CODES: dict[Mode, int] = {"current": 0, "extended-position": 4, "current-based-position": 5}

@@ -69,7 +69,7 @@ EMULATORS: Mapping[str, Emulator] = MappingProxyType(
             "a DYNAMIXEL",
             "on a pty: --link",
             "sim_backend.wire.dynamixel.emulator:serve",
-            "sim_backend.wire.dynamixel.bus:DynamixelTiming",
+            "sim_backend.wire.packets.bus:PacketTiming",
         ),
         "odrive": _on_can("an ODrive", "odrive"),
         "mit": _on_can("a CubeMars AK or Damiao motor", "mit"),

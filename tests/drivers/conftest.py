@@ -20,7 +20,6 @@ from drivers.clock import VirtualClock
 from drivers.commander.config import CommanderConfig
 from drivers.commander.servo import CommanderServo
 from drivers.dynamixel.config import DynamixelConfig
-from drivers.dynamixel.port import SerialPort
 from drivers.dynamixel.servo import DynamixelServo
 from drivers.loadcell.config import LoadCellConfig
 from drivers.loadcell.sensor import LoadCell
@@ -30,6 +29,7 @@ from drivers.moteus.config import MoteusConfig
 from drivers.moteus.servo import MoteusServo
 from drivers.odrive.config import OdriveConfig
 from drivers.odrive.servo import OdriveServo
+from drivers.packets.port import SerialPort
 from drivers.servo import Limits, Servo
 from drivers.uart.port import POLL
 from hil.doctor.stop_path import answered
@@ -44,7 +44,6 @@ from sim_backend.wire.canbus.loopback import CanLoopback
 from sim_backend.wire.cia402.device import Cia402Device
 from sim_backend.wire.commander.emulator import CommanderBoard, CommanderTiming, new_board
 from sim_backend.wire.commander.emulator import serve as serve_foc
-from sim_backend.wire.dynamixel.bus import DynamixelBus, DynamixelTiming
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.mx_device import MxDevice
@@ -54,6 +53,7 @@ from sim_backend.wire.loadcell.emulator import SCALE, EmulatedLoadCell, LoadCell
 from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.moteus.device import MoteusDevice
 from sim_backend.wire.odrive.device import OdriveDevice
+from sim_backend.wire.packets.bus import PacketBus, PacketTiming
 from sim_backend.wire.uart.loopback import SerialLoopback
 
 
@@ -68,7 +68,7 @@ def nothing_is_left_behind() -> Iterator[None]:
 class Loopback(SerialPort):
     """The line to an emulated bus in virtual time: a wait for bytes is what makes time pass."""
 
-    def __init__(self, bus: DynamixelBus, clock: VirtualClock, baudrate: int = 1_000_000) -> None:
+    def __init__(self, bus: PacketBus, clock: VirtualClock, baudrate: int = 1_000_000) -> None:
         super().__init__("loopback", baudrate, clock)
         self.bus = bus
         self.sent = bytearray()
@@ -128,7 +128,7 @@ class Loopback(SerialPort):
 class Rig:
     """A bus of emulated servos and what is needed to open one of them, in virtual time."""
 
-    bus: DynamixelBus
+    bus: PacketBus
     clock: VirtualClock
     port: Loopback
     config: DynamixelConfig
@@ -161,11 +161,11 @@ class Rig:
 
 def new_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
     clock = VirtualClock()
-    bus: DynamixelBus
+    bus: PacketBus
     if model in MX_MODELS:
-        bus = DynamixelBus([MxDevice(model, baudrate=baudrate, **device)], timing=DynamixelTiming(), protocol=1)
+        bus = PacketBus([MxDevice(model, baudrate=baudrate, **device)], timing=PacketTiming(), protocol=1)
     else:
-        bus = DynamixelBus([DynamixelDevice(model, baudrate=baudrate, **device)], timing=DynamixelTiming())
+        bus = PacketBus([DynamixelDevice(model, baudrate=baudrate, **device)], timing=PacketTiming())
     watchdog = 0.0 if model in MX_MODELS else 0.1
     config = DynamixelConfig(port="loopback", model=model, baudrate=baudrate, watchdog=watchdog)  # type: ignore[arg-type]  # a Literal
     return Rig(bus, clock, Loopback(bus, clock, baudrate), config)
@@ -329,7 +329,7 @@ def closed_after(servo: Servo, limits: Limits) -> Iterator[tuple[Servo, Limits]]
 
 
 def on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
-    with serve(path / "ttyDXL", "xl330-m288", timing=DynamixelTiming()) as line:
+    with serve(path / "ttyDXL", "xl330-m288", timing=PacketTiming()) as line:
         servo = DynamixelServo(
             DynamixelConfig(port=str(line.link), model="xl330-m288", reply_timeout=0.3, watchdog=1.0)
         )

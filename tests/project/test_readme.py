@@ -10,8 +10,8 @@ import pytest
 
 from hil.cli.app import run
 from hil.stand.file import parse
-from sim_backend.wire.dynamixel.bus import DynamixelTiming
 from sim_backend.wire.dynamixel.emulator import serve
+from sim_backend.wire.packets.bus import PacketTiming
 
 ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -93,7 +93,7 @@ def test_the_commands_for_a_drive_run_against_the_emulated_servo(
     words = dict(zip(shlex.split(emulate)[3:-1:2], shlex.split(emulate)[4:-1:2], strict=True))
     assert emulate.startswith("hil emulate dynamixel ")
     assert emulate.endswith(" &")
-    with serve(Path(words["--link"]), timing=DynamixelTiming()):
+    with serve(Path(words["--link"]), timing=PacketTiming()):
         for command in commands:
             assert run(shlex.split(command)[1:]) == 0, command
             if " stand new " in command:

@@ -10,10 +10,18 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.dynamixel.frames import BROADCAST, Error, Frame, Instruction
 from sim_backend.wire.dynamixel.registers import Registers
-from sim_backend.wire.dynamixel.regulator import COUNT, Goals, Regulator, joint_at_horn
-from sim_backend.wire.dynamixel.tables import BAUD, CURRENT, CURRENT_POSITION, MODELS, POSITION, RPM
+from sim_backend.wire.dynamixel.tables import BAUD, MODELS, RPM
+from sim_backend.wire.packets.frames import BROADCAST, Error, Frame, Instruction
+from sim_backend.wire.packets.regulator import (
+    COUNT,
+    CURRENT,
+    CURRENT_POSITION,
+    POSITION,
+    Goals,
+    Regulator,
+    joint_at_horn,
+)
 from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
@@ -68,6 +76,8 @@ class DynamixelDevice:
     def id(self) -> int:
         """The id."""
         return self.registers.get("id")
+
+    sync_reads = True
 
     @property
     def shadow(self) -> int | None:

@@ -6,11 +6,11 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.dynamixel.bus import DynamixelBus, DynamixelTiming
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.mx_device import MxDevice
 from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_MODELS
 from sim_backend.wire.dynamixel.tables import BAUD, MODELS
+from sim_backend.wire.packets.bus import PacketBus, PacketTiming
 from sim_backend.wire.uart.pty_line import PtyLine
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def serve(
     *,
     baudrate: int = 1_000_000,
     parameters: SimParameters | None = None,
-    timing: DynamixelTiming | None = None,
+    timing: PacketTiming | None = None,
 ) -> PtyLine:
     """Return servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
 
@@ -53,4 +53,4 @@ def serve(
     make = MxDevice if model in MX_MODELS else DynamixelDevice
     now = time.monotonic()
     servos = [make(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
-    return PtyLine(link, DynamixelBus(servos, timing=timing, protocol=1 if model in MX_MODELS else 2))
+    return PtyLine(link, PacketBus(servos, timing=timing, protocol=1 if model in MX_MODELS else 2))

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.dynamixel.frames import BROADCAST, Frame, Instruction
 from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_EEPROM_END, MX_MODELS, MX_RPM
-from sim_backend.wire.dynamixel.regulator import COUNT, Goals, Regulator, joint_at_horn
-from sim_backend.wire.dynamixel.tables import CURRENT, CURRENT_POSITION, SPEED
+from sim_backend.wire.packets.frames import BROADCAST, Frame, Instruction
+from sim_backend.wire.packets.regulator import COUNT, CURRENT, CURRENT_POSITION, SPEED, Goals, Regulator, joint_at_horn
 from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
@@ -35,6 +34,7 @@ class MxDevice:
     """
 
     shadow: int | None = None
+    sync_reads = False
 
     def __init__(
         self,

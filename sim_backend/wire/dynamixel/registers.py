@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.dynamixel.frames import Error
-from sim_backend.wire.dynamixel.tables import BAUD, MODES, POSITION, DynamixelModel
+from sim_backend.wire.dynamixel.tables import BAUD, MODES, DynamixelModel
+from sim_backend.wire.packets.frames import Error
+from sim_backend.wire.packets.regulator import POSITION
 
 if TYPE_CHECKING:
     from sim_backend.wire.dynamixel.tables import Item

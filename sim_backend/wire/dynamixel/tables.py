@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from sim_backend.wire.packets.regulator import CURRENT, CURRENT_POSITION, EXTENDED, POSITION, PWM, SPEED
+
 
 @dataclass(frozen=True, slots=True)
 class Item:
@@ -53,7 +55,6 @@ class DynamixelModel:
 BAUD = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 """bit/s by the code in Baud Rate(8)."""
 
-CURRENT, SPEED, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
 MODES = (CURRENT, SPEED, POSITION, EXTENDED, CURRENT_POSITION, PWM)
 
 RPM = 0.229 * 2.0 * 3.141592653589793 / 60.0

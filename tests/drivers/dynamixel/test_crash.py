@@ -7,8 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from sim_backend.wire.dynamixel.bus import DynamixelBus
 from sim_backend.wire.dynamixel.device import DynamixelDevice
+from sim_backend.wire.packets.bus import PacketBus
 from sim_backend.wire.uart.pty_line import PtyLine
 
 CRASHES = """
@@ -25,7 +25,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_killed_program_leaves_no_current_once_the_watchdog_has_run_out(tmp_path: Path) -> None:
-    bus = DynamixelBus([])
+    bus = PacketBus([])
     with PtyLine(tmp_path / "tty", bus) as line:
         bus.devices.append(DynamixelDevice("xl330-m288", now=line.now()))
         root = Path(__file__).parents[3]

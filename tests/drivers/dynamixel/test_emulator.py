@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from sim_backend.wire.dynamixel.bus import DynamixelBus, DynamixelTiming
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
-from sim_backend.wire.dynamixel.frames import Error, packet, status
-from sim_backend.wire.dynamixel.regulator import COUNT
 from sim_backend.wire.dynamixel.tables import MODELS, RPM
+from sim_backend.wire.packets.bus import PacketBus, PacketTiming
+from sim_backend.wire.packets.frames import Error, packet, status
+from sim_backend.wire.packets.regulator import COUNT
 
 TORQUE_ENABLE, WATCHDOG = 64, 98
 GOAL_CURRENT, GOAL_VELOCITY, GOAL_POSITION, GOAL_PWM = (102, 2), (104, 4), (116, 4), (100, 2)
@@ -64,7 +64,7 @@ def test_the_watchdog_goes_through_the_eight_steps_of_the_manuals_example() -> N
 
 
 def test_the_watchdog_sleeps_while_the_torque_is_off_and_is_fed_by_talk_with_others() -> None:
-    bus = DynamixelBus([DynamixelDevice("xl330-m288", 1), DynamixelDevice("xl330-m288", 2)])
+    bus = PacketBus([DynamixelDevice("xl330-m288", 1), DynamixelDevice("xl330-m288", 2)])
     first = bus.devices[0]
     first.write(WATCHDOG, b"\x01")
     bus.advance(1.0)
@@ -130,26 +130,26 @@ def test_the_drive_mode_turns_the_servo_round() -> None:
 def test_a_damaged_request_is_answered_with_the_error_for_it() -> None:
     request = bytearray(packet(1, b"\x02\x84\x00\x04\x00"))
     request[-1] ^= 1
-    (reply,) = DynamixelBus([DynamixelDevice("xl330-m288")]).receive(bytes(request), 0.0)
+    (reply,) = PacketBus([DynamixelDevice("xl330-m288")]).receive(bytes(request), 0.0)
     assert reply.data == status(1, Error.CRC)
 
 
 def test_what_it_does_not_know_is_an_instruction_error() -> None:
-    bus = DynamixelBus([DynamixelDevice("xl330-m288")])
+    bus = PacketBus([DynamixelDevice("xl330-m288")])
     for instruction in (0x05, 0x7F):  # an Action without Reg Write; none at all
         (reply,) = bus.receive(packet(1, bytes([instruction])), 0.0)
         assert reply.data == status(1, Error.INSTRUCTION)
 
 
 def test_a_shadow_id_obeys_and_is_silent() -> None:
-    bus = DynamixelBus([DynamixelDevice("xl330-m288", 1)])
+    bus = PacketBus([DynamixelDevice("xl330-m288", 1)])
     bus.devices[0].write(12, b"\x05")
     assert bus.receive(packet(5, b"\x03\x41\x00\x01"), 0.0) == []
     assert bus.devices[0].registers.get("led") == 1
 
 
 def test_timing_is_the_sum_of_its_parts() -> None:
-    bus = DynamixelBus([DynamixelDevice("xl330-m288")], timing=DynamixelTiming(usb_latency=1e-3))
+    bus = PacketBus([DynamixelDevice("xl330-m288")], timing=PacketTiming(usb_latency=1e-3))
     (reply,) = bus.receive(packet(1, b"\x02\x84\x00\x04\x00"), 2.0, 1_000_000)
     assert reply.at == pytest.approx(2.0 + (14 + 15) * 10e-6 + 500e-6 + 1e-3, abs=1e-9)
 

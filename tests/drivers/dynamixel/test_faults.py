@@ -27,12 +27,12 @@ from drivers.servo import (
     NoReply,
     Quantity,
 )
-from sim_backend.wire.dynamixel.bus import DynamixelBus, Reply
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.faults import (
     NoiseBefore,
     Unplug,
 )
+from sim_backend.wire.packets.bus import PacketBus, Reply
 from sim_backend.wire.uart.pty_line import PtyLine
 
 Rig = Any
@@ -84,7 +84,7 @@ def test_a_port_without_permission_names_the_group_to_join(monkeypatch: pytest.M
 
 
 def test_a_port_that_another_program_holds_is_refused(tmp_path: Path) -> None:
-    bus = DynamixelBus([])
+    bus = PacketBus([])
     with PtyLine(tmp_path / "tty", bus) as line:
         bus.devices.append(DynamixelDevice("xl330-m288", now=line.now()))
         first = DynamixelServo(config(line.link, reply_timeout=0.3, watchdog=1.0))
@@ -234,7 +234,7 @@ def test_a_watchdog_that_does_not_stop_the_motor_is_still_noticed(rig: Rig, limi
 
 
 def test_a_pulled_cable_is_a_lost_link_on_a_real_port(tmp_path: Path, limits: Limits) -> None:
-    bus = DynamixelBus([])
+    bus = PacketBus([])
     with PtyLine(tmp_path / "tty", bus) as line:
         bus.devices.append(DynamixelDevice("xl330-m288", now=line.now()))
         servo = DynamixelServo(config(line.link, reply_timeout=0.3, watchdog=1.0))

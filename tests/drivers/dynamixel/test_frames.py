@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_backend.wire.dynamixel.bus import DynamixelBus
 from sim_backend.wire.dynamixel.device import DynamixelDevice
-from sim_backend.wire.dynamixel.frames import Frame, Framer, Instruction, packet, status, take_packet
+from sim_backend.wire.packets.bus import PacketBus
+from sim_backend.wire.packets.frames import Frame, Framer, Instruction, packet, status, take_packet
 
 PING_1 = "FF FF FD 00 01 03 00 01 19 4E"
 READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"
@@ -73,9 +73,9 @@ def test_every_status_packet_of_the_manual_is_written_alike(ident: int, paramete
     assert status(ident, 0, octets(parameters)) == octets(printed)
 
 
-def three_servos() -> DynamixelBus:
+def three_servos() -> PacketBus:
     """The servos of the manual's Fast Sync Read example, turned to where its positions are."""
-    bus = DynamixelBus([DynamixelDevice("xc330-t288", ident) for ident in (3, 7, 4)])
+    bus = PacketBus([DynamixelDevice("xc330-t288", ident) for ident in (3, 7, 4)])
     for device, position in zip(bus.devices, (166, 2079, 1023), strict=True):
         device.registers.put("homing_offset", position)
     return bus

@@ -19,8 +19,8 @@ from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import CouplingParameters
 from sim_backend.wire.dynamixel.device import DynamixelDevice
-from sim_backend.wire.dynamixel.regulator import COUNT, joint_at_horn
 from sim_backend.wire.dynamixel.tables import MODELS
+from sim_backend.wire.packets.regulator import COUNT, joint_at_horn
 
 STAND = """
 [stand]

@@ -26,8 +26,6 @@ from hil.recording.writer import Header, RecordingWriter
 from hil.signals.prepare import prepare
 from hil.stand.file import parse
 from sim_backend.parameters import CouplingParameters, FixtureParameters
-from sim_backend.wire.dynamixel.bus import DynamixelBus
-from sim_backend.wire.dynamixel.frames import Framer
 from sim_backend.wire.dynamixel.mx_device import (
     MX_ANGLE,
     MX_CHECKSUM,
@@ -37,10 +35,12 @@ from sim_backend.wire.dynamixel.mx_device import (
     MX_RANGE,
     MxDevice,
 )
-from sim_backend.wire.dynamixel.mx_frames import mx_status, take_mx_packet
 from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
-from sim_backend.wire.dynamixel.regulator import COUNT, joint_at_horn
 from sim_backend.wire.faults import CorruptReplies, DelayReplies, DropReplies, Reboots, TruncateReplies
+from sim_backend.wire.packets.bus import PacketBus
+from sim_backend.wire.packets.frames import Framer
+from sim_backend.wire.packets.frames_1 import status_1, take_packet_1
+from sim_backend.wire.packets.regulator import COUNT, joint_at_horn
 from sim_backend.wire.uart.pty_line import PtyLine
 
 Make = Callable[..., Any]
@@ -90,14 +90,14 @@ def soft(model: str = "mx-64", stiffness: float = 0.05) -> MxDevice:
     ],
 )
 def test_the_emulator_answers_the_manuals_packets(request_: str, reply: str) -> None:
-    bus = DynamixelBus([MxDevice("mx-64")], protocol=1)
+    bus = PacketBus([MxDevice("mx-64")], protocol=1)
     replies = bus.receive(bytes.fromhex(request_), 0.1)
     assert b"".join(data for _, data in replies) == bytes.fromhex(reply)
 
 
 def test_the_manuals_sync_write_reaches_the_servo_it_names() -> None:
     device = MxDevice("mx-106", 1)
-    bus = DynamixelBus([device], protocol=1)
+    bus = PacketBus([device], protocol=1)
     bus.receive(bytes.fromhex("ff ff fe 0e 83 1e 04 00 10 00 50 01 01 20 02 60 03 67"), 0.1)
     assert (device.get("goal_position"), device.get("moving_speed")) == (0x220, 0x360)
 
@@ -110,7 +110,7 @@ def test_the_manuals_sync_write_reaches_the_servo_it_names() -> None:
 def test_packets_are_found_whatever_pieces_they_come_in(junk: bytes, pieces: list[int], parameters: bytes) -> None:
     body = bytes([7, 2 + len(parameters), 3]) + parameters
     data = junk + b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
-    framer, frames = Framer(take_mx_packet), []
+    framer, frames = Framer(take_packet_1), []
     for size in pieces:
         frames += framer.feed(data[:size])
         data = data[size:]
@@ -121,8 +121,8 @@ def test_packets_are_found_whatever_pieces_they_come_in(junk: bytes, pieces: lis
 
 
 def test_a_status_packet_has_the_manuals_checksum() -> None:
-    assert mx_status(1, 0x24) == bytes.fromhex("ff ff 01 02 24 d8")
-    assert mx_status(1, 0, b"\x20") == bytes.fromhex("ff ff 01 03 00 20 db")
+    assert status_1(1, 0x24) == bytes.fromhex("ff ff 01 02 24 d8")
+    assert status_1(1, 0, b"\x20") == bytes.fromhex("ff ff 01 03 00 20 db")
 
 
 @pytest.mark.parametrize("model", MX_MODELS)
@@ -171,9 +171,9 @@ def test_heat_sets_the_torque_limit_to_zero_and_is_reported_while_it_lasts() -> 
 
 
 @pytest.fixture
-def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, DynamixelBus]]:
+def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, PacketBus]]:
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 100)  # ms; patience on a busy machine
-    bus = DynamixelBus([], protocol=1)
+    bus = PacketBus([], protocol=1)
     with PtyLine(tmp_path / "ttyDXL", bus) as served:
         bus.devices += [MxDevice("mx-64", 1, now=served.now()), MxDevice("mx-106", 2, now=served.now())]
         port = PortHandler(str(served.link))
@@ -184,7 +184,7 @@ def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any,
             port.closePort()
 
 
-def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, DynamixelBus]) -> None:
+def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, PacketBus]) -> None:
     port, bus = line
     assert PACKETS.ping(port, 1) == (310, COMM_SUCCESS, 0)
     assert PACKETS.ping(port, 2) == (320, COMM_SUCCESS, 0)
@@ -201,14 +201,14 @@ def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, DynamixelBu
 
 
 def test_bulk_read_is_answered_in_its_order() -> None:
-    bus = DynamixelBus([MxDevice("mx-64", 1), MxDevice("mx-64", 2)], protocol=1)
+    bus = PacketBus([MxDevice("mx-64", 1), MxDevice("mx-64", 2)], protocol=1)
     replies = bus.receive(bytes.fromhex("ff ff fe 09 92 00 02 01 1e 02 02 24 1d"), 0.1)  # the manual's
     assert [data[2] for _, data in replies] == [1, 2]
     assert {len(data) for _, data in replies} == {8}
 
 
 def test_an_unknown_instruction_and_a_damaged_one_are_distinguished() -> None:
-    bus = DynamixelBus([MxDevice("mx-64")], protocol=1)
+    bus = PacketBus([MxDevice("mx-64")], protocol=1)
     (unknown,) = bus.receive(bytes.fromhex("ff ff 01 02 77 85"), 0.1)
     (damaged,) = bus.receive(bytes.fromhex("ff ff 01 02 77 84"), 0.2)
     assert (unknown.data[4], damaged.data[4]) == (MX_INSTRUCTION, MX_CHECKSUM)

@@ -18,17 +18,17 @@ from dynamixel_sdk import (
     Protocol2PacketHandler,
 )
 
-from sim_backend.wire.dynamixel.bus import DynamixelBus
 from sim_backend.wire.dynamixel.device import OVERLOAD, DynamixelDevice
+from sim_backend.wire.packets.bus import PacketBus
 from sim_backend.wire.uart.pty_line import PtyLine
 
 PACKETS = Protocol2PacketHandler()
 
 
 @pytest.fixture
-def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, DynamixelBus]]:
+def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, PacketBus]]:
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 100)  # ms; patience on a busy machine
-    bus = DynamixelBus([])
+    bus = PacketBus([])
     with PtyLine(tmp_path / "ttyDXL", bus) as served:
         now = served.now()
         bus.devices += [
@@ -44,14 +44,14 @@ def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any,
             port.closePort()
 
 
-def test_ping_and_broadcast_ping_find_every_servo(line: tuple[Any, DynamixelBus]) -> None:
+def test_ping_and_broadcast_ping_find_every_servo(line: tuple[Any, PacketBus]) -> None:
     port, _ = line
     assert PACKETS.ping(port, 2) == (1030, COMM_SUCCESS, 0)
     assert PACKETS.ping(port, 3)[1] == COMM_RX_TIMEOUT
     assert PACKETS.broadcastPing(port) == ({1: [1200, 46], 2: [1030, 38], 7: [1060, 45]}, COMM_SUCCESS)
 
 
-def test_reads_and_writes_keep_to_the_control_table(line: tuple[Any, DynamixelBus]) -> None:
+def test_reads_and_writes_keep_to_the_control_table(line: tuple[Any, PacketBus]) -> None:
     port, _ = line
     assert PACKETS.write2ByteTxRx(port, 1, 38, 500) == (COMM_SUCCESS, 0)
     assert PACKETS.read2ByteTxRx(port, 1, 38) == (500, COMM_SUCCESS, 0)
@@ -64,7 +64,7 @@ def test_reads_and_writes_keep_to_the_control_table(line: tuple[Any, DynamixelBu
     assert PACKETS.write1ByteTxRx(port, 1, 11, 0) == (COMM_SUCCESS, 7)  # EEPROM with the torque on
 
 
-def test_sync_and_fast_sync_and_bulk_and_fast_bulk_read(line: tuple[Any, DynamixelBus]) -> None:
+def test_sync_and_fast_sync_and_bulk_and_fast_bulk_read(line: tuple[Any, PacketBus]) -> None:
     port, bus = line
     bus.devices[1].registers.put("homing_offset", -3)
     group = GroupSyncRead(port, PACKETS, 132, 4)
@@ -81,7 +81,7 @@ def test_sync_and_fast_sync_and_bulk_and_fast_bulk_read(line: tuple[Any, Dynamix
         assert (bulk.getData(1, 144, 2), bulk.getData(2, 146, 1)) == (50, 23)
 
 
-def test_sync_and_bulk_write_and_reg_write_with_action(line: tuple[Any, DynamixelBus]) -> None:
+def test_sync_and_bulk_write_and_reg_write_with_action(line: tuple[Any, PacketBus]) -> None:
     port, _ = line
     sync = GroupSyncWrite(port, PACKETS, 65, 1)
     for ident in (1, 2):
@@ -105,7 +105,7 @@ def test_sync_and_bulk_write_and_reg_write_with_action(line: tuple[Any, Dynamixe
     assert PACKETS.read1ByteTxRx(port, 7, 31)[0] == 60
 
 
-def test_a_reboot_silences_the_servo_and_clears_what_is_in_ram(line: tuple[Any, DynamixelBus]) -> None:
+def test_a_reboot_silences_the_servo_and_clears_what_is_in_ram(line: tuple[Any, PacketBus]) -> None:
     port, bus = line
     PACKETS.write2ByteTxRx(port, 1, 38, 500)
     PACKETS.write1ByteTxRx(port, 1, 65, 1)
@@ -123,7 +123,7 @@ def test_a_reboot_silences_the_servo_and_clears_what_is_in_ram(line: tuple[Any, 
     assert PACKETS.read2ByteTxRx(port, 1, 38)[0] == 500
 
 
-def test_indirect_data_shows_and_changes_what_the_addresses_name(line: tuple[Any, DynamixelBus]) -> None:
+def test_indirect_data_shows_and_changes_what_the_addresses_name(line: tuple[Any, PacketBus]) -> None:
     port, _ = line
     for slot, address in enumerate((132, 133, 134, 135, 65)):
         PACKETS.write2ByteTxRx(port, 1, 168 + 2 * slot, address)
@@ -133,7 +133,7 @@ def test_indirect_data_shows_and_changes_what_the_addresses_name(line: tuple[Any
     assert PACKETS.read2ByteTxRx(port, 2, 634)[1:] == (COMM_SUCCESS, 0)
 
 
-def test_the_status_return_level_decides_who_is_answered(line: tuple[Any, DynamixelBus]) -> None:
+def test_the_status_return_level_decides_who_is_answered(line: tuple[Any, PacketBus]) -> None:
     port, _ = line
     PACKETS.write1ByteTxRx(port, 1, 68, 1)
     assert PACKETS.write1ByteTxRx(port, 1, 65, 1)[0] == COMM_RX_TIMEOUT
@@ -143,7 +143,7 @@ def test_the_status_return_level_decides_who_is_answered(line: tuple[Any, Dynami
     assert PACKETS.ping(port, 1)[1] == COMM_SUCCESS
 
 
-def test_a_client_at_the_wrong_baud_rate_receives_nothing(line: tuple[Any, DynamixelBus]) -> None:
+def test_a_client_at_the_wrong_baud_rate_receives_nothing(line: tuple[Any, PacketBus]) -> None:
     port, _ = line
     port.setBaudRate(57600)
     assert PACKETS.ping(port, 1)[1] == COMM_RX_TIMEOUT
@@ -151,7 +151,7 @@ def test_a_client_at_the_wrong_baud_rate_receives_nothing(line: tuple[Any, Dynam
     assert PACKETS.ping(port, 1)[1] == COMM_SUCCESS
 
 
-def test_a_factory_reset_restores_the_defaults_except_what_it_is_asked_to_keep(line: tuple[Any, DynamixelBus]) -> None:
+def test_a_factory_reset_restores_the_defaults_except_what_it_is_asked_to_keep(line: tuple[Any, PacketBus]) -> None:
     port, bus = line
     PACKETS.write2ByteTxRx(port, 2, 38, 100)
     PACKETS.factoryReset(port, 2, 0x02)
@@ -161,7 +161,7 @@ def test_a_factory_reset_restores_the_defaults_except_what_it_is_asked_to_keep(l
     assert bus.devices[0].baudrate == 57600
 
 
-def test_clear_takes_whole_turns_off_the_position(line: tuple[Any, DynamixelBus]) -> None:
+def test_clear_takes_whole_turns_off_the_position(line: tuple[Any, PacketBus]) -> None:
     port, bus = line
     bus.devices[0].registers.put("homing_offset", 2 * 4096 + 5)
     assert PACKETS.read4ByteTxRx(port, 1, 132)[0] == 8197

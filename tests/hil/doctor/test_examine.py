@@ -22,12 +22,12 @@ from hil.doctor.checks import CheckList
 from hil.doctor.examine import examine
 from hil.stand.file import Stand, parse
 from sim_backend.parameters import CouplingParameters
-from sim_backend.wire.dynamixel.bus import DynamixelTiming
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
-from sim_backend.wire.dynamixel.regulator import joint_at_horn
 from sim_backend.wire.dynamixel.tables import MODELS
 from sim_backend.wire.faults import DropReplies, Unplug
+from sim_backend.wire.packets.bus import PacketTiming
+from sim_backend.wire.packets.regulator import joint_at_horn
 
 from ...drivers.conftest import new_rig, nothing_is_left_behind
 
@@ -227,7 +227,7 @@ def test_servos_are_found_at_other_baud_rates_and_ids(make_rig: Callable[..., An
 def test_the_command_names_the_settings_at_which_a_servo_answers(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.dynamixel.bus._ROLL_CALL", 0.1)
+    monkeypatch.setattr("drivers.packets.bus._ROLL_CALL", 0.1)
     stand = tmp_path / "stand.toml"
     link = tmp_path / "ttyDXL"
     stand.write_text(STAND.format(port=link))
@@ -240,7 +240,7 @@ def test_the_command_gives_one_json_object(tmp_path: Path, capfd: pytest.Capture
     stand = tmp_path / "stand.toml"
     link = tmp_path / "ttyDXL"
     stand.write_text(STAND.format(port=link) + "reply_timeout = 0.3\nwatchdog = 1.0\n")
-    with serve(link, "xl330-m288", timing=DynamixelTiming()):
+    with serve(link, "xl330-m288", timing=PacketTiming()):
         assert run(["doctor", str(stand), "--json"]) == 0
     answer = json.loads(capfd.readouterr().out)
     assert (answer["schema"], answer["ok"], answer["drive"]["model"]) == ("hil-doctor/2", True, "xl330-m288")

@@ -1,27 +1,27 @@
-"""The frames of DYNAMIXEL protocol 1.0 as the servo sees them.
+"""The frames of protocol 1.0 as the servo sees them.
 
 Source: ROBOTIS e-manual, "Protocol 1.0" (emanual.robotis.com/docs/en/dxl/protocol1/). No I/O and no time in here.
 """
 
 from __future__ import annotations
 
-from sim_backend.wire.dynamixel.frames import Frame, Instruction, Taken
+from sim_backend.wire.packets.frames import Frame, Instruction, Taken
 
 HEADER = b"\xff\xff"
 
 
-def mx_checksum(body: bytes) -> int:
+def checksum_1(body: bytes) -> int:
     """Return the complement of the low byte of the sum of everything between header and checksum."""
     return 0xFF - sum(body) % 0x100
 
 
-def mx_status(ident: int, error: int, parameters: bytes = b"") -> bytes:
+def status_1(ident: int, error: int, parameters: bytes = b"") -> bytes:
     """The bytes of a status packet."""
     body = bytes([ident, 2 + len(parameters), error]) + parameters
-    return HEADER + body + bytes([mx_checksum(body)])
+    return HEADER + body + bytes([checksum_1(body)])
 
 
-def take_mx_packet(rest: bytes) -> Taken | None:
+def take_packet_1(rest: bytes) -> Taken | None:
     """Return the instruction packet or the junk with which `rest` begins, None where more bytes are needed.
 
     Nothing in a packet distinguishes an instruction from another servo's reply, so replies must not be fed in. After a
@@ -40,11 +40,11 @@ def take_mx_packet(rest: bytes) -> Taken | None:
     total = 4 + length
     if len(rest) < total:
         return None
-    sound = mx_checksum(rest[2 : total - 1]) == rest[total - 1]
+    sound = checksum_1(rest[2 : total - 1]) == rest[total - 1]
     return Taken(Frame(ident, rest[4], rest[5 : total - 1], sound, total), total if sound else len(HEADER))
 
 
-def mx_sync_writes(p: bytes) -> list[tuple[int, int, bytes]]:
+def sync_writes_1(p: bytes) -> list[tuple[int, int, bytes]]:
     """Id, address and data of each write in the parameters of a Sync Write."""
     if len(p) < 2:
         return []
@@ -52,9 +52,14 @@ def mx_sync_writes(p: bytes) -> list[tuple[int, int, bytes]]:
     return [(p[i], address, p[i + 1 : i + 1 + size]) for i in range(2, len(p) - size, size + 1)]
 
 
-def mx_bulk_reads(frame: Frame) -> list[tuple[int, int, int]]:
-    """Id, address and size of each read of a Bulk Read; of any other instruction none."""
+def reads_1(frame: Frame) -> list[tuple[int, int, int]]:
+    """Id, address and size of each read of a Bulk Read or a Sync Read; of any other instruction none.
+
+    ROBOTIS's servos have no Sync Read on protocol 1.0, Feetech's STS have one: address, size, and the ids.
+    """
+    p = frame.parameters
+    if frame.instruction == Instruction.SYNC_READ and len(p) > 1:
+        return [(ident, p[0], p[1]) for ident in p[2:]]
     if frame.instruction != Instruction.BULK_READ:
         return []
-    p = frame.parameters[1:]
-    return [(p[i + 1], p[i + 2], p[i]) for i in range(0, len(p) - 2, 3)]
+    return [(p[i + 1], p[i + 2], p[i]) for i in range(1, len(p) - 2, 3)]

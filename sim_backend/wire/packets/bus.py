@@ -10,13 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-from sim_backend.wire.dynamixel.device import DynamixelDevice
-from sim_backend.wire.dynamixel.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status, take_packet
-from sim_backend.wire.dynamixel.mx_device import MxDevice
-from sim_backend.wire.dynamixel.mx_frames import mx_bulk_reads, mx_status, mx_sync_writes, take_mx_packet
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
+from sim_backend.wire.packets.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status, take_packet
+from sim_backend.wire.packets.frames_1 import reads_1, status_1, sync_writes_1, take_packet_1
 
 
 class Reply(NamedTuple):
@@ -27,28 +25,90 @@ class Reply(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class DynamixelTiming:
+class PacketTiming:
     """Durations on the line. usb_latency: s for which the adapter holds received bytes back."""
 
     usb_latency: float = 1e-3
 
 
-DynamixelPeer = DynamixelDevice | MxDevice
-"""A servo as the line sees it."""
+class PacketServo(Protocol):
+    """A servo as the line sees it."""
+
+    @property
+    def id(self) -> int:
+        """The id."""
+        ...
+
+    @property
+    def shadow(self) -> int | None:
+        """A second id that it obeys without a reply, None without one."""
+        ...
+
+    @property
+    def sync_reads(self) -> bool:
+        """Whether it answers a Sync Read of protocol 1.0."""
+        ...
+
+    @property
+    def baudrate(self) -> int:
+        """bit/s."""
+        ...
+
+    @property
+    def return_delay(self) -> float:
+        """s from the request to its reply."""
+        ...
+
+    @property
+    def status_return_level(self) -> int:
+        """0: it replies to a ping, 1: and to a read, 2: to everything."""
+        ...
+
+    def listens(self, now: float) -> bool:
+        """Whether it is awake at `now`, s."""
+        ...
+
+    def advance(self, now: float) -> None:
+        """Carry it to `now`, s."""
+        ...
+
+    def feed_watchdog(self, now: float) -> None:
+        """Note that a request passed on the line at `now`, s."""
+        ...
+
+    def reboot(self, now: float) -> None:
+        """Lose power for a moment at `now`, s."""
+        ...
+
+    def alerted(self, error: int) -> int:
+        """Return the error byte, with the hardware errors that hold."""
+        ...
+
+    def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
+        """Execute `frame`; return error and parameters, None where it does not reply."""
+        ...
+
+    def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
+        """Return the error and the bytes of a read."""
+        ...
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write as an instruction does; return the error."""
+        ...
 
 
-class DynamixelBus:
+class PacketBus:
     """The line with its servos, which all speak one protocol. timing: None where everything happens at once."""
 
     def __init__(
-        self, devices: Iterable[DynamixelPeer], *, timing: DynamixelTiming | None = None, protocol: int = 2
+        self, devices: Iterable[PacketServo], *, timing: PacketTiming | None = None, protocol: int = 2
     ) -> None:
         self.devices: list[Any] = list(devices)  # whoever looks at them knows of what kind they are
         self.unplugged = False
         self._timing = timing
         self._protocol = protocol
-        self._framer = Framer(take_packet if protocol == 2 else take_mx_packet)
-        self._status = status if protocol == 2 else mx_status
+        self._framer = Framer(take_packet if protocol == 2 else take_packet_1)
+        self._status = status if protocol == 2 else status_1
         self._free = 0.0
         self.faults = WireFaults[SerialFault]()
 
@@ -98,7 +158,7 @@ class DynamixelBus:
             return []
         return self._timed([(d, self._status(d.id, *a)) for d, a in answers if a is not None], now)
 
-    def _addressed(self, frame: Frame, awake: list[DynamixelPeer], now: float) -> list[Reply]:
+    def _addressed(self, frame: Frame, awake: list[PacketServo], now: float) -> list[Reply]:
         """Execute an instruction to one id; a servo that has it as its shadow id obeys without a reply."""
         for device in awake:
             if device.id != frame.id and device.shadow == frame.id:
@@ -108,7 +168,7 @@ class DynamixelBus:
         packets = [self._status(frame.id, *answer) for answer in answers if answer is not None]
         return self._timed([(named[0], _collided(packets))], now) if packets else []
 
-    def _together(self, frame: Frame, present: dict[int, DynamixelPeer], now: float) -> list[Reply]:
+    def _together(self, frame: Frame, present: dict[int, PacketServo], now: float) -> list[Reply]:
         """Execute an instruction that addresses several servos at once."""
         p = frame.parameters
         if frame.instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
@@ -131,22 +191,27 @@ class DynamixelBus:
                 packets.append((device, status(ident, device.alerted(error), data)))
         return self._timed(packets, now)
 
-    def _mx_together(self, frame: Frame, present: dict[int, DynamixelPeer], now: float) -> list[Reply]:
-        """Execute Sync Write or Bulk Read of protocol 1.0; in the latter each servo waits for the one before it."""
+    def _mx_together(self, frame: Frame, present: dict[int, PacketServo], now: float) -> list[Reply]:
+        """Execute Sync Write, Sync Read or Bulk Read of protocol 1.0.
+
+        In a Bulk Read each servo waits for the one before it; a servo missing from a Sync Read is passed over.
+        """
         if frame.instruction == Instruction.SYNC_WRITE:
-            for ident, address, data in mx_sync_writes(frame.parameters):
+            for ident, address, data in sync_writes_1(frame.parameters):
                 if ident in present:
                     present[ident].write(address, data)
         packets = []
-        for ident, address, size in mx_bulk_reads(frame):
+        for ident, address, size in reads_1(frame):
             device = present.get(ident)
+            if frame.instruction == Instruction.SYNC_READ and (device is None or not device.sync_reads):
+                continue
             if device is None or device.status_return_level == 0:
                 break
             error, data = device.read(address, size, now)
-            packets.append((device, mx_status(ident, device.alerted(error), data)))
+            packets.append((device, status_1(ident, device.alerted(error), data)))
         return self._timed(packets, now)
 
-    def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, DynamixelPeer], now: float) -> list[Reply]:
+    def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, PacketServo], now: float) -> list[Reply]:
         """Return one status packet that the servos write one after the other; it is not stuffed."""
         length = 1 + sum(size + 4 for _, _, size in wanted)
         out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([Instruction.STATUS])
@@ -161,7 +226,7 @@ class DynamixelBus:
             out += crc(out).to_bytes(2, "little")
         return [] if first is None else self._timed([(first, out)], now)
 
-    def _timed(self, packets: list[tuple[DynamixelPeer, bytes]], now: float) -> list[Reply]:
+    def _timed(self, packets: list[tuple[PacketServo, bytes]], now: float) -> list[Reply]:
         """Return the packets as they arrive at the host, one after the other, with the faults that were injected."""
         out: list[Reply] = []
         at = now

@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from drivers.settings import Settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from drivers.dynamixel.bus import Bus
-    from drivers.dynamixel.models import DynamixelRegister
+    from drivers.packets.bus import Bus
+
+
+class Register(Protocol):
+    """An item of the control table; size in bytes."""
+
+    @property
+    def address(self) -> int:
+        """The address of its first byte."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Its number of bytes."""
+        ...
+
+    def encoded(self, value: int) -> bytes:
+        """Return the bytes of `value`. Raises OverflowError where it does not fit."""
+        ...
+
+    def decoded(self, data: bytes) -> int:
+        """Return the value of the bytes."""
+        ...
 
 
 class ControlTable:
@@ -20,7 +41,7 @@ class ControlTable:
     restored.
     """
 
-    def __init__(self, bus: Bus, registers: Mapping[str, DynamixelRegister], eeprom_end: int) -> None:
+    def __init__(self, bus: Bus, registers: Mapping[str, Register], eeprom_end: int) -> None:
         self.registers = registers
         self._bus = bus
         self.settings: Settings[str, int] = Settings(

@@ -1,6 +1,6 @@
-"""The demand law of an emulated DYNAMIXEL in its operating modes, and the joint at its horn.
+"""The demand law of an emulated servo in its operating modes, and the joint at its horn.
 
-The loops are not ROBOTIS's, whose gains are in units of their own: the current goal is the current, and position and
+The loops are not the vendors', whose gains are in units of their own: the current goal is the current, and position and
 velocity are closed with gains from the inertia, at the bandwidth below. In PWM mode the stall torque is right, kt V/R,
 and the speed without load is not, since the inertia is not a real gearbox's.
 """
@@ -9,21 +9,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from sim_backend.parameters import CouplingParameters, LinkParameters, MotorParameters, SimParameters
-from sim_backend.wire.dynamixel.tables import CURRENT, CURRENT_POSITION, POSITION, PWM, SPEED, DynamixelModel
 from sim_backend.wire.plant_motor import BEAT, PlantMotor
 
+CURRENT, SPEED, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
+"""The modes, by DYNAMIXEL's values of Operating Mode(11)."""
 COUNT = 2.0 * math.pi / 4096.0
 """rad a count of position."""
 BANDWIDTH = 2.0 * math.pi * 10.0
 """rad/s of the position loop."""
 
 
-def joint_at_horn(model: DynamixelModel, coupling: CouplingParameters | None = None) -> SimParameters:
+class Stalling(Protocol):
+    """A model of a servo. stall: V, A, N m at stall."""
+
+    @property
+    def stall(self) -> tuple[float, float, float]:
+        """The stall point."""
+        ...
+
+
+def joint_at_horn(model: Stalling, coupling: CouplingParameters | None = None) -> SimParameters:
     """Return the plant of a servo that drives the joint directly: eta is 1, and motor and gearbox are the servo's own.
 
     coupling: the cable, the paper's joint where None. The inertia at the horn is the default motor's at its joint, so
@@ -59,7 +69,7 @@ class Goals:
 class Regulator:
     """The loops of one servo of `model`."""
 
-    def __init__(self, model: DynamixelModel) -> None:
+    def __init__(self, model: Stalling) -> None:
         volts, amperes, torque = model.stall
         self.torque_constant = torque / amperes
         """N m/A."""

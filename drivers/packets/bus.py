@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS
 
-from drivers.dynamixel.wire import BROADCAST, PING, READ, SYNC_WRITE, WRITE
+from drivers.packets.wire import BROADCAST, PING, READ, SYNC_WRITE, WRITE
 from drivers.servo import BadReply, DriverError, NoReply, link_lost
 from drivers.uart.port import GONE
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
-    from drivers.dynamixel.port import SerialPort
-    from drivers.dynamixel.wire import Answer, Wire
+    from drivers.packets.port import SerialPort
+    from drivers.packets.wire import Answer, Wire
 
 _ROLL_CALL = 0.8  # s; servos reply to a broadcast ping one after the other, 3 ms for each possible id
 

@@ -1,0 +1,1 @@
+"""An emulated half-duplex line of servos that answer packets, which several families share."""
