@@ -1,6 +1,6 @@
 """One search whose fitness somebody else computes: for models that are not linear in their parameters.
 
-The operators are those of the `default` preset. The search asks for chromosomes to be evaluated and is told what came
+The operators are those of the `default` preset. The search asks for chromosomes to be evaluated and takes in what came
 of it:
 
     search = Search(bounds, seed=0)
@@ -50,7 +50,7 @@ class Search:
         self._asked: NDArray[np.float64] | None = None
 
     def ask(self) -> NDArray[np.float64]:
-        """The chromosomes (k, p) to evaluate next: the first population, later 5 p children. The same until told."""
+        """The chromosomes (k, p) to evaluate next: the first population, later 5 p children. The same until `tell`."""
         if self._asked is None:
             population, p = self._population, self._rules.low.size
             if not population.evaluations:
@@ -100,17 +100,17 @@ class Search:
 
     @property
     def best(self) -> NDArray[np.float64]:
-        """The best chromosome (p,) so far; NaN before anything was told."""
+        """The best chromosome (p,) so far; NaN before the first `tell`."""
         return self._population.best.copy()
 
     @property
     def best_fitness(self) -> float:
-        """Its fitness; infinite before anything was told."""
+        """Its fitness; infinite before the first `tell`."""
         return float(self._population.best_fitness[0])
 
     @property
     def evaluations(self) -> int:
-        """Chromosomes told of."""
+        """Chromosomes evaluated."""
         return self._population.evaluations
 
     @property

@@ -46,7 +46,7 @@ class Settings:
     generations: how many at most.
     weights: the crossover weighs a parent by its "error", equation 6 as printed, or by "inverse-error".
     tournament, selection, replacement: of the steady-state scheme only; how many compete, whether the "larger" error
-        wins or the smaller ("minimise"), and what the child replaces: the "worst" chromosome always or only
+        wins or the smaller ("minimise"), and which individual the offspring replaces: the "worst" always or only
         "worst-if-better", the "oldest", or a "random" one.
     reach: of the generational scheme only; the spread of children over that of their parents.
     tolerance: stop when the fitness of the population spreads over less than this part of the best; None: never.

@@ -1,11 +1,11 @@
-"""The sub-linear engine: a tree of boxes, grown where the search looks, that knows the sign of most residuals.
+"""The sub-linear engine: a tree of cells, grown where the search looks, that knows the sign of most residuals.
 
-The fitness is convex and piecewise linear. Inside a box most residuals torque_i - columns_i . genes keep their sign and
-collapse into p + 1 sums; only the undecided ones, whose zero plane crosses the box, are looked at one by one. A box is
-split, 4^p ways at a time, until 16 or fewer are undecided, so a chromosome costs what its leaf costs, not n.
+The fitness is convex and piecewise linear. Inside a cell most residuals torque_i - columns_i . genes keep their sign
+and collapse into p + 1 sums; only the undecided ones, whose zero plane crosses the cell, are looked at one by one. A
+cell is split, 4^p ways at a time, until 16 or fewer are undecided, so a chromosome costs what its leaf costs, not n.
 
-The boxes are cubes of v = forward . (genes - origin), coordinates in which the columns are orthogonal, because in them
-no direction needs finer boxes than another. The numbers in a box depend on the box alone, never on the way the search
+The cells are cubes of v = forward . (genes - origin), coordinates in which the columns are orthogonal, because in them
+no direction needs finer cells than another. The numbers in a cell depend on the cell alone, never on the way the search
 came: the tree is a cache of a pure function. It may be thrown away at any time, which is what bounds its memory, and
 whoever asks gets the same bits.
 """
@@ -29,7 +29,7 @@ Matrix = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 _LEAF: Final = 16
-"""Undecided rows up to which a box is not split further."""
+"""Undecided rows up to which a cell is not split further."""
 
 _LANES: Final = 8
 """Rows of a leaf summed side by side."""
@@ -38,7 +38,7 @@ _BITS: Final = 48
 """Binary digits of a place in the root cube; below, doubles are too coarse to tell sides."""
 
 _STEP: Final = 2
-"""Binary digits that a box is shorter than its parent, in each direction."""
+"""Binary digits that a cell is shorter than its parent, in each direction."""
 
 _FINEST: Final = 1e-6
 """The least part of the largest direction's weight that a direction is given: collinear columns have one of none."""
@@ -49,7 +49,7 @@ _LISTED: Final = 1 << 25
 _NODES: Final = 1 << 16
 _RECENT: Final = 8
 
-# columns of `nodes`; from _CELL on come the p coordinates of the box in units of its own size
+# columns of `nodes`; from _CELL on come the p coordinates of the cell in units of its own size
 _PARENT, _CODE, _SHIFT, _START, _COUNT, _KIND, _CELL = range(7)
 _INNER, _LEAVES, _LIST = range(
     3
@@ -60,12 +60,12 @@ _USED_NODES, _USED_UNDECIDED, _USED_LEAVES, _NEXT_RECENT = range(4)
 
 
 class Tree(NamedTuple):
-    """The data, and the boxes grown so far. One thread at a time may use it; `another` makes one over the same data.
+    """The data, and the cells grown so far. One thread at a time may use it; `another` makes one over the same data.
 
     rows: (n, p + 2), the residual at the origin, the columns, and how fast the residual can change as v moves in the
     largest of its coordinates. length: how many samples the mean is over. floor: N m, the least fitness that relative
     comparisons divide by. origin (p,), forward and backward (p, p), its inverse: the change of coordinates. corner (p,)
-    and width: the root cube. blur: by how much boxes overlap, against rounding.
+    and width: the root cube. blur: by how much cells overlap, against rounding.
     The rest is working space.
     """
 
@@ -94,7 +94,7 @@ class Tree(NamedTuple):
 
 
 def grow(columns: Matrix, torque: Vector, bounds: Bounds) -> Tree:
-    """A tree of one box, the root, for columns (n, p) and torque (n,), N m, within the bounds.
+    """A tree of one cell, the root, for columns (n, p) and torque (n,), N m, within the bounds.
 
     Outside them every sample is looked at. Raises ValueError as `check` does.
     """
@@ -271,7 +271,7 @@ def _blocks(tree: Tree, node: int) -> int:
 
 @compiled_inline
 def _is_on_the_way(tree: Tree, node: int) -> bool:
-    """Whether a box is yet to be split. The root is where chromosomes out of bounds end."""
+    """Whether a cell is yet to be split. The root is where chromosomes out of bounds end."""
     return node > 0 and tree.nodes[node, _KIND] == _INNER
 
 
@@ -296,7 +296,7 @@ def tree_tangent(tree: Tree, genes: Vector, limit: float, slope: Vector) -> floa
 
 @compiled_no_refcount
 def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
-    """Add to n times the slope (p,) what the rows do that the box has not decided."""
+    """Add to n times the slope (p,) what the rows do that the cell has not decided."""
     p = slope.size
     if tree.nodes[node, _KIND] == _LEAVES:
         for i in range(tree.nodes[node, _COUNT]):
@@ -316,7 +316,7 @@ def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
 
 @compiled_no_refcount
 def _list_error(tree: Tree, node: int) -> float:
-    """The sum of the absolute residuals of the rows that a box without a leaf has not decided."""
+    """The sum of the absolute residuals of the rows that a cell without a leaf has not decided."""
     total = carry = 0.0
     for i in range(tree.nodes[node, _COUNT]):
         row = _row(tree, tree.nodes[node, _START], i)
@@ -349,7 +349,7 @@ def _add(total: float, carry: float, term: float) -> tuple[float, float]:
 def _node_of(tree: Tree, genes: Vector, limit: float) -> int:
     """The leaf of a chromosome, grown if need be; the root where it is out of bounds. Sets place, genes - origin.
 
-    Growing ends early in a box whose settled rows alone put it above the limit.
+    Growing ends early in a cell whose settled rows alone put it above the limit.
     """
     inside = True
     scale = 2.0**_BITS / tree.width
@@ -401,7 +401,7 @@ def _descend(tree: Tree, limit: float) -> int:
 
 @compiled_inline
 def _settled_exceed(tree: Tree, node: int, limit: float) -> bool:
-    """Whether the rows whose sign a box knows make an error above the limit, the others left out."""
+    """Whether the rows whose sign a cell knows make an error above the limit, the others left out."""
     bound = extent = tree.sums[node, 0]
     for k in range(tree.place.size):
         rise = -tree.sums[node, k + 1] * tree.place[k]
@@ -440,7 +440,7 @@ def _child(tree: Tree, node: int) -> int:
 
 @compiled_no_refcount
 def _split(tree: Tree, node: int) -> int:
-    """Grow the part of a box that the place is in; the root, all else forgotten, where there is no room."""
+    """Grow the part of a cell that the place is in; the root, all else forgotten, where there is no room."""
     count, p = tree.nodes[node, _COUNT], tree.at.size
     no_node = tree.used[_USED_NODES] == len(tree.nodes)
     no_list = tree.used[_USED_UNDECIDED] + count > tree.undecided.size

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 Engine: TypeAlias = Samples | Tree
 
 WORTHWHILE: Final = 1_000_000_000
-"""Residuals in one search from which the boxes repay the seconds of their first compilation."""
+"""Residuals in one search from which the cells repay the seconds of their first compilation."""
 
 REPAID: Final = 50_000
-"""Evaluations in one search from which the boxes repay their growing, whatever the number of samples.
+"""Evaluations in one search from which the cells repay their growing, whatever the number of samples.
 
-A search of the `default` preset is over before, its children everywhere in a cloud that shrinks in step with the boxes.
+A search of the `default` preset is over before, its children everywhere in a cloud that shrinks in step with the cells.
 """
 
 

@@ -232,5 +232,8 @@ def _descend(
     rows: NDArray[np.float64], torque: NDArray[np.float64], pull: NDArray[np.float64], start: NDArray[np.float64]
 ) -> tuple[int, NDArray[np.int64] | None]:
     basis = np.empty(rows.shape[1], np.int64)
-    status = descend(np.ascontiguousarray(rows), torque, pull, start, basis)
+    try:
+        status = descend(np.ascontiguousarray(rows), torque, pull, start, basis)
+    except np.linalg.LinAlgError:  # rows so nearly dependent that no inverse could be formed
+        return STALLED, None
     return status, basis if status == OPTIMAL else None

@@ -1,7 +1,7 @@
 """The simplex descent behind ga.lad.exact: vertex to vertex of sum |torque - rows . z| - pull . z, always downhill.
 
 Rows (n, r) are of full column rank and roughly orthonormal, r <= 8 or so. A vertex is where r independent rows, the
-basis, have no residual. Each step lets one of them go and follows the edge to the lowest point on it, a weighted
+basis, have no residual. Each step removes one of them and follows the edge to the lowest point on it, a weighted
 median of the n places where a residual changes sign (Bloomfield and Steiger 1983, Barrodale and Roberts 1973).
 """
 
@@ -38,23 +38,22 @@ _FLAT: Final = 1e-13
 def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector, basis: Basis) -> int:
     """Find the optimal basis (r,), written to `basis`, from the point start (r,).
 
-    Returns OPTIMAL, STALLED or UNBOUNDED.
+    Returns OPTIMAL, STALLED or UNBOUNDED. Raises LinAlgError where rows of a basis are not independent.
     """
     n, r = rows.shape
     residual, along = np.empty(n), np.empty(n)
     if not _first_vertex(rows, torque, pull, start, basis):
         return UNBOUNDED
-    inverse, point, direction = np.empty((r, r)), np.empty(r), np.empty(r)
-    downhill, multiplier = np.empty(r), np.empty(r)
+    point, direction, downhill, multiplier = np.empty(r), np.empty(r), np.empty(r), np.empty(r)
     short_steps = 0
     for _ in range(_MOST):
         if short_steps >= 4 * r + 8:
             break
-        _invert(rows, basis, inverse)
+        inverse: Matrix = np.linalg.inv(rows[basis])  # type: ignore[assignment]  # numba keeps the 64 bits
         _solve(inverse, torque, basis, point)
         _residuals(rows, torque, point, residual)
         for b in basis:
-            residual[b] = np.nan  # neither sign: the row is held
+            residual[b] = np.nan  # neither sign: the row is in the basis
         _gradient(rows, residual, pull, downhill)
         _multipliers(inverse, downhill, multiplier)
         leaving = _steepest(multiplier, inverse)
@@ -97,10 +96,10 @@ def weighted_sum(rows: Matrix, weights: Vector) -> Vector:
 
 @compiled
 def _first_vertex(rows: Matrix, torque: Vector, pull: Vector, start: Vector, basis: Basis) -> bool:
-    """Go downhill from any point, holding each row that is met, until r of them make a vertex."""
+    """Go downhill from any point, keeping the residual of each row that is met at zero, until r rows make a vertex."""
     n, r = rows.shape
     residual, along = np.empty(n), np.empty(n)
-    held, point, direction, downhill = np.zeros((r, r)), np.empty(r), np.empty(r), np.empty(r)
+    met, point, direction, downhill = np.zeros((r, r)), np.empty(r), np.empty(r), np.empty(r)
     for k in range(r):
         point[k] = start[k]
     for count in range(r):
@@ -108,7 +107,7 @@ def _first_vertex(rows: Matrix, torque: Vector, pull: Vector, start: Vector, bas
         for i in range(count):
             residual[basis[i]] = np.nan
         _gradient(rows, residual, pull, downhill)
-        slope = _free_direction(held, count, downhill, direction)
+        slope = _free_direction(met, count, downhill, direction)
         _project(rows, direction, along)
         entering, step = lowest_crossing(residual, along, slope)
         if entering < 0:
@@ -116,14 +115,14 @@ def _first_vertex(rows: Matrix, torque: Vector, pull: Vector, start: Vector, bas
         basis[count] = entering
         for k in range(r):
             point[k] += step * direction[k]
-            held[count, k] = rows[entering, k]
-        _orthonormalise(held, count)
+            met[count, k] = rows[entering, k]
+        _orthonormalise(met, count)
     return True
 
 
 @compiled_no_refcount
-def _free_direction(held: Matrix, count: int, downhill: Vector, direction: Vector) -> float:
-    """The steepest direction, a unit vector, in which the rows held do not change; returns how steep it is.
+def _free_direction(met: Matrix, count: int, downhill: Vector, direction: Vector) -> float:
+    """The steepest direction, a unit vector, in which the rows met do not change; returns how steep it is.
 
     Where none goes down, any that is free.
     """
@@ -131,13 +130,13 @@ def _free_direction(held: Matrix, count: int, downhill: Vector, direction: Vecto
     for k in range(r):
         direction[k] = downhill[k]
     least = 1e-9 * _length(downhill)
-    _remove(held, count, direction)
+    _remove(met, count, direction)
     axis = 0
     while not _length(direction) > least:
         least = 1e-3  # of r axes, one at least has more than that outside the span of fewer than r rows
         for k in range(r):
             direction[k] = 1.0 if k == axis else 0.0
-        _remove(held, count, direction)
+        _remove(met, count, direction)
         axis += 1
     size, slope = _length(direction), 0.0
     for k in range(r):
@@ -150,23 +149,23 @@ def _free_direction(held: Matrix, count: int, downhill: Vector, direction: Vecto
 
 
 @compiled_no_refcount
-def _remove(held: Matrix, count: int, vector: Vector) -> None:
+def _remove(met: Matrix, count: int, vector: Vector) -> None:
     """Take out of the vector, twice for rounding's sake, what lies along the first `count` unit rows."""
     for _ in range(2):
         for i in range(count):
             part = 0.0
             for k in range(vector.size):
-                part += held[i, k] * vector[k]
+                part += met[i, k] * vector[k]
             for k in range(vector.size):
-                vector[k] -= part * held[i, k]
+                vector[k] -= part * met[i, k]
 
 
 @compiled_no_refcount
-def _orthonormalise(held: Matrix, last: int) -> None:
-    _remove(held, last, held[last])
-    size = _length(held[last])
-    for k in range(held.shape[1]):
-        held[last, k] /= size
+def _orthonormalise(met: Matrix, last: int) -> None:
+    _remove(met, last, met[last])
+    size = _length(met[last])
+    for k in range(met.shape[1]):
+        met[last, k] /= size
 
 
 @compiled_no_refcount
@@ -201,7 +200,7 @@ def _gradient(rows: Matrix, residual: Vector, pull: Vector, downhill: Vector) ->
     for k in range(pull.size):
         downhill[k] = pull[k]
     for i in range(residual.size):
-        # a residual of zero counts as just above it, here and on the ray; one that is held, NaN, has no sign
+        # a residual of zero counts as just above it, here and on the ray; one of the basis, NaN, has no sign
         sign = 1.0 if residual[i] >= 0.0 else -1.0 if residual[i] < 0.0 else 0.0
         for k in range(pull.size):
             downhill[k] += sign * rows[i, k]
@@ -236,41 +235,6 @@ def _solve(inverse: Matrix, torque: Vector, basis: Basis, point: Vector) -> None
         point[k] = 0.0
         for j in range(basis.size):
             point[k] += inverse[k, j] * torque[basis[j]]
-
-
-@compiled
-def _invert(rows: Matrix, basis: Basis, inverse: Matrix) -> None:
-    """The inverse of the basis rows, by Gauss-Jordan elimination with row exchange."""
-    r = basis.size
-    work = np.empty((r, r))
-    for i in range(r):
-        for k in range(r):
-            work[i, k] = rows[basis[i], k]
-            inverse[i, k] = 1.0 if i == k else 0.0
-    for k in range(r):
-        pivot = k
-        for i in range(k + 1, r):
-            if abs(work[i, k]) > abs(work[pivot, k]):
-                pivot = i
-        for j in range(r):
-            work[k, j], work[pivot, j] = work[pivot, j], work[k, j]
-            inverse[k, j], inverse[pivot, j] = inverse[pivot, j], inverse[k, j]
-        _eliminate(work, inverse, k)
-
-
-@compiled_no_refcount
-def _eliminate(work: Matrix, inverse: Matrix, k: int) -> None:
-    """Make column k of work that of the identity by row operations, done to both."""
-    r = len(work)
-    scale = work[k, k]
-    for j in range(r):
-        work[k, j] /= scale
-        inverse[k, j] /= scale
-    for i in range(r):
-        factor = 0.0 if i == k else work[i, k]
-        for j in range(r):
-            work[i, j] -= factor * work[k, j]
-            inverse[i, j] -= factor * inverse[k, j]
 
 
 @compiled

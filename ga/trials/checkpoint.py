@@ -31,7 +31,7 @@ class WrongCheckpoint(ValueError):
     """A checkpoint that cannot be gone on from: of another run, or not one at all."""
 
 
-class State(NamedTuple):
+class SearchState(NamedTuple):
     """Of every trial, its population and its record: the best fitness, N m, at each point of the history so far."""
 
     populations: list[Population]
@@ -60,7 +60,7 @@ def belonging(
     }
 
 
-def save(path: Path, belongs: dict[str, str], state: State) -> None:
+def save(path: Path, belongs: dict[str, str], state: SearchState) -> None:
     """Write the state, replacing what is there in one step. Raises OSError."""
     arrays = {
         field: np.stack([getattr(population, field) for population in state.populations])
@@ -74,7 +74,7 @@ def save(path: Path, belongs: dict[str, str], state: State) -> None:
     draft.replace(path)
 
 
-def load(path: Path, belongs: dict[str, str]) -> State:
+def load(path: Path, belongs: dict[str, str]) -> SearchState:
     """The state in a file. Raises WrongCheckpoint where it is of another run or none, OSError as opening does."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -91,4 +91,4 @@ def load(path: Path, belongs: dict[str, str]) -> State:
             f"{path} is the checkpoint of another run, with different {', '.join(differing)}: "
             "run it as it was begun, or remove it to begin anew"
         )
-    return State([Population(*parts) for parts in zip(*arrays, strict=True)], records)
+    return SearchState([Population(*parts) for parts in zip(*arrays, strict=True)], records)

@@ -16,7 +16,7 @@ from ga.evolution.population import Population, Record
 from ga.fitness.dense import Samples
 from ga.fitness.engine import Engine, engine_for, fork
 from ga.start import Start, start_of, within
-from ga.trials.checkpoint import State, belonging, load, save
+from ga.trials.checkpoint import SearchState, belonging, load, save
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -172,10 +172,10 @@ def run_trials(
     def keep() -> None:
         if checkpoint:
             populations, records = zip(*(trial.kept for trial in running), strict=True)
-            save(checkpoint, belongs, State(list(populations), np.stack(records)))
+            save(checkpoint, belongs, SearchState(list(populations), np.stack(records)))
 
     watch = _Watch(settings, progress, stop, keep, every)
-    keep()  # where it cannot be written is told now, not after the first hour
+    keep()  # an unwritable file is an error now, not after the first hour
     try:
         _all(run, engine, running, min(workers, trials), watch)
     except KeyboardInterrupt:
@@ -213,7 +213,7 @@ def _begun(run: _Run, engine: Engine, start: Start | None, seed: int, trials: in
     return running
 
 
-def _gone_on_with(state: State) -> list[_Trial]:
+def _gone_on_with(state: SearchState) -> list[_Trial]:
     return [
         _Trial(population, record, (population.copied(), record.copy()))
         for population, record in zip(state.populations, state.records, strict=True)
