@@ -102,8 +102,8 @@ class Recorded:
         return self.deflection - 0.5 * float(self.deflection.max() + self.deflection.min())
 
     def elapsed(self) -> Array:
-        """Return the time (n,) as a part of the whole, about its mean."""
-        return np.asarray((self.time - self.time.mean()) / max(float(np.ptp(self.time)), self.step))
+        """Return the place (n,) of each sample in the whole, from -0.5 to 0.5: recordings may have been pooled."""
+        return np.linspace(-0.5, 0.5, len(self))
 
     def presliding(self, length: float) -> Array:
         """Return the friction of Dahl (1976), -1 to 1, that is reached over `length` rad after a reversal."""

@@ -22,14 +22,14 @@ from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
 
 Array = NDArray[np.float64]
 
-FALSE_ALARMS: Final = 0.003
+FALSE_ALARMS: Final = 0.002
 """Probability that any test calls a model wrong that is right."""
 
 _CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
 _GROSS: Final = 10.0  # the same where the size of an effect is estimated
 _EXACT: Final = 1e-9  # of the torque, below which residuals are rounding
 _FLIPS: Final = 16383  # of the blocks' signs
-_MOST, _FEWEST, _SHORTEST = 64, 13, 25  # blocks, at most and at least; samples of one
+_MOST, _FEWEST, _SHORTEST = 64, 16, 25  # blocks, at most and at least; samples of one
 _APART: Final = 8.0  # correlation times of the residuals in a block
 _LIMIT: Final = 20_000  # samples that are looked at
 _DENSE: Final = 40.0  # samples a period that are enough
@@ -48,6 +48,7 @@ class Fitted:
     """The fit that is tested, in SI. residuals: (n,) N m; columns: (n, p), how the torque changes with each parameter.
 
     coupling: the places of Kc and Bc among them, None for a model without. half_width: of their intervals. skew: s.
+    kept: the samples (n,) that the model describes; residuals and columns of the others are not read. None: all.
     """
 
     residuals: Array
@@ -56,6 +57,7 @@ class Fitted:
     values: tuple[float, float]
     half_width: tuple[float, float]
     skew: float = 0.0
+    kept: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +133,7 @@ def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
         raise ValueError(f"{len(recorded)} samples, {len(fitted.residuals)} residuals, {len(fitted.columns)} rows")
     if len(recorded) < _FEWEST * _SHORTEST or np.ptp(recorded.deflection) == 0.0:
         return None
+    fitted = _blanked(fitted)
     if float(np.std(fitted.residuals)) <= _EXACT * float(np.std(recorded.torque)):
         return None
     return _Tests(*_fewer(recorded, fitted)).result()
@@ -142,8 +145,11 @@ class _Tests:
     def __init__(self, recorded: Recorded, fitted: Fitted) -> None:
         self._recorded, self._fitted = recorded, fitted
         self._basis = _basis(fitted.columns)
-        self._scores = _scores(fitted.residuals, self._basis, _CLIPPED)
-        self._left = _scores(fitted.residuals, self._basis, _GROSS)  # clipped more, they would make effects too small
+        kept = np.ones(len(recorded), dtype=bool) if fitted.kept is None else fitted.kept
+        self._kept = kept[:, None]
+        self._scores = _scores(fitted.residuals, self._basis, kept, _CLIPPED)
+        # clipped more, they would make effects too small
+        self._left = _scores(fitted.residuals, self._basis, kept, _GROSS)
         self._model = recorded.torque - fitted.residuals
         at = fitted.coupling
         own = fitted.columns[:, list(at)] if at else np.stack([recorded.deflection, recorded.rate], axis=1)
@@ -182,10 +188,14 @@ class _Tests:
         out.
         """
         power = np.einsum("nk,nk->k", features, features)
-        left = features - self._basis @ (self._basis.T @ features)
+        left = self._without_model(features)
         kept = np.einsum("nk,nk->k", left, left)
         there = kept > _DEPENDENT * np.maximum(power, np.finfo(float).tiny)
         return np.asarray(left[:, there] / np.sqrt(kept[there] / len(features)))
+
+    def _without_model(self, features: Array) -> Array:
+        kept = features * self._kept
+        return np.asarray(kept - self._basis @ (self._basis.T @ kept))
 
     def _chance(self, features: Array) -> float:
         """The probability that the scores of features (n, k) are so large by chance."""
@@ -205,7 +215,7 @@ class _Tests:
             part = np.stack([self._recorded.smoothed(column, weights) for column in own.T], axis=1)
         else:
             part = own * weights[:, None]
-        left = part - self._basis @ (self._basis.T @ part)
+        left = self._without_model(part)
         if not (np.linalg.norm(left, axis=0) > 1e-2 * np.linalg.norm(part, axis=0)).all():
             return None
         differences = np.linalg.lstsq(left, self._left, rcond=None)[0]
@@ -239,13 +249,13 @@ class _Tests:
     def _suspect(self, effect: Effect) -> Suspect | None:
         power, best = float(self._left @ self._left), None
         for columns in effect.signature(self._recorded, self._model):
-            left = columns - self._basis @ (self._basis.T @ columns)
+            left = self._without_model(columns)
             if not (np.linalg.norm(left, axis=0) > 1e-3 * np.linalg.norm(columns, axis=0)).all():
                 continue
             factors = np.linalg.lstsq(left, self._left, rcond=None)[0]
             share = 1.0 - float(np.sum((self._left - left @ factors) ** 2)) / power
             if best is None or share > best.share:
-                best = Suspect(effect, share, *self._moved(effect, columns @ factors))
+                best = Suspect(effect, share, *self._moved(effect, (columns * self._kept) @ factors))
         return best
 
     def _moved(self, effect: Effect, torque: Array) -> tuple[float, float]:
@@ -307,7 +317,10 @@ def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
         firsts = np.linspace(0, len(rows) - length, _PIECES).astype(int)
         rows = rows[(firsts[:, None] + np.arange(length)).ravel()]
         starts = set(range(0, len(rows), length))
-    return recorded.at(rows, starts), replace(fitted, residuals=fitted.residuals[rows], columns=fitted.columns[rows])
+    kept = None if fitted.kept is None else fitted.kept[rows]
+    return recorded.at(rows, starts), replace(
+        fitted, residuals=fitted.residuals[rows], columns=fitted.columns[rows], kept=kept
+    )
 
 
 def _basis(columns: Array) -> Array:
@@ -330,15 +343,23 @@ def _apart(coupling: Array) -> Array:
     )
 
 
-def _scores(residuals: Array, basis: Array, clipped_at: float) -> Array:
+def _blanked(fitted: Fitted) -> Fitted:
+    """The fit with zeros where the model describes nothing: those samples then add to no sum."""
+    if fitted.kept is None:
+        return fitted
+    residuals = np.where(fitted.kept, fitted.residuals, 0.0)
+    return replace(fitted, residuals=residuals, columns=np.where(fitted.kept[:, None], fitted.columns, 0.0))
+
+
+def _scores(residuals: Array, basis: Array, kept: NDArray[np.bool_], clipped_at: float) -> Array:
     """The residuals (n,) N m of Huber's (1964) estimate, beside which outliers count little, clipped, orthogonal to the
     basis.
     """
     left = residuals
     for _ in range(4):
-        limit = clipped_at * 1.4826 * float(np.median(np.abs(left)))
+        limit = clipped_at * 1.4826 * float(np.median(np.abs(left[kept])))
         clipped = np.clip(left, -limit, limit)
-        inside = max(0.5, float(np.mean(np.abs(left) < limit)))
+        inside = max(0.5, float(np.mean(np.abs(left[kept]) < limit)))
         left = left - basis @ (basis.T @ clipped) / inside
     clipped = np.clip(left, -limit, limit)
     return np.asarray(clipped - basis @ (basis.T @ clipped))

@@ -1,0 +1,115 @@
+"""Whether the chosen model describes the recording, which effects it may lack, and the joint without any model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnostics import Diagnostic
+from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
+from hil.uncertainty.effects import Recorded
+from hil.uncertainty.lack_of_fit import Fitted, LackOfFit, lack_of_fit
+
+Array = NDArray[np.float64]
+
+_CHANGES = 0.03  # of K' over the band, from which it is said
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """A recording and the model fitted to it, SI.
+
+    recorded: all samples (n,). kept (n,): those that the model describes. residuals (m,) N m and columns (m, p): of
+    these m, the columns named by `names`. values and half_width (p,): of the parameters and of their intervals.
+    """
+
+    recorded: Recorded
+    band: tuple[float, float]
+    command: Array | None
+    kept: NDArray[np.bool_]
+    residuals: Array
+    columns: Array
+    names: tuple[str, ...]
+    values: Array
+    half_width: Array
+
+
+def tested(described: Described) -> LackOfFit | None:
+    """Test the fit; None where the recording is too short."""
+    names, count = described.names, len(described.recorded)
+    coupling = (names.index("Kc"), names.index("Bc")) if {"Kc", "Bc"} <= set(names) else None
+    residuals, columns = np.zeros(count), np.zeros((count, len(names)))
+    residuals[described.kept], columns[described.kept] = described.residuals, described.columns
+    values, half_width = (
+        (0.0, 0.0) if coupling is None else (float(array[coupling[0]]), float(array[coupling[1]]))
+        for array in (described.values, described.half_width)
+    )
+    skew = float(described.values[names.index("skew")]) if "skew" in names else 0.0
+    fitted = Fitted(residuals, columns, coupling, values, half_width, skew, described.kept)
+    return lack_of_fit(described.recorded, fitted)
+
+
+def without_model(described: Described) -> DynamicStiffness | None:
+    """Return the dynamic stiffness in the excited band; None where the recording is too short."""
+    return dynamic_stiffness(described.recorded, described.band, described.command)
+
+
+def misfit_diagnostics(model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None) -> list[Diagnostic]:
+    """Return the warning or error about a model that does not describe its recording; none where it does."""
+    if found is None:
+        return [
+            Diagnostic(
+                "misfit-untested",
+                "the recording is too short to test whether the model describes it, so effects that are left out would "
+                "be in Kc and Bc unseen: record for longer",
+            )
+        ]
+    if not found.misfit:
+        return []
+    parts = [_respects(model, found), _consequence(found), _remedy(found), _frequencies(dynamic)]
+    return [Diagnostic("misfit", "; ".join(part for part in parts if part), is_error=found.outside)]
+
+
+def _respects(model: str, found: LackOfFit) -> str:
+    compared = [one for one in found.failed if one.Kc is not None and one.Bc is not None]
+    differing = [f"{one.name} (Kc by {one.Kc:+.1%}, Bc by {one.Bc:+.0%})" for one in compared]
+    plain = [one.name for one in found.failed if one.Kc is None and one.code != "any"]
+    respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
+    said = ", ".join(respects) or "its residuals follow from the motion"
+    return f"{model} does not describe this recording: {said}; {found.share:.0%} of the residuals can be predicted"
+
+
+def _consequence(found: LackOfFit) -> str:
+    return f"Kc may be wrong by {_percent(found.Kc)} and Bc by {_percent(found.Bc)}" + (
+        ", more than their intervals say" if found.outside else ""
+    )
+
+
+def _percent(size: float) -> str:
+    return "more than 100 %" if size > 1.0 else f"{100.0 * size:.2g} %"
+
+
+def _remedy(found: LackOfFit) -> str:
+    """What the residuals look like, with the model or experiment to try."""
+    if not found.suspects:
+        return "no known effect explains it: look at the residuals with --report, and at K'(f) with --verbose"
+    looks = [
+        f"{one.effect.name} (with it Kc {one.Kc:+.1%}, Bc {one.Bc:+.0%}; try {one.effect.advice})"
+        for one in found.suspects
+    ]
+    return "it looks like " + ", or like ".join(looks)
+
+
+def _frequencies(dynamic: DynamicStiffness | None) -> str:
+    """How K' changes over the band, where it does."""
+    if dynamic is None:
+        return ""
+    bands = dynamic.bands
+    low, high = float(bands.stiffness[0]), float(bands.stiffness[-1])
+    error = float(np.hypot(bands.stiffness_half_width[0], bands.stiffness_half_width[-1]))
+    if len(bands.frequency) < 2 or abs(high - low) < max(error, _CHANGES * abs(low)):
+        return ""
+    first, last = float(bands.frequency[0]), float(bands.frequency[-1])
+    return f"without a model Kc is {low:.3g} N m/rad at {first:.2g} Hz and {high:.3g} at {last:.2g} Hz"
