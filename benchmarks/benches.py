@@ -86,12 +86,10 @@ def record(bench: Bench, seed: int) -> Reading:
     rng = np.random.default_rng([seed, 4711])
     motion = _MOTIONS[bench.kind](bench, rng)
     pure = bench.law(motion, bench.stiffness, bench.damping)
-    torque = _cell(bench, motion, pure)
-    count = len(torque)
     deflection = motion.deflection[::FINER]
     return Reading(
         motion.time[::FINER],
-        (torque + bench.torque_noise * _noise(bench.colour, count, rng)) * bench.torque_unit,
+        _cell(bench, motion, pure, rng) * bench.torque_unit,
         _angle(bench, motion.time[::FINER], deflection, rng) * bench.angle_unit,
         deflection,
     )
@@ -177,14 +175,15 @@ def _low_pass(values: Array, constant: float, step: float) -> Array:
     return np.asarray(lfilter([1.0 - share, share - keep], [1.0, -keep], values, zi=[share * values[0]])[0])
 
 
-def _cell(bench: Bench, motion: Motion, torque: Array) -> Array:
+def _cell(bench: Bench, motion: Motion, torque: Array, rng: np.random.Generator) -> Array:
+    """The readings of the torque cell at the samples, with its lag, noise and rate."""
     if bench.lag:
         torque = _low_pass(torque, bench.lag, motion.step)
-    samples = torque[::FINER]
+    time = motion.time[::FINER]
     if not bench.cell_rate:
-        return samples
-    time, read = motion.time[::FINER], np.arange(0.0, motion.time[-1], 1.0 / bench.cell_rate)
-    readings = np.interp(read, motion.time, torque)
+        return torque[::FINER] + bench.torque_noise * _noise(bench.colour, len(time), rng)
+    read = np.arange(0.0, motion.time[-1], 1.0 / bench.cell_rate)
+    readings = np.interp(read, motion.time, torque) + bench.torque_noise * _noise(bench.colour, len(read), rng)
     if bench.interpolated:
         return np.interp(time, read, readings)
     return readings[np.searchsorted(read, time + 1e-9, side="right") - 1]

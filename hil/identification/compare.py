@@ -183,7 +183,8 @@ def _measured(
     if found is None:
         return Measured(source.path, created, hours, _name(model), {}, frozenset(), scale)
     estimates = {name: found[name] for name in COMPARED}
-    doubted = {diagnostic.parameter for diagnostic in found.diagnostics if diagnostic.is_error}
+    # numbers of one model that lacks something are still comparable with each other
+    doubted = {one.parameter for one in found.diagnostics if one.is_error and one.code != "misfit"}
     names = {name for name, estimate in estimates.items() if estimate.identifiable and not {name, None} & doubted}
     return Measured(source.path, created, hours, found.model.name, estimates, frozenset(names), scale)
 

@@ -32,7 +32,8 @@ class Dataset:
     choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones; whole: whether they
     are all. used (n,): which of these signals are fitted. blocks: columns of the linear parameters, and torque, of all
     fitted samples; in_memory: of those in `signals`. edges: where each recording ends in the blocks. uncertainty: of
-    the torque's scale, relative, one standard deviation.
+    the torque's scale, relative, one standard deviation. command (n,): the set-points at the signals' times, None where
+    they were not recorded or the samples are on disk.
     """
 
     choice: Choice
@@ -44,6 +45,7 @@ class Dataset:
     edges: tuple[int, ...]
     uncertainty: float
     diagnostics: list[Diagnostic]
+    command: Array | None = None
 
     @property
     def samples(self) -> int:
@@ -87,7 +89,17 @@ def _in_memory(sources: Sequence[Source], choose: Choose) -> Dataset:
     blocks = Blocks.of(*rows)
     edges = tuple(np.cumsum(used)[np.cumsum([len(part) for part in parts]) - 1].tolist())
     diagnostics += _slow(len(used) - blocks.rows, len(used))
-    return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), diagnostics)
+    commands = [_command(source, part) for source, part in zip(sources, parts, strict=True)]
+    known = [command for command in commands if command is not None]
+    command = np.concatenate(known) if len(known) == len(parts) else None
+    return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), diagnostics, command)
+
+
+def _command(source: Source, part: Signals) -> Array | None:
+    """The set-points (n,) at the times of the signals; None where they were not recorded."""
+    time, command = source.recording.channel("time"), source.recording.channel("command")
+    good = np.isfinite(time) & np.isfinite(command)
+    return np.interp(part.motion.time, time[good], command[good]) if good.any() else None
 
 
 def _to_disk(

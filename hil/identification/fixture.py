@@ -78,9 +78,16 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
     return replace(
         found,
         estimates=estimates,
-        diagnostics=(*found.diagnostics, *_of_fixture(fixture), *lost),
+        diagnostics=(*_explained(found), *_of_fixture(fixture), *lost),
         fixture=Fixture(fixture.recordings[0], fixture.model.name, tuple(fixture[name] for name in _CORRECTED)),
     )
+
+
+def _explained(found: Identification) -> list[Diagnostic]:
+    """The diagnostics without a misfit of the kind that two springs and dampers in series are, which is corrected."""
+    test = found.lack_of_fit
+    series = test is not None and "viscoelastic" in {one.effect.code for one in test.suspects}
+    return [one for one in found.diagnostics if not (series and one.code == "misfit")]
 
 
 def _of_fixture(fixture: Identification) -> list[Diagnostic]:

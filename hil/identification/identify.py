@@ -26,6 +26,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.disk_table import Progress
 from hil.identification.identifiability import Evidence, estimates, judge, rivals
+from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification, Validation
 from hil.identification.same_stand import same_stand_diagnostics
@@ -34,6 +35,7 @@ from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
+from hil.uncertainty.effects import Recorded
 from hil.uncertainty.stationarity import pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
@@ -109,6 +111,8 @@ def identify_sources(
         evidence = _evidence(data, solution)
         found = estimates(evidence)
         steps = _with_result(data.choice.steps, found, solution)
+        described = _described(data, solution, evidence)
+        fit, dynamic = tested(described), without_model(described)
         return Identification(
             recordings=tuple(source.path for source in sources),
             model=data.choice.model,
@@ -125,10 +129,17 @@ def identify_sources(
             search_seconds=solution.seconds,
             validation=evidence.holdout,
             diagnostics=tuple(
-                stands + data.diagnostics + _stationarity(data, solution) + judge(evidence) + rivals(steps, found)
+                stands
+                + data.diagnostics
+                + _stationarity(data, solution)
+                + judge(evidence)
+                + rivals(steps, found)
+                + misfit_diagnostics(data.choice.model.name, fit, dynamic)
             ),
             signals=data.signals,
             torque_uncertainty=data.uncertainty,
+            lack_of_fit=fit,
+            dynamic_stiffness=dynamic,
         )
 
 
@@ -151,6 +162,23 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         gap=solution.gap,
         holdout=_validation(data, solution),
         unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
+    )
+
+
+def _described(data: Dataset, solution: _Solution, evidence: Evidence) -> Described:
+    """The signals and the fit to them, to be tested."""
+    columns, target = next(iter(solution.blocks())) if data.choice.model.nonlinear else data.in_memory
+    signals, motion = data.signals, data.signals.motion
+    return Described(
+        recorded=Recorded(motion.time, signals.coupling_torque, motion.dtheta, motion.dtheta_dot, motion.starts),
+        band=signals.band,
+        command=data.command,
+        kept=data.used,
+        residuals=target - columns @ solution.values,
+        columns=columns,
+        names=tuple(evidence.names),
+        values=solution.values,
+        half_width=evidence.errors.half_width,
     )
 
 

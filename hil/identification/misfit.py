@@ -46,7 +46,7 @@ def tested(described: Described) -> LackOfFit | None:
         (0.0, 0.0) if coupling is None else (float(array[coupling[0]]), float(array[coupling[1]]))
         for array in (described.values, described.half_width)
     )
-    skew = float(described.values[names.index("skew")]) if "skew" in names else 0.0
+    skew = names.index("skew") if "skew" in names else None
     fitted = Fitted(residuals, columns, coupling, values, half_width, skew, described.kept)
     return lack_of_fit(described.recorded, fitted)
 
@@ -69,12 +69,13 @@ def misfit_diagnostics(model: str, found: LackOfFit | None, dynamic: DynamicStif
     if not found.misfit:
         return []
     parts = [_respects(model, found), _consequence(found), _remedy(found), _frequencies(dynamic)]
-    return [Diagnostic("misfit", "; ".join(part for part in parts if part), is_error=found.outside)]
+    message = "; ".join(part for part in parts if part)
+    return [Diagnostic("misfit", message, found.affected, is_error=found.is_grave)]
 
 
 def _respects(model: str, found: LackOfFit) -> str:
-    compared = [one for one in found.failed if one.Kc is not None and one.Bc is not None]
-    differing = [f"{one.name} (Kc by {one.Kc:+.1%}, Bc by {one.Bc:+.0%})" for one in compared]
+    compared = [one for one in found.failed if one.Kc is not None]
+    differing = [f"{one.name} ({_percent(one.Kc)} and {_percent(one.Bc)})" for one in compared]
     plain = [one.name for one in found.failed if one.Kc is None and one.code != "any"]
     respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
     said = ", ".join(respects) or "its residuals follow from the motion"
@@ -87,7 +88,8 @@ def _consequence(found: LackOfFit) -> str:
     )
 
 
-def _percent(size: float) -> str:
+def _percent(size: float | None) -> str:
+    size = abs(size or 0.0)
     return "more than 100 %" if size > 1.0 else f"{100.0 * size:.2g} %"
 
 
@@ -95,11 +97,8 @@ def _remedy(found: LackOfFit) -> str:
     """What the residuals look like, with the model or experiment to try."""
     if not found.suspects:
         return "no known effect explains it: look at the residuals with --report, and at K'(f) with --verbose"
-    looks = [
-        f"{one.effect.name} (with it Kc {one.Kc:+.1%}, Bc {one.Bc:+.0%}; try {one.effect.advice})"
-        for one in found.suspects
-    ]
-    return "it looks like " + ", or like ".join(looks)
+    looks = [f"{one.effect.name} (with it Kc {one.Kc:+.1%}, Bc {one.Bc:+.0%})" for one in found.suspects]
+    return f"it looks like {' or '.join(looks)}: {found.suspects[0].effect.advice}"
 
 
 def _frequencies(dynamic: DynamicStiffness | None) -> str:

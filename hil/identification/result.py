@@ -10,6 +10,8 @@ from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
 from hil.identification.stepwise import Step
 from hil.signals.prepare import Signals
+from hil.uncertainty.dynamic_stiffness import DynamicStiffness
+from hil.uncertainty.lack_of_fit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 
 
@@ -71,7 +73,8 @@ class Identification:
     fitness: mean |error| of the best trial, optimum: of the exact solution, N m; optimiser_gap: how far the former is
     above the latter, relative. steps: of model selection, empty where the model was named. seconds: in all;
     search_seconds: for the trials alone. torque_uncertainty: of the torque's scale, relative, one standard deviation.
-    fixture: the fixture that was removed, None where it counts as rigid.
+    lack_of_fit: the test whether the model describes the recordings; dynamic_stiffness: of the joint without a model;
+    None where the recordings are too short. fixture: the fixture that was removed, None where it counts as rigid.
     """
 
     recordings: tuple[Path, ...]
@@ -91,6 +94,8 @@ class Identification:
     diagnostics: tuple[Diagnostic, ...]
     signals: Signals
     torque_uncertainty: float = 0.0
+    lack_of_fit: LackOfFit | None = None
+    dynamic_stiffness: DynamicStiffness | None = None
     fixture: Fixture | None = None
 
     def __getitem__(self, name: str) -> Estimate:

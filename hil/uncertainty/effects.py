@@ -24,6 +24,8 @@ _SIXTH: Final = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0]) / 20.0
 NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
 """The variance that `reading_noise` makes of white noise of variance one."""
 
+_SMOOTH: Final = 0.05  # periods a sample, above which a reading is noise
+_MOSTLY_FRESH: Final = 0.7  # part of the torque readings that differ from the one before
 _LAG: Final = 1e-3  # s: a lag or delay this short looks like any other short one
 
 
@@ -144,19 +146,24 @@ def _columns(*columns: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
+def _smooth(recorded: Recorded, values: Array) -> Array:
+    """Values without the noise of their readings, which is an effect of its own."""
+    return recorded.smoothed(values, _SMOOTH / recorded.step)
+
+
 def _relaxing(recorded: Recorded, _model: Array) -> list[Array]:
     constants = (constant for constant in _CONSTANTS if constant > 2.0 * recorded.step)
-    return [
-        _columns(recorded.deflection - recorded.low_passed(recorded.deflection, constant)) for constant in constants
-    ]
+    angle = _smooth(recorded, recorded.deflection)
+    return [_columns(angle - recorded.low_passed(angle, constant)) for constant in constants]
 
 
 def _sensor_lag(recorded: Recorded, model: Array) -> list[Array]:
-    return [_columns(recorded.low_passed(model, max(_LAG, 2.0 * recorded.step)) - model)]
+    torque = _smooth(recorded, model)
+    return [_columns(recorded.low_passed(torque, max(_LAG, 2.0 * recorded.step)) - torque)]
 
 
 def _delay(recorded: Recorded, model: Array) -> list[Array]:
-    return [_columns(recorded.slope(model))]
+    return [_columns(recorded.slope(_smooth(recorded, model)))]
 
 
 def _inertia(recorded: Recorded, _model: Array) -> list[Array]:
@@ -179,6 +186,11 @@ def _periodic(recorded: Recorded, _model: Array) -> list[Array]:
     return [_columns(np.cos(phase), np.sin(phase)) for phase in phases]
 
 
+def of_readings(recorded: Recorded, model: Array) -> Array:
+    """Return what the sensors themselves may add (n, k): noise of the deflection, torque readings that repeat."""
+    return np.concatenate([*_held(recorded, model), *_reading_noise(recorded, model)], axis=1)
+
+
 def reading_noise(recorded: Recorded) -> Array:
     """Return what of the deflection (n,), rad, no smooth motion makes: its sixth difference, 1 for a single spike."""
     found = np.zeros(len(recorded))
@@ -189,30 +201,51 @@ def reading_noise(recorded: Recorded) -> Array:
     return found
 
 
+def _held(recorded: Recorded, model: Array) -> list[Array]:
+    """The torque that a reading lacks by its age, where readings repeat."""
+    fresh = np.diff(recorded.torque, prepend=np.nan) != 0.0
+    if np.mean(fresh) > _MOSTLY_FRESH:
+        return []
+    latest = np.maximum.accumulate(np.where(fresh, np.arange(len(recorded)), 0))
+    age = recorded.time - recorded.time[latest]
+    return [_columns(age * recorded.slope(_smooth(recorded, model)))]
+
+
 def _reading_noise(recorded: Recorded, _model: Array) -> list[Array]:
     # a delay in the model takes the reading of a neighbour
-    noise, step = reading_noise(recorded), recorded.step
-    return [np.stack([recorded.delayed(noise, shift * step) for shift in range(-5, 6)], axis=1)]
+    noise, smooth = (
+        np.stack([recorded.delayed(values, shift * recorded.step) for shift in range(-5, 6)], axis=1)
+        for values in (reading_noise(recorded), _smooth(recorded, recorded.centred()))
+    )
+    return [noise - smooth @ np.linalg.lstsq(smooth, noise, rcond=None)[0]]
 
 
 EFFECTS: Final = (
-    Effect("offset", "an offset of the torque", "--model linear+offset", lambda r, _m: [_columns(np.ones(len(r)))]),
-    Effect("drift", "a drift of the torque", "--model linear+offset+drift", lambda r, _m: [_columns(r.elapsed())]),
-    Effect("skew", "a time shift between torque and angle", "--model linear+skew", _delay),
+    Effect("offset", "an offset of the torque", "try --model linear+offset", lambda r, _m: [_columns(np.ones(len(r)))]),
+    Effect("drift", "a drift of the torque", "try --model linear+offset+drift", lambda r, _m: [_columns(r.elapsed())]),
+    Effect("skew", "a time shift between torque and angle", "try --model linear+skew", _delay),
     Effect(
         "sensor-lag",
         "a torque cell with a low bandwidth",
-        "a faster cell, or the filter of the cell switched off",
+        "use a faster cell, or switch its filter off",
         _sensor_lag,
+    ),
+    Effect(
+        "slow-cell",
+        "a torque cell that is read more slowly than the angle",
+        "record at the rate of the cell, or with the cell's own time stamps",
+        _held,
     ),
     Effect(
         "viscoelastic",
         "a viscoelastic coupling, whose stiffness rises with frequency",
-        "read K'(f) and B'(f) in the dynamic stiffness, or record a narrower band",
+        "read K'(f) and B'(f) with --verbose, or record the band that matters",
         _relaxing,
     ),
-    Effect("inertia", "an inertia in the torque", "--model linear+inertia, or motor_inertia in the stand", _inertia),
-    Effect("coulomb", "dry friction", "--model linear+offset+coulomb", lambda r, _m: [_columns(r.sign())]),
+    Effect(
+        "inertia", "an inertia in the torque", "try --model linear+inertia, or set motor_inertia in the stand", _inertia
+    ),
+    Effect("coulomb", "dry friction", "try --model linear+offset+coulomb", lambda r, _m: [_columns(r.sign())]),
     Effect(
         "hysteresis",
         "friction that builds up over a distance (LuGre, Bouc-Wen)",
@@ -232,13 +265,13 @@ EFFECTS: Final = (
         lambda r, _m: [_columns(r.rate * np.abs(r.rate))],
     ),
     Effect(
-        "cubic", "a spring that stiffens", "--model linear+offset+cubic", lambda r, _m: [_columns(r.centred() ** 3)]
+        "cubic", "a spring that stiffens", "try --model linear+offset+cubic", lambda r, _m: [_columns(r.centred() ** 3)]
     ),
-    Effect("backlash", "a gap or dead band", "--model linear+offset+backlash", _gap),
+    Effect("backlash", "a gap or dead band", "try --model linear+offset+backlash", _gap),
     Effect(
         "asymmetry",
         "a stiffness that differs between the two directions",
-        "record each direction by itself; --model linear+offset+slack for a single tendon",
+        "record each direction by itself; for a single tendon try --model linear+offset+slack",
         lambda r, _m: [_columns(np.abs(r.centred())), _columns(r.centred() ** 2)],
     ),
     Effect(
@@ -262,7 +295,7 @@ EFFECTS: Final = (
     Effect(
         "deflection-noise",
         "noise or counts in the deflection",
-        "a larger amplitude, a finer encoder, or --model without skew",
+        "use a larger amplitude or a finer encoder, or name a --model without skew",
         _reading_noise,
         in_deflection=True,
     ),

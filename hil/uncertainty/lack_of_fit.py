@@ -41,13 +41,16 @@ _SHARE: Final = 0.02  # of the residuals' power, below which what is predicted i
 _AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
 _EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
 _ACCURATE: Final = 5e-4  # of Kc and Bc, within which the rate is known
+_DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
+_GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
 
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
     """The fit that is tested, in SI. residuals: (n,) N m; columns: (n, p), how the torque changes with each parameter.
 
-    coupling: the places of Kc and Bc among them, None for a model without. half_width: of their intervals. skew: s.
+    coupling: the places of Kc and Bc among them, None for a model without. half_width: of their intervals. skew: the
+    place of a skew among the columns, None without.
     kept: the samples (n,) that the model describes; residuals and columns of the others are not read. None: all.
     """
 
@@ -56,7 +59,7 @@ class Fitted:
     coupling: tuple[int, int] | None
     values: tuple[float, float]
     half_width: tuple[float, float]
-    skew: float = 0.0
+    skew: int | None = None
     kept: NDArray[np.bool_] | None = None
 
 
@@ -114,6 +117,21 @@ class LackOfFit:
     plane: Array
 
     @property
+    def affected(self) -> str | None:
+        """The one of Kc and Bc that is wrong by more than matters; None where both are, or neither."""
+        return self._grave[0] if len(self._grave) == 1 else None
+
+    @property
+    def is_grave(self) -> bool:
+        """Whether Kc or Bc would leave its interval by an amount that matters: 0.5 % of Kc or 3 % of Bc."""
+        return self.outside and bool(self._grave)
+
+    @property
+    def _grave(self) -> list[str]:
+        sizes = zip(("Kc", "Bc"), (self.Kc, self.Bc), _GRAVE, strict=True)
+        return [name for name, size, most in sizes if size > most]
+
+    @property
     def failed(self) -> tuple[Respect, ...]:
         """The respects in which the model is rejected, the surest first."""
         return tuple(sorted((one for one in self.respects if one.fails), key=lambda one: one.p))
@@ -121,7 +139,12 @@ class LackOfFit:
     @property
     def misfit(self) -> bool:
         """Whether the model is rejected, and by an amount that matters."""
-        return bool(self.failed) and (self.outside or self.share >= _SHARE)
+        return bool(self.failed) and (self.outside or (self.share >= _SHARE and not self._is_harmless))
+
+    @property
+    def _is_harmless(self) -> bool:
+        """Whether it is noise in the deflection that moves neither Kc nor Bc by what matters."""
+        return bool(self.suspects) and self.suspects[0].effect.in_deflection and not self._grave
 
 
 def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
@@ -244,7 +267,9 @@ class _Tests:
         found = [one for effect in EFFECTS if (one := self._suspect(effect)) is not None]
         most = max((one.share for one in found), default=0.0)
         least = max(_AS_GOOD * most, _EXPLAINS * share)
-        return tuple(sorted((one for one in found if one.share >= least), key=lambda one: -one.share)[:3])
+        ranked = sorted((one for one in found if one.share >= least), key=lambda one: -one.share)
+        # noise has more regressors than the others, and can be made of them
+        return tuple(one for at, one in enumerate(ranked) if at == 0 or not one.effect.in_deflection)[:3]
 
     def _suspect(self, effect: Effect) -> Suspect | None:
         power, best = float(self._left @ self._left), None
@@ -263,11 +288,27 @@ class _Tests:
         if self._fitted.coupling is None:
             return 0.0, 0.0
         moved = -np.linalg.lstsq(self._fitted.columns, torque, rcond=None)[0][list(self._fitted.coupling)]
-        if effect.in_deflection:  # it makes Kc too low, and Bc wrong by way of the skew that averages it away
-            noise = float(np.var(reading_noise(self._recorded))) / NOISE_GAIN
-            moved[0] = self._fitted.values[0] * noise / float(np.var(self._recorded.deflection))
-            moved[1] = -self._fitted.skew * self._fitted.values[0]
+        if effect.in_deflection:
+            moved = self._moved_by_noise()
         return self._relative(np.asarray(moved))
+
+    def _moved_by_noise(self) -> Array:
+        """How far noise in the deflection moves Kc and Bc (2,), SI.
+
+        It makes Kc too low. A delay by a part of the time between two readings averages the noise, by up to a half
+        midway, so that a skew is drawn there as far as its own residuals let it; Bc follows the skew by Kc.
+        """
+        fitted, recorded = self._fitted, self._recorded
+        stiffness, noise = fitted.values[0], float(np.var(reading_noise(recorded))) / NOISE_GAIN
+        attenuated = stiffness * noise / float(np.var(recorded.deflection))
+        if fitted.skew is None:
+            return np.array([attenuated, 0.0])
+        others = np.delete(fitted.columns, fitted.skew, axis=1)
+        column = fitted.columns[:, fitted.skew]
+        alone = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
+        longest = 0.5 * recorded.step
+        drawn = _DRAWN * stiffness**2 * noise / (recorded.step * max(float(np.mean(alone**2)), 1e-300))
+        return np.array([attenuated, stiffness * min(longest, drawn)])
 
     def _relative(self, changes: Array) -> tuple[float, float]:
         """Changes (2,) of Kc and Bc, relative; infinite ones count as none."""

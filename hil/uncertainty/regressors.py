@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.uncertainty.effects import Recorded
+from hil.uncertainty.effects import Recorded, of_readings
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,7 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
         "shape": "the torque is not in proportion to deflection and rate",
         "angle": "the torque repeats with the angle",
         "time": "the torque changes with time",
+        "readings": "noise of the deflection or repeated torque readings show in the residuals",
         "any": "the motion predicts the residuals",
     }
 )
@@ -57,6 +58,7 @@ def regressors(recorded: Recorded, model: Array) -> dict[str, Array]:
         "shape": _shapes(recorded, x, v, np.abs(model - np.median(model))),
         "angle": np.stack([wave(2.0 * np.pi * turns * x) for turns in _TURNS for wave in (np.cos, np.sin)], axis=1),
         "time": _in_time(recorded, x, v),
+        "readings": of_readings(recorded, model),
     }
 
 
