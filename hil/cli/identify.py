@@ -139,7 +139,22 @@ def _show(found: Identification, *, verbose: bool) -> None:
         out_table(model_selection_table(found))
     if verbose:
         out_table(repeatability_table(found))
+        _show_dynamic_stiffness(found)
     for line in identification_lines(found):
+        out(line)
+
+
+def _show_dynamic_stiffness(found: Identification) -> None:
+    from hil.report.formatting import people_unit
+    from hil.report.identification import milli
+    from hil.report.lack_of_fit import distortion_lines, dynamic_stiffness_table
+
+    if found.dynamic_stiffness is None:
+        return
+    factor, stiffness = people_unit("N*m/rad", milli=milli(found))
+    damping = people_unit("N*m*s/rad", milli=milli(found))[1]
+    out_table(dynamic_stiffness_table(found.dynamic_stiffness, factor, stiffness, damping))
+    for line in distortion_lines(found.dynamic_stiffness):
         out(line)
 
 

@@ -14,6 +14,7 @@ from hil.uncertainty.lack_of_fit import Fitted, LackOfFit, lack_of_fit
 
 Array = NDArray[np.float64]
 
+_RESPECTS = 3  # that a message names
 _CHANGES = 0.03  # of K' over the band, from which it is said
 
 
@@ -78,7 +79,7 @@ def _respects(model: str, found: LackOfFit) -> str:
     differing = [f"{one.name} ({_percent(one.Kc)} and {_percent(one.Bc)})" for one in compared]
     plain = [one.name for one in found.failed if one.Kc is None and one.code != "any"]
     respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
-    said = ", ".join(respects) or "its residuals follow from the motion"
+    said = ", ".join(respects[:_RESPECTS]) or "its residuals follow from the motion"
     return f"{model} does not describe this recording: {said}; {found.share:.0%} of the residuals can be predicted"
 
 

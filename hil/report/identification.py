@@ -12,6 +12,7 @@ import numpy as np
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
+from hil.report.lack_of_fit import dynamic_stiffness_json, lack_of_fit_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -49,6 +50,8 @@ def as_json(found: Identification) -> dict[str, Any]:
         },
         **diagnostics_json(found.diagnostics),
         "model_selection": [_step(step) for step in found.steps],
+        "lack_of_fit": lack_of_fit_json(found.lack_of_fit),
+        "dynamic_stiffness": dynamic_stiffness_json(found.dynamic_stiffness),
         "fixture": None if found.fixture is None else _fixture(found.fixture),
     }
 

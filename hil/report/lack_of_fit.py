@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.report.formatting import json_number, plain_table, rounded
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from rich.table import Table
 
     from hil.uncertainty.dynamic_stiffness import Bands, DynamicStiffness
     from hil.uncertainty.lack_of_fit import LackOfFit
@@ -56,43 +59,36 @@ def _bands_json(bands: Bands) -> dict[str, Any]:
         "deflection_rms": bands.deflection,
         "frequency": bands.frequency.tolist(),
         "stiffness": bands.stiffness.tolist(),
-        "stiffness_half_width": [_number(value) for value in bands.stiffness_half_width.tolist()],
+        "stiffness_half_width": [json_number(value) for value in bands.stiffness_half_width.tolist()],
         "damping": bands.damping.tolist(),
-        "damping_half_width": [_number(value) for value in bands.damping_half_width.tolist()],
+        "damping_half_width": [json_number(value) for value in bands.damping_half_width.tolist()],
         "coherence": bands.coherence.tolist(),
     }
 
 
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def dynamic_stiffness_lines(found: DynamicStiffness | None) -> list[str]:
-    """Return K'(f) and B'(f), SI, a band a line, with the distortion; no line where there is none."""
-    if found is None:
-        return []
-    bands = found.bands
-    rows = zip(
-        bands.frequency,
-        bands.stiffness,
-        bands.stiffness_half_width,
-        bands.damping,
-        bands.damping_half_width,
-        bands.coherence,
-        strict=True,
-    )
-    lines = [f"without a model, by cross spectra with the {found.instrument}:"]
-    lines += [
-        f"  {frequency:6.3g} Hz  K' {stiffness:.4g} ± {of_stiffness:.1g} N m/rad  B' {damping:.4g} ± {of_damping:.1g} "
-        f"N m s/rad  coherence {coherence:.4f}"
-        for frequency, stiffness, of_stiffness, damping, of_damping, coherence in rows
-    ]
-    if found.distortion is not None:
-        lines.append(
-            f"  distortion {found.distortion.level:.2%} of the torque, noise {found.distortion.noise:.2%}, "
-            f"period {found.distortion.period:.4g} s"
+def dynamic_stiffness_table(found: DynamicStiffness, factor: float, stiffness: str, damping: str) -> Table:
+    """Return the table of K'(f) and B'(f) with half their 95 % intervals; factor: to the printed units."""
+    bands, rows = found.bands, []
+    for at, frequency in enumerate(bands.frequency.tolist()):
+        known = (
+            (factor * float(values[at]), factor * float(half[at]))
+            for values, half in (
+                (bands.stiffness, bands.stiffness_half_width),
+                (bands.damping, bands.damping_half_width),
+            )
         )
-    return lines
+        cells = (" ± ".join(rounded(half, value)) for value, half in known)
+        rows.append((f"{frequency:.3g}", *cells, f"{bands.coherence[at]:.4f}"))
+    headings = ("f, Hz", f"K', {stiffness}", f"B', {damping}", "coherence")
+    return plain_table(f"dynamic stiffness, instrument: {found.instrument}", headings, rows)
+
+
+def distortion_lines(found: DynamicStiffness) -> list[str]:
+    """Return the line about the distortion; none where the excitation is not periodic."""
+    if found.distortion is None:
+        return []
+    level, noise, period = found.distortion.level, found.distortion.noise, found.distortion.period
+    return [f"distortion {level:.2%} of the torque, noise {noise:.2%}; the excitation repeats every {period:.3g} s"]
 
 
 def draw_dynamic_stiffness(found: DynamicStiffness | None, stiffness: Axes, factor: float, unit: str) -> None:

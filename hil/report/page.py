@@ -15,6 +15,7 @@ from hil.errors import WrongUse
 from hil.recording.output import atomic_write
 from hil.report.formatting import people_unit
 from hil.report.identification import headline, identification_lines, milli, printed
+from hil.report.lack_of_fit import draw_correlation, draw_dynamic_stiffness, draw_plane
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,7 +90,8 @@ def _rows(found: Identification) -> Iterator[Sequence[str]]:
 
 
 def draw(found: Identification, path: Path) -> None:
-    """Write a PNG: torque and model over time, the residuals, and the loop of torque against deflection.
+    """Write a PNG: torque and model over time, the residuals, the loop of torque against deflection, the test whether
+    the model describes the recording, and the stiffness without a model.
 
     A line ends where a recording ends, or a gap begins. Raises WrongUse where the file cannot be written.
     """
@@ -101,9 +103,14 @@ def draw(found: Identification, path: Path) -> None:
         _broken(values, motion.starts)
         for values in (motion.time, torque * factor, model * factor, (torque - model) * factor, motion.dtheta)
     )
-    figure = Figure(figsize=(10, 6), layout="constrained")
+    figure = Figure(figsize=(10, 9), layout="constrained")
     panels = figure.subplot_mosaic(
-        [["torque", "loop"], ["residuals", "loop"]], width_ratios=[3, 2], height_ratios=[2, 1]
+        [
+            ["torque", "torque", "loop"],
+            ["residuals", "residuals", "loop"],
+            ["correlation", "plane", "dynamic"],
+        ],
+        height_ratios=[2, 1, 1.5],
     )
     panels["torque"].plot(time, measured, lw=0.8, color="0.65", label="measured")
     panels["torque"].plot(time, modelled, lw=0.6, color="C0", label=found.model.name)
@@ -114,8 +121,11 @@ def draw(found: Identification, path: Path) -> None:
     panels["loop"].plot(dtheta, measured, ".", ms=1, color="0.65")
     panels["loop"].plot(dtheta, modelled, lw=0.3, color="C0")
     panels["loop"].set(xlabel="deflection [rad]", ylabel=f"torque at the joint [{unit}]")
-    for panel in panels.values():
-        panel.grid(visible=True, lw=0.3)
+    draw_correlation(found.lack_of_fit, panels["correlation"])
+    draw_plane(found.lack_of_fit, panels["plane"], factor, unit)
+    draw_dynamic_stiffness(found.dynamic_stiffness, panels["dynamic"], factor, f"{unit}/rad")
+    for name in ("torque", "residuals", "loop", "correlation", "dynamic"):
+        panels[name].grid(visible=True, lw=0.3)
     save_picture(figure, path)
 
 

@@ -52,7 +52,8 @@ def test_the_main_job_finds_the_stiffness_the_simulator_was_given(hil: Hil) -> N
 def test_the_json_of_identify_is_the_designs(hil: Hil, make_recording: Maker) -> None:
     found = hil("identify", make_recording(noise=1e-5), "--json").json
     keys = "schema recordings model preset seed parameters fitness samples trials evaluations seconds validation"
-    assert list(found) == [*keys.split(), "warnings", "errors", "model_selection", "fixture"]
+    tests = ["warnings", "errors", "model_selection", "lack_of_fit", "dynamic_stiffness"]
+    assert list(found) == [*keys.split(), *tests, "fixture"]
     assert (found["schema"], found["model"], found["preset"]) == ("hil-identification/2", "linear", "default")
     kc = found["parameters"]["Kc"]
     assert {"value", "unit", "ci95", "optimiser_repeatability", "identifiable"} <= set(kc)
