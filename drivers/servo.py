@@ -164,7 +164,8 @@ class ServoInfo:
 
     quantities: the set-points it supports. position_lsb rad, torque_lsb N m, velocity_lsb rad/s: one count at the motor
     shaft, NaN where not known. torque_uncertainty: relative standard uncertainty of the torque scale, NaN where not
-    known.
+    known. watchdog: s of silence after which the device turns its torque off by itself; 0 where it does not, or where
+    that is not known. watchdog_remedy: what to set so that it does; "" where it has no watchdog.
     """
 
     backend: str
@@ -176,6 +177,8 @@ class ServoInfo:
     velocity_lsb: float = math.nan
     torque_lsb: float = math.nan
     torque_uncertainty: float = math.nan
+    watchdog: float = 0.0
+    watchdog_remedy: str = ""
 
 
 class Servo(Protocol):

@@ -97,6 +97,7 @@ class SimServo:
             velocity_lsb=self._parameters.sensors.velocity_lsb,
             torque_lsb=self._sensors.torque_lsb,
             torque_uncertainty=0.0,
+            watchdog=self._parameters.link.watchdog,
         )
         self._gate = Gate(
             "the simulated servo", self.info.quantities, torque_off=self._torque_off, release=lambda: None

@@ -61,6 +61,8 @@ class Cia402Servo:
             position_lsb=self._scale.position,
             velocity_lsb=self._scale.velocity,
             torque_lsb=self._scale.torque,
+            watchdog=config.watchdog,
+            watchdog_remedy="set cia402.watchdog = 0.1",
         )
 
     def arm(self, limits: Limits) -> None:

@@ -64,7 +64,14 @@ class CommanderServo:
         with self._gate.opening():
             self._wake()
             self._set_up()
-        self.info = ServoInfo(backend="commander", model=f"SimpleFOC motor {self._m}", quantities=quantities)
+        self.info = ServoInfo(
+            backend="commander",
+            model=f"SimpleFOC motor {self._m}",
+            quantities=quantities,
+            watchdog=config.watchdog,
+            watchdog_remedy="put a watchdog into the board's program (docs/serial.md) and its time into "
+            "commander.watchdog",
+        )
 
     def arm(self, limits: Limits) -> None:
         """Set torque mode and limits, each read back, and enable the motor at a target of zero.

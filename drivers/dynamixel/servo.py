@@ -137,6 +137,8 @@ class DynamixelServo:
             velocity_lsb=self._series.velocity_lsb,
             torque_lsb=self._torque_lsb if self._model.current_lsb else math.nan,
             torque_uncertainty=math.nan if stated else self._model.torque_uncertainty,
+            watchdog=self._config.watchdog,
+            watchdog_remedy="set dynamixel.watchdog = 0.1" if self._model.protocol == 2 else "",
         )
 
     @property

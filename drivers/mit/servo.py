@@ -119,6 +119,8 @@ class MitServo:
             velocity_lsb=codec.velocity_lsb,
             torque_lsb=codec.torque_lsb * self._config.torque_scale,
             torque_uncertainty=model.torque_uncertainty if self._config.torque_scale == 1.0 else math.nan,
+            watchdog=self._config.watchdog if self._motor.damiao else 0.0,  # an AK's cannot be read over CAN
+            watchdog_remedy="set mit.watchdog = 0.1" if self._motor.damiao else "",
         )
 
     def _prepare(self, limits: Limits) -> None:

@@ -90,6 +90,7 @@ class MoteusServo:
             serial="".join(f"{int(identity[f'serial_{part}']) & 0xFFFFFFFF:08x}" for part in ("high", "middle", "low")),
             firmware=f"{firmware >> 16 & 0xFF}.{firmware >> 8 & 0xFF}.{firmware & 0xFF}",
             quantities=quantities,
+            watchdog=config.watchdog,
         )
 
     def arm(self, limits: Limits) -> None:

@@ -66,6 +66,10 @@ class OdriveServo:
             serial=f"node id {config.id}",
             firmware=firmware,
             quantities=quantities,
+            watchdog=config.watchdog if self._parameters is not None else 0.0,
+            watchdog_remedy=""
+            if self._axis.codec.layout == "0.5"
+            else "set odrive.watchdog = 0.1 and odrive.endpoints to the flat_endpoints.json of its firmware",
         )
 
     def arm(self, limits: Limits) -> None:

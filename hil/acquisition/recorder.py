@@ -27,6 +27,7 @@ from hil.acquisition.sink import Sink
 from hil.errors import WrongUse
 from hil.recording.channels import Row
 from hil.stand.file import Stand
+from hil.stand.opening import require_watchdog
 from hil.stand.transmission import Transmission, Zero
 
 _REST_SAMPLES = 16  # averaged for the zero of the deflection
@@ -67,13 +68,15 @@ def tick_count(profile: Profile, rate: float) -> int:
 class Recorder:
     """One run of a profile on an open servo, at `rate` Hz, into a sink.
 
-    scratch: the folder for the run's set-points, which a long run keeps on disk; None for the system's.
+    scratch: the folder for the run's set-points, which a long run keeps on disk; None for the system's. Raises WrongUse
+    for a stand without limits, or whose drive does not stop by itself and is not accepted as it is.
     """
 
     def __init__(
         self, stand: Stand, servo: Servo, profile: Profile, rate: float, sink: Sink, *, scratch: Path | None = None
     ) -> None:
         limits = stand.checked_limits()
+        require_watchdog(stand, servo.info)
         self._torque_source = stand.stand.torque_source
         self._transmission = Transmission.of(stand.stand)
         self._limits = limits

@@ -19,9 +19,10 @@ from hil.doctor.checks import CheckList, Verdict
 from hil.doctor.jog import Jog, run_jog
 from hil.doctor.link_test import check_link, check_readings, reachable
 from hil.doctor.stop_path import check_stop, check_watchdog
+from hil.errors import WrongUse
 from hil.stand.devices import check_backend, found_by_search
 from hil.stand.file import Stand
-from hil.stand.opening import open_servo
+from hil.stand.opening import open_servo, require_watchdog
 from hil.stand.transmission import Transmission
 
 _SMALL = 1.0 / 20.0  # of a limit
@@ -47,7 +48,7 @@ def examine(
                 if move and not stop.count:
                     _move(checks, stand, servo, (mode, amplitude, rate), stop)
                 if not stop.count:  # last, since it may leave a fault that only cutting the power clears
-                    check_watchdog(checks, servo, limits, _watchdog(stand))
+                    check_watchdog(checks, servo, limits)
         checks.signal = stop.number
     if checks.ok and not move:
         checks.add("signs, lock", Verdict.SKIPPED, "nothing was moved: add --move, with nobody's hand in the joint")
@@ -68,13 +69,6 @@ def _check_port(checks: CheckList, stand: Stand) -> None:
     else:
         return
     checks.add("port", Verdict.ERROR if problem else Verdict.OK, problem or f"{name} can be used")
-
-
-def _watchdog(stand: Stand) -> float:
-    """Return the s of silence after which the drive stops by itself, 0 where it does not."""
-    if stand.stand.backend == "sim":
-        return float(stand.sim.link.watchdog)
-    return float(getattr(stand.devices.get(str(stand.stand.backend)), "watchdog", 0.0) or 0.0)
 
 
 @contextmanager
@@ -128,6 +122,11 @@ def _move(
 ) -> None:
     mode, amplitude, rate = wanted
     limits = stand.checked_limits()
+    try:
+        require_watchdog(stand, servo.info)
+    except WrongUse as error:
+        checks.failed("move", str(error))
+        return
     limit = limits.torque if mode is Quantity.TORQUE else limits.deflection
     size = min(limit, limit * _SMALL if amplitude is None else amplitude)
     if checks.bus is not None:

@@ -49,13 +49,13 @@ def check_stop(checks: CheckList, servo: Servo, limits: Limits, mode: Quantity) 
         checks.failed("stop", "a set-point was accepted after torque-off: do not record with this drive")
 
 
-def check_watchdog(checks: CheckList, servo: Servo, limits: Limits, period: float) -> None:
-    """Arm, send nothing for longer than the drive's watchdog of `period` s (0: none), and check that it stopped.
-
-    Raises as `check_stop`.
-    """
+def check_watchdog(checks: CheckList, servo: Servo, limits: Limits) -> None:
+    """Arm, send nothing for longer than the drive's watchdog, and check that it stopped. Raises as `check_stop`."""
+    period = servo.info.watchdog
     if not period:
-        checks.add("watchdog", Verdict.WARNING, "none is set: the motor stays live when this computer fails")
+        remedy = servo.info.watchdog_remedy or "keep a switch for its power at hand"
+        message = f"none is set: the motor keeps its torque when this computer stops; {remedy}"
+        checks.add("watchdog", Verdict.WARNING, message)
         return
     servo.arm(limits)
     answered(servo)

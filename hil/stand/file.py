@@ -32,7 +32,8 @@ class StandTable(_Table):
     gear_ratio: motor turns a joint turn. motor_inertia: kg m^2. motor_damping: N m s/rad, both at the motor shaft.
     torque_source: "joint" for a torque cell at the locked joint, "motor" to infer it through equation (1).
     torque_uncertainty: of the torque's scale (torque constant or cell), relative, one standard deviation. zero: rad,
-    what the drive shows where the stand's motor angle is zero.
+    what the drive shows where the stand's motor angle is zero. torque_stays_on_if_host_dies: true acknowledges a drive
+    that keeps its last torque when this computer stops; without it such a drive is not driven.
     """
 
     name: str = "unnamed stand"
@@ -43,6 +44,7 @@ class StandTable(_Table):
     torque_source: Literal["motor", "joint"] = "motor"
     torque_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     zero: Finite = 0.0
+    torque_stays_on_if_host_dies: bool = False
 
 
 class LimitsTable(_Table):

@@ -8,7 +8,7 @@ from typing import Any, cast
 from pydantic import TypeAdapter, ValidationError
 
 from drivers.clock import MonotonicClock
-from drivers.servo import Quantity, Servo
+from drivers.servo import Quantity, Servo, ServoInfo
 from hil.errors import WrongUse
 from hil.stand.devices import BACKENDS, check_backend, open_backend, open_sensor
 from hil.stand.file import Stand
@@ -42,6 +42,18 @@ def open_servo(
         servo.close()
         raise
     return StandServo(servo, stand.stand.zero, sensor), truth
+
+
+def require_watchdog(stand: Stand, info: ServoInfo) -> None:
+    """Raise WrongUse where the drive keeps its torque when this computer stops, unless the stand accepts that."""
+    if info.watchdog > 0.0 or stand.stand.torque_stays_on_if_host_dies:
+        return
+    remedy = f"{info.watchdog_remedy}; or " if info.watchdog_remedy else ""
+    raise WrongUse(
+        f"{info.backend} {info.model} has no watchdog that this stand file sets: if this computer stops, the motor "
+        f"keeps its last torque against the locked joint until its power is cut. Nothing was driven: {remedy}accept "
+        "this with torque_stays_on_if_host_dies = true in [stand], and keep a switch for its power at hand"
+    )
 
 
 def _table_of(stand: Stand, name: str) -> Any:

@@ -43,8 +43,8 @@ class ReplayServo:
 
     @property
     def info(self) -> ServoInfo:
-        """The recording's path; every set-point is accepted and ignored."""
-        return ServoInfo(backend="replay", model=str(self._recording.path))
+        """The recording's path; every set-point is accepted and ignored, so that nothing is left to stop."""
+        return ServoInfo(backend="replay", model=str(self._recording.path), watchdog=math.inf)
 
     @property
     def clock(self) -> Clock:

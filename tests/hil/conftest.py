@@ -45,7 +45,7 @@ class SpringServo:
     """
 
     clock: StillClock = field(default_factory=StillClock)
-    info: ServoInfo = field(default_factory=lambda: ServoInfo(backend="spring", model="closed form"))
+    info: ServoInfo = field(default_factory=lambda: ServoInfo(backend="spring", model="closed form", watchdog=0.1))
     script: dict[int, Exception | dict[str, float]] = field(default_factory=dict)
     driven: list[Command] = field(default_factory=list)
     armed: bool = False

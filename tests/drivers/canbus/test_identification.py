@@ -27,6 +27,7 @@ from sim_backend.wire.odrive import device as odrive
 
 STAND = """
 [stand]
+torque_stays_on_if_host_dies = true
 gear_ratio = 1.0
 motor_inertia = {inertia}
 motor_damping = {damping}

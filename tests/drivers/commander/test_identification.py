@@ -29,6 +29,7 @@ from sim_backend.wire.uart.loopback import SerialLoopback
 
 STAND = """
 [stand]
+torque_stays_on_if_host_dies = true
 gear_ratio = 4.0
 motor_inertia = 2.0e-7
 motor_damping = 1.0e-7

@@ -382,6 +382,7 @@ def test_what_an_mx_cannot_do_is_refused_in_the_stand_file(change: dict[str, Any
 
 STAND = """
 [stand]
+torque_stays_on_if_host_dies = true
 motor_inertia = 3.2e-6
 motor_damping = 1.6e-6
 [limits]

@@ -99,6 +99,16 @@ def test_a_sound_stand_passes_every_check_and_is_left_with_its_torque_off(
     assert rig.port.opened == 0
 
 
+def test_a_drive_without_a_watchdog_is_not_moved(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
+    rig = make_rig()
+    rig.config = replace(rig.config, watchdog=0.0)
+    checks = examine_rig(rig)
+    assert "torque_stays_on_if_host_dies" in message(checks, "move")
+    assert verdicts(checks)["move"] == "error"
+    assert verdicts(checks)["watchdog"] == "warning"
+    assert rig.device.motor.position == 0.0
+
+
 def test_the_jog_writes_no_file(
     make_rig: Callable[..., Any], examine_rig: Examine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
