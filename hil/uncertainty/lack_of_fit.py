@@ -99,8 +99,9 @@ class Suspect:
 class LackOfFit:
     """What the tests found. share: of the residuals' power, predicted in blocks that were not seen.
 
-    Kc, Bc: the size of the misfit, relative: the largest change by a suspect or between parts; without one, the change
-    that would make as much torque as is predicted. outside: whether that leaves the interval of Kc or Bc.
+    Kc, Bc: the size of the misfit, relative: the change by the likeliest suspect, or half the difference between parts;
+    without either, the change that would make as much torque as is predicted. outside: whether that leaves the interval
+    of Kc or Bc.
     lags (l,) s and correlation (l, 2): of the residuals with the deflection and rate of `lags` before. plane: mean
     residual, N m, in cells of equal counts of deflection (rows, rising) and rate (columns, rising), NaN where none is.
     """
@@ -320,8 +321,10 @@ class _Tests:
         """The size of the misfit in Kc and Bc (2,), relative, not negative; torque: N m r.m.s. that is predicted."""
         if not any(one.fails for one in respects):
             return np.zeros(2)
-        found = [(abs(one.Kc), abs(one.Bc)) for one in suspects]
-        found += [(0.5 * abs(one.Kc), 0.5 * abs(one.Bc or 0.0)) for one in respects if one.fails and one.Kc is not None]
+        # the likeliest effect explains the differences between parts too, but not what changed on the way
+        compared = [one for one in respects if one.fails and (one.code == "half" or not suspects)]
+        found = [(abs(one.Kc), abs(one.Bc)) for one in suspects[:1]]
+        found += [(0.5 * abs(one.Kc), 0.5 * abs(one.Bc or 0.0)) for one in compared if one.Kc is not None]
         if found:
             return np.asarray(np.max(found, axis=0), dtype=np.float64)
         alone = np.linalg.norm(_apart(self._coupling), axis=0) / np.sqrt(len(self._coupling))
