@@ -16,6 +16,7 @@ from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 from sim_backend.wire.loadcell.emulator import of
 from sim_backend.wire.loadcell.emulator import serve as serve_cell
 from sim_backend.wire.plant_motor import PlantMotor
+from sim_backend.wire.uart.pacing import paced
 from sim_backend.wire.uart.pty_line import PtyLine
 
 MODELS = ("motor", "motor+loadcell")
@@ -151,7 +152,7 @@ class CommanderBoard:
                 return [(self._awake - 0.1, self.device.greeting.encode())]
         loop, latency = (self._timing.loop, self._timing.usb_latency) if self._timing else (0.0, 0.0)
         self._free = max(self._free, at + loop) + self._duration(len(line))
-        return self.faults.arriving(line, self._free + latency)
+        return paced(self.faults.arriving(line, self._free), self._duration(1), latency)
 
     def _duration(self, size: int) -> float:
         return 10.0 * size / self._baudrate if self._timing else 0.0

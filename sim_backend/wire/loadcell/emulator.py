@@ -21,6 +21,7 @@ import numpy as np
 from sim_backend.parameters import SensorParameters, SimParameters
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 from sim_backend.wire.loadcell.joint_torque import AtRest, Felt
+from sim_backend.wire.uart.pacing import paced
 from sim_backend.wire.uart.pty_line import PtyLine
 
 if TYPE_CHECKING:
@@ -100,12 +101,12 @@ class EmulatedLoadCell:
                     self._powered = taken + _BOOT
                     self._next = self._powered + SETTLING / self.board.rate
                     break
-            arrives = taken
-            if self.board.usb_latency is not None:
-                arrives += 10.0 * len(line) / self.board.baudrate + self.board.usb_latency
+            held = self.board.usb_latency
+            byte = 10.0 / self.board.baudrate if held is not None else 0.0
+            ends = taken + byte * len(line)
             if baudrate is not None and baudrate != self.board.baudrate:
                 line = _misread(line, self.board.baudrate / max(1, baudrate))
-            out += self.faults.arriving(line, arrives)
+            out += paced(self.faults.arriving(line, ends), byte, held or 0.0)
         return out
 
     def _line(self, taken: float) -> bytes:

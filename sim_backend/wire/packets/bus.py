@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 from sim_backend.wire.packets.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status, take_packet
 from sim_backend.wire.packets.frames_1 import reads_1, status_1, sync_writes_1, take_packet_1
+from sim_backend.wire.uart.pacing import paced
 
 
 class Reply(NamedTuple):
@@ -128,11 +129,12 @@ class PacketBus:
         """
         out: list[Reply] = []
         begin = max(now, self._free)
-        for frame, used in self._framer.feed(data):
+        end = begin + self._duration(len(data), baudrate)
+        for frame, used in self._framer.feed(data, begin, end):
             arrival = begin + self._duration(used, baudrate)
             if not self.faults.loses_request():
                 out += self._execute(frame, arrival, baudrate)
-        self._free = max(self._free, begin + self._duration(len(data), baudrate))
+        self._free = max(self._free, end)
         return out
 
     def _duration(self, size: int, baudrate: int | None) -> float:
@@ -231,15 +233,19 @@ class PacketBus:
         out: list[Reply] = []
         at = now
         for device, data in packets:
+            byte = 0.0
             if self._timing is not None:
-                at += device.return_delay + 10.0 * len(data) / device.baudrate
-            held = self._timing.usb_latency if self._timing is not None else 0.0
-            out += self._delivered(data, at, at + held)
+                byte = 10.0 / device.baudrate
+                at += device.return_delay + byte * len(data)
+            out += self._delivered(data, at, byte)
         self._free = max(self._free, at)
         return sorted(out, key=lambda reply: reply.at)
 
-    def _delivered(self, data: bytes, now: float, at: float) -> list[Reply]:
-        """Return a packet sent at `now` as it arrives at the host at `at`, with the faults that were injected."""
+    def _delivered(self, data: bytes, now: float, byte: float) -> list[Reply]:
+        """Return a packet whose last byte ends at `now` as it arrives at the host, with the faults that were injected.
+
+        byte: s that each takes.
+        """
         match self.faults.interrupts_reply():
             case Unplug():
                 self.unplugged = True
@@ -247,7 +253,10 @@ class PacketBus:
                 for device in self.devices:
                     device.reboot(now)
                 return []
-        return [] if self.unplugged else [Reply(*piece) for piece in self.faults.arriving(data, at)]
+        if self.unplugged:
+            return []
+        held = self._timing.usb_latency if self._timing is not None else 0.0
+        return [Reply(*piece) for piece in paced(self.faults.arriving(data, now), byte, held)]
 
 
 def _collided(packets: list[bytes]) -> bytes:

@@ -15,6 +15,8 @@ HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 LONGEST = 1024
 """Bytes after the length field that are believed; a longer length is noise."""
+SILENCE = 0.1
+"""s without a byte after which a servo gives up the packet that it waits for ("Protocol 1.0", Instruction Packet)."""
 
 
 class Instruction(IntEnum):
@@ -120,9 +122,16 @@ class Framer:
     def __init__(self, take: Callable[[bytes], Taken | None]) -> None:
         self._take = take
         self._rest = b""
+        self._heard = 0.0
 
-    def feed(self, data: bytes) -> list[tuple[Frame, int]]:
-        """Return the packets completed by `data`, each with the number of bytes of `data` used up by then."""
+    def feed(self, data: bytes, begin: float = 0.0, end: float = 0.0) -> list[tuple[Frame, int]]:
+        """Return the packets completed by `data`, each with the number of bytes of `data` used up by then.
+
+        begin, end: s, when the first of its bytes begins and the last has ended.
+        """
+        if data:
+            self._rest = b"" if begin - self._heard > SILENCE else self._rest
+            self._heard = end
         before = len(self._rest)
         self._rest += data
         used = 0

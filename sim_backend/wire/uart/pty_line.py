@@ -1,14 +1,17 @@
 """A serial line that ends in an emulator: a pseudo-terminal behind a stable name.
 
 A pty has no baud rate of its own; what the client set is read from it and handed on, so that a wrong one is not
-understood. Linux and macOS only.
+understood. As on a serial port, a client's exclusive lock ends with the last close, however the client ended, and what
+is sent while nobody has the port open is lost. Linux and macOS only.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import select
+import struct
 import termios
 import threading
 import time
@@ -22,8 +25,15 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _SPEEDS = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
+_TCGETS2 = 0x802C542A
+_TERMIOS2 = struct.Struct("=4I20s2I")
+"""Linux: flags, characters, input and output speed in bit/s. It knows every speed, `tcgetattr` only those of the
+table above.
+"""
 _IDLE = 0.05
 """s between two looks at the emulator while nothing is sent."""
+_ABSENT = 2e-3
+"""s between two looks for a client while there is none; nothing wakes the emulator up when one opens the port."""
 _SPIN = 1.5e-4
 """s before a reply is due that are waited out awake: a sleeping process wakes up late by about as much."""
 
@@ -61,13 +71,14 @@ class PtyLine:
         self.lock = threading.Lock()
         self._peer = peer
         self._any_baudrate = any_baudrate
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
+        self._master = -1
+        self._name = ""
+        self._present = True
+        """Whether a client has the port open."""
+        self._open()
         self._wake, self._waker = os.pipe()
         self._arrivals = Arrivals[bytes]()
         self._thread = threading.Thread(target=self.run, name=f"pty {link}")
-        self._point()
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -89,20 +100,20 @@ class PtyLine:
 
     def run(self) -> None:
         """Serve until `stop` is called or the peer is unplugged."""
+        advanced = self.now()
         while not self._peer.unplugged:
             next_ = min(self._arrivals.next() - _SPIN, self._peer.due())
-            wait = max(0.0, min(_IDLE, next_ - self.now()))
-            ready, _, _ = select.select([self._master, self._wake], [], [], wait)
+            wait = max(0.0, min(_IDLE if self._present else _ABSENT, next_ - self.now()))
+            ready, _, _ = select.select([self._wake, *([self._master] if self._present else [])], [], [], wait)
             if self._wake in ready:
                 return
-            if self._master in ready:
-                self._take(os.read(self._master, 4096))
-            elif not self._arrivals:
-                with self.lock:
-                    self._peer.advance(self.now())
-                self._take(b"")
-            elif self._peer.due() <= self.now():
-                self._take(b"")
+            data = self._read()
+            idle = not self._arrivals and self.now() >= advanced + _IDLE
+            if idle:
+                advanced = self.now()
+                self._pause()
+            if data or idle or self._peer.due() <= self.now():
+                self._take(data)
             self._send()
         self._drop()
 
@@ -113,29 +124,69 @@ class PtyLine:
         finally:
             self._close()
 
+    def _read(self) -> bytes:
+        """Return what a client has sent. Without a client the read fails, or ends on macOS."""
+        try:
+            data = os.read(self._master, 4096)
+        except BlockingIOError:
+            self._present = True
+            return b""
+        except OSError:
+            data = b""
+        was, self._present = self._present, bool(data)
+        if was and not data:
+            self._end_session()
+        return data
+
+    def _pause(self) -> None:
+        """Carry the peer to now while nothing is on the line."""
+        with self.lock:
+            self._peer.advance(self.now())
+        if not self._present:
+            self._end_session()  # one so short that it was not seen may have locked the port
+
     def _take(self, data: bytes) -> None:
-        speed = None if self._any_baudrate else _SPEEDS.get(termios.tcgetattr(self._master)[5], 0)
+        speed = None if self._any_baudrate else _speed(self._master)
         with self.lock:
             self._arrivals.add(self._peer.receive(data, self.now(), speed))
 
+    def _end_session(self) -> None:
+        """After the last close: end its exclusive lock and discard what was not read, as a serial port does."""
+        try:
+            slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
+        except OSError:  # the lock keeps out whoever is not root
+            os.close(self._master)
+            self._open()
+            return
+        fcntl.ioctl(slave, termios.TIOCNXCL)
+        termios.tcflush(slave, termios.TCIFLUSH)
+        os.close(slave)
+
     def _send(self) -> None:
         for reply in self._arrivals.until(self.now()):
+            if not self._present:
+                continue
             with contextlib.suppress(BlockingIOError):  # a client that never reads loses bytes, as on a real line
                 os.write(self._master, reply)
 
-    def _point(self) -> None:
+    def _open(self) -> None:
+        """Make a pty and let the link point to it. The client's end stays closed, so that a last close is seen."""
         if self.link.exists() and not self.link.is_symlink():
             raise FileExistsError(f"{self.link} exists and is not a link: choose another name")
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        self._name = os.ttyname(slave)
+        os.close(slave)
+        os.set_blocking(self._master, False)
         fresh = self.link.with_name(f".{self.link.name}.{os.getpid()}")
-        fresh.symlink_to(os.ttyname(self._slave))
+        fresh.symlink_to(self._name)
         fresh.replace(self.link)
 
     def _drop(self) -> None:
         """Hang up, as a pulled cable does."""
-        for descriptor in (self._master, self._slave):
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
-        self._master = self._slave = -1
+        with contextlib.suppress(OSError):
+            os.close(self._master)
+        self._master = -1
 
     def _close(self) -> None:
         self._drop()
@@ -143,3 +194,10 @@ class PtyLine:
         os.close(self._waker)
         if self.link.is_symlink():
             self.link.unlink()
+
+
+def _speed(descriptor: int) -> int:
+    """Return the speed that the client set, bit/s; 0 where it is not known."""
+    with contextlib.suppress(OSError):
+        return int(_TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size)))[-1])
+    return _SPEEDS.get(termios.tcgetattr(descriptor)[5], 0)

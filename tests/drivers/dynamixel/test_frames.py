@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sim_backend.wire.dynamixel.device import DynamixelDevice
+from sim_backend.wire.dynamixel.mx_device import MxDevice
 from sim_backend.wire.packets.bus import PacketBus
 from sim_backend.wire.packets.frames import Frame, Framer, Instruction, packet, status, take_packet
 
@@ -128,3 +129,24 @@ def test_a_damaged_packet_is_reported_and_the_next_one_still_found() -> None:
     damaged[9] ^= 0x40
     frames = [frame for frame, _ in Framer(take_packet).feed(bytes(damaged) + octets(PING_1))]
     assert [frame.sound for frame in frames] == [False, True]
+
+
+@pytest.mark.parametrize("protocol", [1, 2])
+def test_after_a_silence_a_servo_waits_for_a_new_header(protocol: int) -> None:
+    """A cut packet whose length promises more would otherwise take the packets behind it for its own parameters."""
+    device = DynamixelDevice("xl330-m288") if protocol == 2 else MxDevice("mx-64")
+    bus = PacketBus([device], protocol=protocol)
+    cut = packet(1, b"\x03\x40\x00" + bytes(200))[:20] if protocol == 2 else b"\xff\xff\x01\xc8\x03"
+    ping = packet(1, b"\x01") if protocol == 2 else b"\xff\xff\x01\x02\x01\xfb"
+    assert bus.receive(cut, 1.0) == []
+    assert bus.receive(ping, 1.09) == []  # still taken for a part of the packet
+    assert len(bus.receive(ping, 1.2)) == 1
+    assert len(bus.receive(ping, 1.21)) == 1
+
+
+def test_a_packet_that_comes_in_pieces_is_understood_however_long_the_whole_takes() -> None:
+    bus = PacketBus([DynamixelDevice("xl330-m288")])
+    *begin, last = packet(1, b"\x01")
+    for place, byte in enumerate(begin):
+        assert bus.receive(bytes([byte]), 1.0 + 0.09 * place) == []
+    assert len(bus.receive(bytes([last]), 1.0 + 0.09 * len(begin))) == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -206,7 +207,8 @@ def test_a_pulled_cable_is_a_lost_link_and_closing_is_harmless() -> None:
     cell = rig.open()
     rig.emulated.faults.inject(Unplug())
     rig.wait(0.1)
-    cell.read()
+    with suppress(LinkLost):  # it may still find bytes that had arrived
+        cell.read()
     with pytest.raises(LinkLost, match="gone"):
         cell.read()
     cell.close()
