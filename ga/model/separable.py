@@ -272,5 +272,5 @@ def _rough(problem: Problem) -> Array:
             half = (
                 0.5 * steps[width.name][names.index(width.name)] * (np.arange(len(names)) == names.index(width.about))
             )
-            steps[width.name], steps[width.about] = steps[width.name] + half, steps[width.about] - half
+            steps[width.name], steps[width.about] = steps[width.name] + half, steps[width.name] - half
     return np.array([steps[p.name] for p in nonlinear if p.refined]).reshape(-1, len(names))

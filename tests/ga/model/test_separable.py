@@ -170,6 +170,12 @@ def test_each_flank_of_a_gap_is_found_though_the_other_one_is_right_already(uppe
     assert centre - 0.5 * gap == pytest.approx(-0.01, abs=3e-4)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_gap_is_fitted_at_least_as_well_as_by_its_true_ends(seed: int) -> None:
+    asked = problem("linear+offset+backlash", with_play(0.15, -0.05) - noise() + 4.0 * noise(seed))
+    assert fit(asked).fitness <= asked.solve(np.array([0.15, -0.05])).fitness
+
+
 def test_a_shape_that_cannot_be_fitted_is_passed_over_in_the_search_for_a_valley() -> None:
     """At rest every lag is like every other: one shape of the grid without a fit is not the end of the search."""
     still = Motion(TIME, np.full(SAMPLES, 0.1), np.zeros(SAMPLES), np.zeros(SAMPLES), np.zeros(SAMPLES))
