@@ -42,6 +42,9 @@ class Status(IntFlag):
     """The torque limit or the current limit acted, or the set-point was clamped."""
     STALE = 16
     """The drive's own clock has not changed since the sample before."""
+    MISSED = 32
+    """The next tick was due already, so that nothing was sent: the drive kept the set-point before. Never alone, but
+    with NO_REPLY and LATE."""
 
 
 class DriverError(Exception):

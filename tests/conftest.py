@@ -31,6 +31,13 @@ def nothing_is_left_running() -> Iterator[None]:
         os.waitpid(-1, os.WNOHANG)
 
 
+@pytest.fixture
+def busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a run in real time go on where other work on this machine makes a tick late."""
+    monkeypatch.setattr("hil.acquisition.guard._LATE_RAMP", 1.0)
+    monkeypatch.setattr("hil.acquisition.guard._LATE_OFF", 1.0)
+
+
 @pytest.fixture(scope="session")
 def locked_output() -> Path:
     """The real recordings, which are never copied into the repository."""

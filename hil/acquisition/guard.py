@@ -19,6 +19,7 @@ _COOL_START, _COOL_RUN = 15.0, 5.0  # degC below the limit: refuse to start, sto
 _SILENCE = 0.02  # s without a reply, and at least _REPEATS of them, before a run is ended
 _STALE = 0.05  # s of replies that repeat the drive's own clock, and at least _REPEATS of them
 _STALE_FLAG = int(Status.STALE)
+_LATE_RAMP, _LATE_OFF = 0.01, 0.05  # s by which a tick may be late before the run is ramped down, is ended at once
 _STUCK = 20  # replies in a row with the same motor angle, to the last bit
 
 
@@ -143,6 +144,21 @@ class Guard:
                 f"the drive's own clock did not advance in {self._stale_in_row} replies: "
                 "its readings are old; switch it off and on"
             )
+
+    def check_late(self, late: float) -> str:
+        """Return the reason to ramp down for a tick that begins `late` s after its time, "" without one.
+
+        Raises LimitReached where it is so late that the torque must go off at once.
+        """
+        if late <= _LATE_RAMP:
+            return ""
+        message = (
+            f"a tick came {late * 1e3:.0f} ms late, and the motor kept its last set-point for so long: lower --rate, "
+            "or free the computer of other work"
+        )
+        if late > _LATE_OFF:
+            raise LimitReached(message)
+        return message
 
     def check_silence(self, now: float) -> None:
         """Count a lost reply at `now` s. Raises NoReply once the link has been silent for too long."""

@@ -20,7 +20,7 @@ import numpy as np
 from drivers.gate import confirm_torque_off
 from drivers.servo import BadReply, Command, NoReply, Quantity, Sample, Servo, Status
 from hil.acquisition.excitation import Profile
-from hil.acquisition.guard import AtJoint, Guard
+from hil.acquisition.guard import AtJoint, Guard, LimitReached
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.setpoints import SetPoints
 from hil.acquisition.sink import Sink
@@ -36,6 +36,7 @@ _TOO_LONG = 1.5  # periods that an answer at rest may take; some drives answer s
 _RAMP_DOWN = 0.1  # s; a first request to stop ramps the torque to zero over this long
 _BLOCK = 512  # set-points computed at a time
 _LATE, _SATURATED = int(Status.LATE), int(Status.SATURATED)
+_MISSED = Status.MISSED | Status.LATE | Status.NO_REPLY
 
 
 class _Stopped(Exception):
@@ -46,13 +47,15 @@ class _Stopped(Exception):
 class Outcome:
     """How a run went.
 
-    error: the fault that ended it, None where it ran to its end or was stopped on request. signal: of that request.
-    alarm: a sentence to show first, where the torque may still be on; "" otherwise.
+    late: ticks that began more than half a period after their time. missed: those of them that were skipped, since the
+    next one was due already. error: the fault that ended it, None where it ran to its end or was stopped on request.
+    signal: of that request. alarm: a sentence to show first, where the torque may still be on; "" otherwise.
     """
 
     samples: int = 0
     lost: int = 0
     late: int = 0
+    missed: int = 0
     saturated: int = 0
     end_reason: str = "done"
     signal: int = 0
@@ -185,17 +188,38 @@ class Recorder:
         period = 1.0 / self._rate
         self._start = clock.now() + period
         stopping_at = math.inf
+        sent = 0.0
         for seq, set_point in enumerate(set_points):
             due = seq * period
             clock.sleep_until(self._start + due)
-            if stop.count and math.isinf(stopping_at):
+            late = clock.now() - self._start - due
+            too_late = self._guard.check_late(late)
+            if (stop.count or too_late) and math.isinf(stopping_at):
                 stopping_at = due
-                self._stopped(stop)
-                self._sink.event(due, "stop-requested", f"signal {stop.number}")
+                self._ramp_down(stop, due, too_late)
             left = min(1.0, 1.0 - (due - stopping_at) / _RAMP_DOWN) if math.isfinite(stopping_at) else 1.0
             if left <= 0.0 or stop.count > 1:
                 return
-            self._tick(seq, due, set_point * left, zero)
+            if late >= period:
+                self._miss(seq, due, sent)
+                continue
+            sent = set_point * left
+            self._tick(seq, due, sent, zero)
+
+    def _ramp_down(self, stop: StopRequest, due: float, too_late: str) -> None:
+        if stop.count:
+            self._stopped(stop)
+            self._sink.event(due, "stop-requested", f"signal {stop.number}")
+        else:
+            self._outcome.error = LimitReached(too_late)
+            self._outcome.end_reason = f"LimitReached: {too_late}"
+
+    def _miss(self, seq: int, due: float, held: float) -> None:
+        """Write the row of a tick that is skipped; the drive keeps the set-point `held`."""
+        sample = Sample.missing(self._start + due, _MISSED)
+        self._outcome.missed += 1
+        self._outcome.late += 1
+        self._sink.append(self._row(seq, due, held, sample, AtJoint()))
 
     def _stopped(self, stop: StopRequest) -> None:
         self._outcome.end_reason = "stopped on request"

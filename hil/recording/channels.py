@@ -48,7 +48,7 @@ class Row(NamedTuple):
         float, Channel("s", "when the joint was read, where another device reads it, from the start")
     ] = math.nan
     temperature: Annotated[float, Channel("degC", "of the winding, as the drive reports it")] = math.nan
-    status: Annotated[int, Channel("1", "bits: 1 no reply, 2 bad reply, 4 late, 8 saturated, 16 stale")] = 0
+    status: Annotated[int, Channel("1", "bits: 1 no reply, 2 bad reply, 4 late, 8 saturated, 16 stale, 32 missed")] = 0
 
 
 _FIELDS = {name: get_args(hint) for name, hint in get_type_hints(Row, include_extras=True).items()}

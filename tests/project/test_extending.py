@@ -29,6 +29,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding=
 LIMITS = Limits(torque=0.01, velocity=50.0, temperature=80.0, position=(-3.0, 3.0))
 STAND = """
 [stand]
+torque_stays_on_if_host_dies = true
 backend = "lineboard"
 motor_inertia = 2.0e-7
 torque_source = "motor"

@@ -85,6 +85,7 @@ def test_the_commands_for_ones_own_stand_run_on_the_stand_file_shown(
     assert (tmp_path / "mine.png").exists()
 
 
+@pytest.mark.usefixtures("busy_machine")
 def test_the_commands_for_a_drive_run_against_the_emulated_servo(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

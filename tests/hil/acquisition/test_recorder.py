@@ -488,17 +488,70 @@ def test_what_is_ignored_stays_ignored_and_what_ends_a_process_is_a_flag() -> No
         signal.signal(signal.SIGHUP, before)
 
 
-def test_late_ticks_are_marked(bench: Bench) -> None:
-    clock = bench.servo.clock
+class Stalled:
+    """A run at 1 kHz whose computer stalls for `stall` s before the tick at 1 s; `sent` holds the time of each tick."""
 
-    def stall() -> None:
-        clock.t += 0.017
+    def __init__(self, folder: Path, stall: float) -> None:
+        self.servo, self.rows, self.sent = SpringServo(), Memory(), list[float]()
+        clock, exchange = self.servo.clock, self.servo.exchange
 
-    clock.plans = [(100.0 + 0.15 + 1.0, stall)]
-    outcome = bench.run()
-    assert outcome.late == 2
-    assert np.count_nonzero(bench.channel("status") == int(Status.LATE)) == 2
-    assert bench.channel("time")[-1] == pytest.approx(2.0)  # lateness does not add up
+        def timed(command: Command) -> Sample:
+            self.sent.append(clock.now() - self.start)
+            return exchange(command)
+
+        def stalls() -> None:
+            clock.t += stall
+
+        self.start = 100.0 + 15e-3 + 1e-3  # sixteen readings at rest, and a period to the first tick
+        clock.plans = [(self.start + 1.0 - 1e-9, stalls)]
+        self.servo.exchange = timed  # type: ignore[method-assign]  # watched
+        profile_ = profile()
+        self.outcome = Recorder(parse(STAND), self.servo, profile_, 1000.0, self.rows, scratch=folder).run(
+            StopRequest()
+        )
+        self.sent = self.sent[-len(self.servo.driven) :]
+        self.status = self.rows.channel("status").astype(int)
+        self.wanted = profile_.at(np.arange(len(self.status)) / 1000.0)
+
+
+def test_a_late_tick_is_marked_and_lateness_does_not_add_up(tmp_path: Path) -> None:
+    run = Stalled(tmp_path, 0.7e-3)
+    assert (run.outcome.late, run.outcome.missed, run.outcome.error) == (1, 0, None)
+    assert np.flatnonzero(run.status).tolist() == [1000]
+    assert run.status[1000] == int(Status.LATE)
+    assert run.rows.channel("time")[-1] == pytest.approx(2.0)
+
+
+def test_missed_ticks_are_rows_and_their_set_points_are_not_replayed(tmp_path: Path) -> None:
+    """After 5.5 ms the five ticks that are over are skipped, and the sixth is sent at once, 0.5 ms late."""
+    run = Stalled(tmp_path, 5.5e-3)
+    assert (run.outcome.late, run.outcome.missed, run.outcome.lost) == (5, 5, 0)
+    assert run.outcome.error is None
+    missed = np.flatnonzero(run.status & int(Status.MISSED))
+    assert missed.tolist() == list(range(1000, 1005))
+    assert np.isnan(run.rows.channel("dtheta")[missed]).all()
+    np.testing.assert_array_equal(run.rows.channel("command")[missed], run.wanted[999])  # what the drive kept
+    assert len(run.status) == 2001 == len(run.servo.driven) + 5
+    assert np.diff(run.sent).min() > 0.49e-3
+    driven = np.array([command.value for command in run.servo.driven])
+    np.testing.assert_allclose(driven, np.delete(run.wanted, missed) / 4.0)
+    assert (np.diff(run.rows.channel("time")) > 0.0).all()
+
+
+def test_a_tick_more_than_ten_milliseconds_late_ramps_the_torque_to_zero(tmp_path: Path) -> None:
+    run = Stalled(tmp_path, 30.2e-3)
+    assert isinstance(run.outcome.error, LimitReached)
+    assert "30 ms late" in run.outcome.end_reason
+    assert not run.servo.armed
+    assert len(run.status) == 1100
+    np.testing.assert_allclose(run.rows.channel("command")[1030:], run.wanted[1030:] * np.linspace(0.7, 0.01, 70))
+
+
+def test_a_tick_more_than_fifty_milliseconds_late_is_the_last(tmp_path: Path) -> None:
+    run = Stalled(tmp_path, 51e-3)
+    assert isinstance(run.outcome.error, LimitReached)
+    assert len(run.servo.driven) == 1000
+    assert (run.servo.armed, run.servo.disarms) == (False, 1)
 
 
 def test_saturated_rows_are_counted(bench: Bench) -> None:

@@ -22,6 +22,8 @@ from hil.stand.file import load
 from sim_backend.wire.catalogue import EMULATORS, Emulator, make
 from sim_backend.wire.dynamixel.emulator import serve
 
+pytestmark = pytest.mark.usefixtures("busy_machine")
+
 STAND = """
 [stand]
 backend = "dynamixel"
