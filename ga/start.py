@@ -69,7 +69,7 @@ def start_of(columns: Matrix, torque: Vector, bounds: Bounds) -> Start | None:
 
 
 class _Work(NamedTuple):
-    """What is worked out, and the normal equations gram (p, p) step (p,) = pull (p,) of the steps on the way."""
+    """The start in the making, and working space for the normal equations gram (p, p) step (p,) = pull (p,)."""
 
     centre: Vector
     forward: Matrix
@@ -148,7 +148,7 @@ def _equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> t
 
 @compiled_no_refcount
 def _two_equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
-    """The same for two columns, in registers: thrice as fast."""
+    """Set up the equations for two columns, in registers: three times as fast."""
     total = power = aa = ab = bb = ta = tb = 0.0
     near = 0
     for i in range(len(torque)):

@@ -2,7 +2,7 @@
 
 
 class WrongUse(Exception):
-    """What was asked cannot be done: the message says what is wrong, where, and what to do (exit status 2)."""
+    """The request cannot be carried out: the message says what is wrong, where, and what to do (exit status 2)."""
 
 
 class Untrustworthy(Exception):

@@ -38,7 +38,7 @@ _REMEDIES = REMEDIES | {
 _UNKNOWN = "it cannot be opened"
 _GONE: tuple[type[Exception], ...] = (can.CanError, *GONE)
 _GARBLED: tuple[type[Exception], ...] = (ValueError, IndexError, TypeError, KeyError)
-"""What slcan raises, or wraps, for bytes that are no frame; UnicodeDecodeError is a ValueError."""
+"""The errors that slcan raises, or wraps, for bytes that are no frame; UnicodeDecodeError is a ValueError."""
 
 
 @dataclass(frozen=True, slots=True)

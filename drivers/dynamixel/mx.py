@@ -58,7 +58,7 @@ class MxSeries:
         self._position = 0
 
     def identity(self, bus: Bus) -> tuple[int, int]:
-        """Return model number and firmware, from the control table: a ping does not tell."""
+        """Return model number and firmware, from the control table: a ping does not return them."""
         bus.ping(0)
         data = bus.read(0, 3)
         self._has_tick = data[2] >= _TICK_FIRMWARE

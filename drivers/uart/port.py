@@ -11,7 +11,7 @@ import serial
 from drivers.servo import DriverError
 
 GONE: tuple[type[Exception], ...] = (serial.SerialException, OSError)
-"""What a port raises once its device is gone; pyserial passes on termios.error, which is no OSError."""
+"""The errors of a port whose device is gone; pyserial passes on termios.error, which is no OSError."""
 with contextlib.suppress(ImportError):  # POSIX only
     import termios
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ga.bounds import Bounds
 
 _HOPELESS: Final = 1e300
-"""What a fitness counts as that is infinite or not a number: worse than any other, yet a weight can be had of it."""
+"""The fitness that replaces one that is infinite or not a number: worse than any other, but finite."""
 
 
 class Search:

@@ -35,13 +35,13 @@ _REPLACEMENTS: Final = get_args(Replacement)  # in the order of ga.evolution.pop
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What a search does; each reading of the paper is one value (docs/paper.md says what each gives).
+    """The options of a search; each reading of the paper is one value (docs/paper.md says what each gives).
 
     scheme: "steady-state", the paper's Algorithm 1, one child a generation; "generational", a family a generation:
         p + 2 parents drawn without preference, 5 p children by ensemble crossover, the best p + 2 of the family live.
     population: chromosomes; None: 10 + 8 p.
     start: "uniform", the first population is drawn in the bounds; "informed", around the least-squares solution as far
-        as the optimum may be from it (ga.start), where the data tell that and it lies within the bounds.
+        as the optimum may be from it (ga.start), where the data determine that and it lies within the bounds.
     mutation: probability that one gene of a child is redrawn.
     generations: how many at most.
     weights: the crossover weighs a parent by its "error", equation 6 as printed, or by "inverse-error".

@@ -1,4 +1,4 @@
-"""What a search consists of: its population, and the rules it goes by, as the compiled loops read them."""
+"""The population of a search, and the rules of the search as the compiled loops read them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ga.fitness.engine import exact_error
 from ga.start import Start
 
 ALWAYS, IF_BETTER, OLDEST, RANDOM = range(4)
-"""What a child replaces: the worst, always or only if it is better; the oldest; any."""
+"""Which individual the offspring replaces: the worst, always or only if it is better; the oldest; any."""
 
 
 class Population(NamedTuple):
-    """All there is to a search under way; saved and restored, it goes on as if nothing had happened.
+    """The whole state of a search: saved and restored, the search continues as if it had not stopped.
 
     genes: (population, p). fitness: (population,), N m. order: (population,), see ga.evolution.operators.
     generator: (4,). best: (p,), the best chromosome ever, and best_fitness: (1,), its fitness, N m.
@@ -36,7 +36,7 @@ class Population(NamedTuple):
     progress: NDArray[np.int64]
 
     def copied(self) -> Population:
-        """The same state in arrays of its own."""
+        """Return a copy in arrays of its own."""
         return Population(*(part.copy() for part in self))  # type: ignore[arg-type]  # each as its field
 
     @property

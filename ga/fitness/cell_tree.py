@@ -35,7 +35,7 @@ _LANES: Final = 8
 """Rows of a leaf summed side by side."""
 
 _BITS: Final = 48
-"""Binary digits of a place in the root cube; below, doubles are too coarse to tell sides."""
+"""Binary digits of a place in the root cube; below, doubles are too coarse to separate two sides."""
 
 _STEP: Final = 2
 """Binary digits that a cell is shorter than its parent, in each direction."""

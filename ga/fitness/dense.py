@@ -107,7 +107,7 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
 
 
 def shared(samples: Samples) -> Samples:
-    """The same samples with working space of their own."""
+    """Return the samples with working space of their own."""
     return samples._replace(scratch=np.empty_like(samples.scratch), place=np.empty_like(samples.place))
 
 
@@ -161,7 +161,7 @@ def settle_two(  # noqa: PLR0917 - compiled functions take their parts by positi
     open_rows: NDArray[np.int32],
     settled: NDArray[np.float64],
 ) -> int:
-    """The same for two columns, in registers: four times as fast."""
+    """Compute it for two columns, in registers: four times as fast."""
     count, wide = 0, reach * (1.0 + 1e-9)
     for begin in range(0, len(torque), LANES):
         sizes = firsts = seconds = 0.0

@@ -1,7 +1,7 @@
 """The exact optimum of data that do not fit in memory, by collapsing every row whose sign is settled.
 
-After Portnoy and Koenker, The Gaussian Hare and the Laplacian Tortoise (1997): a random subsample tells where the
-optimum is to within a few of its own standard errors. In a ball around it most residuals cannot change sign, and the
+After Portnoy and Koenker, The Gaussian Hare and the Laplacian Tortoise (1997): a random subsample locates the
+optimum to within a few of its own standard errors. In a ball around it most residuals cannot change sign, and the
 sum of their absolute values is one linear function, which a single row holds. What is left is a problem of the same
 kind with a thousandth of the rows. If its optimum lies in the ball it is that of all the data, since both functions are
 convex and the same there; if not, the ball is widened around it and the data are gone through again.
@@ -43,7 +43,7 @@ class Reduced:
     length: rows of the whole, over which the mean is. optimum: of the whole. The mean absolute error of these rows
     times `share` is the fitness of the whole in a ball around the optimum, and never more than it elsewhere.
     start: where a search of these rows may begin, around the subsample's optimum; None where all rows are here, or a
-    column tells nothing.
+    column is zero.
     """
 
     columns: Matrix
@@ -105,7 +105,7 @@ def _subsample(blocks: Blocks, rows: int) -> tuple[Matrix, Matrix, Vector, float
         kept = rng.random(len(torque)) < share
         drawn.append((columns[kept], torque[kept]))
     values, vectors = np.linalg.eigh(gram / rows)
-    # a direction that no row tells apart has no length: nothing settles or unsettles along it
+    # a direction in which no row has a component has no length: no row's sign depends on it
     lengths = np.where(values > 1e-20 * values[-1], 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
     columns, torque = (np.concatenate(part) for part in zip(*drawn, strict=True))
     return vectors * lengths, columns, torque, 1e-6 * size / rows

@@ -208,7 +208,7 @@ def _gradient(rows: Matrix, residual: Vector, pull: Vector, downhill: Vector) ->
 
 @compiled_no_refcount
 def _multipliers(inverse: Matrix, downhill: Vector, multiplier: Vector) -> None:
-    """What sign each basis row would need for a zero subgradient; optimal where all are within -1 ... 1."""
+    """Compute the multiplier of each basis row for a zero subgradient; optimal where all are within -1 ... 1."""
     for j in range(multiplier.size):
         multiplier[j] = 0.0
         for k in range(downhill.size):

@@ -48,7 +48,7 @@ _LAST: Final = 1e-5
 
 
 class SeparableModel(Protocol):
-    """What can be fitted: `ga.model.coupling.CouplingModel`, or a user's own model."""
+    """A model that can be fitted: `ga.model.coupling.CouplingModel`, or a user's own."""
 
     @property
     def linear(self) -> tuple[Parameter, ...]: ...  # noqa: D102

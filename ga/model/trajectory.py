@@ -1,4 +1,4 @@
-"""What a model of the coupling takes: how the joint moved, on one time base."""
+"""The motion of the joint on one time base, from which a coupling model computes its columns."""
 
 from __future__ import annotations
 

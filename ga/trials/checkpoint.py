@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 
 class WrongCheckpoint(ValueError):
-    """A checkpoint that cannot be gone on from: of another run, or not one at all."""
+    """A checkpoint that cannot be resumed: it is of another run, or is no checkpoint."""
 
 
 class SearchState(NamedTuple):
-    """Of every trial, its population and its record: the best fitness, N m, at each point of the history so far."""
+    """The population and the record of every trial; a record is the best fitness, N m, at each point of the history."""
 
     populations: list[Population]
     records: NDArray[np.float64]
@@ -47,7 +47,7 @@ def belonging(
     seed: int,
     trials: int,
 ) -> dict[str, str]:
-    """What a run is of, each as a text that differs when it does."""
+    """Return what identifies a run: data, bounds, settings, seed and trials, each as a text."""
     data = hashlib.sha256(str(columns.shape).encode())
     for array in (columns, torque):
         data.update(np.ascontiguousarray(array).data)

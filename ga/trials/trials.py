@@ -96,14 +96,14 @@ class Trials:
         return np.asarray(self.genes.std(axis=0, ddof=1))
 
     def scaled(self, share: float) -> Trials:
-        """The same with every fitness times `share`, for data whose rows stand for 1/share times as many."""
+        """Return the trials with every fitness times `share`, for rows that stand for 1/share times as many."""
         history = replace(self.history, fitness=self.history.fitness * share)
         return replace(self, fitness=self.fitness * share, history=history)
 
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What all trials share. grid: the generations of the history. engines: those that no thread uses at present."""
+    """The state that all trials share. grid: generations of the history. engines: those that no thread uses now."""
 
     engines: SimpleQueue[Engine]
     bounds: Bounds
@@ -143,7 +143,7 @@ def run_trials(
     """Search `trials` times for the genes of columns (n, p) that fit torque (n,), N m, best.
 
     Each trial has its own generator, seeded from (seed, trial): the result does not depend on `workers`, the number of
-    threads. start: where an informed search begins, if the data cannot tell because they stand for others (Reduced).
+    threads. start: where an informed search begins, where the rows stand for others and cannot determine it (Reduced).
     `progress` is called in this thread, several times a second, with the part done, 0 to 1.
 
     Ctrl-C ends the run within some tenths of a second with KeyboardInterrupt. Where `stop` is given it is asked as
@@ -274,7 +274,7 @@ def _chunks(run: _Run, engine: Engine, trial: _Trial) -> Iterator[None]:
 
 @dataclass
 class _Watch:
-    """What the thread that started the trials does until they are done. asked: s, when it last did."""
+    """Progress, stop request and checkpoint of running trials. asked, kept: s, when it last looked and last saved."""
 
     settings: Settings
     progress: Callable[[float], None] | None

@@ -1,4 +1,4 @@
-"""`hil design`: predict what an excitation tells of Kc and Bc, and find the best one, before the motor moves."""
+"""`hil design`: predict the errors of Kc and Bc for an excitation, and find the best one, before the motor moves."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""How well parameters could be told from a motion: the Fisher information of what would be read.
+"""Predict the error of each parameter from a motion and its sensors (Fisher information).
 
-Two errors are predicted. The bound of Cramer and Rao is what no unbiased estimate from these readings can beat, and
-what least squares reaches in Gaussian noise. `hil identify` minimises absolute deviations, as the paper does, which in
+Two errors are predicted. No unbiased estimate from these readings beats the bound of Cramer and Rao, and least squares
+reaches it in Gaussian noise. `hil identify` minimises absolute deviations, as the paper does, which in
 white Gaussian noise costs a factor sqrt(pi/2) = 1.25 on it (Koenker, Quantile Regression, 2005, section 4.3).
 
-Both come from the sensitivities x of the torque to each parameter and the spectrum of what is left of the torque when
-the model is right: the torque's own noise, and that of the angle, which the coupling turns into torque.
+Both come from the sensitivities x of the torque to each parameter and from the spectrum of the residuals of a right
+model: the torque's own noise, and that of the angle, which the coupling turns into torque.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ Spectrum = NDArray[np.complex128]
 
 _SMOOTHING = 0.05  # of the Coulomb term, as a part of the r.m.s. rate
 _REPEATS = 30  # of a reweighted fit, after which nothing moves
-_SINGULAR = 1e-12  # of the correlation matrix's eigenvalues, below which a direction is not told at all
+_SINGULAR = 1e-12  # of the correlation matrix's eigenvalues, below which a direction cannot be estimated
 
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What the stand's sensors make of the motion, all at the joint.
+    """The errors of the stand's sensors, all at the joint.
 
     torque_noise: N m, white, Gaussian; torque_lsb: N m a count; angle_lsb: rad, the root of the sum of squares of the
     counts of every encoder in the deflection; skew: s, how much older the torque reading is than the angle's;
@@ -57,8 +57,9 @@ class Prediction:
     """The predicted estimate of one parameter, SI.
 
     rough: the value the prediction is for. error: standard error of the least absolute deviations of `hil identify`.
-    bound: of Cramer and Rao. bias: what the stand's known skew and the way the rate is made add to the mean.
-    inflation: how many times more variance it has than if all others were known. Infinite where nothing is told.
+    bound: of Cramer and Rao. bias: the part of the mean that comes from the
+    stand's known skew and from the smoothing of the rate. inflation: its variance over the one it had if all others
+    were known. Infinite where it cannot be estimated.
     """
 
     name: str
@@ -95,37 +96,37 @@ def _model(terms: tuple[str, ...]) -> CouplingModel:
 
 
 def _ageing(joint: Joint, motion: Motion) -> Array:
-    """How the torque read changes with its age, (n,) N m/s."""
+    """Return the derivative (n,), N m/s, of the torque reading by its age."""
     return -(joint.stiffness * motion.dtheta_dot + joint.damping * motion.acceleration)
 
 
 def covariance(columns: Array) -> Array:
-    """The inverse (p, p) of X'X for columns (n, p); infinite variance where they do not tell a parameter."""
+    """Return the inverse (p, p) of X'X for columns (n, p); infinite variance where they cannot estimate a parameter."""
     norms = np.linalg.norm(columns, axis=0)
     scale = np.where(norms > 0.0, norms, 1.0)
     values, vectors = np.linalg.eigh((columns / scale).T @ (columns / scale))
     lost = values <= _SINGULAR * values[-1]
     inverse = (vectors[:, ~lost] / values[~lost]) @ vectors[:, ~lost].T
-    untold = (np.abs(vectors[:, lost]) > 1e-3).any(axis=1)
-    inverse[untold, untold] = np.inf
+    undetermined = (np.abs(vectors[:, lost]) > 1e-3).any(axis=1)
+    inverse[undetermined, undetermined] = np.inf
     return np.asarray(inverse / np.outer(scale, scale))
 
 
 def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Readings) -> tuple[Prediction, ...]:
-    """What would be told of every parameter of the terms from this motion."""
+    """Return the predicted estimate of every parameter of the terms from this motion."""
     columns = sensitivities(terms, joint, motion)
     window = _Window(motion, readings.angle_lsb)
     inverse = covariance(columns)
-    told = np.isfinite(np.diag(inverse))
-    bound, error, bias, inflation = (np.full(len(told), np.inf) for _ in range(4))
-    if told.any():
-        kept = columns[:, told]
-        bound[told] = np.sqrt(np.diag(_bound(kept, joint, readings, window.step)))
+    estimable = np.isfinite(np.diag(inverse))
+    bound, error, bias, inflation = (np.full(len(estimable), np.inf) for _ in range(4))
+    if estimable.any():
+        kept = columns[:, estimable]
+        bound[estimable] = np.sqrt(np.diag(_bound(kept, joint, readings, window.step)))
         seen, residual = _seen(joint, motion, readings, window), _residual(len(kept), joint, readings, window)
-        fitted, misfit = _misfit(sensitivities(terms, joint, seen)[:, told], seen.torque, residual)
-        bias[told] = fitted - _rough(terms, joint, readings)[told]
-        error[told] = np.sqrt(np.diag(_absolute(kept, misfit, residual)))
-        inflation[told] = np.diag(inverse)[told] * np.sum(kept**2, axis=0)
+        fitted, misfit = _misfit(sensitivities(terms, joint, seen)[:, estimable], seen.torque, residual)
+        bias[estimable] = fitted - _rough(terms, joint, readings)[estimable]
+        error[estimable] = np.sqrt(np.diag(_absolute(kept, misfit, residual)))
+        inflation[estimable] = np.diag(inverse)[estimable] * np.sum(kept**2, axis=0)
     rough = _rough(terms, joint, readings)
     return tuple(
         Prediction(
@@ -136,7 +137,7 @@ def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Read
 
 
 def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> float:
-    """What one N m of dry friction that the terms leave out adds to Bc in a fit, N m s/rad; 0 where they do not."""
+    """Return the error of Bc, N m s/rad, for each N m of dry friction that the terms leave out; 0 if they have it."""
     if _model(terms).sticks:
         return 0.0
     columns = sensitivities(terms, joint, motion)
@@ -147,7 +148,7 @@ def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> f
 
 
 class _Window:
-    """The local polynomials that `hil identify` would put over this motion: their answers to a single sample of one."""
+    """The local polynomials that `hil identify` would use on this motion, as impulse responses."""
 
     def __init__(self, motion: Motion, angle_lsb: float) -> None:
         seen = np.round(motion.dtheta / angle_lsb) * angle_lsb
@@ -155,17 +156,17 @@ class _Window:
         slope, curvature = windows(motion.time, excited_band(motion.time, seen)[1])
         noise = angle_lsb / math.sqrt(12.0)
         self.halves = narrowed(slope, self.step, noise, motion.dtheta_dot), curvature
-        # the answer at one sample to another's value: the slope's is odd, so the order matters
+        # the response at one sample to another's value: the slope's is odd, so the order matters
         self.slope, self.curvature = (
             kernel(half, order)[::-1] / self.step**order for order, half in zip((1, 2), self.halves, strict=True)
         )
 
-    def sloped(self, values: Array) -> Array:
-        """The slope at every sample of (n,), which begin and end at rest."""
+    def slope_of(self, values: Array) -> Array:
+        """Return the slope at every sample of values (n,), which begin and end at rest."""
         return self._over(values, self.slope)
 
-    def curved(self, values: Array) -> Array:
-        """The curvature at every sample."""
+    def curvature_of(self, values: Array) -> Array:
+        """Return the curvature at every sample."""
         return self._over(values, self.curvature)
 
     def _over(self, values: Array, weights: Array) -> Array:
@@ -174,17 +175,17 @@ class _Window:
         return np.asarray(fftconvolve(values, weights, mode="same"))
 
     def gains(self, count: int) -> tuple[Spectrum, Spectrum]:
-        """The gains of slope and curvature at the frequencies of a transform of `count` samples."""
-        found = []
+        """Return the gains of slope and curvature at the frequencies of a transform of `count` samples."""
+        gains = []
         for half, weights in zip(self.halves, (self.slope, self.curvature), strict=True):
             padded = np.zeros(count)
             padded[: 2 * half + 1] = weights
-            found.append(np.fft.rfft(np.roll(padded, -half)))
-        return found[0], found[1]
+            gains.append(np.fft.rfft(np.roll(padded, -half)))
+        return gains[0], gains[1]
 
 
 def _bound(columns: Array, joint: Joint, readings: Readings, step: float) -> Array:
-    """The inverse (p, p) of the Fisher information, by frequency: the angle's noise grows with it, the torque's not."""
+    """Return the inverse (p, p) of the Fisher information; only the angle's noise grows with frequency."""
     count = _padded(len(columns))
     slope = 2j * np.pi * np.fft.rfftfreq(count, step)
     turned = joint.stiffness + joint.damping * slope
@@ -196,10 +197,10 @@ def _bound(columns: Array, joint: Joint, readings: Readings, step: float) -> Arr
 
 @dataclass(frozen=True, slots=True)
 class _Residual:
-    """What noise leaves of the torque when the model is right.
+    """The residuals of a right model, which are noise only.
 
-    variance: N^2 m^2. at_zero: its density there, 1/(N m). signs: the spectrum (m,) of the covariance of its signs,
-    as a part of what white noise has.
+    variance: N^2 m^2. at_zero: its density there, 1/(N m). signs: the spectrum (m,) of the covariance of its signs
+    over that of white noise.
     """
 
     variance: float
@@ -208,7 +209,7 @@ class _Residual:
 
 
 def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> _Residual:
-    """Signs of Gaussian residuals covary by 2/pi times the arc sine of their correlation; the window makes some."""
+    """Return the residuals; signs of Gaussian ones covary by 2/pi times the arc sine of their correlation."""
     slope, curvature = window.gains(_padded(count))
     turned = joint.stiffness + joint.damping * slope
     if readings.motor_side:
@@ -221,7 +222,7 @@ def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> 
 
 
 def _absolute(columns: Array, misfit: Array, residual: _Residual) -> Array:
-    """The covariance (p, p) of the least absolute deviations, A^-1 B A^-1; misfit: (n,) N m, as `_misfit` has it.
+    """Return the covariance (p, p) of the least absolute deviations, A^-1 B A^-1; misfit: (n,) N m, from `_misfit`.
 
     A is twice the sum of x x' times the residual's density at zero, B the covariance of the sum of x times its sign.
     Where the misfit stands above the noise, both density and sign hardly change any more.
@@ -236,7 +237,7 @@ def _absolute(columns: Array, misfit: Array, residual: _Residual) -> Array:
 
 
 def _density_at_zero(variance: float, lsb: float) -> float:
-    """Of a Gaussian error and the rounding to counts of `lsb`, of this variance, N^2 m^2, together."""
+    """Return the density at zero, 1/(N m), of a Gaussian error plus rounding to counts of `lsb`; variance: of both."""
     gaussian = math.sqrt(max(variance - lsb**2 / 12.0, 0.0))
     if lsb <= 1e-6 * gaussian:
         return 1.0 / (math.sqrt(2.0 * math.pi) * gaussian)
@@ -244,9 +245,9 @@ def _density_at_zero(variance: float, lsb: float) -> float:
 
 
 def _seen(joint: Joint, motion: Motion, readings: Readings, window: _Window) -> Motion:
-    """The motion as `hil identify` would make it of readings without noise: late, and through the window."""
-    rate = window.sloped(motion.dtheta)
-    acceleration = window.curved(motion.dtheta)
+    """Return the motion that `hil identify` would compute from readings without noise: late, and through the window."""
+    rate = window.slope_of(motion.dtheta)
+    acceleration = window.curvature_of(motion.dtheta)
     if readings.motor_side:
         aged = motion.drive - readings.skew * np.gradient(motion.drive, window.step)
         torque = aged - joint.inertia * acceleration - joint.friction * rate
@@ -256,7 +257,7 @@ def _seen(joint: Joint, motion: Motion, readings: Readings, window: _Window) -> 
 
 
 def _misfit(columns: Array, torque: Array, residual: _Residual) -> tuple[Array, Array]:
-    """What absolute deviations are least for on average over the noise, (p,), and what is left of the torque, (n,).
+    """Return the parameters (p,) of the least mean absolute deviation over the noise, and the residual torque (n,).
 
     The mean of |m + e| over Gaussian e has the slope 2 Phi(m/sigma) - 1, so the least is a fit weighted with that over
     m, found by repeating it.
@@ -279,12 +280,12 @@ def _rough(terms: tuple[str, ...], joint: Joint, readings: Readings) -> Array:
 
 
 def _padded(count: int) -> int:
-    """A length of a transform in which nothing wraps round."""
+    """Return the length of a transform without wrap-around."""
     return 1 << (2 * count - 1).bit_length()
 
 
 def _form(columns: Array, weight: Array) -> Array:
-    """X' W X (p, p) for columns (n, p) and a stationary W given by its spectrum (m,)."""
+    """Return X' W X (p, p) for columns (n, p) and a stationary W given by its spectrum (m,)."""
     count = 2 * (len(weight) - 1)
     spectra = np.fft.rfft(columns, count, axis=0)
     twice = np.full(len(weight), 2.0)  # each frequency but the first and the last stands for its negative too
@@ -293,6 +294,6 @@ def _form(columns: Array, weight: Array) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    """The inverse (p, p), scaled so that units do not count."""
+    """Return the inverse (p, p), scaled first so that units do not matter."""
     scale = np.sqrt(np.diag(matrix))
     return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))

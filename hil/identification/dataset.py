@@ -19,7 +19,7 @@ from hil.uncertainty.blocks import Block, Blocks
 
 Array = NDArray[np.float64]
 Choose = Callable[[Signals, bool], Choice]
-"""Return the model for signals; the second argument tells whether they are all the signals."""
+"""Return the model for signals; the second argument is whether they are all the signals."""
 
 IN_MEMORY = 4_000_000
 """Rows, of all recordings together, up to which they are held in memory."""

@@ -1,4 +1,4 @@
-"""What recordings that are pooled or compared must share: one stand, and no run twice."""
+"""Check that recordings that are pooled or compared are of one stand, and that no run is in them twice."""
 
 from __future__ import annotations
 

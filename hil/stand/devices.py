@@ -28,7 +28,7 @@ class HasMode(Protocol):
     """A table of a device that takes either torques or positions."""
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """The same table with the mode that commands `quantity`. Raises ValueError where there is none."""
+        """Return the table with the mode that commands `quantity`. Raises ValueError where there is none."""
         ...
 
 

@@ -149,12 +149,12 @@ def test_the_search_comes_to_the_bottom_whatever_the_number_of_workers() -> None
 
 
 def test_the_search_counts_its_work_and_tells_how_far_it_is() -> None:
-    told: list[float] = []
+    shares: list[float] = []
     asked = problem("linear+skew", skewed(2e-3))
-    found, _ = search_nonlinear(asked, PRESETS["default"], trials=2, seed=0, workers=1, progress=told.append)
+    found, _ = search_nonlinear(asked, PRESETS["default"], trials=2, seed=0, workers=1, progress=shares.append)
     assert found.finished.all()
     assert found.evaluations == found.made > 2 * 18
-    assert told[-1] == 1.0
+    assert shares[-1] == 1.0
     assert np.all(np.diff(found.history.fitness, axis=1) <= 0.0)
 
 

@@ -74,21 +74,21 @@ def test_an_unknown_term_is_answered_with_the_known_ones_and_the_nearest() -> No
 
 def test_friction_says_nothing_of_the_slowest_samples_and_is_a_sign_of_the_others() -> None:
     model = parse("linear+coulomb").anchored(MOTION)
-    told = model.described(MOTION)
-    assert np.mean(~told) == pytest.approx(0.075, abs=0.005)
-    assert np.abs(RATE[~told]).max() <= np.abs(RATE[told]).min()
-    assert np.all(np.abs(model.columns(MOTION)[told, 2]) > 0.999)
+    used = model.described(MOTION)
+    assert np.mean(~used) == pytest.approx(0.075, abs=0.005)
+    assert np.abs(RATE[~used]).max() <= np.abs(RATE[used]).min()
+    assert np.all(np.abs(model.columns(MOTION)[used, 2]) > 0.999)
     assert parse("linear+skew").anchored(MOTION).described(MOTION).all()
 
 
 def test_the_slowest_samples_are_those_of_when_the_torque_was_read() -> None:
     model = parse("linear+coulomb+skew").anchored(MOTION)
-    told = model.described(MOTION, 0.03)
+    used = model.described(MOTION, 0.03)
     late = MOTION.delayed(0.03).dtheta_dot
-    assert np.all(np.abs(late[told]) >= model.slowest)
+    assert np.all(np.abs(late[used]) >= model.slowest)
     turned = np.abs(MOTION.delayed(0.0325).dtheta_dot) < model.slowest  # a quarter of the time between two samples
-    assert not told[turned].any()
-    assert not np.array_equal(told, model.described(MOTION))
+    assert not used[turned].any()
+    assert not np.array_equal(used, model.described(MOTION))
 
 
 def test_where_noise_hides_which_samples_are_slow_none_is_left_out() -> None:

@@ -143,12 +143,12 @@ def test_evaluations_count_the_first_population_and_every_child(paper_like: Data
 
 
 def test_progress_rises_to_one(paper_like: Data) -> None:
-    told: list[float] = []
+    shares: list[float] = []
     run_trials(
-        paper_like.columns, paper_like.torque, PAPER_BOUNDS, PAPER, trials=3, seed=0, workers=1, progress=told.append
+        paper_like.columns, paper_like.torque, PAPER_BOUNDS, PAPER, trials=3, seed=0, workers=1, progress=shares.append
     )
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
 
 
 def test_an_interrupt_ends_the_run_and_leaves_no_thread_working(paper_like: Data) -> None:

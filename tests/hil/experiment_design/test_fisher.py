@@ -33,7 +33,7 @@ def moved(kind: str = "chirp", quantity: Quantity = Quantity.POSITION, duration:
     return respond(JOINT, profile, RATE)[0]
 
 
-def told(terms: tuple[str, ...], motion: Motion, readings: Readings) -> dict[str, Prediction]:
+def predicted(terms: tuple[str, ...], motion: Motion, readings: Readings) -> dict[str, Prediction]:
     return {parameter.name: parameter for parameter in predict(terms, JOINT, motion, readings)}
 
 
@@ -41,27 +41,27 @@ def test_in_white_noise_the_bound_is_the_textbooks_and_absolute_deviations_cost_
     motion = moved()
     columns = np.stack([motion.dtheta, motion.dtheta_dot], axis=1)
     textbook = 2e-4 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)))
-    found = told(("linear",), motion, CELL)
+    found = predicted(("linear",), motion, CELL)
     assert [found["Kc"].bound, found["Bc"].bound] == pytest.approx(textbook, rel=1e-3)
     assert found["Bc"].error / found["Bc"].bound == pytest.approx(math.sqrt(math.pi / 2.0), rel=0.03)
 
 
 def test_four_times_the_time_halves_the_errors() -> None:
-    short, long = (told(("linear",), moved(duration=time), CELL) for time in (4.0, 16.0))
+    short, long = (predicted(("linear",), moved(duration=time), CELL) for time in (4.0, 16.0))
     assert short["Kc"].error / long["Kc"].error == pytest.approx(2.0, rel=0.05)
 
 
 def test_a_late_torque_reading_is_predicted_to_be_taken_for_less_damping() -> None:
     """Kc of the deflection `skew` ago is Kc dtheta - Kc skew dtheta_dot."""
-    late = told(("linear",), moved("sine"), replace(CELL, skew=1e-3))
+    late = predicted(("linear",), moved("sine"), replace(CELL, skew=1e-3))
     assert late["Bc"].bias == pytest.approx(-0.02 * 1e-3, rel=0.03)
-    freed = told(("linear", "skew"), moved(), replace(CELL, skew=1e-3))
+    freed = predicted(("linear", "skew"), moved(), replace(CELL, skew=1e-3))
     assert abs(freed["Bc"].bias) < 0.15 * 0.02 * 1e-3
     assert freed["skew"].rough == 1e-3
 
 
 def test_a_skew_beside_an_inertia_is_not_told_and_neither_is_the_damping() -> None:
-    found = told(("linear", "skew", "inertia"), moved(), CELL)
+    found = predicted(("linear", "skew", "inertia"), moved(), CELL)
     assert math.isfinite(found["Kc"].error)
     assert [found[name].error for name in ("Bc", "skew", "J")] == [math.inf] * 3
 
@@ -74,7 +74,7 @@ def test_what_nothing_moves_is_not_told() -> None:
 
 def test_dry_friction_is_told_from_damping_by_a_sweep_and_hardly_by_one_speed() -> None:
     terms = ("linear", "coulomb")
-    swept, single = (told(terms, moved(kind), CELL)["Bc"].inflation for kind in ("chirp", "sine"))
+    swept, single = (predicted(terms, moved(kind), CELL)["Bc"].inflation for kind in ("chirp", "sine"))
     assert swept < 0.5 * single
     assert mistaken_friction(terms, JOINT, moved()) == 0.0
     speed = 0.3 * 4.0 * math.pi
@@ -102,7 +102,7 @@ def test_the_predicted_error_is_the_spread_of_many_fits(lsb: float) -> None:
         return np.asarray((np.round(seen / lsb + shift) - shift) * lsb - clean)
 
     found = spread(columns, clean, [read() for _ in range(300)])
-    made = told(("linear",), motion, replace(CELL, torque_lsb=lsb))
+    made = predicted(("linear",), motion, replace(CELL, torque_lsb=lsb))
     # rounding to counts above the noise is not quite white, and that is to the good
     assert found == pytest.approx([made["Kc"].error, made["Bc"].error], rel=0.22 if lsb else 0.15)
 
@@ -113,9 +113,9 @@ def test_the_error_is_predicted_where_a_skew_that_the_model_lacks_stands_above_t
     columns = np.stack([motion.dtheta, motion.dtheta_dot], axis=1)
     aged = columns @ [0.02, 2e-4] - 8e-3 * (0.02 * motion.dtheta_dot + 2e-4 * motion.acceleration)
     found = spread(columns, aged, [rng.normal(scale=5e-5, size=aged.size) for _ in range(300)])
-    made = told(("linear",), motion, readings)
+    made = predicted(("linear",), motion, readings)
     assert found == pytest.approx([made["Kc"].error, made["Bc"].error], rel=0.25)
-    assert made["Kc"].error > 1.5 * told(("linear",), motion, replace(readings, skew=0.0))["Kc"].error
+    assert made["Kc"].error > 1.5 * predicted(("linear",), motion, replace(readings, skew=0.0))["Kc"].error
 
 
 def test_torque_from_the_motors_side_is_predicted_without_what_the_motor_takes() -> None:
@@ -131,6 +131,6 @@ def test_torque_from_the_motors_side_is_predicted_without_what_the_motor_takes()
     still = torque(np.zeros_like(rate))
     noises = [torque(rng.normal(scale=2e-4, size=rate.size)) - still for _ in range(200)]
     found = spread(np.stack([motion.dtheta, rate], axis=1), still, noises)
-    made = told(("linear",), motion, readings)
+    made = predicted(("linear",), motion, readings)
     assert found == pytest.approx([made["Kc"].error, made["Bc"].error], rel=0.15)
     assert made["Kc"].error / made["Kc"].bound == pytest.approx(np.sqrt(np.pi / 2.0), rel=0.05)

@@ -1,4 +1,4 @@
-"""Samples that friction holds the joint in are told from those it slides in, and left out of a model with friction.
+"""Samples in which friction sticks are distinguished from those in which it slides, and left out of a model with it.
 
 The recordings are of the simulated stand, whose LuGre friction knows nothing of the models: the joint rests at every
 reversal until the drive has pulled it through twice the friction.
@@ -90,7 +90,7 @@ def recorded(friction: float, skew: float = 0.0) -> Signals:
 
 
 def error(found: Signals, model: str, *, of_all: bool) -> float:
-    """How far Kc, told by the samples that the choice takes or by all of them, is from the truth."""
+    """The error of Kc from the samples that the choice includes, or from all of them."""
     choice = choose(model_of(model), found, linear_only=False)
     problem = Problem(choice.model, found.motion, found.torque, *choice.model.bounds(found.motion, found.band[1]))
     taken = problem if of_all else problem.of(choice.described(found.motion))

@@ -1,4 +1,4 @@
-"""The ladder takes the terms that a recording pays for, and no others."""
+"""Model selection includes the terms that a recording pays for, and no others."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ CASES: dict[str, Callable[[Moved], Array]] = {
 }
 
 
-def climbed(torque: Array, moved: Moved, highest: float = HIGHEST) -> Selection:
+def selected(torque: Array, moved: Moved, highest: float = HIGHEST) -> Selection:
     motion = Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES), rate_noise=0.02)
     return select(motion, torque, highest)
 
@@ -75,7 +75,7 @@ def climbed(torque: Array, moved: Moved, highest: float = HIGHEST) -> Selection:
 @pytest.mark.parametrize("name", CASES)
 def test_the_terms_that_are_there_are_taken_and_no_others(name: str) -> None:
     moved = chirp(TIME)
-    found = climbed(CASES[name](moved) + 2e-4 * np.random.default_rng(1).standard_normal(SAMPLES), moved)
+    found = selected(CASES[name](moved) + 2e-4 * np.random.default_rng(1).standard_normal(SAMPLES), moved)
     assert found.model.name == name
     top = [step for step in found.steps if step.included][-1]
     assert top.Kc == pytest.approx(KC, rel=1e-2)
@@ -85,7 +85,7 @@ def test_the_terms_that_are_there_are_taken_and_no_others(name: str) -> None:
 def test_each_rung_says_what_its_term_gains_and_does_to_stiffness_and_damping() -> None:
     moved = chirp(TIME)
     torque = CASES["linear+coulomb"](moved) + 2e-4 * np.random.default_rng(2).standard_normal(SAMPLES)
-    first, second, *others = climbed(torque, moved).steps
+    first, second, *others = selected(torque, moved).steps
     assert (first.term, first.included) == ("linear", True)
     assert np.isnan(first.gain)
     assert (second.term, second.included) == ("coulomb", True)
@@ -113,7 +113,7 @@ def test_noise_that_follows_itself_is_less_often_taken_for_a_term_than_its_sampl
         for seed in range(3):
             white = np.random.default_rng(seed).standard_normal(SAMPLES + 12)
             torque = linear(moved) + 2e-4 * np.convolve(white, np.full(13, 0.28), mode="valid")
-            count += len(climbed(torque, moved).model.terms) - 1
+            count += len(selected(torque, moved).model.terms) - 1
         return count
 
     allowing = taken()
@@ -125,17 +125,17 @@ def test_a_skew_is_not_told_from_damping_where_the_joint_moves_slowly() -> None:
     moved = chirp(TIME, 0.02, 0.3)
     late = chirp(TIME - 5e-3, 0.02, 0.3)
     torque = linear(late) + 2e-4 * np.random.default_rng(0).standard_normal(SAMPLES)
-    assert "skew" not in climbed(torque, moved, highest=0.3).model.name
+    assert "skew" not in selected(torque, moved, highest=0.3).model.name
 
 
 def test_what_is_explained_to_the_accuracy_of_the_rate_needs_no_further_term() -> None:
     """Without noise every error of the rate is significant, and none of them is the stand's."""
     moved = chirp(TIME)
-    assert climbed(linear(moved) * (1.0 + 1e-5 * np.sin(moved.time)), moved).model.name == "linear"
+    assert selected(linear(moved) * (1.0 + 1e-5 * np.sin(moved.time)), moved).model.name == "linear"
 
 
 def test_the_model_chosen_is_anchored_to_the_recording() -> None:
     moved = chirp(TIME + 5.0)
-    model = climbed(linear(moved), moved).model
+    model = selected(linear(moved), moved).model
     assert model.origin == 5.0
     assert model.smoothing is not None

@@ -65,15 +65,15 @@ def test_measurements_a_million_errors_apart_are_pooled_all_the_same() -> None:
 def test_the_intervals_cover_with_few_recordings(count: int, ratio: float) -> None:
     """95 % of 300 draws is 285 with a standard deviation of 3.8; 97.5 % is what the bounds leave."""
     rng = np.random.default_rng([count, int(ratio)])
-    held = told = 0
+    held = covered = 0
     for _ in range(300):
         errors = rng.uniform(0.5, 1.5, count)
         values = 7.0 + ratio * rng.standard_normal(count) + errors * rng.standard_normal(count)
         pooled = between(values, errors)
         held += pooled.ci95[0] <= 7.0 <= pooled.ci95[1]
-        told += pooled.between_ci95[0] <= ratio <= pooled.between_ci95[1]
+        covered += pooled.between_ci95[0] <= ratio <= pooled.between_ci95[1]
     assert held >= 275
-    assert told >= 275
+    assert covered >= 275
 
 
 def test_a_drift_with_equal_errors_is_the_line_of_least_squares() -> None:
