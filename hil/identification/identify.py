@@ -160,7 +160,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         low=solution.low,
         high=solution.high,
         gap=solution.gap,
-        holdout=_validation(data, solution),
+        holdout=_validation(data, solution, np.isfinite(sampling.half_width)),
         unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
     )
 
@@ -320,8 +320,11 @@ def _names(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:
     return tuple(parameter.name for parameter in parameters)
 
 
-def _validation(data: Dataset, solution: _Solution) -> Validation:
-    """Fit 80 % of the samples and compute the error of the other 20 %, blocks in time."""
+def _validation(data: Dataset, solution: _Solution, distinct: NDArray[np.bool_]) -> Validation:
+    """Fit 80 % of the samples and compute the error of the other 20 %, blocks in time.
+
+    distinct (p + q,): the parameters that are fitted; the others, which no data could decide, keep their values.
+    """
 
     def is_out(number: NDArray[np.int64]) -> NDArray[np.bool_]:
         return np.asarray(number * _FOLDS // data.samples % 5 == 2)
@@ -329,9 +332,10 @@ def _validation(data: Dataset, solution: _Solution) -> Validation:
     def is_in(number: NDArray[np.int64]) -> NDArray[np.bool_]:
         return ~is_out(number)
 
-    genes = _exact(solution.blocks.where(is_in)).optimum.genes
+    blocks = solution.blocks if distinct.all() else solution.blocks.searching(distinct, solution.values)
+    genes = _exact(blocks.where(is_in)).optimum.genes
     count, absolute, square = 0, 0.0, 0.0
-    for columns, target in solution.blocks.where(is_out)():
+    for columns, target in blocks.where(is_out)():
         residuals = target - columns @ genes
         count += len(target)
         absolute += float(np.abs(residuals).sum())

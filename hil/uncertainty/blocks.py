@@ -49,6 +49,16 @@ class Blocks:
 
         return Blocks(stop - start, lambda: self._selected(keep))
 
+    def searching(self, searched: NDArray[np.bool_], values: Array) -> Blocks:
+        """Return the rows with the columns (p,) that are searched, less the torque of the others at values (p,), SI."""
+        return Blocks(
+            self.rows,
+            lambda: (
+                (columns[:, searched], torque - columns[:, ~searched] @ values[~searched])
+                for columns, torque in self.read()
+            ),
+        )
+
     def _selected(self, keep: Keep) -> Iterable[Block]:
         first = 0
         for columns, torque in self.read():

@@ -22,6 +22,8 @@ from hil.uncertainty.residual_spectrum import ResidualSpectrum, measure
 Array = NDArray[np.float64]
 
 _QUANTILES = 1 << 16  # residuals from which the quantiles of all are estimated
+_DEPENDENT = 1e-12  # of the largest eigenvalue of a Gram matrix, below which columns are dependent
+_PART = 1e-5  # of a dependent combination, below which a parameter takes no part in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,26 +50,39 @@ class ConfidenceIntervals:
 def confidence_intervals(blocks: Blocks, genes: Array) -> ConfidenceIntervals:
     """Return the intervals around the exact optimum `genes` (p,) of the data in `blocks`, which are read three times.
 
-    A parameter that the columns do not determine has an infinite half-width and inflation.
+    A parameter that the columns, or their rows near zero residual, cannot distinguish from others has an infinite
+    half-width and inflation; the others keep theirs.
     """
     from scipy.special import stdtrit  # Student's quantile; scipy.stats would cost half a second of start-up
 
     sums = _first_pass(blocks, genes)
-    scale = np.sqrt(np.diag(sums.gram) / sums.count)
-    excited = scale > 0.0
+    gram, distinct = _inverse(sums.gram / sums.count)
     half, inflation = np.full(len(genes), np.inf), np.full(len(genes), np.inf)
-    gram = sums.gram[np.ix_(excited, excited)] / np.outer(scale[excited], scale[excited]) / sums.count
-    if not excited.any() or np.linalg.cond(gram) > 1e12:
+    if not distinct.any():
         return ConfidenceIntervals(half, inflation)
     kernel, spectrum = _second_pass(blocks, genes, sums)
-    units = np.outer(scale[excited], scale[excited])
-    bread = np.zeros_like(kernel)
-    bread[np.ix_(excited, excited)] = np.linalg.inv(kernel[np.ix_(excited, excited)] / units) / units
-    variance = np.diag(bread @ spectrum.covariance @ bread)[excited]  # negative by rounding: nearly dependent columns
-    quantile = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[excited]), 0.975)
-    half[excited] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.inf))
-    inflation[excited] = np.diag(np.linalg.inv(gram))
+    bread, near = _inverse(kernel)
+    distinct &= near
+    variance = np.diag(bread @ spectrum.covariance @ bread)[distinct]  # negative by rounding: nearly dependent columns
+    quantile = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[distinct]), 0.975)
+    half[distinct] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.inf))
+    inflation[distinct] = (np.diag(gram) * np.diag(sums.gram) / sums.count)[distinct]
     return ConfidenceIntervals(half, inflation)
+
+
+def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the inverse (p, p) of a Gram matrix, and which parameters (p,) its columns can distinguish from others.
+
+    Where columns are dependent it is the pseudo-inverse, which is right for the parameters that are not among them.
+    """
+    size = np.sqrt(np.diag(gram))
+    excited = size > 0.0
+    units = np.outer(*[np.where(excited, size, 1.0)] * 2)
+    strengths, directions = np.linalg.eigh(gram / units)
+    dependent = strengths <= _DEPENDENT * max(float(strengths[-1]), 0.0)
+    distinct = excited & (np.linalg.norm(directions[:, dependent], axis=1) < _PART)
+    inverse = (directions / np.where(dependent, np.inf, strengths)) @ directions.T
+    return np.asarray(inverse / units), distinct
 
 
 @dataclass(frozen=True, slots=True)

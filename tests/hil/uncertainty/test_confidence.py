@@ -50,6 +50,21 @@ def test_a_column_of_zeros_has_an_infinite_interval() -> None:
     assert np.isfinite(intervals.half_width).tolist() == [True, False]
 
 
+@pytest.mark.parametrize("near_zero_only", [False, True])
+def test_dependent_columns_take_the_interval_from_their_own_parameters_only(near_zero_only: bool) -> None:
+    """Dependent in all rows, or only in those of small residuals, on which the density is estimated."""
+    rng = np.random.default_rng(0)
+    columns, truth = rng.standard_normal((2000, 3)), np.array([1.0, 2.0, 3.0, 0.0])
+    noise = rng.standard_normal(2000)
+    twin = np.where(near_zero_only & (np.abs(noise) > 1.5), rng.standard_normal(2000), 2.0 * columns[:, 2])
+    torque = columns @ truth[:3] + noise
+    alone = confidence_intervals(Blocks.of(columns, torque), truth[:3])
+    beside = confidence_intervals(Blocks.of(np.column_stack([columns, twin]), torque), truth)
+    assert np.isfinite(beside.half_width).tolist() == [True, True, False, False]
+    assert np.isfinite(beside.inflation).tolist() == [True, True, False, False]
+    np.testing.assert_allclose(beside.half_width[:2], alone.half_width[:2], rtol=0.02)
+
+
 def test_columns_that_look_alike_have_a_large_inflation() -> None:
     rng = np.random.default_rng(0)
     first = rng.standard_normal(500)
