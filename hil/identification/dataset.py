@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hil.diagnostics import Diagnostic
 from hil.identification.disk_table import DiskTable, Progress
 from hil.identification.model_choice import Choice
+from hil.signals.angle import far_zero
 from hil.signals.prepare import Defects, Signals, glimpse, joined, prepare, stream
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import Source
@@ -54,35 +55,43 @@ class Dataset:
 
 
 @contextmanager
-def open_dataset(sources: Sequence[Source], choose: Choose, progress: Progress | None = None) -> Iterator[Dataset]:
+def open_dataset(
+    sources: Sequence[Source], choose: Choose, progress: Progress | None = None, *, centred: bool = True
+) -> Iterator[Dataset]:
     """Pool the recordings with the model that `choose` returns.
 
-    progress is called at every pass through recordings that do not fit in memory. Raises WrongUse, Untrustworthy as
-    `Source.verify`, reading and `prepare`.
+    progress is called at every pass through recordings that do not fit in memory. centred: whether deflections whose
+    zero is far away count from the middle of their range, as they must where a constant torque is a parameter. Raises
+    WrongUse, Untrustworthy as `Source.verify`, reading and `prepare`.
     """
     for source in sources:
         source.verify()
     rows = sum(len(source.recording) for source in sources)
     if rows <= IN_MEMORY:
-        yield _in_memory(sources, choose)
+        yield _in_memory(sources, choose, centred=centred)
         return
     glimpses = [glimpse(source.recording, source.table) for source in sources]
     signals = joined([stretch for stretches in glimpses for stretch in stretches])
+    reference = far_zero(signals.motion.dtheta) if centred else 0.0
+    signals = signals.counted_from(reference)
     choice = choose(signals, False)
     with DiskTable(sources[0].path, rows, len(choice.model.linear), progress) as table:
-        edges, diagnostics = _to_disk(sources, glimpses, choice, table, progress)
+        edges, diagnostics = _to_disk(sources, glimpses, choice, table, progress, reference=reference)
         used = choice.described(signals.motion)
         seen = _rows(choice, signals, used)
         yield Dataset(choice, signals, used, False, table.blocks, seen, edges, _uncertainty(sources), diagnostics)
 
 
-def _in_memory(sources: Sequence[Source], choose: Choose) -> Dataset:
+def _in_memory(sources: Sequence[Source], choose: Choose, *, centred: bool) -> Dataset:
     parts, diagnostics = [], []
     for source in sources:
         part = prepare(source.recording, source.table)
         parts.append(part)
         diagnostics += _diagnostics(source, [part], part.defects)
     signals = joined(parts)
+    reference = far_zero(signals.motion.dtheta) if centred else 0.0
+    signals = signals.counted_from(reference)
+    diagnostics += _far_zero(reference)
     choice = choose(signals, True)
     used = choice.described(signals.motion)
     rows = _rows(choice, signals, used)
@@ -93,6 +102,16 @@ def _in_memory(sources: Sequence[Source], choose: Choose) -> Dataset:
     known = [command for command in commands if command is not None]
     command = np.concatenate(known) if len(known) == len(parts) else None
     return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), diagnostics, command)
+
+
+def _far_zero(reference: float) -> list[Diagnostic]:
+    if reference == 0.0:
+        return []
+    text = (
+        f"the deflection's zero is {abs(reference):.3g} rad away from the motion: deflections, and the torque at rest, "
+        f"count from {reference:.4g} rad, which changes neither Kc nor Bc; zero the encoder at the joint's rest"
+    )
+    return [Diagnostic("encoder-zero", text)]
 
 
 def _command(source: Source, part: Signals) -> Array | None:
@@ -108,13 +127,15 @@ def _to_disk(
     choice: Choice,
     table: DiskTable,
     progress: Progress | None,
+    *,
+    reference: float,
 ) -> tuple[tuple[int, ...], list[Diagnostic]]:
     """Write all columns and torque to the table; return where each recording ends in it, and the diagnostics."""
     edges, diagnostics, read = [], [], 0
     rows = sum(len(source.recording) for source in sources)
     for source, stretches in zip(sources, glimpses, strict=True):
         defects = Defects()
-        for part in stream(source.recording, source.table):
+        for part in (part.counted_from(reference) for part in stream(source.recording, source.table)):
             table.extend(*_rows(choice, part, choice.described(part.motion)))
             defects += part.defects
             read += len(part)
@@ -122,7 +143,7 @@ def _to_disk(
                 progress("reading", min(1.0, read / rows))
         edges.append(table.rows)
         diagnostics += _diagnostics(source, stretches, defects)
-    return tuple(edges), diagnostics + _slow(read - table.rows, read)
+    return tuple(edges), diagnostics + _far_zero(reference) + _slow(read - table.rows, read)
 
 
 def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> Block:

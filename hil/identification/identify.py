@@ -106,7 +106,7 @@ def identify_sources(
             progress("choosing the model", 0.0)
         return choose(model, signals, linear_only=not whole or search.preset == "paper")
 
-    with open_dataset(sources, chosen, progress) as data:
+    with open_dataset(sources, chosen, progress, centred=_is_relative(model)) as data:
         solution = (_nonlinear if data.choice.model.nonlinear else _linear)(data, search, progress)
         evidence = _evidence(data, solution)
         found = estimates(evidence)
@@ -141,6 +141,11 @@ def identify_sources(
             lack_of_fit=fit,
             dynamic_stiffness=dynamic,
         )
+
+
+def _is_relative(model: Coupling | None) -> bool:
+    """Whether the model has no parameter that is a deflection, as a user's own may and those of gap and slack are."""
+    return model is None or bool(model.linear and not {"centre", "slack"} & set(_names(model.nonlinear)))
 
 
 def _evidence(data: Dataset, solution: _Solution) -> Evidence:

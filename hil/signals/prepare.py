@@ -10,7 +10,7 @@ altered.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from drivers.servo import Status
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy
 from hil.recording.reader import Recording
+from hil.signals.angle import frozen, unwrapped
 from hil.signals.joint_time import interpolated, is_fresh
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.windows import Window, is_whole, window_for
@@ -40,13 +41,16 @@ class Defects:
     """Rows of a recording that are not used, and whether many shared a time stamp and were spread.
 
     lost: replies that never came. not_numbers: rows with a NaN. near_gaps: rows whose window spans a gap; those at the
-    two ends of the recording are not counted.
+    two ends of the recording are not counted. frozen: rows in which the angle stood still while the torque changed.
+    wraps: jumps of the angle by a turn, which were taken back.
     """
 
     lost: int = 0
     not_numbers: int = 0
     near_gaps: int = 0
     coarse_clock: bool = False
+    frozen: int = 0
+    wraps: int = 0
 
     def __add__(self, other: Defects) -> Defects:
         return Defects(
@@ -54,6 +58,8 @@ class Defects:
             self.not_numbers + other.not_numbers,
             self.near_gaps + other.near_gaps,
             self.coarse_clock or other.coarse_clock,
+            self.frozen + other.frozen,
+            self.wraps + other.wraps,
         )
 
 
@@ -74,6 +80,12 @@ class Signals:
 
     def __len__(self) -> int:
         return len(self.torque)
+
+    def counted_from(self, reference: float) -> Signals:
+        """Return the signals with deflections from `reference`, rad."""
+        if reference == 0.0:
+            return self
+        return replace(self, motion=replace(self.motion, dtheta=self.motion.dtheta - reference, curves=None))
 
     @property
     def coupling_torque(self) -> Array:
@@ -122,7 +134,8 @@ class _Usable:
     """The rows (n,) that hold a reply and only finite numbers: their place in the file and the raw readings.
 
     torque_time: s, when the torque was read, NaN where that is not known: `time` unless another device read it.
-    lost, not_numbers: the places of the rows without a reply, and of those with a NaN.
+    lost, not_numbers: the places of the rows without a reply, and of those with a NaN; frozen: of those in which the
+    angle stood still while the torque changed. wraps: jumps of the angle by a turn that were taken back.
     """
 
     row: NDArray[np.int64]
@@ -133,6 +146,8 @@ class _Usable:
     torque_time: Array
     lost: NDArray[np.int64]
     not_numbers: NDArray[np.int64]
+    frozen: NDArray[np.int64]
+    wraps: int = 0
 
 
 def prepare(recording: Recording, stand: StandTable | None) -> Signals:
@@ -143,6 +158,9 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     columns = _columns_of(recording, stand)
     usable = _usable(recording, columns, 0, len(recording))
     _refuse_hopeless(recording, usable)
+    # of a part of a recording it would not be known by how many turns it is off
+    dtheta, wraps = unwrapped(usable.dtheta)
+    usable = replace(usable, dtheta=dtheta, wraps=wraps)
     window = window_for(spread_stamps(usable.time)[0], usable.dtheta)
     return _signals(usable, columns, window, (0, len(recording)))
 
@@ -197,6 +215,10 @@ def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _
     dtheta = channel("dtheta")
     rate = channel("dtheta_dot") if columns.rate_given else np.zeros_like(dtheta)
     good = answered & np.isfinite(time) & np.isfinite(torque) & np.isfinite(dtheta) & np.isfinite(rate)
+    stuck = np.zeros(len(time), dtype=bool)
+    stuck[good] = frozen(time[good], dtheta[good], torque[good])
+    lost, not_numbers = np.flatnonzero(~answered), np.flatnonzero(answered & ~good)
+    good &= ~stuck
     return _Usable(
         row=np.flatnonzero(good) + start,
         time=time[good],
@@ -204,8 +226,9 @@ def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _
         dtheta=dtheta[good],
         reported_rate=rate[good],
         torque_time=(channel("joint_time") if columns.own_time else time)[good],
-        lost=np.flatnonzero(~answered) + start,
-        not_numbers=np.flatnonzero(answered & ~good) + start,
+        lost=lost + start,
+        not_numbers=not_numbers + start,
+        frozen=np.flatnonzero(stuck) + start,
     )
 
 
@@ -244,6 +267,8 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
             not_numbers=int(np.count_nonzero(_within(usable.not_numbers, rows))),
             near_gaps=int(np.count_nonzero((inside & ~long_enough)[window.widest : len(time) - window.widest])),
             coarse_clock=coarse,
+            frozen=int(np.count_nonzero(_within(usable.frozen, rows))),
+            wraps=usable.wraps,
         ),
         band=window.band,
         rate_window=0.0 if columns.rate_given else (2 * window.slope + 1) * window.step,

@@ -90,6 +90,18 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
     if defects.not_numbers:
         numbers = f"{defects.not_numbers} of {rows} rows hold a NaN and are left out: hil export shows which"
         found.append(Diagnostic("not-a-number", numbers))
+    if defects.frozen:
+        text = (
+            f"the deflection stood still in {defects.frozen} of {rows} rows while the torque changed: they are left "
+            "out, so Kc and Bc are those of the others; check the encoder and its cable"
+        )
+        found.append(Diagnostic("angle-frozen", text))
+    if defects.wraps:
+        text = (
+            f"the deflection jumps {defects.wraps} times by a whole turn: the jumps were taken back, so Kc and Bc are "
+            "not affected; set the encoder's zero so that the joint does not pass it"
+        )
+        found.append(Diagnostic("angle-wrapped", text))
     if defects.near_gaps:
         gaps = f"{defects.near_gaps} rows beside a gap have no rate and are left out: record without a pause"
         found.append(Diagnostic("near-gaps", gaps))

@@ -101,3 +101,42 @@ def test_the_report_draws_the_test(tmp_path: Path) -> None:
     app.run(["identify", str(recording(tmp_path / "a.h5", sheathed())), "--trials", "1", "--report", str(page)])
 
     assert page.with_suffix(".png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("zero", [2.0, -6.0])
+def test_where_an_encoder_has_its_zero_changes_neither_kc_nor_bc(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], zero: float
+) -> None:
+    paths = [tmp_path / "far.h5", tmp_path / "further.h5"]
+    for path, shift in zip(paths, (zero, 3.0 * zero), strict=True):
+        torque = plain() + 5e-4 * np.random.default_rng(0).standard_normal(len(TIME))
+        channels = {"time": TIME, "torque": torque, "dtheta": multisine(TIME)[0] + shift}
+        write(path, Header(profile={"kind": "prescribed"}, stand_toml=""), channels)
+
+    (status, far), (_, further) = (identified(capfd, path) for path in paths)
+
+    assert status == 0
+    assert "encoder-zero" in [one["code"] for one in far["warnings"]]
+    for name, truth in (("Kc", KC), ("Bc", BC)):
+        low, high = far["parameters"][name]["ci95"]
+        assert low - 0.5 * (high - low) < truth < high + 0.5 * (high - low)
+        assert further["parameters"][name]["value"] == pytest.approx(far["parameters"][name]["value"], rel=1e-6)
+
+
+def test_an_angle_that_wraps_or_freezes_is_mended_with_a_warning(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    deflection, torque = multisine(TIME)[0], plain() + 5e-4 * np.random.default_rng(0).standard_normal(len(TIME))
+    faulty = {
+        "angle-wrapped": np.mod(deflection + 0.01, 2.0 * np.pi),
+        "angle-frozen": np.where(TIME > 7.0, deflection[3501], deflection),
+    }
+    for code, angle in faulty.items():
+        path = tmp_path / f"{code}.h5"
+        channels = {"time": TIME, "torque": torque, "dtheta": angle}
+        write(path, Header(profile={"kind": "prescribed"}, stand_toml=""), channels)
+
+        status, found = identified(capfd, path)
+
+        assert (status, code in [one["code"] for one in found["warnings"]]) == (0, True)
+        assert found["parameters"]["Kc"]["value"] == pytest.approx(KC, rel=0.01)

@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.signals.angle import far_zero, frozen, unwrapped
+
+TIME = np.arange(5000) / 500.0
+ANGLE = 0.3 * np.sin(2.0 * np.pi * TIME)
+TORQUE = 0.2 * ANGLE
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.3, -0.5])
+def test_a_zero_near_the_motion_stays(zero: float) -> None:
+    assert far_zero(ANGLE + zero) == 0.0
+
+
+@pytest.mark.parametrize("zero", [1.5, -6.0, 1e3])
+def test_a_zero_far_away_is_moved_into_the_middle_of_the_range(zero: float) -> None:
+    assert far_zero(ANGLE + zero) == pytest.approx(zero, abs=1e-6)
+
+
+def test_an_angle_that_passes_a_whole_turn_is_unwrapped() -> None:
+    found, jumps = unwrapped(np.mod(ANGLE + 0.1, 2.0 * np.pi))
+
+    assert jumps == 20
+    np.testing.assert_allclose(np.diff(found), np.diff(ANGLE), atol=1e-12)
+
+
+def test_an_angle_without_jumps_is_left_as_it_is() -> None:
+    found, jumps = unwrapped(ANGLE + 6.0)
+
+    assert jumps == 0
+    np.testing.assert_array_equal(found, ANGLE + 6.0)
+
+
+def test_jumps_are_not_taken_back_where_the_angle_moves_as_fast_as_they_do() -> None:
+    spinning = np.mod(np.cumsum(np.random.default_rng(0).uniform(-3.0, 3.0, 1000)), 2.0 * np.pi)
+
+    assert unwrapped(spinning)[1] == 0
+
+
+def test_an_angle_that_stops_while_the_torque_goes_on_is_frozen() -> None:
+    angle = np.where(TIME >= 8.0, ANGLE[4000], ANGLE)
+
+    found = frozen(TIME, angle, TORQUE)
+
+    assert found.sum() == 999
+    assert not found[:4000].any()
+
+
+def test_a_pause_is_not_frozen() -> None:
+    held = np.minimum(TIME, 5.0)
+
+    assert not frozen(TIME, np.sin(held), 0.2 * np.sin(held) + 1e-3 * np.sin(50.0 * TIME)).any()
+
+
+def test_coarse_counts_are_not_frozen() -> None:
+    slow = 0.3 * np.sin(2.0 * np.pi * 0.1 * TIME)
+
+    assert not frozen(TIME, np.round(slow / 0.02) * 0.02, TORQUE).any()
