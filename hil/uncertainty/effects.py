@@ -25,6 +25,7 @@ NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
 """The variance that `reading_noise` makes of white noise of variance one."""
 
 _SMOOTH: Final = 0.05  # periods a sample, above which a reading is noise
+_STRAIGHT: Final = 1e-6  # of the usual step between two torque readings, below which three lie on a line
 _MOSTLY_FRESH: Final = 0.7  # part of the torque readings that differ from the one before
 _LAG: Final = 1e-3  # s: a lag or delay this short looks like any other short one
 
@@ -188,7 +189,8 @@ def _periodic(recorded: Recorded, _model: Array) -> list[Array]:
 
 def of_readings(recorded: Recorded, model: Array) -> Array:
     """Return what the sensors themselves may add (n, k): noise of the deflection, torque readings that repeat."""
-    return np.concatenate([*_held(recorded, model), *_reading_noise(recorded, model)], axis=1)
+    held = _held(recorded, model) or _joined(recorded, model)
+    return np.concatenate([*held, *_reading_noise(recorded, model)], axis=1)
 
 
 def reading_noise(recorded: Recorded) -> Array:
@@ -206,9 +208,26 @@ def _held(recorded: Recorded, model: Array) -> list[Array]:
     fresh = np.diff(recorded.torque, prepend=np.nan) != 0.0
     if np.mean(fresh) > _MOSTLY_FRESH:
         return []
-    latest = np.maximum.accumulate(np.where(fresh, np.arange(len(recorded)), 0))
-    age = recorded.time - recorded.time[latest]
-    return [_columns(age * recorded.slope(_smooth(recorded, model)))]
+    return [_columns(_since(recorded, fresh) * recorded.slope(_smooth(recorded, model)))]
+
+
+def _joined(recorded: Recorded, model: Array) -> list[Array]:
+    """The torque that a reading lacks where lines join the readings of a slower cell: the chord of a parabola."""
+    steps = np.diff(recorded.torque)
+    bends = np.abs(np.diff(steps)) > _STRAIGHT * float(np.median(np.abs(steps)))
+    if np.mean(bends) > _MOSTLY_FRESH:
+        return []
+    corners = np.concatenate([[True], bends, [True]])
+    before, after = _since(recorded, corners), -_since(recorded, corners, backwards=True)
+    return [_columns(0.5 * before * after * recorded.slope(recorded.slope(_smooth(recorded, model))))]
+
+
+def _since(recorded: Recorded, marked: NDArray[np.bool_], *, backwards: bool = False) -> Array:
+    """The time (n,) s since the last marked sample; backwards: to the next one, negative."""
+    order = slice(None, None, -1) if backwards else slice(None)
+    marks = np.where(marked, np.arange(len(recorded)), len(recorded) - 1 if backwards else 0)[order]
+    found = np.minimum.accumulate(marks) if backwards else np.maximum.accumulate(marks)
+    return np.asarray(recorded.time - recorded.time[found[order]])
 
 
 def _reading_noise(recorded: Recorded, _model: Array) -> list[Array]:
@@ -235,6 +254,12 @@ EFFECTS: Final = (
         "a torque cell that is read more slowly than the angle",
         "record at the rate of the cell, or with the cell's own time stamps",
         _held,
+    ),
+    Effect(
+        "interpolated-cell",
+        "a slower torque cell whose readings were joined by lines",
+        "record the cell's own readings, without resampling",
+        _joined,
     ),
     Effect(
         "viscoelastic",

@@ -114,6 +114,20 @@ def test_the_predicted_share_is_that_of_the_effect_in_the_residuals() -> None:
     assert judged(torque + noise(3)).share == pytest.approx(share, abs=0.05)
 
 
+@pytest.mark.parametrize(("effect", "joined"), [("slow-cell", False), ("interpolated-cell", True)])
+def test_a_torque_cell_slower_than_the_angle_is_named(effect: str, joined: bool) -> None:
+    read = np.arange(0.0, TIME[-1], 0.0125)
+    readings = np.interp(read, TIME, PLAIN) + NOISE * np.random.default_rng(0).standard_normal(len(read))
+    held = readings[np.searchsorted(read, TIME + 1e-9, side="right") - 1]
+    # the mean age of what is held is a delay, which a model has a term for
+    columns = np.column_stack([LINEAR, A])
+
+    found = judged(np.interp(TIME, read, readings) if joined else held, columns)
+
+    assert found.misfit
+    assert found.suspects[0].effect.code == effect
+
+
 def test_outliers_do_not_hide_a_misfit() -> None:
     hit = np.random.default_rng(0).random(len(TIME)) < 0.01
 
