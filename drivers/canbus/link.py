@@ -1,8 +1,9 @@
 """A CAN bus over python-can: opened by configuration alone, with bounded waits and our own errors.
 
-This module corrects python-can in four places. Its `recv` measures time by the wall clock, which steps: the interface's
+This module corrects python-can in five places. Its `recv` measures time by the wall clock, which steps: the interface's
 own wait is called with a monotonic deadline. Its slcan raises for ever after one byte above 0x7F, waits 2 s to open,
 and takes no lock. Its configuration files are never read. A frame shorter than its length code is refused.
+udp_multicast hands on the frames that were sent through it: see `drivers.canbus.multicast`.
 """
 
 from __future__ import annotations
@@ -76,8 +77,6 @@ def _options(config: BusConfig) -> dict[str, Any]:
     fd = config.data_bitrate > 0
     if config.interface == "virtual":
         return {}
-    if config.interface == "udp_multicast":
-        return {"hop_limit": 0, "fd": True}  # a hop limit of 1, the default, leaves this machine
     if config.interface == "socketcan":
         return {"fd": fd}  # the bit rates are those that `ip link` set
     settle = {"sleep_after_open": _SLCAN_SETTLE} if config.interface == "slcan" else {}
@@ -98,6 +97,8 @@ def open_interface(config: BusConfig) -> can.BusABC:
     try:
         if config.interface == "slcan":
             _check_free(config)
+        if config.interface == "udp_multicast":
+            return _multicast(config.channel)
         bus: can.BusABC = can.Bus(
             interface=config.interface, channel=config.channel, ignore_config=True, **_options(config)
         )
@@ -113,6 +114,12 @@ def open_interface(config: BusConfig) -> can.BusABC:
         with contextlib.suppress(ValueError, OSError):  # no locks on this platform
             port.exclusive = True
     return bus
+
+
+def _multicast(channel: str) -> can.BusABC:
+    from drivers.canbus.multicast import MulticastBus
+
+    return MulticastBus(channel)
 
 
 def _check_free(config: BusConfig) -> None:

@@ -61,8 +61,7 @@ class CanServer:
     def __init__(self, interface: str, channel: str, bus: CanBus) -> None:
         self.lock = threading.Lock()
         self._bus = bus
-        options = {"hop_limit": 0} if interface == "udp_multicast" else {}
-        self._wire: can.BusABC = can.Bus(interface=interface, channel=channel, ignore_config=True, **options)  # type: ignore[arg-type]  # each interface has options of its own
+        self._wire = _opened(interface, channel)
         self._arrivals = Arrivals[CanFrame]()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"CAN {channel}")
@@ -101,6 +100,14 @@ class CanServer:
                 self._arrivals.add(self._bus.advance(self.now()))
             for frame in self._arrivals.until(self.now()):
                 self._wire.send(to_message(frame))
+
+
+def _opened(interface: str, channel: str) -> can.BusABC:
+    if interface == "udp_multicast":
+        from drivers.canbus.multicast import MulticastBus
+
+        return MulticastBus(channel)
+    return can.Bus(interface=interface, channel=channel, ignore_config=True)
 
 
 @dataclass(frozen=True, slots=True)

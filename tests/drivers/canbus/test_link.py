@@ -57,7 +57,7 @@ def test_nothing_is_read_from_configuration_files(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(can, "Bus", note)
     monkeypatch.setattr("drivers.canbus.link._check_free", lambda _: None)
-    for interface in ("socketcan", "slcan", "pcan", "virtual", "udp_multicast", "kvaser"):
+    for interface in ("socketcan", "slcan", "pcan", "virtual", "kvaser"):
         for data_bitrate in (0, 5_000_000):
             seen.clear()
             with pytest.raises(DriverError, match="enough"):

@@ -1,0 +1,87 @@
+"""A node never receives its own frames, also where the medium hands them back, as a multicast socket does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import can
+import pytest
+
+from drivers.canbus.link import BusConfig, open_interface
+from drivers.canbus.multicast import MulticastBus, OwnFrames
+from sim_backend.wire.canbus.bus import CanBus
+from sim_backend.wire.canbus.serve import CanServer
+from sim_backend.wire.mit.device import MitDevice
+
+GROUP = "239.74.163.2"
+ENABLE = can.Message(arbitration_id=1, data=bytes([0xFF] * 7 + [0xFC]), is_extended_id=False)
+
+
+@pytest.fixture
+def client() -> Iterator[can.BusABC]:
+    """A client that is not ours."""
+    try:
+        bus = can.Bus(interface="udp_multicast", channel=GROUP, hop_limit=0, ignore_config=True)
+        bus.send(ENABLE)
+        assert bus.recv(5.0) is not None
+    except (can.CanError, OSError, AssertionError) as error:
+        pytest.skip(f"no multicast here: {error}")
+    yield bus
+    bus.shutdown()
+
+
+def received(bus: can.BusABC, seconds: float) -> list[can.Message]:
+    """Return what arrives until nothing has for `seconds`."""
+    out: list[can.Message] = []
+    while (message := bus.recv(seconds)) is not None and len(out) < 100:
+        out.append(message)
+    return out
+
+
+def test_a_motor_whose_replies_have_the_identifier_of_its_commands_does_not_obey_itself(client: can.BusABC) -> None:
+    motor = MitDevice("ak80-9", 1, now=time.monotonic())
+    with CanServer("udp_multicast", GROUP, CanBus([motor])) as server:
+        client.send(ENABLE)
+        # python-can hands the client its own frame too: the command and one reply
+        assert len(received(client, 0.5)) == 2
+        with server.lock:
+            assert motor.motor.enabled
+            assert motor.motor.demand == 0.0
+
+
+def test_an_adapter_of_ours_does_not_take_its_command_for_the_reply(client: can.BusABC) -> None:
+    ours = open_interface(BusConfig("udp_multicast", GROUP, 1_000_000))
+    try:
+        ours.send(ENABLE)
+        assert len(received(client, 0.5)) == 1
+        assert received(ours, 0.1) == []
+        client.send(ENABLE)
+        assert len(received(ours, 0.5)) == 1
+    finally:
+        ours.shutdown()
+    assert isinstance(ours, MulticastBus)
+
+
+def test_an_equal_frame_of_another_node_is_received_as_often_as_it_was_sent() -> None:
+    own = OwnFrames()
+    own.note(ENABLE, 1.0)
+    assert [own.has(ENABLE, 1.1) for _ in range(3)] == [True, False, False]
+
+
+def test_a_frame_that_never_came_back_is_forgotten() -> None:
+    own = OwnFrames()
+    own.note(ENABLE, 1.0)
+    assert not own.has(ENABLE, 3.0)
+    own.note(ENABLE, 5.0)
+    own.note(ENABLE, 9.0)
+    assert [own.has(ENABLE, 9.1) for _ in range(2)] == [True, False]
+
+
+def test_frames_that_differ_in_anything_are_not_taken_for_each_other() -> None:
+    own = OwnFrames()
+    own.note(ENABLE, 0.0)
+    for change in ({"arbitration_id": 2}, {"data": bytes(8)}, {"is_extended_id": True}, {"is_fd": True}):
+        fields: dict[str, Any] = {"arbitration_id": 1, "data": bytes(ENABLE.data), "is_extended_id": False} | change
+        assert not own.has(can.Message(**fields), 0.0)
