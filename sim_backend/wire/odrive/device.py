@@ -1,8 +1,10 @@
 """One ODrive axis on a CAN bus: CANSimple in, CANSimple out, with the plant behind its motor.
 
-Source: the vendor's CAN protocol page and DBC files for 0.5.6 and 0.6.10, and the 0.5.6 firmware's can_simple.cpp and
-controller.cpp. What they leave open: a boot takes 0.5 s; 0.6 feeds its watchdog by set-points and state requests (the
-vendor's watchdog example does both) and looks at it in closed loop only; the current sensor counts in 20 mA.
+Source: the vendor's CAN protocol page and DBC files for 0.5.6 and 0.6.10, the 0.5.6 firmware's can_simple.cpp and
+controller.cpp, and can_enumerate.py of the vendor's ODriveResources. What they leave open: a boot takes 0.5 s, and the
+configuration counts as saved; an axis without an id sends only its address, when it is asked, within 50 ms; 0.6 feeds
+its watchdog by set-points and state requests (the vendor's watchdog example does both) and looks at it in closed loop
+only; the current sensor counts in 20 mA.
 Position and velocity control are cascades of plain gains without the firmware's integrator.
 """
 
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
 
 IDLE, CLOSED_LOOP = 1, 8
+TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL = 1, 2, 3
+BROADCAST = 0x3F
+"""The node id that addresses every drive with firmware 0.6, and the id of one that has none."""
+_ESTOP, _ADDRESS, _REBOOT, _CLEAR = 0x02, 0x06, 0x16, 0x18
 BOOT = 0.5
 TURN = 2.0 * math.pi
 COUNTS = 16384
@@ -38,11 +44,16 @@ ESTOP = {"0.5": 0x4000, "0.6": 0x2000000}
 DRIVER_FAULT = {"0.5": 0x40, "0.6": 0x20}
 """Bits of the error word, by the firmware's layout."""
 
+_NODE_ID = "axis0.config.can.node_id"
 _FLOATS = struct.Struct("<ff")
+_INPUT_POS = struct.Struct("<fhh")
 
 
 class OdriveDevice:
-    """An axis with node id `ident` and firmware `firmware`, 0.5.6 or 0.6.x. Times are s on the bus's clock."""
+    """An axis with node id `ident` and firmware `firmware`, 0.5.6 or 0.6.x. Times are s on the bus's clock.
+
+    serial: 48 bits.
+    """
 
     def __init__(
         self,
@@ -53,12 +64,12 @@ class OdriveDevice:
         now: float = 0.0,
         serial: int = 0x3A5B12,
     ) -> None:
-        self.ident = ident
         self.firmware = firmware
         self.layout = "0.5" if firmware.startswith("0.5") else "0.6"
         self.motor = CanMotor(parameters or scaled_joint(SCALE, TORQUE_CONSTANT, 0.06), Impedance())
         self.endpoints = Endpoints(ident)
-        self.endpoints.put("serial_number", float(serial))
+        self.serial = serial
+        self.endpoints.put("serial_number", float(serial % (1 << 32)))
         self.state = IDLE
         self.errors = 0
         self.disarm_reason = 0
@@ -74,15 +85,21 @@ class OdriveDevice:
         self._heartbeat = now + 0.01 * (1 + self.ident % 7)
         self._estimates = now + 0.013
         self._torques = now + 0.017
+        self._introduces = math.inf
         self._torque = self._velocity = 0.0
         self._position = self._offset = 0.0
         self._result = 0
+
+    @property
+    def ident(self) -> int:
+        """The node id."""
+        return int(self.endpoints.get(_NODE_ID))
 
     # -- the node's side of the bus ---------------------------------------------------------------------------------
 
     def due(self) -> float:
         """Return the time at which the next cyclic message is sent, s."""
-        return min(self._heartbeat, self._estimates, self._torques)
+        return min(self._heartbeat, self._estimates, self._torques, self._introduces)
 
     def unasked(self, now: float) -> list[CanFrame]:
         """Return the cyclic messages that are due."""
@@ -97,7 +114,17 @@ class OdriveDevice:
         if self._torques <= now:
             self._torques += self._period("torques")
             out += [self._frame(0x1C, self._torques_data())] if math.isfinite(self._torques) else []
+        if self._nameless:
+            out = []
+        if self._introduces <= now:
+            self._introduces = math.inf
+            out.append(self._frame(_ADDRESS, self._address_data()))
         return out if now >= self._ready else []
+
+    @property
+    def _nameless(self) -> bool:
+        """Whether it waits for a node id."""
+        return self.layout == "0.6" and self.ident == BROADCAST
 
     def _period(self, kind: str) -> float:
         """s between two cyclic messages of a kind; infinite where they are switched off."""
@@ -141,19 +168,42 @@ class OdriveDevice:
 
     def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Return the replies to a frame."""
-        if frame.extended or frame.error or frame.ident >> 5 != self.ident or now < self._ready:
+        mine = {self.ident, BROADCAST} if self.layout == "0.6" else {self.ident}
+        if frame.extended or frame.error or frame.ident >> 5 not in mine or now < self._ready:
             return []
         command = frame.ident & 0x1F
         self.advance(now)
         if self.layout == "0.5" or command in {0x07, 0x0C, 0x0D, 0x0E}:
             self._fed = now
+        if command == _ADDRESS and frame.data:
+            self._address(frame.data)
+            return []
         if frame.remote or not frame.data:
-            data = self._asked(command)
-            return [] if data is None else [self._frame(command, data)]
+            return self._replied(command, now)
         if command in {0x04} and self.layout == "0.6":
             return self._parameter(frame.data)
         self._obey(command, frame.data.ljust(8, b"\0"), now)
         return []
+
+    def _replied(self, command: int, now: float) -> list[CanFrame]:
+        """Return the reply to a frame without data; of commands, those without parameters are obeyed."""
+        if command in {_ESTOP, _REBOOT, _CLEAR}:
+            self._obey(command, bytes(8), now)
+        data = self._asked(command)
+        if data is not None and self._nameless:
+            # several without an id would all answer with the same identifier
+            self._introduces = now + self.serial % 997 * 5e-5 if command == _ADDRESS else self._introduces
+            data = None
+        return [] if data is None else [self._frame(command, data)]
+
+    def _address(self, data: bytes) -> None:
+        """Take a node id: in 0.6 the axis whose serial number is given takes it, and who had it loses it."""
+        if self.layout == "0.5":
+            self.endpoints.put(_NODE_ID, int.from_bytes(data[:4], "little") % (BROADCAST + 1))
+        elif len(data) >= 7 and int.from_bytes(data[1:7], "little") == self.serial:
+            self.endpoints.put(_NODE_ID, data[0] % (BROADCAST + 1))
+        elif len(data) >= 7 and data[0] == self.ident:
+            self.endpoints.put(_NODE_ID, BROADCAST)
 
     def _frame(self, command: int, data: bytes) -> CanFrame:
         return CanFrame(self.ident << 5 | command, data)
@@ -179,7 +229,7 @@ class OdriveDevice:
         return struct.pack("<II", self.errors, self.disarm_reason if self.layout == "0.6" else 0)
 
     def _address_data(self) -> bytes:
-        return bytes([self.ident]) + int(self.endpoints.get("serial_number")).to_bytes(6, "little") + b"\0"
+        return bytes([self.ident]) + self.serial.to_bytes(6, "little") + b"\0"
 
     def _count_data(self) -> bytes:
         counts = round(self._turns() * COUNTS)
@@ -243,12 +293,15 @@ class OdriveDevice:
             case 0x07:
                 self._request_state(words[0])
             case 0x0C:
-                self._position = first
+                self._position, velocity, torque = _INPUT_POS.unpack(data)
+                self._velocity, self._torque = velocity * 1e-3, torque * 1e-3
             case 0x0D:
                 self._velocity, self._torque = first, second
             case 0x0E:
                 self._torque = first
             case 0x16:
+                if data[0] == 2 and self.layout == "0.6":
+                    self.endpoints.erase()
                 self.reboot(now)
             case 0x18:
                 self.errors = self.disarm_reason = 0
@@ -268,6 +321,8 @@ class OdriveDevice:
         }
         for name, value in changes.get(command, {}).items():
             self.endpoints.put(name, value)
+        if command == 0x0B:
+            self._position = self._turns()  # so that a change of mode moves nothing
         if command == 0x19 and self.layout == "0.6":
             self._offset = self.motor.position - first * TURN
 
@@ -278,6 +333,8 @@ class OdriveDevice:
                 self.errors |= 0x1 if self.layout == "0.5" else 0
                 return
             self._result = 0
+            if self.state != CLOSED_LOOP:
+                self._position = self._turns()
             self.state = CLOSED_LOOP
             self.motor.enable()
             self._control()
@@ -296,7 +353,7 @@ class OdriveDevice:
         high = min(ceiling, get("axis0.config.torque_soft_max"))
         low = max(-ceiling, get("axis0.config.torque_soft_min"))
         gain, speed = get("axis0.controller.config.vel_gain"), get("axis0.controller.config.vel_limit")
-        if mode == 1:
+        if mode == TORQUE_CONTROL:
             wanted = self._torque
             if get("axis0.controller.config.enable_torque_mode_vel_limit"):
                 velocity = self.motor.velocity / TURN
@@ -304,9 +361,8 @@ class OdriveDevice:
             self.motor.follow(Impedance(feedforward=min(max(wanted, low), high)))
             return
         damping = gain / TURN
-        stiffness = get("axis0.controller.config.pos_gain") * damping if mode == 3 else 0.0
-        velocity = self._velocity * TURN if mode == 2 else 0.0
-        position = self._position * TURN + self._offset
+        stiffness = get("axis0.controller.config.pos_gain") * damping if mode == POSITION_CONTROL else 0.0
+        position, velocity = self._position * TURN + self._offset, self._velocity * TURN
         self.motor.follow(
             Impedance(self._torque, stiffness, damping, position, velocity, ceiling=max(0.0, min(high, -low)))
         )

@@ -51,6 +51,11 @@ class Endpoints:
         self.refused: set[str] = set()
         """Names whose writes are taken and not done."""
 
+    def erase(self) -> None:
+        """Set everything that can be written to its value as delivered; the node id is lost too."""
+        self._values |= {name: value for name, _, value, writable in _PARAMETERS if writable}
+        self._values["axis0.config.can.node_id"] = 0x3F
+
     def get(self, name: str) -> float:
         """A value."""
         return self._values[name]
