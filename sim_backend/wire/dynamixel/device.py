@@ -172,6 +172,8 @@ class DynamixelDevice:
                 error = self._factory_reset(frame, now)
             case Instruction.CLEAR:
                 error = self._clear(frame.parameters)
+            case Instruction.BACKUP if self._firmware >= self.model.firmware:  # the one that brought it
+                error = self._backed_up(frame.parameters, now)
             case _:
                 error = Error.INSTRUCTION
         return error
@@ -243,6 +245,20 @@ class DynamixelDevice:
         if abs(self.motor.velocity) > self.registers.get("moving_threshold") * RPM:
             return Error.RESULT_FAIL
         self._turns_off += math.floor(self._position() / 4096)
+        return Error.NONE
+
+    def _backed_up(self, parameters: bytes, now: float) -> Error:
+        """Store the settings as a backup (0x01 'C' 'T' 'R' 'L') or restore them and reboot (0x02)."""
+        if parameters not in {b"\x01CTRL", b"\x02CTRL"}:
+            return Error.DATA_RANGE
+        if self.motor.enabled:
+            return Error.RESULT_FAIL
+        if parameters[0] == 1:
+            self.registers.back_up()
+            return Error.NONE
+        if not self.registers.restore():
+            return Error.RESULT_FAIL
+        self.reboot(now)
         return Error.NONE
 
     def _position(self) -> int:

@@ -23,6 +23,8 @@ BOOT = 0.3
 """s without an answer after the power comes; not in the manual."""
 MX_VOLTAGE, MX_ANGLE, MX_HEAT, MX_RANGE, MX_CHECKSUM, MX_OVERLOAD, MX_INSTRUCTION = 1, 2, 4, 8, 16, 32, 64
 """Bits of the error byte."""
+_REBOOTS = 40
+"""The first firmware with the instruction Reboot."""
 _TURN, _MULTI_TURN, _CW = 4096, 4095, 1024
 
 
@@ -198,9 +200,10 @@ class MxDevice:
             for item in self.model.items:
                 if item.name != "firmware_version":
                     self.put(item.name, item.initial)
-            self.reboot(now)
-            return 0
-        return MX_INSTRUCTION
+        elif frame.instruction != Instruction.REBOOT or self.get("firmware_version") < _REBOOTS:
+            return MX_INSTRUCTION
+        self.reboot(now)
+        return 0
 
     def _checked(self, address: int, data: bytes) -> tuple[int, list[tuple[Item, int]]]:
         """The error of a write, and where there is none the items with their new values."""

@@ -17,6 +17,23 @@ if TYPE_CHECKING:
     from sim_backend.wire.dynamixel.tables import Item
 
 EEPROM_END = 64
+_BACKED_UP = frozenset(
+    {
+        "velocity_i_gain",
+        "velocity_p_gain",
+        "position_d_gain",
+        "position_i_gain",
+        "position_p_gain",
+        "feedforward_2nd_gain",
+        "feedforward_1st_gain",
+        "profile_acceleration",
+        "profile_velocity",
+        "indirect_address",
+    }
+)
+"""The items in RAM that a backup holds beside the whole EEPROM ("Control Table Backup")."""
+_RESTORES_RAM = 0x02
+"""Bit of Startup Configuration(60)."""
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 
@@ -33,6 +50,7 @@ class Registers:
         self._indirect = {
             data + slot: address + 2 * slot for address, data, slots in model.indirect for slot in range(slots)
         }
+        self._backup: dict[int, int] = {}
         self.erase()
 
     def erase(self) -> None:
@@ -43,10 +61,25 @@ class Registers:
         self.put("firmware_version", self._model.firmware)
 
     def power_up(self) -> None:
-        """Set what lies in RAM to its initial value; the EEPROM keeps its contents."""
-        for item in self._items.values():
-            if item.address >= EEPROM_END:
-                self._store(item, item.initial)
+        """Set what lies in RAM to its initial value, or to the backup's; the EEPROM and the backup keep theirs."""
+        restores = bool(self.get("startup_configuration") & _RESTORES_RAM)
+        for address, item in self._items.items():
+            if address >= EEPROM_END:
+                self._store(item, self._backup.get(address, item.initial) if restores else item.initial)
+        self.put("backup_ready", int(bool(self._backup)))
+
+    def back_up(self) -> None:
+        """Keep a copy of the EEPROM and of the settings in RAM."""
+        kept = [item for item in self._items.values() if item.address < EEPROM_END or item.name in _BACKED_UP]
+        self._backup = {item.address: self._value(item) for item in kept}
+        self.put("backup_ready", 1)
+
+    def restore(self) -> bool:
+        """Set the EEPROM to the copy; return False where there is none."""
+        for address, value in self._backup.items():
+            if address < EEPROM_END:
+                self._store(self._items[address], value)
+        return bool(self._backup)
 
     def has(self, name: str) -> bool:
         """Whether this model has the item."""
@@ -55,10 +88,7 @@ class Registers:
     def get(self, name: str) -> int:
         """The value of an item, 0 where the model has none of that name."""
         item = self._names.get(name)
-        if item is None:
-            return 0
-        raw = self._memory[item.address : item.address + item.size]
-        return int.from_bytes(raw, "little", signed=item.signed)
+        return 0 if item is None else self._value(item)
 
     def put(self, name: str, value: int) -> None:
         """Set an item from inside the servo, no rule asked; without effect where the model has none of that name."""
@@ -136,6 +166,10 @@ class Registers:
             return abs(value) <= 256 * 4096
         limit = {"goal_pwm": "pwm_limit", "goal_current": "current_limit", "goal_velocity": "velocity_limit"}.get(name)
         return limit is None or abs(value) <= self.get(limit)
+
+    def _value(self, item: Item) -> int:
+        raw = self._memory[item.address : item.address + item.size]
+        return int.from_bytes(raw, "little", signed=item.signed)
 
     def _store(self, item: Item, value: int) -> None:
         raw = (value & ((1 << 8 * item.size) - 1)).to_bytes(item.size, "little")
