@@ -141,10 +141,13 @@ def _list_kinds(*, profiles: bool) -> None:
 def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
     """Return the warnings that are known before anything moves."""
     from hil.diagnostics import Diagnostic, driven_by_position
+    from hil.stand.devices import restrictions
 
     found = []
     if stand.stand.torque_source == "motor" and profile.mode is Quantity.POSITION:
         found.append(driven_by_position(is_error=False))
+    table = stand.devices.get(str(stand.stand.backend))
+    found += [Diagnostic("restricted-drive", text) for text in restrictions(table, stand.stand.torque_source)]
     if stand.stand.backend != "sim":
         return found
     from sim_backend.plant import constants, fastest_rate

@@ -20,7 +20,7 @@ from hil.doctor.jog import Jog, run_jog
 from hil.doctor.link_test import check_link, check_readings, reachable
 from hil.doctor.stop_path import check_stop, check_watchdog
 from hil.errors import WrongUse
-from hil.stand.devices import check_backend, found_by_search
+from hil.stand.devices import check_backend, found_by_search, restrictions
 from hil.stand.file import Stand
 from hil.stand.opening import open_servo, require_watchdog
 from hil.stand.transmission import Transmission
@@ -39,6 +39,8 @@ def examine(
     stand.checked_limits()
     check_backend(stand.stand.backend)
     _check_port(checks, stand)
+    for text in restrictions(stand.devices.get(str(stand.stand.backend)), stand.stand.torque_source):
+        checks.add("drive", Verdict.WARNING, text)
     with StopRequest().listening() as stop:
         with _connected(checks, stand, mode) as servo:
             samples = [] if servo is None else check_link(checks, servo, rate, stop)

@@ -7,6 +7,7 @@ SDK is loaded only where that device is used. The contract behind a line:
 * The opener of a servo takes the table alone and returns a `drivers.servo.Servo` with its torque off.
 * The opener of a joint sensor takes the table and `clock=`, whose time its readings carry.
 * A device whose mode decides what it can be commanded has a table with `for_quantity` (`HasMode`).
+* A device that cannot do all that a stand may ask of it has a table with `restrictions` (`HasRestrictions`).
 """
 
 from __future__ import annotations
@@ -29,6 +30,15 @@ class HasMode(Protocol):
 
     def for_quantity(self, quantity: Quantity) -> Self:
         """Return the table with the mode that commands `quantity`. Raises ValueError where there is none."""
+        ...
+
+
+@runtime_checkable
+class HasRestrictions(Protocol):
+    """A table of a device that cannot do all that a stand may ask of it."""
+
+    def restrictions(self, torque_source: str) -> list[str]:
+        """Return what it cannot do where the stand's torque comes from `torque_source`, each with the remedy."""
         ...
 
 
@@ -76,6 +86,12 @@ BACKENDS: Mapping[str, Device] = MappingProxyType(
             "a SimpleFOC board that speaks Commander on a serial port",
             "drivers.commander.config:CommanderConfig",
             "drivers.commander.servo:CommanderServo",
+        ),
+        "feetech": Device(
+            "Feetech STS, HLS and SCS on a serial port",
+            "drivers.feetech.config:FeetechConfig",
+            "drivers.feetech.servo:FeetechServo",
+            "drivers.feetech.scan:search",
         ),
         "replay": Device(
             "a recording played back: nothing turns", "hil.stand.replay:ReplayConfig", "hil.stand.replay:ReplayServo"
@@ -126,6 +142,14 @@ def open_backend(name: str, table: Any, quantity: Quantity) -> Servo:
         servo.close()
         raise WrongUse(f"backend {name!r} with this stand file accepts no {quantity}: use --mode {accepted}")
     return servo
+
+
+def restrictions(table: Any, torque_source: str) -> list[str]:
+    """Return what the device of a checked table cannot do, each with the remedy; nothing for most.
+
+    torque_source: of the stand. Nothing is opened for it.
+    """
+    return table.restrictions(torque_source) if isinstance(table, HasRestrictions) else []
 
 
 def found_by_search(name: str, table: Any) -> list[str]:

@@ -71,6 +71,12 @@ EMULATORS: Mapping[str, Emulator] = MappingProxyType(
             "sim_backend.wire.dynamixel.emulator:serve",
             "sim_backend.wire.packets.bus:PacketTiming",
         ),
+        "feetech": Emulator(
+            "a Feetech servo",
+            "on a pty: --link",
+            "sim_backend.wire.feetech.emulator:serve",
+            "sim_backend.wire.packets.bus:PacketTiming",
+        ),
         "odrive": _on_can("an ODrive", "odrive"),
         "mit": _on_can("a CubeMars AK or Damiao motor", "mit"),
         "moteus": _on_can("a moteus", "moteus", "CAN FD"),

@@ -21,6 +21,8 @@ from drivers.commander.config import CommanderConfig
 from drivers.commander.servo import CommanderServo
 from drivers.dynamixel.config import DynamixelConfig
 from drivers.dynamixel.servo import DynamixelServo
+from drivers.feetech.config import FeetechConfig
+from drivers.feetech.servo import FeetechServo
 from drivers.loadcell.config import LoadCellConfig
 from drivers.loadcell.sensor import LoadCell
 from drivers.mit.config import MitConfig
@@ -49,6 +51,7 @@ from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.mx_device import MxDevice
 from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
 from sim_backend.wire.faults import WireFaults
+from sim_backend.wire.feetech.device import FeetechDevice
 from sim_backend.wire.loadcell.emulator import SCALE, EmulatedLoadCell, LoadCellBoard
 from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.moteus.device import MoteusDevice
@@ -131,12 +134,13 @@ class Rig:
     bus: PacketBus
     clock: VirtualClock
     port: Loopback
-    config: DynamixelConfig
+    config: Any
+    adapter: Callable[..., Any] = DynamixelServo
 
-    def open(self, **changes: Any) -> DynamixelServo:
+    def open(self, **changes: Any) -> Any:
         config = replace(self.config, **changes)
         self.port.baudrate = config.baudrate
-        return DynamixelServo(config, clock=self.clock, port=self.port)
+        return self.adapter(config, clock=self.clock, port=self.port)
 
     @property
     def device(self) -> Any:
@@ -169,6 +173,19 @@ def new_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: A
     watchdog = 0.0 if model in MX_MODELS else 0.1
     config = DynamixelConfig(port="loopback", model=model, baudrate=baudrate, watchdog=watchdog)  # type: ignore[arg-type]  # a Literal
     return Rig(bus, clock, Loopback(bus, clock, baudrate), config)
+
+
+def feetech_rig(model: str = "hls3930m", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
+    clock = VirtualClock()
+    bus = PacketBus([FeetechDevice(model, baudrate=baudrate, **device)], timing=PacketTiming(), protocol=1)
+    constant = 1.09 if model.startswith("sts") else None
+    config = FeetechConfig("loopback", model, baudrate=baudrate, torque_constant=constant)  # type: ignore[arg-type]  # a Literal
+    return Rig(bus, clock, Loopback(bus, clock, baudrate), config, FeetechServo)
+
+
+@pytest.fixture
+def make_feetech() -> Callable[..., Rig]:
+    return feetech_rig
 
 
 @dataclass
@@ -315,6 +332,7 @@ def make_foc() -> Callable[..., FocRig]:
 
 SERVO_LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
 MX_LIMITS = Limits(torque=0.06, velocity=40.0, temperature=65.0, position=(-8.0, 8.0))
+FEETECH_LIMITS = Limits(torque=0.4, velocity=40.0, temperature=65.0, position=(-20.0, 20.0))
 ODRIVE_LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
 CIA402_LIMITS = Limits(torque=0.04, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
 MIT_LIMITS = Limits(torque=2.0, velocity=30.0, temperature=85.0, position=(-3.0, 3.0))
@@ -379,7 +397,7 @@ def wired_can(rig: CanRig, limits: Limits) -> Wired:
     )
 
 
-def wired_dynamixel(rig: Rig, limits: Limits) -> Wired:
+def wired_packets(rig: Rig, limits: Limits) -> Wired:
     def unplug(gone: bool) -> None:
         rig.bus.unplugged = gone
 
@@ -399,8 +417,9 @@ def wired_foc(rig: FocRig, *, loadcell: bool = False) -> Wired:
 
 
 IN_VIRTUAL_TIME: dict[str, Callable[[], Wired]] = {
-    "dynamixel": lambda: wired_dynamixel(new_rig(), SERVO_LIMITS),
-    "dynamixel mx": lambda: wired_dynamixel(new_rig("mx-64"), MX_LIMITS),
+    "dynamixel": lambda: wired_packets(new_rig(), SERVO_LIMITS),
+    "dynamixel mx": lambda: wired_packets(new_rig("mx-64"), MX_LIMITS),
+    "feetech hls": lambda: wired_packets(feetech_rig(), FEETECH_LIMITS),
     "odrive 0.5.6": lambda: wired_can(odrive_rig("0.5.6"), ODRIVE_LIMITS),
     "odrive 0.6.10": lambda: wired_can(odrive_rig("0.6.10"), ODRIVE_LIMITS),
     "mit ak80-9": lambda: wired_can(mit_rig("ak80-9"), MIT_LIMITS),

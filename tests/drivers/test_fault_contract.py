@@ -22,6 +22,7 @@ from drivers.commander.servo import RESTARTED as COMMANDER_RESTARTED
 from drivers.commander.servo import STOPPED as COMMANDER_STOPPED
 from drivers.dynamixel import faults as dynamixel
 from drivers.dynamixel.models import POSITION_LSB
+from drivers.feetech import faults as feetech
 from drivers.mit.frames import RESTARTED as MIT_RESTARTED
 from drivers.moteus.frames import RESTARTED as MOTEUS_RESTARTED
 from drivers.moteus.frames import WATCHDOG as MOTEUS_WATCHDOG
@@ -46,6 +47,8 @@ from sim_backend.wire.faults import (
     Unplug,
     WireFault,
 )
+from sim_backend.wire.feetech.device import HEAT, OVER_CURRENT, FeetechDevice
+from sim_backend.wire.feetech.device import OVERLOAD as FEETECH_OVERLOAD
 from sim_backend.wire.mit import device as mit
 from sim_backend.wire.moteus import device as moteus
 from sim_backend.wire.odrive import device as odrive
@@ -83,8 +86,9 @@ class Watch:
 class Drive:
     """A drive behind its emulator, and what the contract must know of it. Fields that are None: it has no such thing.
 
-    fixture, arguments: what makes its rig. push N m. period s between ticks. fresh: makes a rule by which a sample
-    shows that it is no older than its time. restarted: the code of a restart. off: whether the drive is disarmed.
+    fixture, arguments: what makes its rig. push: of `quantity`, N m or rad. period s between ticks. fresh: makes a
+    rule by which a sample shows that it is no older than its time. restarted: the code of a restart. off: whether the
+    drive is disarmed.
     """
 
     fixture: str
@@ -120,6 +124,11 @@ class Drive:
     watch: Watch | None = None
     ageless: int | None = None
     lost: tuple[int, ...] = (1, 2)
+    quantity: Quantity = Quantity.TORQUE
+
+    @property
+    def command(self) -> Command:
+        return Command(self.quantity, self.push)
 
 
 # -- how a sample shows its age -------------------------------------------------------------------------------------
@@ -139,6 +148,18 @@ def odrive_ages(rig: Rig, _servo: Any) -> Fresh:
 
     rig.device._encoder_data = data
     return lambda sample: made[round(sample.motor_position / TURN) - 1] >= sample.t - 1e-3  # one that came unasked
+
+
+def feetech_ages(rig: Rig, _servo: Any) -> Fresh:
+    made: list[float] = []
+
+    class Numbered(FeetechDevice):
+        def _position(self) -> int:
+            made.append(rig.clock.now())
+            return len(made) - 1
+
+    rig.device.__class__ = Numbered
+    return lambda sample: made[round(sample.motor_position / POSITION_LSB)] >= sample.t
 
 
 def mit_ages(rig: Rig, servo: Any) -> Fresh:
@@ -229,6 +250,22 @@ def another_servo(model: str) -> Callable[[Rig], Any]:
 
 def servo_left_on(rig: Rig) -> None:
     rig.device.write(64, b"\x01")
+
+
+def another_feetech(model: str) -> Callable[[Rig], Any]:
+    def join(rig: Rig) -> None:
+        rig.bus.devices.append(FeetechDevice(model))
+        rig.bus.devices[1]._centre = 1234
+
+    return join
+
+
+def refuses_above_10(address: int) -> Callable[[Rig], None]:
+    def refuse(rig: Rig) -> None:
+        items = rig.device._items
+        items[address] = replace(items[address], high=10)
+
+    return refuse
 
 
 def refuse_current_limit(rig: Rig) -> None:
@@ -389,6 +426,32 @@ SERVO = Drive(
     watch=Watch(0.09, 0.03, "received nothing", dynamixel.WATCHDOG),
 )
 
+FEETECH = Drive(
+    "make_feetech",
+    (),
+    Limits(torque=0.4, velocity=40.0, temperature=65.0, position=(-20.0, 20.0)),
+    0.03,
+    fresh=feetech_ages,
+    restarted=feetech.RESTARTED,
+    left_on=lambda rig: rig.device.write(40, b"\x01"),
+    ignore_off=sets("ignores_torque_off"),
+    damages=(CorruptReplies(), *cut_short(20, 10, 5)),
+    lates=each(0.0075, 0.06, 0.0005),
+    random=(*SHARED, CorruptReplies, NoiseBefore),
+    links=(Unplug(),),
+    deadline=0.008 + 45 * 10e-6 + 2 * POLL,
+    absent=(9, "no servo 9 answers"),
+    twins=(another_feetech("sts3215"), another_feetech("hls3930m")),
+    latched=(
+        DeviceError(fails(OVER_CURRENT), "current was too high", OVER_CURRENT),
+        DeviceError(fails(FEETECH_OVERLOAD), "load", FEETECH_OVERLOAD),
+        DeviceError(fails(0x40), "unknown error bits 0x40", 0x40),
+    ),
+    running=DeviceError(fails(OVER_CURRENT), "current was too high", OVER_CURRENT),
+    hot=DeviceError(warms_to(66.0), "hot", HEAT),
+    refused=(refuses_above_10(28), "keeps 1000 in protection_current where 50 was written"),
+)
+
 MOTEUS = Drive(
     "make_moteus",
     (),
@@ -445,6 +508,14 @@ BOARD = Drive(
 
 DRIVES = {
     "dynamixel": SERVO,
+    "feetech hls": FEETECH,
+    "feetech sts": replace(
+        FEETECH,
+        arguments=("sts3215",),
+        push=0.5,
+        quantity=Quantity.POSITION,
+        refused=(refuses_above_10(48), "keeps 1000 in torque_limit where 136 was written"),
+    ),
     "odrive 0.5.6": an_odrive("0.5.6", twice=None),
     "odrive 0.6.10": an_odrive("0.6.10"),
     "odrive with endpoints": an_odrive(
@@ -490,7 +561,7 @@ def make(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
 
 def tick(rig: Rig, drive: Drive, servo: Any) -> Sample:
     rig.wait(drive.period)
-    sample: Sample = servo.exchange(Command(Quantity.TORQUE, drive.push))
+    sample: Sample = servo.exchange(drive.command)
     return sample
 
 
@@ -620,10 +691,10 @@ def test_silence_is_no_reply_within_its_deadline_and_costs_one_sample(make: Make
     rig.faults.inject(DropReplies(count=drive.silence))
     begin = rig.clock.now()
     with pytest.raises(NoReply):
-        servo.exchange(Command(Quantity.TORQUE, drive.push))
+        servo.exchange(drive.command)
     assert rig.clock.now() - begin <= drive.deadline
     rig.faults.clear()
-    assert servo.exchange(Command(Quantity.TORQUE, drive.push)).motor_torque > 0.0
+    assert servo.exchange(drive.command).motor_torque > 0.0
 
 
 @every()
@@ -634,8 +705,8 @@ def test_a_damaged_reply_is_a_gap_and_the_next_one_is_good(make: Make, drive: Dr
         fresh = drive.fresh(rig, servo)
         rig.faults.inject(damage)
         with pytest.raises((BadReply, NoReply)):
-            servo.exchange(Command(Quantity.TORQUE, drive.push))
-        sample = servo.exchange(Command(Quantity.TORQUE, drive.push))
+            servo.exchange(drive.command)
+        sample = servo.exchange(drive.command)
         assert fresh(sample)
         assert sample.motor_torque > 0.0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,8 +12,7 @@ from sim_backend.parameters import SimParameters
 from sim_backend.wire.commander.device import CommanderDevice
 from sim_backend.wire.commander.motion import MotionControl
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
-from sim_backend.wire.loadcell.emulator import of
-from sim_backend.wire.loadcell.emulator import serve as serve_cell
+from sim_backend.wire.loadcell.emulator import Pair, with_cell
 from sim_backend.wire.plant_motor import PlantMotor
 from sim_backend.wire.uart.pacing import paced
 from sim_backend.wire.uart.pty_line import PtyLine
@@ -158,35 +156,6 @@ class CommanderBoard:
         return 10.0 * size / self._baudrate if self._timing else 0.0
 
 
-class Pair:
-    """A board and the torque cell at its joint, each on a pty of its own."""
-
-    def __init__(self, board: PtyLine, cell: PtyLine) -> None:
-        self._board = board
-        self._cell = cell
-
-    def serve(self) -> None:
-        """Serve both until `stop` is called from another thread or from a signal, then clean up."""
-        with self._cell:
-            self._board.serve()
-
-    def stop(self) -> None:
-        """Make `serve` return."""
-        self._board.stop()
-
-
-class _Locked:
-    """The joint of a board that another thread uses."""
-
-    def __init__(self, board: CommanderBoard, lock: threading.Lock) -> None:
-        self._board = board
-        self._lock = lock
-
-    def mean(self, begin: float, end: float) -> float:
-        with self._lock:
-            return self._board.mean(begin, end)
-
-
 def new_board(
     parameters: SimParameters | None = None,
     *,
@@ -240,5 +209,4 @@ def emulate(
     line = serve(link, board)
     if model == "motor":
         return line
-    joint = _Locked(board, line.lock)
-    return Pair(line, serve_cell(link.with_name(f"{link.name}.cell"), of(parameters.sensors), joint))
+    return with_cell(line, board, parameters.sensors)

@@ -9,6 +9,7 @@ settled. Wire times and the board's clock are the emulator's own.
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -165,3 +166,38 @@ def emulate(
     form, checksum = kinds[model]
     board = of((parameters or SimParameters()).sensors)
     return serve(link, replace(board, form=form, checksum=checksum, baudrate=baudrate))
+
+
+class Pair:
+    """A drive's line and the torque cell at its joint, each on a pty of its own."""
+
+    def __init__(self, line: PtyLine, cell: PtyLine) -> None:
+        self._line = line
+        self._cell = cell
+
+    def serve(self) -> None:
+        """Serve both until `stop` is called from another thread or from a signal, then clean up."""
+        with self._cell:
+            self._line.serve()
+
+    def stop(self) -> None:
+        """Make `serve` return."""
+        self._line.stop()
+
+
+class _Locked:
+    """The joint of a drive that another thread uses."""
+
+    def __init__(self, joint: Felt, lock: threading.Lock) -> None:
+        self._joint = joint
+        self._lock = lock
+
+    def mean(self, begin: float, end: float) -> float:
+        with self._lock:
+            return self._joint.mean(begin, end)
+
+
+def with_cell(line: PtyLine, joint: Felt, sensors: SensorParameters) -> Pair:
+    """Return the drive on `line` with a cell of `sensors` at its `joint`, on a pty named as the line with ".cell"."""
+    link = line.link.with_name(f"{line.link.name}.cell")
+    return Pair(line, serve(link, of(sensors), _Locked(joint, line.lock)))

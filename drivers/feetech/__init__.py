@@ -1,0 +1,1 @@
+"""Feetech STS, HLS and SCS servos on a serial port."""

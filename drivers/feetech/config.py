@@ -1,0 +1,109 @@
+"""The [feetech] table of stand.toml."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
+
+from annotated_types import Ge, Gt, Le
+
+from drivers.feetech.models import CURRENT_LSB, FeetechModel, models
+from drivers.servo import Quantity
+
+if TYPE_CHECKING:
+    ModelName = str
+else:
+    ModelName = Literal[tuple(sorted(models()))]  # so that a refused name is reported with all that are known
+
+Mode = Literal["position", "torque"]
+Baudrate = Literal[1000000, 500000, 250000, 128000, 115200, 76800, 57600, 38400]
+"""bit/s by the value of Baud Rate(6), from 0 on."""
+
+_CELL = 'put a torque cell at the joint ([joint_sensor] and torque_source = "joint"), and record with --mode position'
+
+
+@dataclass(frozen=True, slots=True)
+class FeetechConfig:
+    """The [feetech] table of stand.toml. Raises ValueError where model and mode do not fit each other.
+
+    port: the serial port. model: a name in feetech/table.toml. mode: "position", or "torque" with an HLS; None: as the
+    recording commands. torque_constant: N m/A at the output shaft; None: an estimate for an HLS, no torque for an STS.
+    sign: 1 where the servo's positive is the stand's, else -1. return_delay: s from request to reply. reply_timeout: s
+    that a reply may take beyond its time on the wire.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
+
+    port: str
+    model: ModelName
+    id: Annotated[int, Ge(0), Le(253)] = 1
+    baudrate: Baudrate = 1_000_000
+    mode: Mode | None = None
+    torque_constant: Annotated[float, Gt(0)] | None = None
+    sign: Literal[1, -1] = 1
+    return_delay: Annotated[float, Ge(0), Le(508e-6)] = 0.0
+    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+
+    def __post_init__(self) -> None:
+        wrong = list(self._misfits())
+        if wrong:
+            raise ValueError("; ".join(wrong))
+
+    @property
+    def constant(self) -> float:
+        """N m/A; 0 where the current says nothing of the torque."""
+        model = models()[self.model]
+        return (self.torque_constant or model.torque_constant) if model.has_current else 0.0
+
+    @property
+    def effective_mode(self) -> Mode:
+        """The mode; torque where `mode` is None and the model has it."""
+        return self.mode or ("torque" if models()[self.model].has_torque_mode else "position")
+
+    def for_quantity(self, quantity: Quantity) -> Self:
+        """Return the configuration that commands `quantity`. Raises ValueError where the model or `mode` cannot."""
+        mode: Mode = "torque" if quantity is Quantity.TORQUE else "position"
+        if mode == "torque" and not models()[self.model].has_torque_mode:
+            raise ValueError(
+                f"the {self.model} cannot be commanded a torque, only a position: {_CELL}; an HLS has a torque mode"
+            )
+        if self.mode not in {None, mode}:
+            raise ValueError(f"feetech.mode = {self.mode!r} does not command {quantity}: remove it")
+        return replace(self, mode=mode)
+
+    def restrictions(self, torque_source: str) -> list[str]:
+        """Return what the servo cannot do where the stand's torque comes from `torque_source`, with the remedies."""
+        return [self._torque_restriction(models()[self.model])] if torque_source == "motor" else []
+
+    def _torque_restriction(self, model: FeetechModel) -> str:
+        if not model.has_current:
+            return f"the {model.name} measures no current, so no torque can be inferred: {_CELL}"
+        if not self.constant:
+            return (
+                f"no torque is inferred from the current of the {model.name} without feetech.torque_constant, N m/A: "
+                f"measure it, or {_CELL}"
+            )
+        return (
+            f"torque is inferred from a current with counts of {CURRENT_LSB * self.constant * 1e3:.3g} mN m, behind a "
+            "gearbox whose friction hides smaller torques, and Kc and Bc carry the uncertainty of its scale: for "
+            f"better values {_CELL}"
+        )
+
+    def _misfits(self) -> Iterator[str]:
+        if self.baudrate not in get_args(Baudrate):
+            yield f"feetech.baudrate {self.baudrate}: one of {', '.join(map(str, get_args(Baudrate)))}"
+        if self.model not in models():
+            yield f"feetech.model {self.model!r} is not known; there are {', '.join(sorted(models()))}"
+        else:
+            yield from self._misfits_of(models()[self.model])
+
+    def _misfits_of(self, model: FeetechModel) -> Iterator[str]:
+        if self.mode == "torque" and not model.has_torque_mode:
+            yield f"feetech.mode 'torque': the {model.name} has none, only position"
+        if model.family == "hls" and self.return_delay:
+            yield f"feetech.return_delay {self.return_delay} s: the {model.name} has none: set it to 0"
+        if model.family == "hls" and not self.constant:
+            yield f"feetech.torque_constant: must be given for the {model.name}, N m/A at its output shaft"
+        if not model.has_current and self.torque_constant:
+            yield f"feetech.torque_constant: the {model.name} measures no current: remove it"

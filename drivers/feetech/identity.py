@@ -1,0 +1,75 @@
+"""The identification of a servo: the model of the stand file, with firmware that has its registers, and alone."""
+
+from __future__ import annotations
+
+from drivers.feetech.block import START
+from drivers.feetech.config import FeetechConfig
+from drivers.feetech.models import models, name_of, registers
+from drivers.packets.bus import Bus
+from drivers.retry import ATTEMPTS, retry
+from drivers.servo import BadReply, DriverError, NoReply
+
+_MEMORY = 71
+_LINE = 16
+
+
+def identify(bus: Bus, config: FeetechConfig) -> str:
+    """Check the model, keep its EEPROM from being changed, and make it reply to everything. Returns its firmware.
+
+    Raises NoReply, BadReply where several servos reply at once, DriverError for another model, an unknown one (with its
+    registers), or firmware without the registers that are needed.
+    """
+    try:
+        head = retry(lambda: bus.read(0, 5))
+        _check(bus, config, head)
+        own = registers(models()[config.model].family)
+        for name in ("lock", "response_level"):
+            bus.send(own[name].address, b"\x01")
+        for _ in range(ATTEMPTS):
+            bus.read(START, 8)
+    except NoReply:
+        raise NoReply(
+            f"no servo {config.id} answers on {config.port} at {config.baudrate} baud: check its power, the cable, the "
+            "id and the baud rate (a new servo has id 1 and 1000000 baud), and the USB adapter's latency timer (1 ms)"
+        ) from None
+    except BadReply as error:
+        raise BadReply(
+            f"the replies of servo {config.id} cannot be understood ({error}): two servos with that id, a wrong baud "
+            "rate, or a bad cable; connect one servo alone and give each its own id"
+        ) from None
+    return f"{head[0]}.{head[1]}"
+
+
+def _check(bus: Bus, config: FeetechConfig, head: bytes) -> None:
+    """Raise DriverError where bytes 0 to 4 are not those of the model in the stand file."""
+    model = models()[config.model]
+    number, firmware = (head[3], head[4]), (head[0], head[1])
+    name = name_of(number)
+    if not name:
+        raise DriverError(
+            f"servo {config.id} on {config.port} is of a kind not known here (version {head[3]}.{head[4]}, firmware "
+            f"{head[0]}.{head[1]}), and nothing was written to it; report its registers: {_dump(bus)}"
+        )
+    if name != config.model:
+        raise DriverError(
+            f"servo {config.id} on {config.port} is of the kind {name} (version {head[3]}.{head[4]}), not the "
+            f"{config.model} of the stand file: correct feetech.model or feetech.id"
+        )
+    if firmware < model.firmware:
+        raise DriverError(
+            f"servo {config.id} has firmware {head[0]}.{head[1]}, and the registers of the {config.model} that are "
+            f"needed (torque limit and mode) came with {model.firmware[0]}.{model.firmware[1]}: install a newer one "
+            "with the vendor's debugging software (FD)"
+        )
+
+
+def _dump(bus: Bus) -> str:
+    """Return the memory as text, as far as the servo lets itself be read."""
+    lines = []
+    for first in range(0, _MEMORY, _LINE):
+        size = min(_LINE, _MEMORY - first)
+        try:
+            lines.append(f"{first}: {bus.read(first, size).hex(' ')}")
+        except (NoReply, BadReply):
+            lines.append(f"{first}: not readable")
+    return "; ".join(lines)

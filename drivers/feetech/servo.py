@@ -1,0 +1,265 @@
+"""Feetech servos on a serial port as a `drivers.servo.Servo`. Wiring and limits: docs/feetech.md.
+
+A tick is one round trip: a Sync Write of the set-point, which has no reply, sent together with a Read of the block that
+holds all measurements. An STS or SCS takes positions; an HLS takes currents too. None has a watchdog. The EEPROM is
+locked while a run changes what lies in it, so that nothing of it outlives the power.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+
+from drivers.clock import Clock, MonotonicClock
+from drivers.feetech.block import Block, FeetechState
+from drivers.feetech.config import FeetechConfig
+from drivers.feetech.faults import ALERTS, reported, restarted
+from drivers.feetech.identity import identify
+from drivers.feetech.models import CURRENT_LSB, FeetechModel, models, registers
+from drivers.gate import Admitted, Gate, to_counts
+from drivers.packets.bus import Bus
+from drivers.packets.control_table import ControlTable
+from drivers.packets.port import SerialPort
+from drivers.packets.wire import Wire1
+from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo, Status
+
+_POSITION, _CURRENT = 0, 2  # Operating Mode(33)
+_FACTORY_TEMPERATURE = 70
+_HIGHEST_CURRENT = 2047
+_LARGEST = 32767  # magnitude below bit 15
+_SINGLE_STEPS = 0x04  # Phase(18) bit 2 of an STS
+_GAP = 0.05  # s without a reply after which it is checked whether the servo was restarted
+_DELAY_LSB = 2e-6
+_EVERYTHING = 256  # an address above all: every setting is restored
+
+
+class FeetechServo:
+    """One servo, opened, identified, with its torque off.
+
+    clock, port: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml
+    gives the constant. Raises DriverError where the port cannot be opened or another model replies, NoReply where no
+    servo does, BadReply where the replies cannot be decoded.
+    """
+
+    def __init__(self, config: FeetechConfig, *, clock: Clock | None = None, port: SerialPort | None = None) -> None:
+        self._config = config
+        self._model: FeetechModel = models()[config.model]
+        self._registers = registers(self._model.family)
+        self.clock: Clock = clock or MonotonicClock()
+        self._port = port or SerialPort(config.port, config.baudrate, self.clock)
+        self._bus = Bus(self._port, config.id, self.clock, config.reply_timeout, Wire1(ALERTS))
+        self._table = ControlTable(self._bus, self._registers, _EVERYTHING)
+        self._block = Block(self._model)
+        self._torque_mode = config.effective_mode == "torque"
+        self._torque_lsb = CURRENT_LSB * config.constant
+        self._ceiling = 0
+        self._range = (0, 0)
+        self._raw: int | None = None
+        self._position = 0
+        self._doubtful = False
+        self._last_reply = -math.inf
+        quantity = Quantity.TORQUE if self._torque_mode else Quantity.POSITION
+        self._gate = Gate(
+            config.port,
+            frozenset({quantity}),
+            torque_off=self._torque_off,
+            release=self._port.closePort,
+            mode_key="feetech.mode",
+        )
+        self._port.openPort()
+        with self._gate.opening():
+            firmware = identify(self._bus, config)
+            self.disarm()
+            self._set_up()
+        self.info = self._describe(firmware, quantity)
+
+    def arm(self, limits: Limits) -> None:
+        """Write mode and limits into the servo, read them back, and switch the torque on at zero current.
+
+        In position mode the servo then holds its position. The torque limit is rounded down; temperature and velocity
+        limits are written too, the first no higher than the factory's.
+        Raises DeviceFault where an error is reported, DriverError where a register is refused; the torque is off then.
+        """
+        ceiling = self._torque_counts(limits)
+        with self._gate.arming(limits):
+            self._raise_reported()
+            self._switch(on=False)
+            self._prepare(limits, ceiling)
+            self._enable()
+
+    def exchange(self, command: Command) -> Sample:
+        """Send the set-point and read the state in one round trip.
+
+        `Command.rest()` in position mode writes nothing: the servo holds its position. Raises UnsafeCommand, NoReply,
+        BadReply, LinkLost, and DeviceFault where the servo reports an error or was restarted.
+        """
+        goal, saturated = self._goal(self._gate.admit(command))
+        if self._gate.armed and (self._doubtful or self.clock.now() - self._last_reply > _GAP):
+            self._look_for_faults()
+        sent = self.clock.now()
+        block = self._block.request(sent)
+        try:
+            raw = self._bus.read(*block) if goal is None else self._bus.write_and_read(*goal, *block)
+        except (NoReply, BadReply):
+            self._doubtful = True
+            self._block.lost(self.clock.now())
+            raise
+        received = self._last_reply = self.clock.now()
+        if self._bus.alert:
+            raise reported(self._bus.alert)
+        return self._sample(self._block.state(raw), sent, received, saturated=saturated)
+
+    def disarm(self) -> None:
+        """Switch the torque off and read it back. Raises as `Gate.disarm`."""
+        self._gate.disarm()
+
+    def close(self) -> None:
+        """Switch the torque off, restore the settings, and close the port. Never raises; see `Gate.close`."""
+        self._gate.close(self._restore)
+
+    def _restore(self) -> None:
+        """Restore what the run changed, unless the motor may be live: the torque limit is among it."""
+        if not self._gate.live:
+            self._table.settings.restore()
+
+    def _torque_off(self, _request: int) -> None:
+        try:
+            self._switch(on=False)
+        except DriverError:
+            with contextlib.suppress(DriverError):  # a servo that cannot reply may still receive
+                for name in ("torque_enable", "torque_limit", "goal_torque"):
+                    if name in self._registers:
+                        self._bus.send(self._registers[name].address, bytes(self._registers[name].size))
+            raise
+
+    def _switch(self, *, on: bool) -> None:
+        """Write Torque Enable(40), 0 or 1 and nothing else, and read it back. Raises DriverError where it differs."""
+        self._table.put("torque_enable", int(on))
+        # three bytes, so that the late reply to another request cannot be taken for the confirmation
+        if self._bus.read(self._registers["torque_enable"].address, 3)[0] != int(on):
+            raise DriverError("it refuses to switch its torque on" if on else "it is still on")
+
+    def _set_up(self) -> None:
+        """Set the return delay, and find out in which unit the servo gives its speed."""
+        if "return_delay" in self._registers:
+            self._table.settings.require("return_delay", round(self._config.return_delay / _DELAY_LSB))
+        self._bus.return_delay = self._config.return_delay
+        if "phase" in self._registers and self._table.get("phase") & _SINGLE_STEPS:
+            self._block.speed_unit = 1
+
+    def _describe(self, firmware: str, quantity: Quantity) -> ServoInfo:
+        known = bool(self._config.constant)
+        stated = self._config.torque_constant is not None or not known
+        return ServoInfo(
+            backend="feetech",
+            model=self._config.model,
+            serial=f"id {self._config.id}",
+            firmware=firmware,
+            quantities=frozenset({quantity}),
+            position_lsb=self._model.position_lsb,
+            velocity_lsb=self._block.velocity_lsb,
+            torque_lsb=self._torque_lsb if known else math.nan,
+            torque_uncertainty=math.nan if stated else self._model.torque_uncertainty,
+        )
+
+    def _torque_counts(self, limits: Limits) -> int:
+        """Return the torque limit in the servo's counts. Raises DriverError where it is below one."""
+        lsb = self._torque_lsb if self._model.has_torque_mode else self._model.stall / 1000.0
+        counts = min(math.floor(limits.torque / lsb + 1e-9), _HIGHEST_CURRENT if self._model.has_torque_mode else 1000)
+        if counts < 1:
+            raise DriverError(
+                f"torque limit {limits.torque:.3g} N m is below one count of the {self._model.name}, {lsb:.3g} N m: "
+                "raise it or use a smaller servo"
+            )
+        return counts
+
+    def _prepare(self, limits: Limits, ceiling: int) -> None:
+        """With the torque off, write mode and limits and read them back."""
+        require = self._table.settings.require
+        require("lock", 1)
+        if "operating_mode" in self._registers:
+            require("operating_mode", _CURRENT if self._torque_mode else _POSITION)
+            require("angular_resolution", 1)
+            require("acceleration", 0)
+        else:
+            require("goal_time", 0)
+        require("temperature_limit", min(math.floor(limits.temperature), _FACTORY_TEMPERATURE))
+        velocity = math.floor(limits.velocity / self._block.velocity_lsb)
+        require("goal_velocity", max(1, min(velocity, _LARGEST)))
+        require("protection_current" if self._model.has_torque_mode else "torque_limit", ceiling)
+        if self._model.has_torque_mode:
+            require("goal_torque", 0 if self._torque_mode else ceiling)
+        self._ceiling = ceiling
+
+    def _enable(self) -> None:
+        """Switch the torque on at zero current, or at the present position."""
+        self._follow(self._block.state(self._bus.read(*self._block.request(self.clock.now()))).raw)
+        if not self._torque_mode:
+            self._find_range()
+            self._table.put("goal_position", self._raw or 0)
+        self._switch(on=True)
+        self._doubtful = False
+        self._last_reply = self.clock.now()
+
+    def _find_range(self) -> None:
+        """Find the goals that the servo accepts. Raises DriverError where the present position is not among them."""
+        low, high = self._table.get("min_position_limit"), self._table.get("max_position_limit")
+        if low == high == 0 and self._model.turn:
+            low, high = -_LARGEST, _LARGEST
+        if not low <= (self._raw or 0) <= high:
+            raise DriverError(
+                f"the servo is at {self._raw}, outside its position limits {low} to {high}, and would jump when its "
+                "torque is switched on: turn it into them, or correct Minimum and Maximum Angle Limit (9 and 11)"
+            )
+        self._range = (low, high)
+
+    def _goal(self, admitted: Admitted) -> tuple[tuple[int, bytes] | None, bool]:
+        """Return address and bytes of the set-point, None where nothing is written; and whether it was clipped."""
+        command = admitted.command
+        if command is None:
+            return None, False
+        if command.quantity is Quantity.TORQUE:
+            register, lsb, (low, high), off = "goal_torque", self._torque_lsb, (-self._ceiling, self._ceiling), 0
+        else:  # the servo may count within one turn
+            off = self._position - (self._raw or 0)
+            register, lsb, (low, high) = "goal_position", self._model.position_lsb, self._range
+        counts = self._config.sign * to_counts(command.value, lsb) - off
+        clipped = max(low, min(high, counts))
+        item = self._registers[register]
+        return (item.address, item.encoded(clipped)), admitted.clipped or clipped != counts
+
+    def _sample(self, state: FeetechState, sent: float, received: float, *, saturated: bool) -> Sample:
+        self._follow(state.raw)
+        sign = self._config.sign
+        return Sample(
+            t=sent,
+            t_read=0.5 * (sent + received),
+            motor_position=sign * self._position * self._model.position_lsb,
+            motor_velocity=sign * state.velocity,
+            motor_torque=sign * state.current * self._config.constant if self._config.constant else math.nan,
+            temperature=state.temperature,
+            voltage=state.voltage,
+            status=Status.SATURATED if saturated else Status(0),
+        )
+
+    def _follow(self, raw: int) -> None:
+        """Take a new position; one that begins again after a turn is counted on, from less than half a turn."""
+        turn = self._model.turn
+        if self._raw is None:
+            self._position = raw
+        else:
+            moved = raw - self._raw
+            self._position += (moved + turn // 2) % turn - turn // 2 if turn else moved
+        self._raw = raw
+
+    def _raise_reported(self) -> None:
+        self._bus.ping(0)
+        if self._bus.alert:
+            raise reported(self._bus.alert)
+
+    def _look_for_faults(self) -> None:
+        """Raise DeviceFault where the servo reports an error or has stopped by itself."""
+        self._raise_reported()
+        if self._bus.read(self._registers["torque_enable"].address, 3)[0] != 1:
+            raise restarted()
+        self._doubtful = False

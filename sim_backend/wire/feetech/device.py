@@ -1,0 +1,325 @@
+"""One Feetech servo on the line: its memory, the effect of each instruction, and the replies.
+
+Sources: the vendor's protocol manual and memory tables. Where they are silent: a value out of range or for a read-only
+address is ignored, and answered like any other; a read may span addresses without an item, which read as zero; a
+request with a wrong checksum is not answered; an error named in Unloading Condition(19) switches the output off until
+it is over and Torque Enable(40) is written again, an overload only reduces it to Protective Torque. A write to the
+EEPROM while the lock is 1 acts and is forgotten without power. Gains, dead zones and acceleration have no
+effect, nor the LED.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+from sim_backend.wire.feetech.tables import BAUD, CURRENT_LSB, EEPROM_END, MODELS, Item
+from sim_backend.wire.loadcell.joint_torque import JointTorque
+from sim_backend.wire.packets.frames import BROADCAST, Frame, Instruction
+from sim_backend.wire.packets.regulator import (
+    CURRENT,
+    CURRENT_POSITION,
+    PWM,
+    SPEED,
+    Goals,
+    Regulator,
+    joint_at_horn,
+)
+from sim_backend.wire.plant_motor import PlantMotor
+
+if TYPE_CHECKING:
+    from sim_backend.parameters import SimParameters
+
+BOOT = 0.3
+"""s without an answer after the power comes; not in the manual."""
+VOLTAGE, ENCODER, HEAT, OVER_CURRENT, ANGLE, OVERLOAD = 1, 2, 4, 8, 16, 32
+"""Bits of Servo Status(65), which every reply carries."""
+_TURN = 4096
+_SINGLE_STEPS, _WHOLE_ANGLE = 0x04, 0x10  # Phase(18)
+_RECENTRE = 128
+
+
+class FeetechDevice:
+    """A servo of `model` (a key of `MODELS`) with the plant of `parameters` behind its output.
+
+    Times are s on the bus's clock, `now` when it is powered. joint: the past of the torque in the coupling. Raises
+    KeyError for a model and ValueError for a baud rate that is not in the tables.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        ident: int = 1,
+        *,
+        baudrate: int = 1_000_000,
+        firmware: tuple[int, int] | None = None,
+        parameters: SimParameters | None = None,
+        now: float = 0.0,
+    ) -> None:
+        self.model = MODELS[model]
+        self._items = {item.address: item for item in self.model.items}
+        self._named = {item.name: item for item in self.model.items}
+        self._memory = bytearray(max(item.address + item.size for item in self.model.items))
+        self._flash = bytearray(EEPROM_END)
+        self.joint = JointTorque()
+        plant = parameters or joint_at_horn(self.model)
+        self.motor = PlantMotor(plant, Regulator(self.model), self.joint.note)
+        self.errors = 0
+        """Errors that hold: bits of the status."""
+        self.ignores_torque_off = False
+        """Torque-off is acknowledged and not done."""
+        self._powered = self._ready = now
+        self._registered: tuple[int, bytes] | None = None
+        self._centre = 1023 // 2 if self.model.big else 0
+        for item in self.model.items:
+            self.put(item.name, item.initial)
+        major, minor = firmware or self.model.firmware
+        identity = {"firmware_major": major, "firmware_minor": minor, "id": ident, "baud_rate": BAUD.index(baudrate)}
+        identity |= {"main_version": self.model.number[0], "sub_version": self.model.number[1]}
+        for name, value in identity.items():
+            self.put(name, value)
+        self._flash[:] = self._memory[:EEPROM_END]
+        self.put("goal_position", self._position())
+
+    @property
+    def id(self) -> int:
+        """The id."""
+        return self.get("id")
+
+    @property
+    def shadow(self) -> int | None:
+        """A second id that it obeys without a reply: an HLS has one."""
+        return self.get("second_id") if "second_id" in self._named else None
+
+    @property
+    def sync_reads(self) -> bool:
+        """Whether it answers a Sync Read: an SCS does not."""
+        return not self.model.big
+
+    @property
+    def baudrate(self) -> int:
+        """bit/s."""
+        return BAUD[self.get("baud_rate")]
+
+    @property
+    def return_delay(self) -> float:
+        """s from the instruction to its answer."""
+        return self.get("return_delay") * 2e-6 if "return_delay" in self._named else 0.0
+
+    @property
+    def status_return_level(self) -> int:
+        """Which instructions it answers, as DYNAMIXEL counts them: pings and reads always."""
+        return 1 + self.get("response_level")
+
+    def get(self, name: str) -> int:
+        """Return the value of an item."""
+        item = self._named[name]
+        raw = int.from_bytes(self._memory[item.address : item.address + item.size], self._order)
+        if not item.sign_bit:
+            return raw
+        magnitude = raw & ((1 << item.sign_bit) - 1)
+        return -magnitude if raw >> item.sign_bit & 1 else magnitude
+
+    def put(self, name: str, value: int) -> None:
+        """Set an item from inside the servo, no rule asked."""
+        item = self._named[name]
+        raw = abs(value) | (1 << item.sign_bit if value < 0 and item.sign_bit else 0)
+        self._memory[item.address : item.address + item.size] = raw.to_bytes(item.size, self._order)
+
+    def eeprom(self) -> bytes:
+        """Return the bytes that survive a loss of power."""
+        return bytes(self._flash)
+
+    def listens(self, now: float) -> bool:
+        """Whether it is awake, and not booting."""
+        return now >= self._ready
+
+    def feed_watchdog(self, now: float) -> None:
+        """Do nothing: it has no watchdog."""
+
+    def mean(self, begin: float, end: float) -> float:
+        """Return the mean torque at the joint from `begin` to `end`, N m, as a torque cell there measures it."""
+        self.advance(end)
+        return self.joint.mean(begin - self._powered, end - self._powered)
+
+    def advance(self, now: float) -> None:
+        """Carry the motor to `now`; heat is an error as long as it lasts."""
+        self.motor.run(now - self._powered)
+        if self.motor.temperature > self.get("temperature_limit"):
+            self.fail(HEAT)
+        else:
+            self.errors &= ~HEAT
+
+    def fail(self, bits: int) -> None:
+        """Report errors; those in Unloading Condition(19) switch the output off."""
+        self.errors |= bits
+        if bits & self.get("unloading_condition") & ~OVERLOAD:
+            self.motor.disable()
+            self.put("torque_enable", 0)
+        self._hand_over_goals()
+
+    def reboot(self, now: float) -> None:
+        """Lose power for a moment: what is in RAM is gone, the torque first."""
+        self.motor.disable()
+        self.errors = 0
+        self._registered = None
+        for item in self.model.items:
+            if item.address >= EEPROM_END:
+                self.put(item.name, item.initial)
+        self._memory[:EEPROM_END] = self._flash
+        if "torque_limit" in self._named:
+            self.put("torque_limit", self.get("max_torque"))
+        if "goal_torque" in self._named:
+            self.put("goal_torque", self.get("protection_current"))
+        self.put("goal_position", self._position())
+        self._ready = now + BOOT
+
+    def alerted(self, error: int) -> int:
+        """Return the error byte of a reply: the errors that hold; an instruction has none of its own."""
+        del error
+        return self.errors
+
+    def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
+        """Execute `frame`, sent to this id or to all; return error and parameters, None where it does not reply."""
+        if not frame.sound:
+            return None
+        if frame.instruction == Instruction.PING:
+            return self.errors, b""
+        if frame.instruction == Instruction.READ:
+            p = frame.parameters
+            return self.read(p[0], p[1], now) if len(p) == 2 else None
+        self._execute(frame)
+        return (self.errors, b"") if self.get("response_level") and frame.id != BROADCAST else None
+
+    def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
+        """Return the error byte and the bytes of a read at `now`; what lies behind the memory reads as zero."""
+        del now
+        self._refresh()
+        return self.errors, bytes(self._memory[address : address + size]).ljust(size, b"\0")
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write as an instruction does; return the error byte."""
+        at = 0
+        written = set()
+        while at < len(data):
+            item = self._items.get(address + at)
+            if item is None or not item.writable or at + item.size > len(data):
+                at += 1 if item is None else item.size
+                continue
+            self._take(item, bytes(data[at : at + item.size]))
+            written.add(item.name)
+            at += item.size
+        if "torque_enable" in written:
+            self._torque()
+        if "goal_position" in written:
+            self.errors &= ~OVERLOAD  # a new goal ends the protection
+        self._hand_over_goals()
+        return self.errors
+
+    @property
+    def _order(self) -> Literal["big", "little"]:
+        return "big" if self.model.big else "little"
+
+    def _take(self, item: Item, data: bytes) -> None:
+        before = bytes(self._memory[item.address : item.address + item.size])
+        self._memory[item.address : item.address + item.size] = data
+        if not item.low <= self.get(item.name) <= item.high:
+            self._memory[item.address : item.address + item.size] = before
+        elif item.address < EEPROM_END and not self.get("lock"):
+            self._flash[item.address : item.address + item.size] = data
+
+    def _execute(self, frame: Frame) -> None:
+        if frame.instruction in {Instruction.WRITE, Instruction.REG_WRITE} and len(frame.parameters) > 1:
+            address, data = frame.parameters[0], frame.parameters[1:]
+            if frame.instruction == Instruction.WRITE:
+                self.write(address, data)
+            else:
+                self._registered = (address, data)
+                self.put("registered", 1)
+        elif frame.instruction == Instruction.ACTION and self._registered is not None:
+            waiting, self._registered = self._registered, None
+            self.put("registered", 0)
+            self.write(*waiting)
+
+    def _torque(self) -> None:
+        wanted = self.get("torque_enable")
+        if wanted == _RECENTRE:
+            self._centre += (_TURN // 2 if not self.model.big else 511) - self._position()
+            self.put("torque_enable", int(self.motor.enabled))
+        elif wanted == 1 and not self.errors & self.get("unloading_condition") & ~OVERLOAD:
+            if not self.motor.enabled:
+                self.motor.enable()
+        elif wanted == 0 and self.ignores_torque_off and self.motor.enabled:
+            self.put("torque_enable", 1)
+        else:
+            self.motor.disable()
+            self.put("torque_enable", 0 if wanted == 1 else wanted)
+
+    def _hand_over_goals(self) -> None:
+        """Give the goals to the loops; the mode is in the order of this series."""
+        amperes = self.model.stall[1]
+        mode = self._mode()
+        limit = "torque_limit" if "torque_limit" in self._named else "max_torque"
+        ceiling = self.get(limit) / 1000.0 * amperes
+        if self.errors & OVERLOAD and "protective_torque" in self._named:
+            ceiling = min(ceiling, self.get("protective_torque") / 100.0 * amperes)
+        current = 0.0
+        if "goal_torque" in self._named:
+            most = self.get("protection_current") * CURRENT_LSB
+            current = max(-most, min(most, self.get("goal_torque") * CURRENT_LSB))
+            ceiling = min(ceiling, abs(current))
+        if mode == CURRENT:
+            goals = Goals(mode=CURRENT, current=max(-ceiling, min(ceiling, current)))
+        elif mode == SPEED:
+            goals = Goals(mode=SPEED, current=ceiling, velocity=self.get("goal_velocity") * self._speed_unit())
+        elif mode == PWM:
+            duty = self.get("goal_torque" if "goal_torque" in self._named else "goal_time")
+            goals = Goals(mode=PWM, duty=duty / 1000.0)
+        else:
+            goal = (self._goal() - self._centre) * self.model.count
+            goals = Goals(mode=CURRENT_POSITION, current=ceiling, position=goal)
+        self.motor.law.goals = goals
+
+    def _mode(self) -> int:
+        if "operating_mode" not in self._named:
+            return PWM if self.get("min_position_limit") == self.get("max_position_limit") == 0 else CURRENT_POSITION
+        third, fourth = (CURRENT, PWM) if "goal_torque" in self._named else (PWM, CURRENT_POSITION)
+        return (CURRENT_POSITION, SPEED, third, fourth)[self.get("operating_mode")]
+
+    def _goal(self) -> int:
+        """Return the goal in counts over any number of turns, near the turn in which the servo is."""
+        goal, low, high = (self.get(n) for n in ("goal_position", "min_position_limit", "max_position_limit"))
+        if low == high == 0:
+            return goal
+        present = self._counts()
+        turn = 0 if self.model.big else math.floor(present / _TURN) * _TURN
+        return turn + max(low, min(high, goal))
+
+    def _speed_unit(self) -> float:
+        """rad/s a count of speed."""
+        single = self.model.big or ("goal_torque" not in self._named and self.get("phase") & _SINGLE_STEPS)
+        return self.model.count * (1 if single else 50)
+
+    def _counts(self) -> int:
+        return round(self.motor.position / self.model.count) + self._centre
+
+    def _position(self) -> int:
+        """Return Present Position: over many turns where Phase(18) says so, else within one."""
+        counts = self._counts()
+        if self.model.big:
+            return max(0, min(1023, counts))
+        return counts if self.get("phase") & _WHOLE_ANGLE else counts % _TURN
+
+    def _refresh(self) -> None:
+        """Bring the present values up to the motor's time."""
+        motor, law = self.motor, self.motor.law
+        speed = round(motor.velocity / self._speed_unit())
+        self.put("present_position", self._position())
+        self.put("present_speed", max(-32767, min(32767, speed)))
+        self.put("present_load", round(law.duty(motor) * 1000.0))
+        self.put("present_voltage", round(self.model.stall[0] * 10.0))
+        self.put("present_temperature", round(motor.temperature))
+        self.put("status", self.errors)
+        self.put("moving", int(speed != 0))
+        if "present_current" in self._named:
+            self.put("present_current", round(law.current(motor) / CURRENT_LSB))

@@ -1,0 +1,57 @@
+"""Emulated Feetech servos on a pty, as `hil emulate feetech` serves them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.feetech.device import FeetechDevice
+from sim_backend.wire.feetech.tables import BAUD, MODELS
+from sim_backend.wire.loadcell.emulator import Pair, with_cell
+from sim_backend.wire.packets.bus import PacketBus, PacketTiming
+from sim_backend.wire.packets.regulator import joint_at_horn
+from sim_backend.wire.uart.pty_line import PtyLine
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from sim_backend.parameters import SimParameters
+
+CELL = "+loadcell"
+"""Behind a model's name: with a torque cell at the joint of the first servo."""
+
+
+def serve(
+    link: Path,
+    model: str = "sts3215",
+    idents: Sequence[int] = (1,),
+    *,
+    baudrate: int = 1_000_000,
+    parameters: SimParameters | None = None,
+    timing: PacketTiming | None = None,
+) -> PtyLine | Pair:
+    """Return servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
+
+    model: "sts3215+loadcell" for a torque cell at the first one's joint on a second pty, named as `link` with ".cell"
+    behind it. parameters: the plant, in which the motor's constant and winding are made the model's; None: the paper's
+    joint at the output. timing: None answers at once. Raises ValueError for a model, an id or a baud rate that cannot
+    be, FileExistsError where `link` is a file.
+    """
+    name = model.removesuffix(CELL)
+    if name not in MODELS:
+        raise ValueError(f"model {model!r} is not known: choose one of {', '.join(MODELS)}, each also with {CELL}")
+    if baudrate not in BAUD:
+        raise ValueError(f"baud rate {baudrate}: choose one of {', '.join(map(str, sorted(BAUD)))}")
+    if len(set(idents)) < len(idents) or not all(0 <= ident <= 253 for ident in idents):
+        raise ValueError("ids must differ and lie between 0 and 253")
+    plant = joint_at_horn(MODELS[name]) if parameters is None else parameters
+    if parameters is not None:
+        volts, amperes, torque = MODELS[name].stall
+        motor = replace(parameters.motor, torque_constant=torque / amperes, winding_resistance=volts / amperes)
+        plant = replace(parameters, motor=motor)
+    now = time.monotonic()
+    servos = [FeetechDevice(name, ident, baudrate=baudrate, parameters=plant, now=now) for ident in idents]
+    line = PtyLine(link, PacketBus(servos, timing=timing, protocol=1))
+    return line if name == model else with_cell(line, servos[0], plant.sensors)
