@@ -6,23 +6,26 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import ClassVar
 
-_ENDING = (
-    "SIGINT",
-    "SIGTERM",
-    "SIGHUP",
-    "SIGQUIT",
-    "SIGTSTP",  # a process that Ctrl-Z stops would leave the last torque on
-    "SIGUSR1",
-    "SIGUSR2",
-    "SIGXCPU",
-    "SIGBREAK",
-)
-"""Signals that end or stop a process by default, by name: not every system has them all."""
+_HARMLESS = ("SIGCHLD", "SIGCLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGINFO")  # ignored by default
+_NOT_OURS = ("SIGKILL", "SIGSTOP", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL")  # cannot be handled, or not in Python
+
+
+def ending() -> list[int]:
+    """Return every signal that ends or stops a process by default and can be handled, those of real time included."""
+    others = {getattr(signal, name, None) for name in (*_HARMLESS, *_NOT_OURS)}
+    return sorted(int(number) for number in signal.valid_signals() if number not in others)
 
 
 class StopRequest:
-    """The signals received during a run: none can skip the torque-off. number: the first one, 0 before any."""
+    """The signals received during a run: none can skip the torque-off. number: the first one, 0 before any.
+
+    exit_follows: whether the process ends after a run that was stopped, so that later signals are ignored; otherwise
+    one that arrives while the interpreter shuts down would replace the exit status.
+    """
+
+    exit_follows: ClassVar[bool] = False
 
     def __init__(self) -> None:
         self.count = 0
@@ -39,13 +42,13 @@ class StopRequest:
 
         One that is ignored stays so: under nohup a closed terminal ends nothing.
         """
-        numbers = [getattr(signal, name) for name in _ENDING if hasattr(signal, name)]
-        before = {number: signal.getsignal(number) for number in numbers}
+        before = {number: signal.getsignal(number) for number in ending()}
         before = {number: handler for number, handler in before.items() if handler not in {signal.SIG_IGN, None}}
         try:
             for number in before:
                 signal.signal(number, self._note)
             yield self
         finally:
+            ignored = self.count and self.exit_follows
             for number, handler in before.items():
-                signal.signal(number, handler)
+                signal.signal(number, signal.SIG_IGN if ignored else handler)

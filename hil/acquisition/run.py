@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from drivers.servo import Servo
@@ -18,6 +19,7 @@ from hil.stand.file import Stand
 from hil.stand.opening import open_servo
 
 _FOLDER = Path("recordings")
+_HELD_BACK = 0.02  # s of rows that a killed process may lose
 
 
 def run(
@@ -37,7 +39,7 @@ def run(
 
     Return the path of the recording and the outcome of the run. The servo is closed and its torque off in any case.
     force: replace a recording of that name, finished or not. seed: of the simulator. alarm: is called with a sentence,
-    before the file is made final, where the torque may still be on.
+    once every row is with the operating system and before the file is made final, where the torque may still be on.
     Raises WrongUse before anything moves, DriverError where the servo cannot be opened.
     """
     check_backend(stand.stand.backend)
@@ -57,7 +59,7 @@ def run(
                 operator_note=note,
                 command_line=command_line,
             )
-            writer = _begin(output, header, tick_count(profile, rate), force=force)
+            writer = _begin(output, header, tick_count(profile, rate), max(1, int(_HELD_BACK * rate)), force=force)
             try:
                 with beside(writer.path):
                     outcome = Recorder(stand, servo, profile, rate, writer, scratch=writer.path.parent).run(stop)
@@ -67,20 +69,23 @@ def run(
         finally:
             _close_servo(servo, outcome)
         if outcome.alarm and alarm is not None:
-            alarm(outcome.alarm)
+            with suppress(Exception):  # the rows first, then the words, which must not cost a row
+                writer.flush()
+            with suppress(Exception):
+                alarm(outcome.alarm)
         return _finish(writer, outcome, force=force), outcome
 
 
-def _begin(output: Path | None, header: Header, length: int, *, force: bool) -> RecordingWriter:
+def _begin(output: Path | None, header: Header, length: int, batch: int, *, force: bool) -> RecordingWriter:
     """Return the writer of a new recording, under a name that nobody else takes at the same time."""
     if output is not None:
         if force:
             remove_unfinished(output)
-        return RecordingWriter(output, header, length)
+        return RecordingWriter(output, header, length, batch=batch)
     while True:
         path = next_free(_FOLDER)
         try:
-            writer = RecordingWriter(path, header, length)
+            writer = RecordingWriter(path, header, length, batch=batch)
         except NameTaken:
             continue
         if not path.exists():

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import traceback
+from contextlib import suppress
 from typing import Any, NoReturn, cast
 
 import typer
 
+from hil.acquisition.interrupt import StopRequest
 from hil.cli.compare import compare
 from hil.cli.demo import demo
 from hil.cli.design import design
@@ -52,8 +55,14 @@ app.add_typer(stand, name="stand")
 
 
 def main() -> NoReturn:
-    """Run the command line and exit with its status."""
-    sys.exit(run(sys.argv[1:]))
+    """Run the command line and exit with its status, which no later Ctrl-C replaces."""
+    StopRequest.exit_follows = True
+    try:
+        status = run(sys.argv[1:])
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(status)
 
 
 def run(words: list[str]) -> int:
@@ -61,7 +70,8 @@ def run(words: list[str]) -> int:
     try:
         answer = app([word for word in words if word != "--debug"], standalone_mode=False)
     except _UsageError as error:
-        cast("Any", error).show()
+        with suppress(OSError):  # standard error that cannot be written
+            cast("Any", error).show()
         return WRONG_USE
     except typer.Exit as error:
         return error.exit_code
@@ -70,7 +80,7 @@ def run(words: list[str]) -> int:
         return INTERRUPTED
     except Exception as error:  # noqa: BLE001 - every error becomes a sentence and a status
         if "--debug" in words:
-            traceback.print_exc()
+            say(traceback.format_exc())
         say(f"hil: {error}")
         return _status_of(error)
     return answer if isinstance(answer, int) else DONE

@@ -79,8 +79,10 @@ def record(
         force=force,
         alarm=say,
     )
-    print_json(_json(path, outcome, foreseen)) if as_json else out(_outcome_line(path, outcome))
-    _check_outcome(outcome)
+    try:
+        print_json(_json(path, outcome, foreseen)) if as_json else out(_outcome_line(path, outcome))
+    finally:
+        _check_outcome(outcome)
 
 
 def _json(path: Path, outcome: Outcome, foreseen: list[Diagnostic]) -> dict[str, Any]:

@@ -7,10 +7,13 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import typer
+
+from hil.errors import WrongUse
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,23 +25,33 @@ INTERRUPTED = 130
 
 
 def out(text: str) -> None:
-    """Print text to standard output."""
-    _write(text, sys.stdout)
+    """Print text to standard output. Raises WrongUse where it cannot be written."""
+    if error := _written(text, sys.stdout):
+        raise WrongUse(f"standard output cannot be written ({error.strerror or error}): send it elsewhere")
 
 
 def say(text: str) -> None:
-    """Print a line to standard error, apart from the command's data."""
-    _write(text, sys.stderr)
+    """Print a line to standard error, apart from the command's data. Never raises: words must not cost data."""
+    with suppress(Exception):
+        _written(text, sys.stderr)
 
 
-def _write(text: str, stream: TextIO) -> None:
-    """Print; once the reader has closed the pipe (`hil inspect a.h5 | head -1`), drop the rest and go on."""
+def _written(text: str, stream: TextIO | None) -> OSError | None:
+    """Print to `stream` (None: it was closed before we started). Return the error where it cannot be written.
+
+    The stream goes nowhere from then on, or the interpreter's last flush would fail as well. A reader that has closed
+    the pipe (`hil inspect a.h5 | head -1`) is no error.
+    """
+    if stream is None:
+        return None
     try:
         print(text, file=stream, flush=True)
-    except BrokenPipeError:
+    except OSError as error:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
         os.close(nowhere)
+        return None if isinstance(error, BrokenPipeError) else error
+    return None
 
 
 def out_table(table: Table) -> None:

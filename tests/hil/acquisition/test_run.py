@@ -6,6 +6,9 @@ import errno
 import gc
 import os
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
@@ -18,6 +21,7 @@ from drivers.servo import Command, LinkLost, NoReply, Quantity, Sample
 from hil.acquisition import excitation, recorder
 from hil.acquisition import run as run_module
 from hil.acquisition.excitation import Profile
+from hil.acquisition.interrupt import ending
 from hil.acquisition.run import run
 from hil.acquisition.setpoints import SetPoints
 from hil.cli import app as cli
@@ -191,6 +195,66 @@ def test_an_alarm_is_raised_before_the_file_is_made_final(spring: SpringServo, t
     assert (tmp_path / "a.h5").exists()
 
 
+def test_an_alarm_that_cannot_be_printed_costs_neither_the_file_nor_the_exit_status(
+    spring: SpringServo, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spring.disarm_error = OSError(5, "Input/output error")
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr("sys.stderr", full)
+        assert record("-o", "a.h5", "--duration", "3") == 3
+    with Recording(Path("a.h5")) as recording:
+        assert len(recording) == 301
+        assert recording.attributes["end_reason"].startswith("done; CUT THE POWER")
+
+
+def test_an_outcome_that_cannot_be_printed_does_not_hide_how_the_run_ended(
+    spring: SpringServo, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        assert record("-o", "a.h5") == 2
+        assert "standard output cannot be written (No space left on device)" in capfd.readouterr().err
+    spring.script = {len(spring.driven) + 50: LinkLost("the cable is out")}
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        assert record("-o", "b.h5") == 3
+    for name, rows in (("a.h5", 2001), ("b.h5", 50)):
+        with Recording(Path(name)) as recording:
+            assert len(recording) == rows
+
+
+def test_every_row_is_on_disk_before_the_alarm_is_raised(spring: SpringServo, tmp_path: Path) -> None:
+    spring.disarm_error = OSError(5, "Input/output error")
+    seen: list[int] = []
+
+    def alarm(_: str) -> None:
+        with Recording(tmp_path / "a.h5.part") as recording:
+            seen.append(len(recording))
+        raise RuntimeError("nobody listens")
+
+    outcome = run(STAND, profile(0.5), rate=RATE, seed=0, output=tmp_path / "a.h5", alarm=alarm)[1]
+    assert seen == [outcome.samples] == [51]
+    assert (tmp_path / "a.h5").exists()
+
+
+@pytest.mark.parametrize("rate", [20.0, 49.0, 100.0, 500.0, 1000.0])
+def test_a_kill_at_any_instant_costs_at_most_twenty_milliseconds_of_rows(
+    spring: SpringServo, tmp_path: Path, rate: float
+) -> None:
+    """At every tenth set-point the rows that a killed process would leave are counted."""
+    exchange, lost = spring.exchange, list[int]()
+
+    def counted(command: Command) -> Sample:
+        if spring.armed and len(spring.driven) % 10 == 9:
+            with Recording(tmp_path / "a.h5.part") as recording:
+                lost.append(len(spring.driven) - len(recording))
+        return exchange(command)
+
+    spring.exchange = counted  # type: ignore[method-assign]  # watched
+    run(STAND, profile(1.0), rate=rate, seed=0, output=tmp_path / "a.h5")
+    assert max(lost) / rate <= 0.02
+
+
 def test_a_link_that_fails_in_a_way_its_driver_did_not_foresee_is_the_stands_failure(
     spring: SpringServo, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -212,16 +276,79 @@ def test_the_servo_is_closed_however_a_run_ends(spring: SpringServo, monkeypatch
     assert closed == [False, False, False]
 
 
-@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129), ("SIGQUIT", 131)])
-def test_a_signal_ends_a_run_with_its_own_status_and_the_data_kept(
-    spring: SpringServo, name: str, status: int, capfd: pytest.CaptureFixture[str]
+SIGNALS = (
+    "INT",
+    "TERM",
+    "HUP",
+    "QUIT",
+    "ALRM",
+    "USR1",
+    "USR2",
+    "PWR",
+    "IO",
+    "RTMIN",
+    "RTMAX",
+    "VTALRM",
+    "PROF",
+    "TTOU",
+)
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_a_signal_ramps_the_torque_down_and_ends_a_run_with_its_own_status_and_the_data_kept(
+    spring: SpringServo, name: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    spring.clock.plans = [(101.0, lambda: os.kill(os.getpid(), getattr(signal, name)))]
-    assert record("-o", "a.h5") == status
+    number = getattr(signal, f"SIG{name}")
+    spring.clock.plans = [(101.0, lambda: os.kill(os.getpid(), number))]
+    assert record("-o", "a.h5") == 128 + number
     assert "stopped on request" in capfd.readouterr().out
     assert not spring.armed
     with Recording(Path("a.h5")) as recording:
         assert 80 < len(recording) < 110
+        assert abs(recording.channel("command")[-1]) < 0.002  # a tenth of what the profile asks, or less
+
+
+def test_every_signal_that_ends_a_process_is_taken_and_none_that_does_not() -> None:
+    """Each is sent to a process of its own that handles nothing, and either kills or stops it or does not."""
+    code = "import sys, time; print(flush=True); time.sleep(60)"
+    taken = ending()
+    for number in sorted(signal.valid_signals()):
+        if number in {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGKILL, signal.SIGSTOP}:
+            assert number not in taken
+            continue
+        with subprocess.Popen([sys.executable, "-S", "-E", "-c", code], stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            process.send_signal(number)
+            seen = wait_for(process.pid)
+            process.kill()
+        assert (seen or number in {signal.SIGPIPE, signal.SIGXFSZ}) == (number in taken), number
+
+
+def wait_for(pid: int) -> bool:
+    """Whether the process ends or stops within a moment."""
+    for _ in range(100):
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        if state in "ZT":
+            return True
+        time.sleep(0.002)
+    return False
+
+
+def test_no_stream_of_signals_replaces_the_exit_status(tmp_path: Path) -> None:
+    words = ["record", "--backend", "sim", "--realtime", "--duration", "60", "-o", str(tmp_path / "a.h5")]
+    code = "from hil.cli.app import main; main()"
+    with subprocess.Popen([sys.executable, "-c", code, *words], stdout=subprocess.PIPE) as process:
+        while not (tmp_path / "a.h5.part").exists():
+            time.sleep(0.01)
+        time.sleep(0.5)
+        while process.poll() is None:
+            for number in (signal.SIGTERM, signal.SIGINT, signal.SIGINT):
+                process.send_signal(number)
+                time.sleep(1e-3)
+        assert process.returncode == 128 + signal.SIGTERM
+    with Recording(tmp_path / "a.h5") as recording:
+        assert recording.attributes["end_reason"] == "stopped on request"
 
 
 def test_a_signal_before_the_start_records_nothing(
