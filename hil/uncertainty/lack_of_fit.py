@@ -19,24 +19,17 @@ from numpy.typing import NDArray
 
 from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, Recorded, reading_noise
 from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
+from hil.uncertainty.scores import FEWEST, SHORTEST, Scores
 
 Array = NDArray[np.float64]
 
 FALSE_ALARMS: Final = 0.002
 """Probability that any test calls a model wrong that is right."""
 
-_CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
-_GROSS: Final = 10.0  # the same where the size of an effect is estimated
 _EXACT: Final = 1e-9  # of the torque, below which residuals are rounding
-_FLIPS: Final = 16383  # of the blocks' signs
-_MOST, _FEWEST, _SHORTEST = 64, 16, 25  # blocks, at most and at least; samples of one
-_APART: Final = 8.0  # correlation times of the residuals in a block
 _LIMIT: Final = 20_000  # samples that are looked at
 _DENSE: Final = 40.0  # samples a period that are enough
 _PIECES: Final = 16  # stretches that are taken of longer recordings
-_RIDGES: Final = (1e-4, 1e-2, 1.0)  # of the features' mean power
-_FOLDS: Final = 10
-_DEPENDENT: Final = 1e-6  # of a feature's power, that must be new, for it to be one
 _SHARE: Final = 0.02  # of the residuals' power, below which what is predicted is of no size
 _AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
 _EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
@@ -155,7 +148,7 @@ def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
     """
     if not len(recorded) == len(fitted.residuals) == len(fitted.columns):
         raise ValueError(f"{len(recorded)} samples, {len(fitted.residuals)} residuals, {len(fitted.columns)} rows")
-    if len(recorded) < _FEWEST * _SHORTEST or np.ptp(recorded.deflection) == 0.0:
+    if len(recorded) < FEWEST * SHORTEST or np.ptp(recorded.deflection) == 0.0:
         return None
     fitted = _blanked(fitted)
     if float(np.std(fitted.residuals)) <= _EXACT * float(np.std(recorded.torque)):
@@ -168,29 +161,24 @@ class _Tests:
 
     def __init__(self, recorded: Recorded, fitted: Fitted) -> None:
         self._recorded, self._fitted = recorded, fitted
-        self._basis = _basis(fitted.columns)
         kept = np.ones(len(recorded), dtype=bool) if fitted.kept is None else fitted.kept
         self._kept = kept[:, None]
-        self._scores = _scores(fitted.residuals, self._basis, kept, _CLIPPED)
-        # clipped more, they would make effects too small
-        self._left = _scores(fitted.residuals, self._basis, kept, _GROSS)
+        self._tested = Scores(fitted.residuals, fitted.columns, kept)
         self._model = recorded.torque - fitted.residuals
         at = fitted.coupling
         own = fitted.columns[:, list(at)] if at else np.stack([recorded.deflection, recorded.rate], axis=1)
         self._coupling = own - own.mean(axis=0)  # where an encoder has its zero says nothing
-        self._firsts = _blocks(self._scores)
-        self._signs = np.random.default_rng(0).integers(0, 2, (_FLIPS, len(self._firsts))) * 2.0 - 1.0
 
     def result(self) -> LackOfFit:
         """Do all tests."""
-        features = {name: self._new(values) for name, values in regressors(self._recorded, self._model).items()}
+        features = {name: self._tested.new(values) for name, values in regressors(self._recorded, self._model).items()}
         everything = np.concatenate(list(features.values()), axis=1)
         compared = [self._compared(*cut) for cut in cuts(self._recorded)]
         found = [one for one in compared if one is not None]
-        found += [Respect(code, NAMES[code], self._chance(values)) for code, values in features.items()]
-        found.append(Respect("any", NAMES["any"], self._chance(everything)))
+        found += [Respect(code, NAMES[code], self._tested.chance(values)) for code, values in features.items()]
+        found.append(Respect("any", NAMES["any"], self._tested.chance(everything)))
         respects = _corrected(found)
-        share, predicted = self._predicted(everything)
+        share, predicted = self._tested.predicted(everything)
         suspects = self._suspects(share) if any(one.fails for one in respects) else ()
         sizes = self._sizes(respects, suspects, predicted)
         lags, correlation = self._correlation()
@@ -204,33 +192,8 @@ class _Tests:
             samples=len(self._recorded),
             lags=lags,
             correlation=correlation,
-            plane=mean_over_plane(self._recorded, self._scores),
+            plane=mean_over_plane(self._recorded, self._tested.scores),
         )
-
-    def _new(self, features: Array) -> Array:
-        """What of features (n, k) the model's columns cannot make, each of mean square one, those with nothing new left
-        out.
-        """
-        power = np.einsum("nk,nk->k", features, features)
-        left = self._without_model(features)
-        kept = np.einsum("nk,nk->k", left, left)
-        there = kept > _DEPENDENT * np.maximum(power, np.finfo(float).tiny)
-        return np.asarray(left[:, there] / np.sqrt(kept[there] / len(features)))
-
-    def _without_model(self, features: Array) -> Array:
-        kept = features * self._kept
-        return np.asarray(kept - self._basis @ (self._basis.T @ kept))
-
-    def _chance(self, features: Array) -> float:
-        """The probability that the scores of features (n, k) are so large by chance."""
-        if not features.shape[1]:
-            return 1.0
-        sums = np.add.reduceat(features * self._scores[:, None], self._firsts, axis=0)
-        values, vectors = np.linalg.eigh(features.T @ features)
-        whitened = sums @ (vectors / np.sqrt(values.clip(0.0) + _RIDGES[1] * values.mean()))
-        total = float(np.sum(whitened.sum(axis=0) ** 2))
-        by_chance = np.sum((self._signs @ whitened) ** 2, axis=1)
-        return float((1 + np.count_nonzero(by_chance >= total * (1.0 - 1e-9))) / (1 + _FLIPS))
 
     def _compared(self, code: str, weights: Array | float) -> Respect | None:
         """Compare Kc and Bc of the samples that weights (n,) mark, or of the band below so many Hz, with the rest."""
@@ -239,29 +202,12 @@ class _Tests:
             part = np.stack([self._recorded.smoothed(column, weights) for column in own.T], axis=1)
         else:
             part = own * weights[:, None]
-        left = self._without_model(part)
+        left = self._tested.without_model(part)
         if not (np.linalg.norm(left, axis=0) > 1e-2 * np.linalg.norm(part, axis=0)).all():
             return None
-        differences = np.linalg.lstsq(left, self._left, rcond=None)[0]
+        differences = np.linalg.lstsq(left, self._tested.residuals, rcond=None)[0]
         scale = np.linalg.norm(left, axis=0) / np.sqrt(len(left))
-        return Respect(code, NAMES[code], self._chance(left / scale), *self._relative(np.asarray(differences)))
-
-    def _predicted(self, features: Array) -> tuple[float, float]:
-        """The share of the scores' power that is predicted in blocks not seen, and what that is, N m r.m.s."""
-        fold = np.arange(len(features)) * _FOLDS // len(features)
-        parts = [(features[fold == k], self._scores[fold == k]) for k in range(_FOLDS)]
-        grams = np.array([part.T @ part for part, _ in parts])
-        sums = np.array([part.T @ left for part, left in parts])
-        power, best = float(self._scores @ self._scores), 0.0
-        for ridge in _RIDGES:
-            penalty = ridge * len(features) * np.eye(features.shape[1])
-            weights = np.linalg.solve(grams.sum(axis=0) - grams + penalty, (sums.sum(axis=0) - sums)[:, :, None])
-            gained = sum(
-                2.0 * float(own @ weight) - float(weight @ gram @ weight)
-                for own, weight, gram in zip(sums, weights[:, :, 0], grams, strict=True)
-            )
-            best = max(best, gained / power)
-        return best, float(np.sqrt(best * power / len(features)))
+        return Respect(code, NAMES[code], self._tested.chance(left / scale), *self._relative(np.asarray(differences)))
 
     def _suspects(self, share: float) -> tuple[Suspect, ...]:
         """The effects that explain most of what can be predicted, the best first."""
@@ -273,13 +219,13 @@ class _Tests:
         return tuple(one for at, one in enumerate(ranked) if at == 0 or not one.effect.in_deflection)[:3]
 
     def _suspect(self, effect: Effect) -> Suspect | None:
-        power, best = float(self._left @ self._left), None
+        power, best = float(self._tested.residuals @ self._tested.residuals), None
         for columns in effect.signature(self._recorded, self._model):
-            left = self._without_model(columns)
+            left = self._tested.without_model(columns)
             if not (np.linalg.norm(left, axis=0) > 1e-3 * np.linalg.norm(columns, axis=0)).all():
                 continue
-            factors = np.linalg.lstsq(left, self._left, rcond=None)[0]
-            share = 1.0 - float(np.sum((self._left - left @ factors) ** 2)) / power
+            factors = np.linalg.lstsq(left, self._tested.residuals, rcond=None)[0]
+            share = 1.0 - float(np.sum((self._tested.residuals - left @ factors) ** 2)) / power
             if best is None or share > best.share:
                 best = Suspect(effect, share, *self._moved(effect, (columns * self._kept) @ factors))
         return best
@@ -338,14 +284,14 @@ class _Tests:
     def _correlation(self) -> tuple[Array, Array]:
         """The correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""
         lags = np.linspace(-0.1, 0.3, 41)
-        size = float(np.linalg.norm(self._scores))
+        size = float(np.linalg.norm(self._tested.scores))
         found = [[self._alike(values, lag) / size for values in self._coupling.T] for lag in lags.tolist()]
         return lags, np.array(found)
 
     def _alike(self, values: Array, lag: float) -> float:
         then = self._recorded.delayed(values - values.mean(), lag)
         size = float(np.linalg.norm(then))
-        return float(self._scores @ then) / size if size > 0.0 else 0.0
+        return float(self._tested.scores @ then) / size if size > 0.0 else 0.0
 
 
 def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
@@ -367,13 +313,6 @@ def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
     )
 
 
-def _basis(columns: Array) -> Array:
-    """An orthonormal basis (n, r) of the columns (n, p)."""
-    sizes = np.linalg.norm(columns, axis=0)
-    left, values, _ = np.linalg.svd(columns[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
-    return np.asarray(left[:, values > 1e-9 * values.max(initial=0.0)])
-
-
 def _apart(coupling: Array) -> Array:
     """What each of two columns (n, 2) has that the other has not."""
     first, second = coupling.T
@@ -393,33 +332,6 @@ def _blanked(fitted: Fitted) -> Fitted:
         return fitted
     residuals = np.where(fitted.kept, fitted.residuals, 0.0)
     return replace(fitted, residuals=residuals, columns=np.where(fitted.kept[:, None], fitted.columns, 0.0))
-
-
-def _scores(residuals: Array, basis: Array, kept: NDArray[np.bool_], clipped_at: float) -> Array:
-    """The residuals (n,) N m of Huber's (1964) estimate, beside which outliers count little, clipped, orthogonal to the
-    basis.
-    """
-    left = residuals
-    for _ in range(4):
-        limit = clipped_at * 1.4826 * float(np.median(np.abs(left[kept])))
-        clipped = np.clip(left, -limit, limit)
-        inside = max(0.5, float(np.mean(np.abs(left[kept]) < limit)))
-        left = left - basis @ (basis.T @ clipped) / inside
-    clipped = np.clip(left, -limit, limit)
-    return np.asarray(clipped - basis @ (basis.T @ clipped))
-
-
-def _blocks(scores: Array) -> NDArray[np.int64]:
-    """Where blocks begin that are long beside the time over which the residuals follow each other."""
-    count = len(scores)
-    spectrum = np.abs(np.fft.rfft(scores, 2 * count)) ** 2
-    alike = np.fft.irfft(spectrum)[:count]
-    alike /= alike[0] if alike[0] > 0.0 else 1.0
-    until = int(np.argmax(alike < 0.05)) or 1
-    together = 1.0 + 2.0 * float(alike[1:until].sum())
-    length = int(max(_APART * together, _SHORTEST, count / _MOST))
-    number = max(_FEWEST, min(_MOST, count // length))
-    return (np.arange(number) * count) // number
 
 
 def _corrected(respects: list[Respect]) -> tuple[Respect, ...]:

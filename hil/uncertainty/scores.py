@@ -1,0 +1,116 @@
+"""Scores of features that a model does not have, with their chance by random signs of blocks, and their prediction."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FEWEST: Final = 16
+SHORTEST: Final = 25
+"""Blocks at least, and samples of one at least."""
+
+_CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
+_GROSS: Final = 10.0  # the same where the size of an effect is estimated
+_FLIPS: Final = 16383  # of the blocks' signs
+_MOST: Final = 64  # blocks
+_APART: Final = 8.0  # correlation times of the residuals in a block
+_RIDGES: Final = (1e-4, 1e-2, 1.0)  # of the features' mean power
+_FOLDS: Final = 10
+_DEPENDENT: Final = 1e-6  # of a feature's power, that must be new, for it to be one
+
+
+class Scores:
+    """The residuals of a fit, as features are held against them.
+
+    scores: (n,) N m, the residuals with outliers clipped; residuals: (n,) N m, with gross outliers clipped only, for
+    the sizes of effects. Both are orthogonal to the model's columns, and zero where the model describes nothing.
+    """
+
+    def __init__(self, residuals: Array, columns: Array, kept: NDArray[np.bool_]) -> None:
+        self._basis, self._kept = _basis(columns), kept[:, None]
+        self.scores = _clipped(residuals, self._basis, kept, _CLIPPED)
+        self.residuals = _clipped(residuals, self._basis, kept, _GROSS)
+        self._firsts = _blocks(self.scores)
+        self._signs = np.random.default_rng(0).integers(0, 2, (_FLIPS, len(self._firsts))) * 2.0 - 1.0
+
+    def new(self, features: Array) -> Array:
+        """Return the part of features (n, k) that the model's columns cannot make, each of mean square one.
+
+        Features without such a part are left out.
+        """
+        power = np.einsum("nk,nk->k", features, features)
+        left = self.without_model(features)
+        kept = np.einsum("nk,nk->k", left, left)
+        there = kept > _DEPENDENT * np.maximum(power, np.finfo(float).tiny)
+        return np.asarray(left[:, there] / np.sqrt(kept[there] / len(features)))
+
+    def without_model(self, features: Array) -> Array:
+        """Return features (n, k) without the part that the model's columns can make."""
+        kept = features * self._kept
+        return np.asarray(kept - self._basis @ (self._basis.T @ kept))
+
+    def chance(self, features: Array) -> float:
+        """Return the probability that the scores of features (n, k) are as large by chance."""
+        if not features.shape[1]:
+            return 1.0
+        sums = np.add.reduceat(features * self.scores[:, None], self._firsts, axis=0)
+        values, vectors = np.linalg.eigh(features.T @ features)
+        whitened = sums @ (vectors / np.sqrt(values.clip(0.0) + _RIDGES[1] * values.mean()))
+        total = float(np.sum(whitened.sum(axis=0) ** 2))
+        by_chance = np.sum((self._signs @ whitened) ** 2, axis=1)
+        return float((1 + np.count_nonzero(by_chance >= total * (1.0 - 1e-9))) / (1 + _FLIPS))
+
+    def predicted(self, features: Array) -> tuple[float, float]:
+        """Return the share of the power that is predicted in unseen blocks, 0 to 1, and its size, N m r.m.s."""
+        fold = np.arange(len(features)) * _FOLDS // len(features)
+        parts = [(features[fold == k], self.scores[fold == k]) for k in range(_FOLDS)]
+        grams = np.array([part.T @ part for part, _ in parts])
+        sums = np.array([part.T @ left for part, left in parts])
+        power, best = float(self.scores @ self.scores), 0.0
+        for ridge in _RIDGES:
+            penalty = ridge * len(features) * np.eye(features.shape[1])
+            weights = np.linalg.solve(grams.sum(axis=0) - grams + penalty, (sums.sum(axis=0) - sums)[:, :, None])
+            gained = sum(
+                2.0 * float(own @ weight) - float(weight @ gram @ weight)
+                for own, weight, gram in zip(sums, weights[:, :, 0], grams, strict=True)
+            )
+            best = max(best, gained / power)
+        return best, float(np.sqrt(best * power / len(features)))
+
+
+def _basis(columns: Array) -> Array:
+    """An orthonormal basis (n, r) of the columns (n, p)."""
+    sizes = np.linalg.norm(columns, axis=0)
+    left, values, _ = np.linalg.svd(columns[:, sizes > 0.0] / sizes[sizes > 0.0], full_matrices=False)
+    return np.asarray(left[:, values > 1e-9 * values.max(initial=0.0)])
+
+
+def _clipped(residuals: Array, basis: Array, kept: NDArray[np.bool_], clipped_at: float) -> Array:
+    """The residuals (n,) N m of Huber's (1964) estimate, beside which outliers count little, clipped, orthogonal to the
+    basis.
+    """
+    left = residuals
+    for _ in range(4):
+        limit = clipped_at * 1.4826 * float(np.median(np.abs(left[kept])))
+        clipped = np.clip(left, -limit, limit)
+        inside = max(0.5, float(np.mean(np.abs(left[kept]) < limit)))
+        left = left - basis @ (basis.T @ clipped) / inside
+    clipped = np.clip(left, -limit, limit)
+    return np.asarray(clipped - basis @ (basis.T @ clipped))
+
+
+def _blocks(scores: Array) -> NDArray[np.int64]:
+    """Where blocks begin that are long beside the time over which the residuals follow each other."""
+    count = len(scores)
+    spectrum = np.abs(np.fft.rfft(scores, 2 * count)) ** 2
+    alike = np.fft.irfft(spectrum)[:count]
+    alike /= alike[0] if alike[0] > 0.0 else 1.0
+    until = int(np.argmax(alike < 0.05)) or 1
+    together = 1.0 + 2.0 * float(alike[1:until].sum())
+    length = int(max(_APART * together, SHORTEST, count / _MOST))
+    number = max(FEWEST, min(_MOST, count // length))
+    return (np.arange(number) * count) // number
