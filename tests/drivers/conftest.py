@@ -178,7 +178,7 @@ def new_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: A
 def feetech_rig(model: str = "hls3930m", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
     clock = VirtualClock()
     bus = PacketBus([FeetechDevice(model, baudrate=baudrate, **device)], timing=PacketTiming(), protocol=1)
-    constant = 1.09 if model.startswith("sts") else None
+    constant = {"sts": 1.09, "hls3606m": 0.5}.get(model if model == "hls3606m" else model[:3])
     config = FeetechConfig("loopback", model, baudrate=baudrate, torque_constant=constant)  # type: ignore[arg-type]  # a Literal
     return Rig(bus, clock, Loopback(bus, clock, baudrate), config, FeetechServo)
 
