@@ -1,1 +1,63 @@
-"""hil: record a locked joint, identify the stiffness and damping of its coupling."""
+"""hil: record a locked joint, identify the stiffness and damping of its coupling.
+
+    import hil
+
+    run = hil.simulate("run1.h5")                    # or hil.record("stand.toml", profile="multisine")
+    result = hil.identify(run)
+    print(result, result["Kc"].ci95, result["Kc"].unit)
+    result.report("run1.html")
+
+SI everywhere. Arguments have the names, the defaults and the meaning of the command line's options. A function raises
+`WrongUse` where what is asked cannot be done, `Untrustworthy` where no result can be drawn from the data, and
+`drivers.servo.DriverError` where a drive fails. What is imported here is loaded at its first use.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hil.api.analysis import ComparisonResult, IdentificationResult, NoResult, compare, identify
+    from hil.api.planning import DesignResult, design
+    from hil.api.recordings import LoadedRecording, load
+    from hil.api.runs import Run, record, simulate
+    from hil.errors import Untrustworthy, WrongUse
+
+__all__ = [
+    "ComparisonResult",
+    "DesignResult",
+    "IdentificationResult",
+    "LoadedRecording",
+    "NoResult",
+    "Run",
+    "Untrustworthy",
+    "WrongUse",
+    "compare",
+    "design",
+    "identify",
+    "load",
+    "record",
+    "simulate",
+]
+
+_PLACES = {
+    "hil.api.analysis": ("ComparisonResult", "IdentificationResult", "NoResult", "compare", "identify"),
+    "hil.api.planning": ("DesignResult", "design"),
+    "hil.api.recordings": ("LoadedRecording", "load"),
+    "hil.api.runs": ("Run", "record", "simulate"),
+    "hil.errors": ("Untrustworthy", "WrongUse"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Return a public name from its module, loaded at this moment: `import hil` alone costs next to nothing."""
+    for module, names in _PLACES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module 'hil' has no attribute {name!r}; it has {', '.join(__all__)}")
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for completion."""
+    return __all__

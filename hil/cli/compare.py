@@ -9,6 +9,7 @@ import typer
 
 from hil.cli import options
 from hil.cli.progress import progress
+from hil.cli.report import check_report
 from hil.cli.terminal import UNTRUSTWORTHY, out, out_table, print_diagnostics, print_json, say
 
 
@@ -23,27 +24,19 @@ def compare(
     as_json: options.Json = False,
 ) -> None:
     """Check whether Kc and Bc repeat from recording to recording, and whether they drift."""
-    from hil.identification import compare as engine
-    from hil.identification.identify import Search
-    from hil.recording.output import check_output
-    from hil.report.comparison import as_json as to_json
-    from hil.report.comparison import comparison_table, write_page
-    from hil.report.page import page_files
+    from hil.api import analysis
+    from hil.report.comparison import comparison_table
 
-    if report is not None:
-        for path in page_files(report):
-            check_output(path, force=force, inputs=recordings)
-    search = Search(trials=trials, seed=seed, workers=workers)
+    check_report(report, recordings, force=force)
     with progress() as show:
-        found = engine.compare(recordings, options.model_of(model), search, show)
+        found = analysis.compare(recordings, model, trials=trials, seed=seed, workers=workers, progress=show)
     if as_json:
-        print_json(to_json(found))
+        print_json(found.as_json())
     else:
-        for parameter in found.parameters:
-            out(parameter.verdict)
-        out_table(comparison_table(found))
+        out(str(found))
+        out_table(comparison_table(found.comparison))
     if report is not None:
-        for path in write_page(found, report):
+        for path in found.report(report):
             say(f"wrote {path}")
     print_diagnostics(found.diagnostics)
     if not found.trustworthy:

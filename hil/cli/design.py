@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from typing import Annotated
 
 import typer
@@ -37,38 +36,29 @@ def design(
     as_json: options.Json = False,
 ) -> None:
     """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest ones."""
-    from hil.acquisition.excitation import make
-    from hil.experiment_design import advice
-    from hil.experiment_design.assessment import assess, check_limits, task_of
-    from hil.experiment_design.search import best
-    from hil.report.design import as_json as to_json
-    from hil.report.design import design_lines, error_table, headline, limit_table
+    from hil.api import planning
+    from hil.report.design import design_lines, error_table, limit_table
 
-    opened = options.stand_of(backend, stand)
-    made = make(
+    found = planning.design(
+        options.stand_of(backend, stand),
         profile,
-        mode,
+        kc=kc,
+        bc=bc,
+        torque_noise=torque_noise,
         amplitude=amplitude,
-        default_amplitude=options.limit_of(opened, mode) / 5.0,
-        duration=duration,
         band=options.band_of(band),
-        rate=options.checked_rate(rate),
-        seed=options.DEFAULT_SEED,
+        duration=duration,
+        rate=rate,
+        mode=mode,
         setpoints=setpoints,
+        model=model,
     )
-    task = task_of(opened, kc=kc, bc=bc, torque_noise=torque_noise, model=model, mode=mode, rate=rate)
-    given = assess(task, made)
-    check_limits(task, given)
-    judged = {"given": given, "best": best(task, made.duration)}
-    words = "--backend sim" if stand is None else f"--stand {shlex.quote(str(stand))}"
-    stated = torque_noise is not None or opened.stand.backend == "sim" or "[sim.sensors]" in opened.text
-    general = advice.of_task(task, noise_stated=stated)
     if as_json:
-        print_json(to_json(task, judged, general, words))
+        print_json(found.as_json())
     else:
-        out(headline(judged))
-        out_table(error_table(task, judged))
-        out_table(limit_table(task, judged))
-        for line in design_lines(task, judged, words):
+        out(str(found))
+        out_table(error_table(found.task, found.judged))
+        out_table(limit_table(found.task, found.judged))
+        for line in design_lines(found.task, found.judged, found.stand):
             out(line)
-    print_diagnostics([*general, *(warning for one in judged.values() for warning in advice.of_profile(task, one))])
+    print_diagnostics(found.diagnostics)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ga.model.terms import MEANINGS, SYNTAX
 from hil.cli import options
 from hil.cli.progress import progress
+from hil.cli.report import check_report
 from hil.cli.terminal import (
     UNTRUSTWORTHY,
     exit_interrupted,
@@ -19,11 +22,10 @@ from hil.cli.terminal import (
     print_json,
     say,
 )
-from hil.errors import Untrustworthy, WrongUse
+from hil.errors import WrongUse
 
 if TYPE_CHECKING:
-    from ga.evolution.evolution import Settings
-    from hil.identification.identify import Search
+    from hil.api.analysis import IdentificationResult
     from hil.identification.result import Identification
 
 
@@ -61,67 +63,56 @@ def identify(
     verbose: Annotated[bool, typer.Option("--verbose", help="Also show the optimiser's repeatability.")] = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
-    from hil.identification.identify import Search
-    from hil.recording.output import check_output
-    from hil.report.page import page_files
+    from hil.api.analysis import identify as identify_recordings
 
-    if report is not None:
-        for path in page_files(report):
-            check_output(path, force=force, inputs=recordings)
-    # bounds and checkpoints belong to one model, and a fixture is subtracted from apparent stiffness and damping
-    fixed = preset == "paper" or bool(bounds) or checkpoint is not None or fixture is not None
+    check_report(report, recordings, force=force)
     readings = {"selection": selection, "weights": weights, "replacement": replacement}
-    sizes = {"generations": generations, "population": population, "mutation": mutation}
-    search = Search(
-        preset=preset,
-        settings=_settings(preset, {name: value for name, value in (readings | sizes).items() if value is not None}),
-        trials=trials,
-        seed=seed,
-        workers=workers,
-        bounds=dict(_bounds(text) for text in bounds or ()),
-        checkpoint=checkpoint,
-    )
-    found = _identified(recordings, model or ("linear" if fixed else "auto"), search, fixture, as_json=as_json)
+    with _failure_published(as_json=as_json), progress() as show:
+        found = identify_recordings(
+            recordings,
+            model,
+            preset=preset,
+            trials=trials,
+            generations=generations,
+            population=population,
+            mutation=mutation,
+            **readings,
+            bounds=dict(_bounds(text) for text in bounds or ()),
+            seed=seed,
+            workers=workers,
+            checkpoint=checkpoint,
+            fixture=fixture,
+            progress=show,
+        )
     _publish(found, report, as_json=as_json, verbose=verbose)
-    if found.trials.interrupted:
+    if found.interrupted:
         exit_interrupted(checkpoint)
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)
 
 
-def _publish(found: Identification, report: Path | None, *, as_json: bool, verbose: bool) -> None:
-    from hil.report.identification import as_json as to_json
-    from hil.report.page import write_page
+@contextmanager
+def _failure_published(*, as_json: bool) -> Iterator[None]:
+    """Print the JSON object that says why, where nothing could be identified."""
+    from hil.api.analysis import NoResult
 
+    try:
+        yield
+    except NoResult as failure:
+        if as_json:
+            print_json(failure.as_json())
+        raise
+
+
+def _publish(found: IdentificationResult, report: Path | None, *, as_json: bool, verbose: bool) -> None:
     if as_json:
-        print_json(to_json(found))
+        print_json(found.as_json())
     else:
-        _show(found, verbose=verbose)
+        _show(found.identification, verbose=verbose)
     if report is not None:
-        for path in write_page(found, report):
+        for path in found.report(report):
             say(f"wrote {path}")
     print_diagnostics(found.diagnostics)
-
-
-def _identified(
-    recordings: list[Path], model: str, search: Search, fixture: Path | None, *, as_json: bool
-) -> Identification:
-    """Search with a progress bar. Raises Untrustworthy, after the JSON object that says why."""
-    from hil.identification.fixture import identify_without_fixture
-    from hil.identification.identify import identify as identify_recordings
-    from hil.report.identification import unusable_json
-
-    chosen = options.model_of(model)
-    try:
-        with progress() as show:
-            if fixture is None:
-                return identify_recordings(recordings, chosen, search, show)
-            return identify_without_fixture(recordings, fixture, chosen, search, show)
-    except Untrustworthy as error:
-        if as_json:
-            name = model if chosen is None else chosen.name
-            print_json(unusable_json(recordings, name, search.preset, search.seed, str(error)))
-        raise
 
 
 def _show(found: Identification, *, verbose: bool) -> None:
@@ -156,19 +147,6 @@ def _show_dynamic_stiffness(found: Identification) -> None:
     out_table(dynamic_stiffness_table(found.dynamic_stiffness, factor, stiffness, damping))
     for line in distortion_lines(found.dynamic_stiffness):
         out(line)
-
-
-def _settings(preset: str, given: dict[str, Any]) -> Settings:
-    from dataclasses import replace
-
-    from ga.evolution.evolution import PRESETS
-
-    if preset not in PRESETS:
-        raise WrongUse(f"unknown --preset {preset!r}: known are {', '.join(PRESETS)}")
-    try:
-        return replace(PRESETS[preset], **given)
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
 
 
 def _bounds(text: str) -> tuple[str, tuple[float, float]]:

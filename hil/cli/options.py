@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from drivers.servo import Quantity
 from hil.errors import WrongUse
-
-if TYPE_CHECKING:
-    from hil.identification.model_choice import Coupling
-    from hil.stand.file import Stand
 
 DEFAULT_SEED = 0
 """The seed of every command that is given none."""
@@ -42,52 +38,19 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite existing files."
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, the rest on standard error.")]
 
 
-def stand_of(backend: str | None, path: Path | None) -> Stand:
-    """Return the stand that --backend or --stand names. Raises WrongUse."""
+def stand_of(backend: str | None, path: Path | None) -> str | Path:
+    """Return the stand file, or "sim", as --backend or --stand names it. Raises WrongUse."""
     from hil.stand.devices import check_backend
-    from hil.stand.file import SIMULATED, load, parse
 
     if path is not None and backend is not None:
         raise WrongUse("give --backend or --stand, not both: a stand file names its own backend")
     if path is not None:
-        return load(path)
+        return path
     if backend is None:
         raise WrongUse("which stand? --backend sim for the simulated one, --stand stand.toml for your own")
     if check_backend(backend) != "sim":
         raise WrongUse(f"backend {backend!r} needs a stand file, with its limits and its port: --stand stand.toml")
-    return parse(SIMULATED)
-
-
-def checked_rate(rate: float) -> float:
-    """Return `rate`, Hz. Raises WrongUse where no drive could be asked so often or so rarely."""
-    if not 20.0 <= rate <= 10_000.0:
-        raise WrongUse(
-            f"--rate {rate:g}: it must lie between 20 and 10000 Hz; a drive that is asked less often assumes that its "
-            "host is dead and turns the torque off"
-        )
-    return rate
-
-
-def limit_of(stand: Stand, mode: Quantity) -> float:
-    """Return the stand's limit on what is commanded, N m or rad at the joint. Raises WrongUse where it sets none."""
-    limits = stand.checked_limits()
-    return limits.torque if mode is Quantity.TORQUE else limits.deflection
-
-
-def model_of(name: str) -> Coupling | None:
-    """Return the coupling model of that name, None for model selection ("auto"). Raises WrongUse."""
-    from ga.model.coupling import parse
-
-    if name == "auto":
-        return None
-    if ".py:" in name:
-        from hil.identification.user_model import load
-
-        return load(name)
-    try:
-        return parse(name)
-    except ValueError as error:
-        raise WrongUse(f"--model {name!r}: {error}") from None
+    return backend
 
 
 def band_of(text: str | None) -> tuple[float, float] | None:

@@ -11,6 +11,7 @@ from hil.report.formatting import diagnostics_json, json_number, people_unit, pl
 from hil.report.page import page_files, save_picture, write_html
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.table import Table
 
 SCHEMA = "hil-comparison/2"
@@ -100,7 +101,7 @@ def _pooled_rows(found: Comparison) -> list[list[str]]:
 def write_page(found: Comparison, path: Path) -> list[Path]:
     """Write the page to `path` and its picture beside it; return both. Raises WrongUse."""
     path, picture = page_files(path)
-    draw(found, picture)
+    save_picture(figure(found), picture)
     rows = [_headings(found), *_recording_rows(found), *_pooled_rows(found)]
     verdicts = [parameter.verdict for parameter in found.parameters]
     write_html(
@@ -138,15 +139,12 @@ def _together(found: Comparison, one: Repeated) -> list[str]:
     return [value, f"{first} to {last}", *components, slope]
 
 
-def draw(found: Comparison, path: Path) -> None:
-    """Write a PNG: each parameter over the recordings with its interval, and the pooled interval behind them.
-
-    Raises WrongUse where the file cannot be written.
-    """
+def figure(found: Comparison) -> Figure:
+    """Return the picture: each parameter over the recordings with its interval, and the pooled interval behind them."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8, 6), layout="constrained")
-    panels = figure.subplots(len(COMPARED), 1, sharex=True)
+    drawn = Figure(figsize=(8, 6), layout="constrained")
+    panels = drawn.subplots(len(COMPARED), 1, sharex=True)
     for panel, parameter in zip(panels, found.parameters, strict=True):
         factor, unit = _scale(found, parameter.unit)
         shown = [
@@ -164,4 +162,4 @@ def draw(found: Comparison, path: Path) -> None:
         panel.set(ylabel=f"{parameter.name} [{unit}]")
         panel.grid(visible=True, lw=0.3)
     panels[-1].set_xticks(range(len(found.recordings)), [one.path.stem for one in found.recordings], rotation=30)
-    save_picture(figure, path)
+    return drawn

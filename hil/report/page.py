@@ -43,7 +43,7 @@ def page_files(path: Path) -> tuple[Path, Path]:
 def write_page(found: Identification, path: Path) -> list[Path]:
     """Write the page to `path` and its picture beside it; return both. Raises WrongUse."""
     path, picture = page_files(path)
-    draw(found, picture)
+    save_picture(figure(found), picture)
     heading = ", ".join(str(recording) for recording in found.recordings)
     lines = identification_lines(found)
     write_html(
@@ -89,11 +89,10 @@ def _rows(found: Identification) -> Iterator[Sequence[str]]:
         yield estimate.name, value, interval, unit, "yes" if estimate.identifiable else "no"
 
 
-def draw(found: Identification, path: Path) -> None:
-    """Write a PNG: torque and model over time, the residuals, the loop of torque against deflection, the test whether
-    the model describes the recording, and the stiffness without a model.
+def figure(found: Identification) -> Figure:
+    """Return the picture: torque and model over time, residuals, the loop, the test of the model, dynamic stiffness.
 
-    A line ends where a recording ends, or a gap begins. Raises WrongUse where the file cannot be written.
+    A line ends where a recording ends, or a gap begins.
     """
     from matplotlib.figure import Figure
 
@@ -103,8 +102,8 @@ def draw(found: Identification, path: Path) -> None:
         _broken(values, motion.starts)
         for values in (motion.time, torque * factor, model * factor, (torque - model) * factor, motion.dtheta)
     )
-    figure = Figure(figsize=(10, 9), layout="constrained")
-    panels = figure.subplot_mosaic(
+    drawn = Figure(figsize=(10, 9), layout="constrained")
+    panels = drawn.subplot_mosaic(
         [
             ["torque", "torque", "loop"],
             ["residuals", "residuals", "loop"],
@@ -126,7 +125,7 @@ def draw(found: Identification, path: Path) -> None:
     draw_dynamic_stiffness(found.dynamic_stiffness, panels["dynamic"], factor, f"{unit}/rad")
     for name in ("torque", "residuals", "loop", "correlation", "dynamic"):
         panels[name].grid(visible=True, lw=0.3)
-    save_picture(figure, path)
+    return drawn
 
 
 def save_picture(figure: Figure, path: Path) -> None:

@@ -18,7 +18,7 @@ from hil.errors import WrongUse
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification
 from hil.report.identification import as_json, estimates_table, headline, repeatability_table, upgraded
-from hil.report.page import draw, page_files, write_page
+from hil.report.page import figure, page_files, write_page
 
 from ..conftest import Maker
 
@@ -54,25 +54,9 @@ def test_a_page_says_value_interval_and_unit_as_they_were_found(
     assert float(rows[0][1]) == pytest.approx(kc * factor, rel=0.02)
 
 
-def figure_of(result: Identification, path: Path, monkeypatch: pytest.MonkeyPatch) -> Figure:
-    drawn: list[Figure] = []
-    save = Figure.savefig
-
-    def keep(figure: Figure, *words: Any, **settings: Any) -> None:
-        drawn.append(figure)
-        save(figure, *words, **settings)
-
-    monkeypatch.setattr(Figure, "savefig", keep)
-    draw(result, path)
-    return drawn[0]
-
-
-def test_the_picture_shows_the_torque_the_model_and_the_residuals(
-    make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_picture_shows_the_torque_the_model_and_the_residuals(make_recording: Maker) -> None:
     result = found(make_recording(noise=2e-4))
-    axes = figure_of(result, tmp_path / "a.png", monkeypatch).axes
-    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    axes = figure(result).axes
     signals = result.signals
     model = result["Kc"].value * signals.motion.dtheta + result["Bc"].value * signals.motion.dtheta_dot
     lines = [(panel.get_xlabel(), [np.asarray(line.get_xydata()) for line in panel.get_lines()]) for panel in axes]
@@ -88,13 +72,11 @@ def test_the_picture_shows_the_torque_the_model_and_the_residuals(
         np.testing.assert_allclose(shown, np.column_stack([x, y * 1e3]), atol=1e-12)
 
 
-def test_pooled_recordings_are_not_joined_by_a_line(
-    make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pooled_recordings_are_not_joined_by_a_line(make_recording: Maker) -> None:
     search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
     paths = [make_recording(f"{seed}.h5", noise=2e-4, seed=seed) for seed in range(3)]
     result = identify(paths, parse("linear"), search)
-    for panel in figure_of(result, tmp_path / "a.png", monkeypatch).axes[:3]:  # those over time, and the loop
+    for panel in figure(result).axes[:3]:  # those over time, and the loop
         for line in panel.get_lines():
             breaks = np.flatnonzero(np.isnan(np.asarray(line.get_xydata())).any(axis=1))
             np.testing.assert_array_equal(breaks, np.add(result.signals.motion.starts[1:], [0, 1]))
@@ -137,11 +119,9 @@ def test_a_json_object_of_this_version_is_read_as_it_is_and_one_of_another_refus
             upgraded(table | {"schema": schema})
 
 
-def test_the_pictures_title_has_the_value_and_half_the_interval(
-    make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_pictures_title_has_the_value_and_half_the_interval(make_recording: Maker) -> None:
     result = found(make_recording(noise=2e-4))
-    titles = [axes.get_title() for axes in figure_of(result, tmp_path / "a.png", monkeypatch).axes]
+    titles = [axes.get_title() for axes in figure(result).axes]
     match = re.fullmatch(r"Kc = (\S+) ± (\S+) mN m/rad,  Bc = (\S+) ± (\S+) mN m s/rad", next(filter(None, titles)))
     assert match is not None
     for index, name in enumerate(("Kc", "Bc")):

@@ -1,0 +1,250 @@
+"""Recordings to Kc and Bc, and recordings beside each other: the functions and the results that they return."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from ga.evolution.evolution import PRESETS, Settings
+from ga.model.coupling import parse
+from hil.diagnostics import Diagnostic
+from hil.errors import Untrustworthy, WrongUse
+from hil.identification import compare as comparison
+from hil.identification import user_model
+from hil.identification.compare import Comparison, Repeated
+from hil.identification.fixture import identify_without_fixture
+from hil.identification.identify import Search
+from hil.identification.identify import identify as identify_recordings
+from hil.identification.model_choice import Coupling
+from hil.identification.result import Estimate, Identification
+from hil.report import comparison as comparison_report
+from hil.report import identification as identification_report
+from hil.report import page
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hil.uncertainty.dynamic_stiffness import DynamicStiffness
+
+AnyPath = str | os.PathLike[str]
+Progress = Callable[[str, float], None]
+"""Is called with the phase of the work and the share of it that is done, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class IdentificationResult:
+    """Kc, Bc and the other parameters of the model; `str()` is the answer in one line, `result["Kc"]` one parameter.
+
+    identification: all numbers and signals behind it.
+    """
+
+    identification: Identification
+
+    def __getitem__(self, name: str) -> Estimate:
+        try:
+            return self.parameters[name]
+        except KeyError:
+            raise KeyError(f"no parameter {name!r}; the model has {', '.join(self.parameters)}") from None
+
+    def __str__(self) -> str:
+        return identification_report.headline(self.identification)
+
+    def __repr__(self) -> str:
+        return f"<{self}; {self.model}>"
+
+    @property
+    def parameters(self) -> Mapping[str, Estimate]:
+        """The parameters by name, each with its value, unit and 95 % interval, SI."""
+        return MappingProxyType({estimate.name: estimate for estimate in self.identification.estimates})
+
+    @property
+    def model(self) -> str:
+        """The model, its terms joined with +."""
+        return self.identification.model.name
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """The warnings and errors, each with its remedy."""
+        return self.identification.diagnostics
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether there is no error among the diagnostics."""
+        return self.identification.trustworthy
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended the search, whose result so far this is."""
+        return self.identification.trials.interrupted
+
+    @property
+    def dynamic_stiffness(self) -> DynamicStiffness | None:
+        """Stiffness and damping over frequency, without a model; None where the recording is too short."""
+        return self.identification.dynamic_stiffness
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `hil identify --json`."""
+        return identification_report.as_json(self.identification)
+
+    def plot(self) -> Figure:
+        """Return a picture: the torque with its model, the residuals, the loop and the diagnostic checks."""
+        return page.figure(self.identification)
+
+    def report(self, path: AnyPath) -> list[Path]:
+        """Write the report to `path`, in place of one that is there, and return what was written. Raises WrongUse."""
+        return page.write_page(self.identification, Path(path))
+
+
+class NoResult(Untrustworthy):
+    """Recordings from which nothing could be identified; the message says why."""
+
+    def __init__(self, reason: str, recordings: Sequence[Path], model: str, preset: str, seed: int) -> None:
+        super().__init__(reason)
+        self.recordings, self.model, self.preset, self.seed = tuple(recordings), model, preset, seed
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `hil identify --json`, whose values are null."""
+        return identification_report.unusable_json(self.recordings, self.model, self.preset, self.seed, str(self))
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonResult:
+    """Kc and Bc of several recordings beside each other; `str()` is the verdict.
+
+    comparison: all numbers behind it.
+    """
+
+    comparison: Comparison
+
+    def __getitem__(self, name: str) -> Repeated:
+        return next(parameter for parameter in self.comparison.parameters if parameter.name == name)
+
+    def __str__(self) -> str:
+        return "\n".join(parameter.verdict for parameter in self.comparison.parameters)
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """The warnings and errors, each with its remedy."""
+        return self.comparison.diagnostics
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether there is no error among the diagnostics."""
+        return self.comparison.trustworthy
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `hil compare --json`."""
+        return comparison_report.as_json(self.comparison)
+
+    def plot(self) -> Figure:
+        """Return a picture: each parameter over the recordings with its interval, and the pooled interval."""
+        return comparison_report.figure(self.comparison)
+
+    def report(self, path: AnyPath) -> list[Path]:
+        """Write the report to `path`, in place of one that is there, and return what was written. Raises WrongUse."""
+        return comparison_report.write_page(self.comparison, Path(path))
+
+
+def identify(
+    recordings: AnyPath | Sequence[AnyPath],
+    model: str | Coupling | None = None,
+    *,
+    preset: str = "default",
+    trials: int | None = None,
+    generations: int | None = None,
+    population: int | None = None,
+    mutation: float | None = None,
+    selection: str | None = None,
+    weights: str | None = None,
+    replacement: str | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    checkpoint: AnyPath | None = None,
+    fixture: AnyPath | None = None,
+    progress: Progress | None = None,
+) -> IdentificationResult:
+    """Find the stiffness Kc and damping Bc of the coupling in one or more recordings, pooled.
+
+    model: "auto" (model selection), terms such as "linear+offset", "FILE.py:NAME", or a model; None: "auto", and
+    "linear" where preset, bounds, checkpoint or fixture belong to one model. preset: "default" or "paper". trials:
+    independent searches. generations to replacement: of the genetic algorithm, None: the preset's (docs/paper.md).
+    bounds: SI, by parameter. workers: threads, None: all cores. checkpoint: a file that keeps the state of the search;
+    where it exists, the search continues. fixture: a recording of the empty rig, whose compliance is removed.
+
+    Ctrl-C ends the search, and what it found so far is returned. Raises WrongUse, and NoResult where the recordings
+    cannot be used at all; lesser doubts are in the diagnostics.
+    """
+    # bounds and checkpoints belong to one model, and a fixture is subtracted from apparent stiffness and damping
+    fixed = preset == "paper" or bool(bounds) or checkpoint is not None or fixture is not None
+    chosen = coupling_of(model or ("linear" if fixed else "auto"))
+    readings = {"selection": selection, "weights": weights, "replacement": replacement}
+    sizes = {"generations": generations, "population": population, "mutation": mutation}
+    search = Search(
+        preset=preset,
+        settings=_settings(preset, {name: value for name, value in (readings | sizes).items() if value is not None}),
+        trials=trials,
+        seed=seed,
+        workers=workers or os.cpu_count() or 1,
+        bounds=bounds or {},
+        checkpoint=None if checkpoint is None else Path(checkpoint),
+    )
+    paths = _paths(recordings)
+    try:
+        if fixture is None:
+            return IdentificationResult(identify_recordings(paths, chosen, search, progress))
+        return IdentificationResult(identify_without_fixture(paths, Path(fixture), chosen, search, progress))
+    except Untrustworthy as error:
+        name = "auto" if chosen is None else chosen.name
+        raise NoResult(str(error), paths, name, preset, seed) from error
+
+
+def compare(
+    recordings: Sequence[AnyPath],
+    model: str | Coupling = "auto",
+    *,
+    trials: int | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> ComparisonResult:
+    """Identify each recording on its own, and test whether Kc and Bc repeat and whether they drift.
+
+    The arguments: as `identify`. A recording that cannot be used is left out with a warning. Raises WrongUse for fewer
+    than two recordings, for different stands and for the same run twice.
+    """
+    search = Search(trials=trials, seed=seed, workers=workers or os.cpu_count() or 1)
+    return ComparisonResult(comparison.compare(_paths(recordings), coupling_of(model), search, progress))
+
+
+def coupling_of(model: str | Coupling) -> Coupling | None:
+    """Return the coupling model of that name, None for model selection ("auto"). Raises WrongUse."""
+    if not isinstance(model, str):
+        return model
+    if model == "auto":
+        return None
+    if ".py:" in model:
+        return user_model.load(model)
+    try:
+        return parse(model)
+    except ValueError as error:
+        raise WrongUse(f"--model {model!r}: {error}") from None
+
+
+def _paths(recordings: AnyPath | Sequence[AnyPath]) -> list[Path]:
+    if isinstance(recordings, str | os.PathLike):
+        return [Path(recordings)]
+    return [Path(recording) for recording in recordings]
+
+
+def _settings(preset: str, given: dict[str, Any]) -> Settings:
+    if preset not in PRESETS:
+        raise WrongUse(f"unknown --preset {preset!r}: known are {', '.join(PRESETS)}")
+    try:
+        return replace(PRESETS[preset], **given)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None

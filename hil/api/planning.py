@@ -1,0 +1,94 @@
+"""The design of an experiment: the errors of Kc and Bc that an excitation promises, and the best excitation."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.servo import Quantity
+from hil.api.runs import DEFAULT_RATE, AnyStand, excitation, opened_stand, quantity_of
+from hil.diagnostics import Diagnostic
+from hil.experiment_design import advice
+from hil.experiment_design.assessment import Assessment, Task, assess, check_limits, task_of
+from hil.experiment_design.search import best
+from hil.report.design import as_json, headline
+from hil.stand.file import Stand
+
+
+@dataclass(frozen=True, slots=True)
+class DesignResult:
+    """The predicted errors of two excitations; `str()` is the answer in one line.
+
+    task: the joint, its sensors and limits. judged: the excitation that was asked for, as "given", and the one with the
+    smallest errors, as "best". stand: the option that names the stand in a command. general: the warnings that hold for
+    every excitation.
+    """
+
+    task: Task
+    judged: Mapping[str, Assessment]
+    stand: str
+    general: tuple[Diagnostic, ...]
+
+    def __str__(self) -> str:
+        return headline(self.judged)
+
+    @property
+    def given(self) -> Assessment:
+        """The excitation that was asked for."""
+        return self.judged["given"]
+
+    @property
+    def best(self) -> Assessment:
+        """The excitation with the smallest errors."""
+        return self.judged["best"]
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """All warnings, those of each excitation last."""
+        own = (warning for one in self.judged.values() for warning in advice.of_profile(self.task, one))
+        return (*self.general, *own)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `hil design --json`."""
+        return as_json(self.task, self.judged, list(self.general), self.stand)
+
+
+def design(
+    stand: AnyStand,
+    profile: str = "chirp",
+    *,
+    kc: float | None = None,
+    bc: float | None = None,
+    torque_noise: float | None = None,
+    amplitude: float | None = None,
+    band: tuple[float, float] | None = None,
+    duration: float | None = None,
+    rate: float = DEFAULT_RATE,
+    mode: Quantity | str = Quantity.TORQUE,
+    setpoints: str | os.PathLike[str] | None = None,
+    model: str = "auto",
+) -> DesignResult:
+    """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest ones.
+
+    kc N m/rad and bc N m s/rad: rough values, and torque_noise, N m at the joint, one standard deviation; None: the
+    simulator's. model: terms to estimate, or "auto": all that model selection considers. The others: as `hil.record`.
+    Nothing moves. Raises WrongUse, also where the excitation would exceed a limit of the stand.
+    """
+    opened, quantity = opened_stand(stand), quantity_of(mode)
+    made = excitation(opened, profile, quantity, (amplitude, band, duration), rate=rate, setpoints=setpoints)
+    task = task_of(opened, kc=kc, bc=bc, torque_noise=torque_noise, model=model, mode=quantity, rate=rate)
+    given = assess(task, made)
+    check_limits(task, given)
+    stated = torque_noise is not None or opened.stand.backend == "sim" or "[sim.sensors]" in opened.text
+    judged = {"given": given, "best": best(task, made.duration)}
+    return DesignResult(task, judged, _words(stand), tuple(advice.of_task(task, noise_stated=stated)))
+
+
+def _words(stand: AnyStand) -> str:
+    """Return the option that names the stand in a command."""
+    if stand == "sim":
+        return "--backend sim"
+    return f"--stand {'stand.toml' if isinstance(stand, Stand) else shlex.quote(str(stand))}"

@@ -1,0 +1,113 @@
+"""A recording in memory: its channels as arrays with units, as pandas or xarray hold them, and as a picture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+from hil.recording.channels import CHANNELS
+from hil.recording.reader import Event, Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedRecording:
+    """A recording, finished or not; `len()` is its samples and `recording["torque"]` one channel, (n,) in SI.
+
+    channels, units, descriptions: by the names of `hil.recording.channels`; a missing reading is NaN. profile: the
+    excitation. attributes: of the file's root, such as created and stand_toml. events: of the run, in order. truth: the
+    simulator's own parameters, SI, {} for a real stand. complete: whether the run ended as planned.
+    """
+
+    path: Path
+    channels: Mapping[str, Array]
+    units: Mapping[str, str]
+    descriptions: Mapping[str, str]
+    profile: Mapping[str, Any]
+    attributes: Mapping[str, Any]
+    events: tuple[Event, ...]
+    truth: Mapping[str, float]
+    complete: bool
+
+    def __getitem__(self, name: str) -> Array:
+        try:
+            return self.channels[name]
+        except KeyError:
+            raise KeyError(f"no channel {name!r}; there are {', '.join(self.channels)}") from None
+
+    def __len__(self) -> int:
+        return len(self.channels["time"])
+
+    def __repr__(self) -> str:
+        return f"<recording {self.path}: {len(self)} samples, {self.profile.get('kind', 'unknown')}>"
+
+    def to_pandas(self) -> Any:
+        """Return a pandas.DataFrame over time, s, a column a channel; `attrs["units"]` has the units.
+
+        Raises WrongUse where pandas is not installed.
+        """
+        columns = {name: values for name, values in self.channels.items() if name != "time"}
+        pandas = _optional("pandas")
+        frame = pandas.DataFrame(columns, index=pandas.Index(self["time"], name="time"))
+        frame.attrs["units"] = dict(self.units)
+        return frame
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over time, s; each variable has its unit and description in `attrs`.
+
+        Raises WrongUse where xarray is not installed.
+        """
+        variables = {
+            name: ("time", values, {"units": self.units[name], "long_name": self.descriptions[name]})
+            for name, values in self.channels.items()
+        }
+        time = {"time": variables.pop("time")}
+        attributes = {name: self.attributes[name] for name in ("uid", "created", "schema") if name in self.attributes}
+        return _optional("xarray").Dataset(variables, time, attributes)
+
+    def plot(self) -> Figure:
+        """Return a picture: command, torque and deflection over time, and torque against deflection."""
+        from hil.report.pictures import recording_figure
+
+        return recording_figure(self.path.name, self.channels, self.units)
+
+
+def load(path: str | os.PathLike[str]) -> LoadedRecording:
+    """Return a recording with all its channels in memory.
+
+    Raises WrongUse for a file that is no recording, Untrustworthy for a damaged one.
+    """
+    with Recording(Path(path)) as recording:
+        position = recording.profile.get("mode") == "position"
+        units = {name: channel.unit for name, channel in CHANNELS.items()}
+        return LoadedRecording(
+            path=recording.path,
+            channels=MappingProxyType({name: recording.channel(name) for name in CHANNELS}),
+            units=MappingProxyType(units | {"command": "rad" if position else "N*m"}),
+            descriptions=MappingProxyType({name: channel.description for name, channel in CHANNELS.items()}),
+            profile=MappingProxyType(recording.profile),
+            attributes=MappingProxyType(recording.attributes),
+            events=tuple(recording.events()),
+            truth=MappingProxyType(recording.truth()),
+            complete=recording.complete,
+        )
+
+
+def _optional(package: str) -> Any:
+    try:
+        return import_module(package)
+    except ImportError:
+        raise WrongUse(f"{package} is not installed, and this needs it: pip install {package}") from None

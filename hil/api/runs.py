@@ -1,0 +1,277 @@
+"""One run on a stand, real or simulated: the excitation is checked against the stand, driven and recorded."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drivers.servo import DriverError, LinkLost, Quantity
+from hil.acquisition import run as acquisition
+from hil.acquisition.excitation import Profile, make
+from hil.acquisition.recorder import Outcome
+from hil.diagnostics import Diagnostic, driven_by_position, lateness
+from hil.errors import WrongUse
+from hil.stand.devices import restrictions
+from hil.stand.file import SIMULATED, Stand, parse
+from hil.stand.file import load as load_stand
+
+if TYPE_CHECKING:
+    from hil.api.recordings import LoadedRecording
+
+DEFAULT_RATE = 500.0
+"""Hz."""
+
+_FAST_MODE = 1e6  # rad/s; above this a simulated second takes about as long as a real one
+
+AnyStand = str | os.PathLike[str] | Stand
+"""A stand file, one that is loaded already, or "sim" for the simulated stand."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A run that has ended, and its recording; it stands for the recording's path wherever a path is expected.
+
+    outcome: samples, lost replies, late ticks, and why it ended. diagnostics: of the run; the recording's own are those
+    of `hil inspect`.
+    """
+
+    path: Path
+    outcome: Outcome
+    diagnostics: tuple[Diagnostic, ...]
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether there is no error among the diagnostics."""
+        return not any(diagnostic.is_error for diagnostic in self.diagnostics)
+
+    def load(self) -> LoadedRecording:
+        """Return the recording. Raises as `hil.load`."""
+        from hil.api.recordings import load
+
+        return load(self.path)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `hil record --json`."""
+        return {
+            "schema": "hil-record/1",
+            "recording": str(self.path) if self.outcome.samples else None,
+            "samples": self.outcome.samples,
+            "lost": self.outcome.lost,
+            "late": self.outcome.late,
+            "missed": self.outcome.missed,
+            "saturated": self.outcome.saturated,
+            "end_reason": self.outcome.end_reason,
+            "warnings": [one.as_json() for one in self.diagnostics],
+        }
+
+
+def record(
+    stand: AnyStand,
+    profile: str = "chirp",
+    *,
+    amplitude: float | None = None,
+    band: tuple[float, float] | None = None,
+    duration: float | None = None,
+    rate: float = DEFAULT_RATE,
+    mode: Quantity | str = Quantity.TORQUE,
+    fade: float = 1.0,
+    setpoints: str | os.PathLike[str] | None = None,
+    seed: int = 0,
+    realtime: bool = False,
+    note: str = "",
+    output: str | os.PathLike[str] | None = None,
+    force: bool = False,
+    command_line: str = "",
+    warn: Callable[[Sequence[Diagnostic]], object] | None = None,
+    alarm: Callable[[str], object] | None = None,
+    ended: Callable[[Run], object] | None = None,
+) -> Run:
+    """Drive the motor of `stand` through an excitation against the locked joint, and record it.
+
+    amplitude: N m or rad at the joint (None: a fifth of the stand's limit). band: Hz. duration: s. rate: Hz. fade: s.
+    setpoints: the CSV of profile "file". seed: of everything random. realtime: simulate in wall time. output: the
+    recording (None: the next free recordings/runN.h5); force: replace it. command_line: kept in the recording.
+    warn: is called with the warnings that are known before anything moves. alarm: is called with a sentence at once
+    where the torque may still be on. ended: is called with the run before a fault that ended it is raised.
+
+    The torque is off on return. Ctrl-C ramps it to zero and keeps the rows: `outcome.signal` is set. Raises WrongUse
+    before anything moves; DriverError where the drive fails; `hil.acquisition.guard.LimitReached` where a safety limit
+    ended the run. The rows up to a fault are kept.
+    """
+    opened = opened_stand(stand)
+    size = (amplitude, band, duration)
+    made = excitation(opened, profile, quantity_of(mode), size, rate=rate, setpoints=setpoints, fade=fade, seed=seed)
+    _check_amplitude(opened, made)
+    foreseen = _foreseen(opened, made)
+    if foreseen and warn is not None:
+        warn(foreseen)
+    path, outcome = acquisition.run(
+        opened,
+        made,
+        rate=rate,
+        seed=seed,
+        realtime=realtime,
+        note=note,
+        command_line=command_line,
+        output=None if output is None else Path(output),
+        force=force,
+        alarm=alarm,
+    )
+    run = Run(path, outcome, (*foreseen, *lateness(outcome.late, outcome.samples)))
+    try:
+        if ended is not None:
+            ended(run)
+    finally:
+        _raise_fault(outcome)
+    return run
+
+
+def simulate(
+    output: str | os.PathLike[str] | None = None,
+    profile: str = "chirp",
+    *,
+    sim: Mapping[str, Mapping[str, float | bool]] | None = None,
+    amplitude: float | None = None,
+    band: tuple[float, float] | None = None,
+    duration: float | None = None,
+    rate: float = DEFAULT_RATE,
+    mode: Quantity | str = Quantity.TORQUE,
+    fade: float = 1.0,
+    seed: int = 0,
+    note: str = "",
+    force: bool = False,
+) -> Run:
+    """Record an excitation on the simulated stand, in virtual time.
+
+    sim: tables of [sim] in a stand file (docs/simulator.md), SI, such as {"coupling": {"stiffness": 0.02}}. The others:
+    as `record`. Raises as `record`, WrongUse with every unknown or impossible key of `sim`.
+    """
+    return record(
+        parse(SIMULATED + _toml(sim or {}), "sim"),
+        profile,
+        amplitude=amplitude,
+        band=band,
+        duration=duration,
+        rate=rate,
+        mode=mode,
+        fade=fade,
+        seed=seed,
+        note=note,
+        output=output,
+        force=force,
+    )
+
+
+def _toml(sim: Mapping[str, Mapping[str, float | bool]]) -> str:
+    """Return tables of numbers and truth values as TOML, which writes them as JSON does."""
+    return "".join(
+        f"\n[sim.{table}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
+        for table, values in sim.items()
+    )
+
+
+def opened_stand(stand: AnyStand) -> Stand:
+    """Return the stand of a file, or the simulated one for "sim". Raises WrongUse."""
+    if isinstance(stand, Stand):
+        return stand
+    return parse(SIMULATED) if stand == "sim" else load_stand(Path(stand))
+
+
+def quantity_of(mode: Quantity | str) -> Quantity:
+    """Return what "torque" or "position" names. Raises WrongUse for another word."""
+    try:
+        return Quantity(mode)
+    except ValueError:
+        raise WrongUse(f"--mode {mode!r}: it is {' or '.join(Quantity)}") from None
+
+
+Size = tuple[float | None, tuple[float, float] | None, float | None]
+"""Amplitude (N m or rad at the joint), band (Hz) and duration (s) of an excitation; None: its default."""
+
+
+def excitation(
+    stand: Stand,
+    profile: str,
+    mode: Quantity,
+    size: Size,
+    *,
+    rate: float,
+    setpoints: str | os.PathLike[str] | None,
+    fade: float = 1.0,
+    seed: int = 0,
+) -> Profile:
+    """Return the excitation for a stand, by default at a fifth of its limit. rate: Hz; fade: s. Raises WrongUse."""
+    if not 20.0 <= rate <= 10_000.0:
+        raise WrongUse(
+            f"--rate {rate:g}: it must lie between 20 and 10000 Hz; a drive that is asked less often assumes that its "
+            "host is dead and turns the torque off"
+        )
+    amplitude, band, duration = size
+    return make(
+        profile,
+        mode,
+        amplitude=amplitude,
+        default_amplitude=_limit_of(stand, mode) / 5.0,
+        duration=duration,
+        band=band,
+        rate=rate,
+        fade=fade,
+        seed=seed,
+        setpoints=None if setpoints is None else Path(setpoints),
+    )
+
+
+def _limit_of(stand: Stand, mode: Quantity) -> float:
+    """Return the stand's limit on what is commanded, N m or rad at the joint. Raises WrongUse where it sets none."""
+    limits = stand.checked_limits()
+    return limits.torque if mode is Quantity.TORQUE else limits.deflection
+
+
+def _check_amplitude(stand: Stand, profile: Profile) -> None:
+    limit = _limit_of(stand, profile.mode)
+    unit = "N m" if profile.mode is Quantity.TORQUE else "rad"
+    if profile.amplitude > limit:
+        raise WrongUse(
+            f"--amplitude {profile.amplitude:g} {unit} is beyond the stand's limit of {limit:g} {unit}: "
+            "lower it; no option raises a limit"
+        )
+
+
+def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
+    """Return the warnings that are known before anything moves."""
+    found = []
+    if stand.stand.torque_source == "motor" and profile.mode is Quantity.POSITION:
+        found.append(driven_by_position(is_error=False))
+    table = stand.devices.get(str(stand.stand.backend))
+    found += [Diagnostic("restricted-drive", text) for text in restrictions(table, stand.stand.torque_source)]
+    if stand.stand.backend != "sim":
+        return found
+    from sim_backend.plant import constants, fastest_rate
+
+    rate = fastest_rate(constants(stand.simulated()))  # the integrator's steps follow the fastest mode
+    if rate > _FAST_MODE:
+        found.append(
+            Diagnostic(
+                "slow-simulation",
+                f"the fastest mode of the simulated stand lies at {rate / 6283.0:.0f} kHz, so that every simulated "
+                f"second takes about {rate:.0e} steps: lower fixture.stiffness or raise the inertias",
+            )
+        )
+    return found
+
+
+def _raise_fault(outcome: Outcome) -> None:
+    """Raise what ended the run; where the torque may still be on, that is the last line of the message."""
+    if outcome.alarm:
+        raise DriverError(f"{outcome.error}\n{outcome.alarm}") from outcome.error
+    if isinstance(outcome.error, OSError) and not isinstance(outcome.error, DriverError):
+        raise LinkLost(f"the link failed: {outcome.error}") from outcome.error
+    if outcome.error is not None:
+        raise outcome.error

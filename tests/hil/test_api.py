@@ -1,0 +1,154 @@
+"""`import hil`: light to import, the same numbers as the command line, and results that show and write themselves."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hil as api
+from hil.acquisition.guard import LimitReached
+from hil.recording.reader import Recording
+
+from .conftest import Hil, Maker
+
+
+def test_importing_hil_loads_nothing_but_the_language() -> None:
+    """Start-up is part of speed; an absolute time would be the machine's, so the modules are counted."""
+    code = "import sys; before = set(sys.modules); import hil; print(sorted(set(sys.modules) - before))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(eval(run.stdout))  # noqa: S307 - a list of names that this test printed
+    assert {name.partition(".")[0] for name in loaded} - set(sys.stdlib_module_names) == {"hil"}
+    assert len(loaded) < 50
+
+
+def test_every_public_name_is_there_and_says_what_it_is() -> None:
+    for name in api.__all__:
+        assert getattr(api, name).__doc__
+    assert dir(api) == api.__all__
+    with pytest.raises(AttributeError, match=r"no attribute 'identfy'; it has .*identify"):
+        api.identfy  # noqa: B018
+
+
+def test_a_simulated_run_is_identified_as_the_command_line_does(hil: Hil) -> None:
+    run = api.simulate("a.h5", duration=4.0, fade=0.2, seed=1)
+    assert hil("record", "--backend", "sim", "--duration", 4, "--fade", 0.2, "--seed", 1, "-o", "b.h5").status == 0
+    with Recording(Path("a.h5")) as one, Recording(Path("b.h5")) as other:
+        assert one.attributes["sha256"] == other.attributes["sha256"]
+    table = api.identify(run, trials=2).as_json()
+    same = hil("identify", "a.h5", "--trials", 2, "--json").json
+    for found in (table, same):
+        found.pop("seconds")
+    assert table == same
+
+
+def test_the_parameters_of_the_simulator_are_those_that_were_given(tmp_path: Path) -> None:
+    run = api.simulate(tmp_path / "a.h5", sim={"coupling": {"stiffness": 0.03, "damping": 3e-4}}, duration=4.0)
+    loaded = run.load()
+    assert (loaded.truth["Kc"], loaded.truth["Bc"]) == (0.03, 3e-4)
+    result = api.identify(loaded.path, "linear+offset", trials=1)
+    assert result["Kc"].value == pytest.approx(0.03, rel=0.02)
+    with pytest.raises(api.WrongUse, match=r"sim\.coupling\.stifness: no such key"):
+        api.simulate(tmp_path / "b.h5", sim={"coupling": {"stifness": 0.03}})
+    assert not (tmp_path / "b.h5").exists()
+
+
+def test_a_loaded_recording_has_every_channel_with_its_unit(make_recording: Maker) -> None:
+    path = make_recording(samples=100)
+    loaded = api.load(path)
+    with Recording(path) as recording:
+        for name, values in loaded.channels.items():
+            np.testing.assert_array_equal(values, recording.channel(name))
+    assert (len(loaded), loaded.units["torque"], loaded.units["dtheta"]) == (100, "N*m", "rad")
+    assert set(loaded.units) == set(loaded.descriptions) == set(loaded.channels)
+    with pytest.raises(KeyError, match=r"no channel 'torq'; there are .*torque"):
+        loaded["torq"]
+
+
+def test_the_command_has_the_unit_of_its_mode(tmp_path: Path) -> None:
+    for mode, unit in (("torque", "N*m"), ("position", "rad")):
+        run = api.simulate(tmp_path / f"{mode}.h5", mode=mode, duration=1.0, fade=0.2)
+        assert run.load().units["command"] == unit
+    with pytest.raises(api.WrongUse, match="--mode 'speed': it is torque or position"):
+        api.simulate(tmp_path / "c.h5", mode="speed")
+
+
+def test_pandas_and_xarray_get_the_values_and_the_units(make_recording: Maker) -> None:
+    loaded = api.load(make_recording(samples=100))
+    pytest.importorskip("pandas")
+    frame = loaded.to_pandas()
+    np.testing.assert_array_equal(frame["torque"].to_numpy(), loaded["torque"])
+    np.testing.assert_array_equal(frame.index.to_numpy(), loaded["time"])
+    assert frame.attrs["units"]["torque"] == "N*m"
+    pytest.importorskip("xarray")
+    dataset = loaded.to_xarray()
+    np.testing.assert_array_equal(dataset["dtheta"].to_numpy(), loaded["dtheta"])
+    assert (dataset["dtheta"].dims, dataset["dtheta"].attrs["units"]) == (("time",), "rad")
+
+
+@pytest.mark.parametrize("package", ["pandas", "xarray"])
+def test_without_an_optional_package_the_message_says_how_to_get_it(
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    loaded = api.load(make_recording(samples=100))
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(api.WrongUse, match=rf"{package} is not installed.*pip install {package}"):
+        getattr(loaded, f"to_{package}")()
+
+
+def test_results_show_the_answer_first_and_draw_and_write_themselves(make_recording: Maker, tmp_path: Path) -> None:
+    result = api.identify([make_recording(noise=2e-4)], "linear", trials=1)
+    assert str(result).startswith("Kc")
+    assert (result.model, result.trustworthy, result.interrupted) == ("linear", True, False)
+    assert list(result.parameters) == ["Kc", "Bc"]
+    assert result.dynamic_stiffness is result.identification.dynamic_stiffness
+    assert result.plot().axes
+    assert tmp_path / "r.html" in result.report(tmp_path / "r.html")
+    assert (tmp_path / "r.html").is_file()
+    assert api.load(result.identification.recordings[0]).plot().axes
+    with pytest.raises(KeyError, match="no parameter 'Fc'; the model has Kc, Bc"):
+        result["Fc"]
+
+
+def test_a_comparison_is_the_command_lines(hil: Hil, make_recording: Maker) -> None:
+    paths = [make_recording(f"{seed}.h5", noise=2e-4, seed=seed) for seed in range(3)]
+    result = api.compare(paths, "linear", trials=1)
+    assert (
+        json.loads(json.dumps(result.as_json()))
+        == hil("compare", *paths, "--model", "linear", "--trials", 1, "--json").json
+    )
+    assert str(result).splitlines() == [result["Kc"].verdict, result["Bc"].verdict]
+    assert result.plot().axes
+
+
+def test_a_design_is_the_command_lines(hil: Hil) -> None:
+    result = api.design("sim", "multisine", duration=2.0)
+    words = ("--backend", "sim", "--profile", "multisine", "--duration", 2)
+    assert result.as_json() == hil("design", *words, "--json").json
+    assert hil("design", *words).out.splitlines()[0] == str(result)
+    assert result.best.relative <= result.given.relative
+
+
+def test_an_unusable_recording_raises_with_the_json_of_the_command_line(hil: Hil, make_recording: Maker) -> None:
+    path = make_recording(samples=8)
+    with pytest.raises(api.NoResult) as caught:
+        api.identify(path)
+    assert isinstance(caught.value, api.Untrustworthy)
+    ended = hil("identify", path, "--json")
+    assert (ended.status, ended.json) == (1, caught.value.as_json())
+
+
+def test_a_run_beyond_a_limit_raises_and_says_what_was_recorded(tmp_path: Path) -> None:
+    stand = tmp_path / "stand.toml"
+    stand.write_text(
+        '[stand]\nbackend = "sim"\ngear_ratio = 4.0\ntorque_source = "joint"\n'
+        "[limits]\ntorque = 0.03\ndeflection = 0.05\nvelocity = 100.0\n"
+    )
+    ended: list[api.Run] = []
+    with pytest.raises(LimitReached):
+        api.record(stand, amplitude=0.02, duration=2.0, output=tmp_path / "a.h5", ended=ended.append)
+    assert ended[0].outcome.samples == len(ended[0].load()) > 0
