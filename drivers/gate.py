@@ -19,7 +19,8 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from drivers.servo import Command, DriverError, Limits, LinkLost, Quantity, Servo, UnsafeCommand
+from drivers.retry import Repeats
+from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, Servo, UnsafeCommand
 
 _REQUESTS = 3
 """Requests for torque-off in one call of `Gate.disarm`."""
@@ -40,6 +41,7 @@ class Gate:
     name: the link, for messages. quantities: the set-points that the servo supports. torque_off: makes one request for
     torque-off, given the number of this request from 0, and returns only when the device has confirmed it; raises
     DriverError where it has not. release: closes the link. mode_key: the key in stand.toml that selects the quantity.
+    repeats: of the link, whose lost requests are made again while the servo is opened and armed, and only then.
 
     live: whether current may flow. It begins as True, because an earlier program may have left the device armed.
     """
@@ -52,6 +54,7 @@ class Gate:
         torque_off: Callable[[int], None],
         release: Callable[[], None],
         mode_key: str = "",
+        repeats: Repeats | None = None,
     ) -> None:
         self.live = True
         self._name = name
@@ -59,6 +62,7 @@ class Gate:
         self._torque_off = torque_off
         self._release = release
         self._remedy = f"; set {mode_key} otherwise" if mode_key else ""
+        self._repeats = repeats or Repeats()
         self._limits: Limits | None = None
         self._closed = False
 
@@ -110,7 +114,8 @@ class Gate:
         Where it fails, `stop_unconfirmed` sends torque-off without waiting for a reply, and the link is closed.
         """
         try:
-            yield
+            with self._repeats.active((NoReply,)):  # a garbled reply may be that of two devices
+                yield
         except BaseException:
             self._closed = True
             try:
@@ -130,7 +135,8 @@ class Gate:
         self._limits = None
         self.live = True
         try:
-            yield
+            with self._repeats.active():
+                yield
         except BaseException:
             with contextlib.suppress(DriverError):
                 self.force_off()

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Hashable, Iterable
 from typing import TYPE_CHECKING
 
+from drivers.retry import Repeats
 from drivers.servo import BadReply, NoReply
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Requests:
 
     on_cyclic: receives every frame of the drive that is no reply, such as heartbeats. only_on_request: the kinds that
     the drive sends only on request; unrequested: how many of each arrived without one: late replies, or those of a
-    second drive.
+    second drive. repeats: whether `ask` repeats what was lost.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Requests:
         self._classify = classify
         self._on_cyclic = on_cyclic
         self._due: Counter[Hashable] = Counter()
+        self.repeats = Repeats()
         self.only_on_request = only_on_request
         self.unrequested: Counter[Hashable] = Counter()
 
@@ -65,6 +67,11 @@ class Requests:
 
         Raises NoReply, BadReply where a reply is cut short, LinkLost.
         """
+        frames, wanted = list(frames), list(wanted)
+        return self.repeats(lambda: self.ask_once(frames, wanted))
+
+    def ask_once(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> dict[Hashable, bytes]:
+        """Do as `ask`, for a request that must not be repeated when its reply is lost."""
         self._settle()
         self.process()
         missing = Counter(wanted)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import queue
 import struct
-from collections.abc import Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from typing import TYPE_CHECKING, Any
 
 from canopen import Network, ObjectDictionary, RemoteNode, SdoAbortedError, SdoCommunicationError
@@ -33,6 +33,8 @@ SYNC = 0x080
 _TRIES = 3
 _SDO_TIMEOUT = 0.1
 """s that an SDO may take: drives process them with low priority."""
+_SDO_WAITS = 20
+"""Times that `LinkedNetwork.while_waiting` is called meanwhile."""
 
 
 class Refused(DriverError):
@@ -58,7 +60,11 @@ class _Sdo(SdoClient):
 
     def read_response(self) -> bytes:
         """Return the next reply, 8 bytes. Raises canopen's errors."""
-        if not self._linked.requests.wait_until(_SDO_TIMEOUT, lambda: not self.responses.empty()):
+        for _ in range(_SDO_WAITS):
+            if self._linked.requests.wait_until(_SDO_TIMEOUT / _SDO_WAITS, lambda: not self.responses.empty()):
+                break
+            self._linked.while_waiting()
+        else:
             raise SdoCommunicationError("no reply")
         reply: bytes = self.responses.get_nowait()
         if len(reply) != 8:
@@ -69,12 +75,16 @@ class _Sdo(SdoClient):
 
 
 class LinkedNetwork(Network):
-    """canopen's network on `link`, with node `ident`. The replies to a SYNC have the kinds "tpdo1" and "tpdo2"."""
+    """canopen's network on `link`, with node `ident`. The replies to a SYNC have the kinds "tpdo1" and "tpdo2".
+
+    while_waiting: is called while the reply to an SDO is awaited.
+    """
 
     def __init__(self, link: CanLink, clock: Clock, ident: int, timeout: float) -> None:
         super().__init__()
         self._link = link
         self._clock = clock
+        self.while_waiting: Callable[[], None] = lambda: None
         self._kinds: dict[int, Hashable] = {0x180 + ident: "tpdo1", 0x280 + ident: "tpdo2"}
         self.requests = Requests(
             link,

@@ -154,11 +154,22 @@ class Node:
         """Set torque mode, zero torque and the watchdog, then enable. Raises DriverError, DeviceFault."""
         self.objects.require(_MODE, self.profile.mode, "mode of operation")
         self.objects.put(self.profile.target, 0, 2)
+        self.network.while_waiting = self.send_heartbeat  # once the drive watches it, a lost reply must not stop it
+        try:
+            self._watch()
+            self._switch_on()
+        finally:
+            self.network.while_waiting = lambda: None  # a drive that is to stop must miss it
+
+    def _watch(self) -> None:
+        """Make the drive watch our heartbeat."""
         if self._config.watchdog:
             self._require_abort_option()
             milliseconds = max(1, round(self._config.watchdog * 1e3))
             self.objects.put(_CONSUMER, self._config.own_id << 16 | milliseconds, 4)
             self.send_heartbeat(force=True)
+
+    def _switch_on(self) -> None:
         if not self._reaches(lambda state: state is DriveState.ENABLED, drive=True):
             raise DriverError(
                 f"the drive is not enabled (it reports: {state_of(self.objects.get(STATUSWORD)).value}): "

@@ -46,7 +46,13 @@ class Cia402Servo:
         self._ticks = self._most = 0
         self._temperature = self._voltage = math.nan
         quantities = frozenset({Quantity.TORQUE})
-        self._gate = Gate(self._link.name, quantities, torque_off=self._torque_off, release=self._link.close)
+        self._gate = Gate(
+            self._link.name,
+            quantities,
+            torque_off=self._torque_off,
+            release=self._link.close,
+            repeats=self._node.network.requests.repeats,
+        )
         with self._gate.opening(self._node.stop):
             identity = self._node.nameplate.identify()
             self.disarm()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
+from drivers.retry import Repeats
 from drivers.servo import BadReply, NoReply, link_lost
 from drivers.uart.lines import TextLines
 from drivers.uart.port import GONE, OpenPort
@@ -34,6 +35,7 @@ class CommanderLink:
         self._timeout = timeout
         self._lines = TextLines()
         self._quarantined = True
+        self.repeats = Repeats()
 
     def send(self, *commands: str) -> None:
         """Write `commands`, each on a line, without waiting; a line end first completes any earlier partial command."""
@@ -51,6 +53,9 @@ class CommanderLink:
 
         Raises NoReply where nothing arrived, BadReply where only other lines arrived, LinkLost.
         """
+        return self.repeats(lambda: self._exchange_once(commands, wanted, what))
+
+    def _exchange_once(self, commands: list[str], wanted: Callable[[str], T | None], what: str) -> T:
         self._settle()
         self._quarantined = True  # until the reply arrives, whatever interrupts the wait
         self._begin()

@@ -60,7 +60,13 @@ class CommanderServo:
         port = port or open_port(config.port, config.baudrate)
         self._link = CommanderLink(port, config.port, config.baudrate, self.clock, config.reply_timeout)
         quantities = frozenset({Quantity.TORQUE})
-        self._gate = Gate(config.port, quantities, torque_off=self._torque_off, release=self._close_link)
+        self._gate = Gate(
+            config.port,
+            quantities,
+            torque_off=self._torque_off,
+            release=self._close_link,
+            repeats=self._link.repeats,
+        )
         with self._gate.opening():
             self._wake()
             self._set_up()

@@ -56,6 +56,7 @@ class DynamixelServo:
             frozenset({quantity}),
             torque_off=self._torque_off,
             release=self._port.closePort,
+            repeats=self._bus.repeats,
             mode_key="dynamixel.mode",
         )
         self._port.openPort()

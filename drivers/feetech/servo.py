@@ -64,6 +64,7 @@ class FeetechServo:
             frozenset({quantity}),
             torque_off=self._torque_off,
             release=self._port.closePort,
+            repeats=self._bus.repeats,
             mode_key="feetech.mode",
         )
         self._port.openPort()

@@ -39,7 +39,7 @@ class MitMotor:
         self._config = config
         self._link = link
         self.codec = Codec(models()[config.model].family, *config.ranges)
-        self._requests = Requests(
+        self.requests = Requests(
             link,
             clock,
             name=f"motor {config.id}",
@@ -73,7 +73,7 @@ class MitMotor:
 
     def leave(self) -> MitState:
         """Leave motor mode: torque off."""
-        self._requests.unrequested.clear()
+        self.requests.unrequested.clear()
         return self._state(frame(self._config.id, LEAVE))
 
     def clear(self) -> None:
@@ -82,7 +82,7 @@ class MitMotor:
 
     def send_leave(self) -> None:
         """Leave motor mode at once, without waiting for the reply."""
-        self._requests.send_now([frame(self._config.id, LEAVE)], ["state"])
+        self.requests.send_now([frame(self._config.id, LEAVE)], ["state"])
 
     def identify(self) -> str:
         """Switch the torque off, and check that the motor is alone and the one of the stand file.
@@ -94,7 +94,7 @@ class MitMotor:
             retry(self.leave)
         except (NoReply, BadReply) as error:
             raise self._no_reply(error) from None
-        self._requests.check_alone("state")
+        self.requests.check_alone("state")
         if not self.damiao:
             return ""
         for name, expected in zip(
@@ -139,7 +139,7 @@ class MitMotor:
 
     def _ask_register(self, data: bytes, number: int) -> bytes:
         def request() -> bytes:
-            reply = self._requests.ask([frame(REGISTERS_ID, data)], ["register"])["register"]
+            reply = self.requests.ask([frame(REGISTERS_ID, data)], ["register"])["register"]
             if len(reply) != 8:
                 raise BadReply(f"register {number}: the reply is cut short")
             return reply
@@ -151,8 +151,8 @@ class MitMotor:
             self._register = None
 
     def _state(self, message: can.Message) -> MitState:
-        self._requests.refuse_unrequested()
-        return self.codec.state(self._requests.ask([message], ["state"])["state"])
+        self.requests.refuse_unrequested()
+        return self.codec.state(self.requests.ask([message], ["state"])["state"])
 
     def _kind(self, message: can.Message) -> Hashable | None:
         data = message.data
@@ -174,7 +174,7 @@ class MitMotor:
 
     def _no_reply(self, error: DriverError) -> DriverError:
         if isinstance(error, BadReply) or self._link.error_frames:
-            return garbled(self._requests.name, str(error))
+            return garbled(self.requests.name, str(error))
         return NoReply(
             f"no motor {self._config.id} answers on {self._link.name} at {self._config.bitrate} bit/s: check its "
             "power, the wiring and its termination, the id, the bit rate, and mit.reply_id "

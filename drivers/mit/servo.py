@@ -42,7 +42,13 @@ class MitServo:
         self._link = CanLink(config.bus, self.clock, bus)
         self._motor = MitMotor(config, self._link, self.clock)
         self._ignored = 0
-        self._gate = Gate(self._link.name, _QUANTITIES, torque_off=self._torque_off, release=self._link.close)
+        self._gate = Gate(
+            self._link.name,
+            _QUANTITIES,
+            torque_off=self._torque_off,
+            release=self._link.close,
+            repeats=self._motor.requests.repeats,
+        )
         with self._gate.opening(self._motor.send_leave):
             self.info = self._describe(self._motor.identify())
         self._gate.live = False

@@ -36,7 +36,7 @@ class Controller:
     def __init__(self, config: MoteusConfig, link: CanLink, clock: Clock) -> None:
         self._config = config
         self._link = link
-        self._requests = Requests(
+        self.requests = Requests(
             link,
             clock,
             name=f"moteus {config.id}",
@@ -48,11 +48,11 @@ class Controller:
 
     def exchange(self, *subframes: bytes) -> dict[str, float]:
         """Send subframes and return the registers of the reply. Raises DriverError for one that is refused."""
-        return answers(self._requests.ask([self._frame(*subframes)], ["registers"])["registers"])
+        return answers(self.requests.ask([self._frame(*subframes)], ["registers"])["registers"])
 
     def send(self, *subframes: bytes) -> None:
         """Send subframes without waiting for a reply."""
-        self._requests.send([self._frame(*subframes, asking=False)])
+        self.requests.send([self._frame(*subframes, asking=False)])
 
     def identify(self) -> dict[str, float]:
         """Return model, firmware, register map and serial number.
@@ -64,7 +64,7 @@ class Controller:
             registers = retry(partial(self.exchange, *ask))
         except (NoReply, BadReply) as error:
             raise self._no_reply(error) from None
-        self._requests.check_alone("registers")
+        self.requests.check_alone("registers")
         return registers
 
     def get(self, name: str) -> float:
@@ -89,7 +89,7 @@ class Controller:
 
         def converse() -> str:
             self._drain()
-            self._requests.send([self._frame(console_write(line.encode("ascii") + b"\n"), asking=False)])
+            self.requests.send([self._frame(console_write(line.encode("ascii") + b"\n"), asking=False)])
             return self._first_line()
 
         return retry(converse)
@@ -110,7 +110,7 @@ class Controller:
         raise NoReply("the console does not finish its line")
 
     def _poll(self) -> bytes:
-        return console_text(self._requests.ask([self._frame(console_read())], ["console"])["console"])
+        return console_text(self.requests.ask_once([self._frame(console_read())], ["console"])["console"])
 
     def _frame(self, *subframes: bytes, asking: bool = True) -> can.Message:
         ident = (self._config.source | (_REPLY_WANTED if asking else 0)) << 8 | self._config.id
@@ -124,7 +124,7 @@ class Controller:
 
     def _no_reply(self, error: DriverError) -> DriverError:
         if isinstance(error, BadReply) or self._link.error_frames:
-            return garbled(self._requests.name, str(error))
+            return garbled(self.requests.name, str(error))
         return NoReply(
             f"no moteus {self._config.id} answers on {self._link.name} at {self._config.bitrate} and "
             f"{self._config.data_bitrate} bit/s: check its power, the wiring and its termination, the id, and that the "

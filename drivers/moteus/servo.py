@@ -77,6 +77,7 @@ class MoteusServo:
             torque_off=self._torque_off,
             release=self._link.close,
             mode_key="moteus.mode",
+            repeats=self._controller.requests.repeats,
         )
         with self._gate.opening(lambda: self._controller.send(_STOP)):
             identity = self._controller.identify()

@@ -55,7 +55,13 @@ class OdriveServo:
         self._parameters: Parameters | None = None
         self._ticks = 0
         quantities = frozenset({Quantity.TORQUE})
-        self._gate = Gate(self._link.name, quantities, torque_off=self._torque_off, release=self._link.close)
+        self._gate = Gate(
+            self._link.name,
+            quantities,
+            torque_off=self._torque_off,
+            release=self._link.close,
+            repeats=self._axis.requests.repeats,
+        )
         with self._gate.opening(lambda: self._axis.requests.send([self._axis.codec.put("set_state", IDLE)])):
             firmware = self._axis.identify()
             self._parameters = self._open_parameters(firmware)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS
 
 from drivers.packets.wire import BROADCAST, PING, READ, SYNC_WRITE, WRITE
+from drivers.retry import Repeats
 from drivers.servo import BadReply, DriverError, NoReply, link_lost
 from drivers.uart.port import GONE
 
@@ -27,7 +28,8 @@ _ROLL_CALL = 0.8  # s; servos reply to a broadcast ping one after the other, 3 m
 class Bus:
     """Requests to one servo. timeout: s that a reply may take beyond its time on the wire.
 
-    alert: the hardware errors in the last reply, 0 for none. return_delay: s that the servo waits before it replies.
+    repeats: whether a request whose reply was lost is made again. alert: the hardware errors in the last reply, 0 for
+    none. return_delay: s that the servo waits before it replies.
     Each request raises NoReply, BadReply, LinkLost, and DriverError where the servo refuses it.
     """
 
@@ -39,6 +41,7 @@ class Bus:
         self._wire = wire
         self._quarantined = True
         self._reads: dict[tuple[int, int], bytes] = {}
+        self.repeats = Repeats()
         self.alert = 0
         self.return_delay = 508e-6
 
@@ -114,6 +117,9 @@ class Bus:
 
     def _ask(self, frame: bytes, size: int, what: str) -> bytes:
         """Send `frame` and return the `size` bytes of parameters in the reply."""
+        return self.repeats(lambda: self._ask_once(frame, size, what))
+
+    def _ask_once(self, frame: bytes, size: int, what: str) -> bytes:
         self._settle()
         self._quarantined = True  # until a valid reply arrives, whatever interrupts the wait
         self._put(frame)
