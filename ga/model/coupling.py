@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.model.terms import TERMS, Parameter, Regressors, Term, canonical
+from ga.model.record import Parameter, Regressors, Term
+from ga.model.terms import TERMS, canonical
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,17 +36,22 @@ SMOOTHEST: Final = 0.05
 """v_s of the Coulomb term as a part of the rate's noise, at least and at most these parts of the r.m.s. rate: a sign
 where friction slides, for 1.3 % of softness takes as much off Bc."""
 
+STEP: Final = 1e-4
+SMALLEST: Final = 1e-3
+"""A difference is taken over this part of a nonlinear parameter, or of this much, SI, where it is less."""
+
 
 @dataclass(frozen=True)
 class CouplingModel:
     """A sum of terms. name: canonical, such as "linear+offset+coulomb+skew".
 
-    origin: s, where the drift begins; slowest: rad/s, below which friction may hold the joint; smoothing: v_s of the
-    Coulomb term, rad/s. None: each call takes its own data's.
+    origin: s, where the drift begins; middle: s after it, where a stiffness that drifts is Kc; slowest: rad/s, below
+    which friction may hold the joint; smoothing: v_s of friction, rad/s. None: each call takes its own data's.
     """
 
     name: str
     origin: float | None = None
+    middle: float | None = None
     slowest: float | None = None
     smoothing: float | None = None
 
@@ -57,12 +63,12 @@ class CouplingModel:
     @cached_property
     def linear(self) -> tuple[Parameter, ...]:
         """The parameters (p,) of the columns, in their order."""
-        return tuple(parameter for term in self.terms if term.linear for parameter in term.parameters)
+        return tuple(parameter for term in self.terms for parameter in term.parameters if not parameter.nonlinear)
 
     @cached_property
     def nonlinear(self) -> tuple[Parameter, ...]:
         """The parameters (q,) that the columns depend on."""
-        return tuple(parameter for term in self.terms if not term.linear for parameter in term.parameters)
+        return tuple(parameter for term in self.terms for parameter in term.parameters if parameter.nonlinear)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -75,9 +81,14 @@ class CouplingModel:
         return any(term.sticks for term in self.terms)
 
     @property
-    def unilateral(self) -> bool:
-        """Whether the flanks can only push: where damping would make them pull, they part."""
-        return any(term.unilateral for term in self.terms)
+    def needs_ratio(self) -> bool:
+        """Whether the columns depend on Bc/Kc: where flanks part and how friction acts, the torque's sign says."""
+        return any(term.contact is not None for term in self.terms)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the torque depends on earlier samples too."""
+        return any(term.remembers for term in self.terms)
 
     def anchored(self, motion: Motion) -> CouplingModel:
         """Return the model with origin and slowest rate of this motion, so that it is one model for every part of it.
@@ -86,7 +97,8 @@ class CouplingModel:
         """
         slowest = _slowest(motion)
         origin = float(motion.time[0]) if len(motion) else 0.0
-        return replace(self, origin=origin, slowest=slowest, smoothing=_smoothing(motion))
+        middle = 0.5 * float(motion.time.min() + motion.time.max()) - origin if len(motion) else 0.0
+        return replace(self, origin=origin, middle=middle, slowest=slowest, smoothing=_smoothing(motion))
 
     def described(self, motion: Motion, delay: float = 0.0) -> NDArray[np.bool_]:
         """Return which samples (n,) the model describes: all but those that friction may hold the joint in.
@@ -113,11 +125,15 @@ class CouplingModel:
         lag: Bc/Kc, s, which decides when flanks that can only push part.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
-        return model._stacked(model._regressors(motion, nonlinear, lag))
+        whole, rows = model._needed(motion)
+        stacked = model._stacked(model._regressors(whole, nonlinear, lag), nonlinear)
+        return model._behind_cell(whole, stacked, nonlinear)[rows]
 
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
         """Return what the columns are to make up, (n,) N m: the torque (n,) without what is known of it."""
-        return np.asarray(torque - motion.delayed(self.delay(nonlinear)).known)
+        whole, rows = self._needed(motion)
+        known = whole.delayed(self.delay(nonlinear)).known
+        return np.asarray(torque - self._behind_cell(whole, known, nonlinear)[rows])
 
     def jacobian(
         self, motion: Motion, nonlinear: Array, genes: Array, lag: float = 0.0, *, changing: Motion | None = None
@@ -128,16 +144,33 @@ class CouplingModel:
         jumps, and where the joint turns, its friction; what that adds at single samples is left out.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
-        regressors = model._regressors(motion, nonlinear, lag)
+        whole, rows = model._needed(motion)
+        regressors = model._regressors(whole, nonlinear, lag)
         found: list[Array] = []
-        for term in self.terms:
+        for term, values in model._valued(nonlinear):
             if term.delays:
-                rates = motion.changing(self.delay(nonlinear)) if changing is None else changing
-                found.append(-(model._stacked(regressors, rates) @ genes + rates.known))
+                rates = whole.changing(self.delay(nonlinear)) if changing is None else changing
+                aged = -(model._stacked(regressors, nonlinear, rates) @ genes + rates.known)
+                found.append(model._behind_cell(whole, aged, nonlinear)[rows])
             elif term.shifts is not None:
-                stiffness = model._stiffness(regressors, genes)
-                found += [-stiffness * shift * regressors.contact for shift in term.shifts(regressors.angle)]
+                for shift in term.shifts(regressors.angle):
+                    pushed = -model._pushed(regressors, nonlinear, genes, shift * regressors.contact)
+                    found.append(model._behind_cell(whole, pushed, nonlinear)[rows])
+            else:
+                found += [model._difference(motion, nonlinear, genes, lag, len(found) + k) for k in range(len(values))]
         return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
+
+    def _difference(self, motion: Motion, nonlinear: Array, genes: Array, lag: float, at: int) -> Array:
+        """How the torque changes with one nonlinear parameter that it has no breaks along, by a difference."""
+        step, torques = STEP * max(abs(nonlinear[at]), SMALLEST), []
+        ends = nonlinear[at] + np.array([-step, step])
+        if self.nonlinear[at].positive:
+            ends = np.maximum(ends, 0.0)
+        for end in ends:
+            moved = nonlinear.copy()
+            moved[at] = end
+            torques.append(self.columns(motion, moved, lag) @ genes - self.target(motion, np.zeros(len(motion)), moved))
+        return np.asarray((torques[1] - torques[0]) / (ends[1] - ends[0]))
 
     def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]:
         """Return low (q,) and high (q,) of the nonlinear parameters, for motion up to `highest` Hz."""
@@ -145,42 +178,62 @@ class CouplingModel:
         return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
     def _valued(self, nonlinear: Array | None) -> Iterator[tuple[Term, Array]]:
-        """Each nonlinear term with its own of the parameters (q,)."""
+        """Each term that has nonlinear parameters, with its own of these (q,)."""
         at = 0
         for term in self.terms if nonlinear is not None else ():
-            if not term.linear and nonlinear is not None:
-                yield term, nonlinear[at : at + len(term.parameters)]
-                at += len(term.parameters)
+            count = sum(parameter.nonlinear for parameter in term.parameters)
+            if count and nonlinear is not None:
+                yield term, nonlinear[at : at + count]
+                at += count
+
+    def _needed(self, motion: Motion) -> tuple[Motion, slice | NDArray[np.int64]]:
+        """The samples that the torque is computed of, and the rows that the motion is of these."""
+        return motion.whole if self.remembers else (motion, slice(None))
+
+    def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
+        """What a torque (n,) or columns (n, p) of it become behind the torque cell."""
+        constant = next((float(values[0]) for term, values in self._valued(nonlinear) if term.lags), 0.0)
+        return motion.lagged(torque, constant)
 
     def _regressors(self, motion: Motion, nonlinear: Array | None, lag: float = 0.0) -> Regressors:
         """The motion as the torque reading saw it, beyond the gap or slack."""
         seen = motion.delayed(self.delay(nonlinear))
-        angle, contact = seen.dtheta, np.ones(len(motion))
+        angle, contact, smoothing = seen.dtheta, np.ones(len(motion)), self.smoothing or 0.0
         for term, values in self._valued(nonlinear):
             if term.remaining is not None:
                 angle = term.remaining(angle, values)
-        if self.unilateral:
-            contact = (angle * (angle + lag * seen.dtheta_dot) > 0.0).astype(np.float64)
-            angle = angle * contact
-        return Regressors(motion.time - (self.origin or 0.0), seen, angle, contact, self.smoothing or 0.0)
+        for term, values in self._valued(nonlinear):
+            if term.contact is not None:
+                contact = term.contact(angle, seen.dtheta_dot, lag, smoothing, values)
+                angle = angle * contact
+        elapsed = motion.time - (self.origin or 0.0)
+        return Regressors(elapsed, seen, angle, contact, smoothing, self.middle or 0.0, np.empty(0))
 
-    def _stiffness(self, regressors: Regressors, genes: Array) -> Array:
-        """How the torque changes with the deflection, N m/rad, for genes (p,)."""
-        parts, at = [], 0
+    def _own(self, regressors: Regressors, nonlinear: Array | None) -> Iterator[tuple[Term, Regressors]]:
+        """Each term with the regressors for it."""
+        valued = {term.name: values for term, values in self._valued(nonlinear)}
         for term in self.terms:
-            if term.stiffness is not None:
-                parts.append(term.stiffness(regressors, genes[at : at + len(term.parameters)]))
-            at += len(term.parameters) if term.linear else 0
+            own = valued.get(term.name)
+            yield term, regressors if own is None else replace(regressors, own=own)
+
+    def _pushed(self, regressors: Regressors, nonlinear: Array | None, genes: Array, moved: Array) -> Array:
+        """How the torque, N m, changes where the deflection changes by `moved` (n,) rad, for genes (p,)."""
+        parts, at = [], 0
+        for term, own in self._own(regressors, nonlinear):
+            count = sum(not parameter.nonlinear for parameter in term.parameters)
+            if term.pushed is not None:
+                parts.append(term.pushed(own, genes[at : at + count], moved))
+            at += count
         return np.asarray(sum(parts[1:], start=parts[0]))
 
-    def _stacked(self, regressors: Regressors, changing: Motion | None = None) -> Array:
+    def _stacked(self, regressors: Regressors, nonlinear: Array | None, changing: Motion | None = None) -> Array:
         """The columns, or how fast they change in time."""
         columns: list[Array] = []
-        for term in self.terms:
+        for term, own in self._own(regressors, nonlinear):
             if term.columns is not None and changing is None:
-                columns += term.columns(regressors)
+                columns += term.columns(own)
             elif term.rates is not None and changing is not None:
-                columns += term.rates(regressors, changing)
+                columns += term.rates(own, changing)
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
 
 

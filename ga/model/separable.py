@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from ga.model.terms import Parameter
+    from ga.model.record import Parameter
     from ga.model.trajectory import Motion
 
     Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class SeparableModel(Protocol):
     @property
     def nonlinear(self) -> tuple[Parameter, ...]: ...  # noqa: D102
     @property
-    def unilateral(self) -> bool: ...  # noqa: D102
+    def needs_ratio(self) -> bool: ...  # noqa: D102
     def columns(self, motion: Motion, nonlinear: Array | None = None, lag: float = 0.0) -> Array: ...  # noqa: D102
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array: ...  # noqa: D102
     def jacobian(self, motion: Motion, nonlinear: Array, genes: Array, lag: float = 0.0) -> Array: ...  # noqa: D102
@@ -108,7 +108,7 @@ class Problem:
         best = Fit(
             nonlinear, least_absolute_deviations(self.model.columns(self.motion, nonlinear, lag), target, genes), lag
         )
-        for _ in range(agreements if self.model.unilateral else 0):
+        for _ in range(agreements if self.model.needs_ratio else 0):
             genes = best.optimum.genes
             next_lag = max(0.0, genes[1] / genes[0]) if genes[0] > 0.0 else 0.0
             if abs(next_lag - lag) <= _AGREED * lag:

@@ -24,8 +24,8 @@ class Motion:
 
     known: the part of the measured torque that is not the coupling's and needs no parameter, such as the motor's own
     inertia in equation (1). starts: where a new stretch begins, 0 first: a stretch is of one recording and gapless,
-    and nothing is interpolated from one to the next. rate_noise: rad/s, what of the rate is noise;
-    None: unknown. curves: what is interpolated on, one a stretch; None: the samples themselves.
+    and nothing is interpolated from one to the next. rate_noise: rad/s, what of the rate is noise; None: unknown.
+    part_of: the motion that this one is some rows of, and these; None: it is whole.
     Raises ValueError where the lengths differ.
     """
 
@@ -36,7 +36,7 @@ class Motion:
     known: Array
     starts: tuple[int, ...] = (0,)
     rate_noise: float | None = None
-    curves: tuple[CubicSpline, ...] | None = None
+    part_of: tuple[Motion, NDArray[np.int64]] | None = None
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in ("time", *_PARTS)}
@@ -46,14 +46,20 @@ class Motion:
     def __len__(self) -> int:
         return len(self.time)
 
+    @property
+    def whole(self) -> tuple[Motion, NDArray[np.int64] | slice]:
+        """The motion that this one is a part of, or itself, and its rows in that."""
+        return (self, slice(None)) if self.part_of is None else self.part_of
+
     def of(self, rows: NDArray[np.bool_] | slice) -> Motion:
-        """Some of the samples, to be delayed as exactly as if all were there."""
+        """Some of the samples, to be delayed and lagged as exactly as if all were there."""
         chosen = np.arange(len(self))[rows]
+        whole, places = self.whole
         return replace(
             self,
             **{name: getattr(self, name)[rows] for name in ("time", *_PARTS)},
             starts=tuple(np.searchsorted(chosen, self.starts).tolist()),
-            curves=self._curves,
+            part_of=(whole, np.arange(len(whole))[places][rows]),
         )
 
     def delayed(self, delay: float) -> Motion:
@@ -66,13 +72,32 @@ class Motion:
         """How fast each part changes, per second, at `delay` seconds before each time."""
         return self._evaluated(delay, 1)
 
+    def lagged(self, values: Array, constant: float) -> Array:
+        """Values (n,) or (n, k) of each time, behind a first-order lag of `constant` s that has settled at each start.
+
+        Exact for values that are cubic between two times, with the slopes that central differences give them.
+        """
+        from ga.model import memory
+
+        if constant <= 0.0:
+            return values
+        parts = [memory.lagged(self.time[a:b], values[a:b], constant) for a, b in self._stretches()]
+        return np.concatenate(parts)
+
+    def presliding(self, length: float) -> Array:
+        """The friction of Dahl (1976), (n,) -1 to 1, that builds up over `length` rad after a reversal."""
+        from ga.model import memory
+
+        parts = [memory.presliding(self.time[a:b], self.dtheta_dot[a:b], length) for a, b in self._stretches()]
+        return np.concatenate(parts)
+
     def _evaluated(self, delay: float, order: int) -> Motion:
         found = [
             curve(self.time[start:stop] - delay, order)
             for (start, stop), curve in zip(self._stretches(), self._curves, strict=True)
         ]
         parts = np.concatenate(found).T.copy()
-        return replace(self, curves=None, **dict(zip(_PARTS, parts, strict=True)))
+        return replace(self, part_of=None, **dict(zip(_PARTS, parts, strict=True)))
 
     def _stretches(self) -> list[tuple[int, int]]:
         return list(zip(self.starts, [*self.starts[1:], len(self)], strict=True))
@@ -82,7 +107,7 @@ class Motion:
         """Through the four parts of each stretch: as good as exact where samples are much denser than the motion."""
         from scipy.interpolate import CubicSpline
 
-        if self.curves is not None:
-            return self.curves
+        if self.part_of is not None:
+            return self.part_of[0]._curves
         values = np.stack([getattr(self, name) for name in _PARTS], axis=1)
         return tuple(CubicSpline(self.time[start:stop], values[start:stop]) for start, stop in self._stretches())

@@ -71,8 +71,8 @@ class Prediction:
     inflation: float
 
 
-TERMS = tuple(name for name, term in TABLE.items() if not term.breaks)
-"""The terms whose errors can be predicted: where a term breaks, near zero, the torque has no derivative."""
+TERMS = tuple(name for name, term in TABLE.items() if term.linear or term.delays)
+"""The terms whose errors can be predicted: of the others, the torque has no derivative where they are absent."""
 
 
 def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Motion) -> Array:

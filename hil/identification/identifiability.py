@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.terms import Parameter
+from ga.model.record import Parameter
 from ga.trials.trials import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling

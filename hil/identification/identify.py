@@ -16,8 +16,8 @@ from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.evolution.evolution import PRESETS, Settings
 from ga.lad.exact import Optimum
 from ga.lad.out_of_core import Reduced, reduce
+from ga.model.record import Parameter
 from ga.model.separable import Problem, descend, fit
-from ga.model.terms import Parameter
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_nonlinear
 from ga.trials.trials import Trials, run_trials

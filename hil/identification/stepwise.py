@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
-from ga.model.terms import CONSIDERED, TERMS
+from ga.model.terms import CONSIDERED, TERMS, is_addable
 from ga.model.trajectory import Motion
 from hil.uncertainty.residual_spectrum import measure
 
@@ -122,7 +122,7 @@ class _Selector:
         for term in self._candidates:
             for terms in tuple(found):
                 more = (*terms, term)
-                if _fits_in(term, terms) and self._fitness(more) < self._fitness(terms):
+                if is_addable(term, terms) and self._fitness(more) < self._fitness(terms):
                     found.add(more)
                     found -= set() if TERMS[term].excludes else {terms}
         return min(found, key=self._fitness)
@@ -135,7 +135,7 @@ class _Selector:
         """The terms that lower the fitness on some of the samples, each with its fit to these."""
         less, found = self._preview(terms), {}
         for term in self._candidates:
-            more = self._preview((*terms, term)) if _fits_in(term, terms) else None
+            more = self._preview((*terms, term)) if is_addable(term, terms) else None
             if less is not None and more is not None and more.fitness < less.fitness:
                 found[term] = more
         return found
@@ -257,7 +257,7 @@ class _Selector:
         found = [_step(nested[0], float("nan"), included=True)]
         found += [_step(b, self.gain(a, b, b.terms[-1]), included=True) for a, b in pairwise(nested)]
         for term in self._candidates:
-            seen = self._preview((*chosen.terms, term)) if _fits_in(term, chosen.terms) else None
+            seen = self._preview((*chosen.terms, term)) if is_addable(term, chosen.terms) else None
             if seen is not None and seen.fitness < _RIVAL * chosen.fit.fitness:
                 more = self.candidate((*chosen.terms, term), beside=chosen)
                 found.append(_step(more, self.gain(chosen, more, term), included=False))
@@ -275,10 +275,6 @@ def _model(terms: tuple[str, ...]) -> CouplingModel:
 def _named(model: CouplingModel, found: Fit) -> dict[str, float]:
     """The nonlinear parameters of a fit by name."""
     return dict(zip((parameter.name for parameter in model.nonlinear), found.nonlinear.tolist(), strict=True))
-
-
-def _fits_in(term: str, terms: tuple[str, ...]) -> bool:
-    return term not in terms and TERMS[term].excludes not in terms and (TERMS[term].needs or "linear") in terms
 
 
 def _own(term: str) -> tuple[str, ...]:

@@ -25,7 +25,8 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.terms import PARAMETERS, Parameter
+from ga.model.record import Parameter
+from ga.model.terms import PARAMETERS
 from ga.model.trajectory import Motion
 from hil.errors import WrongUse
 
@@ -47,7 +48,7 @@ class UserModel:
     low: Array
     high: Array
     linear: tuple[Parameter, ...] = ()
-    unilateral: bool = False
+    needs_ratio: bool = False
     sticks: bool = False
 
     def anchored(self, motion: Motion) -> UserModel:

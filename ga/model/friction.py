@@ -1,0 +1,165 @@
+"""The terms that lose the coupling's energy, beside Bc, and inertia."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from ga.model.record import Parameter, Regressors, Term
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ga.model.trajectory import Motion
+
+    Array = NDArray[np.float64]
+
+MOST_FRICTION: Final = 0.9
+"""Part of the torque that a tendon may lose in its sheath."""
+
+REACHES: Final = (0.002, 0.8)
+"""Deflection over which friction builds up, as a part of the whole, at least and at most."""
+
+
+def _sign(regressors: Regressors) -> tuple[Array, ...]:
+    import numpy as np
+
+    rate, smoothing = regressors.motion.dtheta_dot, regressors.smoothing
+    return (np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate),)
+
+
+def _still(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (np.zeros_like(regressors.angle),)
+
+
+def _square(regressors: Regressors) -> tuple[Array, ...]:
+    import numpy as np
+
+    rate = regressors.motion.dtheta_dot
+    return (rate * np.abs(rate) * regressors.contact,)
+
+
+def _squaring(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (2.0 * np.abs(regressors.motion.dtheta_dot) * changing.dtheta_dot * regressors.contact,)
+
+
+def _loaded(angle: Array, rate: Array, lag: float, smoothing: float, values: Array) -> Array:
+    """1 + mu where the tendon is pulled further, 1 - mu where it is let back."""
+    import numpy as np
+
+    moving = np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate)
+    return np.asarray(1.0 + values[0] * moving * np.sign(angle + lag * rate))
+
+
+def _capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    least, most = float(motion.dtheta.min()), float(motion.dtheta.max())
+    return (0.0, MOST_FRICTION), (least, most)
+
+
+def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    span = float(motion.dtheta.max() - motion.dtheta.min())
+    return ((REACHES[0] * span, REACHES[1] * span),)
+
+
+def _building_up(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
+
+    (level,), reach = _presliding(regressors), float(regressors.own[0])
+    rate = regressors.motion.dtheta_dot
+    return ((rate - np.abs(rate) * level) / reach,)
+
+
+def _presliding(regressors: Regressors) -> tuple[Array, ...]:
+    return (regressors.motion.presliding(float(regressors.own[0])),)
+
+
+COULOMB: Final = Term(
+    "coulomb",
+    "dry friction",
+    (Parameter("Fc", "N*m", "Coulomb friction", presence=True, friction=True, positive=True),),
+    columns=_sign,
+    rates=_still,
+    sticks=True,
+)
+
+DAHL: Final = Term(
+    "dahl",
+    "dry friction that builds up over a deflection",
+    (
+        Parameter("Fd", "N*m", "friction long after a reversal", presence=True, friction=True, positive=True),
+        Parameter(
+            "reach",
+            "rad",
+            "deflection after a reversal over which the friction builds up",
+            scales=False,
+            absent=None,
+            positive=True,
+            nonlinear=True,
+            starts=(0.005, 0.02, 0.06, 0.2, 0.6),
+        ),
+    ),
+    columns=_presliding,
+    rates=_building_up,
+    bounds=_dahl_bounds,
+    remembers=True,
+    excludes=("coulomb",),
+    reason="coulomb is dahl without the build-up",
+    selection="misfit",
+)
+
+CAPSTAN: Final = Term(
+    "capstan",
+    "friction in proportion to the torque, as of a tendon in its sheath",
+    (
+        Parameter(
+            "mu",
+            "1",
+            "part of the torque that is friction",
+            scales=False,
+            presence=True,
+            friction=True,
+            positive=True,
+            nonlinear=True,
+            starts=(0.05, 0.15, 0.3, 0.6),
+        ),
+        Parameter(
+            "rest",
+            "rad",
+            "deflection at which the tendon carries no torque",
+            scales=False,
+            absent=None,
+            nonlinear=True,
+            starts=(0.3, 0.5, 0.7),
+        ),
+    ),
+    bounds=_capstan_bounds,
+    remaining=lambda angle, values: angle - values[1],
+    contact=_loaded,
+    needs="offset",
+    excludes=("backlash", "deadband", "slack"),
+    reason="where a gap is open, the tendon carries no torque that could make friction",
+    sticks=True,
+    selection="misfit",
+)
+
+QUADRATIC: Final = Term(
+    "quadratic",
+    "a damping that grows with the rate",
+    (Parameter("B2", "N*m*s^2/rad^2", "quadratic damping", presence=True, positive=True),),
+    columns=_square,
+    rates=_squaring,
+    selection="misfit",
+)
+
+INERTIA: Final = Term(
+    "inertia",
+    "an inertia that moves with the deflection",
+    (Parameter("J", "kg*m^2", "inertia that moves with the deflection", presence=True, positive=True),),
+    columns=lambda r: (r.motion.dtheta_ddot,),
+    rates=lambda _r, c: (c.dtheta_ddot,),
+    selection="motor torque",  # elsewhere it differs too little from skew
+)

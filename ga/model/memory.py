@@ -1,0 +1,51 @@
+"""Signals that remember: a first-order lag and the friction of Dahl, exact over uneven stamps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ga.compiled import compiled
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+
+def lagged(time: Array, values: Array, constant: float) -> Array:
+    """Return values (n,) or (n, k) at times (n,) s behind a first-order lag of `constant` s, settled at the first.
+
+    Exact where the values are cubic between two times, with the slopes that central differences give them.
+    """
+    if len(time) < 2:
+        return values
+    table = values.reshape(len(time), -1)
+    step, slope = np.diff(time)[:, None], np.asarray(np.gradient(table, time, axis=0))
+    chord = np.diff(table, axis=0) / step
+    third = 6.0 * (slope[:-1] + slope[1:] - 2.0 * chord) / step**2
+    second = 2.0 * (3.0 * chord - 2.0 * slope[:-1] - slope[1:]) / step
+    # a cubic less its slopes, p - T p' + T^2 p'' - T^3 p''', is what the lag has settled to; the rest decays
+    begin = table[:-1] + constant * (constant * (second - constant * third) - slope[:-1])
+    end = table[1:] + constant * (constant * (second + third * step - constant * third) - slope[1:])
+    keep = np.exp(-step[:, 0] / constant)
+    return _recursion(keep, end - keep[:, None] * begin, table[0]).reshape(values.shape)
+
+
+def presliding(time: Array, rate: Array, length: float) -> Array:
+    """Return Dahl's friction (n,), -1 to 1, of a rate (n,) rad/s: dz/dx = (1 - z sign(rate))/length, zero at first."""
+    moves = np.diff(time) * 0.5 * (rate[:-1] + rate[1:])
+    keep = np.exp(-np.abs(moves) / length)
+    return _recursion(keep, ((1.0 - keep) * np.sign(moves))[:, None], np.zeros(1))[:, 0]
+
+
+@compiled
+def _recursion(keep: Array, added: Array, first: Array) -> Array:
+    """The states (n + 1, k): the first, then `keep` (n,) of the one before and what is added (n, k)."""
+    found = np.empty((len(keep) + 1, len(first)))
+    found[0] = first
+    for at in range(len(keep)):
+        for k in range(len(first)):
+            found[at + 1, k] = keep[at] * found[at, k] + added[at, k]
+    return found

@@ -1,0 +1,102 @@
+"""The terms of what the sensors do: offset, drift, skew and lag of the torque reading."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from ga.model.record import Parameter, Regressors, Term
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ga.model.trajectory import Motion
+
+    Array = NDArray[np.float64]
+
+LONGEST_SKEW: Final = 0.02
+"""s between two readings of one tick, at most."""
+
+LONGEST_LAG: Final = 0.05
+"""s, of a torque cell, at most: 3 Hz."""
+
+
+def _still(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (np.zeros_like(regressors.angle),)
+
+
+def _one(regressors: Regressors) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (np.ones_like(regressors.angle),)
+
+
+def _skew_bounds(_motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
+    longest = min(LONGEST_SKEW, 0.25 / highest)  # beyond a quarter of the shortest period it cannot be identified
+    return ((-longest, longest),)
+
+
+def _lag_bounds(_motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
+    return ((0.0, min(LONGEST_LAG, 0.5 / highest)),)  # behind a longer one the damping cannot be identified
+
+
+OFFSET: Final = Term(
+    "offset",
+    "a constant torque",
+    (Parameter("tau0", "N*m", "torque at rest, at the first sample"),),
+    columns=_one,
+    rates=_still,
+    selection="smallest",  # no reading's zero is quite the coupling's: other terms would stand in for it on the way
+)
+
+DRIFT: Final = Term(
+    "drift",
+    "a torque that grows in time",
+    (Parameter("drift", "N*m/s", "slope of the torque reading in time"),),
+    # from the first sample on: an absolute time would be nearly collinear with the offset
+    columns=lambda r: (r.time,),
+    rates=_still,
+    needs="offset",
+)
+
+SKEW: Final = Term(
+    "skew",
+    "a torque reading older than the angle's",
+    (
+        Parameter(
+            "skew",
+            "s",
+            "how much older the torque reading is than that of the angle",
+            scales=False,
+            nonlinear=True,
+            starts=(0.25, 0.5, 0.75),
+            refined=True,
+        ),
+    ),
+    bounds=_skew_bounds,
+    delays=True,
+    confusable=("coulomb",),  # it moves the breaks that friction makes at every reversal
+)
+
+LAG: Final = Term(
+    "lag",
+    "a torque cell that follows with a first-order lag",
+    (
+        Parameter(
+            "lag",
+            "s",
+            "time constant of the torque cell",
+            scales=False,
+            presence=True,
+            positive=True,
+            nonlinear=True,
+            starts=(0.02, 0.1, 0.3, 0.6),
+        ),
+    ),
+    bounds=_lag_bounds,
+    lags=True,
+    remembers=True,
+    selection="misfit",
+)

@@ -1,0 +1,285 @@
+"""The terms that store the coupling's energy: springs, gaps, slack, and Maxwell branches.
+
+Kc is the relaxed stiffness: with Maxwell branches, what is left of it long after a step.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from ga.model.record import Parameter, Regressors, Term
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ga.model.trajectory import Motion
+
+    Array = NDArray[np.float64]
+
+WIDEST_GAP: Final = 0.95
+"""Part of the whole deflection that a gap or slack may take."""
+
+LONGEST_RELAXATION: Final = 0.5
+"""s, of a Maxwell branch, at most."""
+
+SHORTEST_RELAXATION: Final = 0.02
+"""Of a Maxwell branch, as a part of the shortest period: a shorter one is a damping."""
+
+_GAPS: Final = ("backlash", "deadband", "slack")
+
+
+def _others(name: str) -> tuple[str, ...]:
+    return tuple(other for other in _GAPS if other != name)
+
+
+_ONE_GAP: Final = (
+    "backlash, deadband and slack are three kinds of one gap, and a single tendon (slack) has no second flank"
+)
+
+
+def _beyond_gap(angle: Array, values: Array) -> Array:
+    import numpy as np
+
+    gap, centre = values
+    from_centre = angle - centre
+    return np.asarray(np.sign(from_centre) * np.maximum(np.abs(from_centre) - 0.5 * gap, 0.0))
+
+
+def _gap_shifts(angle: Array) -> tuple[Array, ...]:
+    import numpy as np
+
+    return 0.5 * np.sign(angle), np.sign(angle) ** 2
+
+
+def _beyond_slack(angle: Array, values: Array) -> Array:
+    import numpy as np
+
+    return np.asarray(np.maximum(angle - values[0], 0.0))
+
+
+def _slack_shifts(angle: Array) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (np.sign(angle),)
+
+
+def _pushing_only(angle: Array, rate: Array, lag: float, _smoothing: float, _values: Array) -> Array:
+    import numpy as np
+
+    return np.asarray((angle * (angle + lag * rate) > 0.0).astype(np.float64))
+
+
+def _gap_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    least, span = _extent(motion)
+    return (0.0, WIDEST_GAP * span), (least, least + span)
+
+
+def _slack_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    least, span = _extent(motion)
+    return ((least, least + WIDEST_GAP * span),)
+
+
+def _turn_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    least, span = _extent(motion)
+    return ((least, least + span),)
+
+
+def _relaxation_bounds(motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
+    longest = min(LONGEST_RELAXATION, 0.1 * float(motion.time[-1] - motion.time[0]))
+    shortest = min(SHORTEST_RELAXATION / highest, 0.5 * longest)
+    return ((shortest, longest),)
+
+
+def _extent(motion: Motion) -> tuple[float, float]:
+    least = float(motion.dtheta.min())
+    return least, float(motion.dtheta.max() - motion.dtheta.min())
+
+
+def _beside_turn(regressors: Regressors) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (np.abs(regressors.angle - regressors.own[0]),)
+
+
+def _turning(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (np.sign(regressors.angle - regressors.own[0]) * changing.dtheta * regressors.contact,)
+
+
+def _unrelaxed(regressors: Regressors, values: Array) -> Array:
+    """Values (n,) of the deflection without what a Maxwell branch has relaxed of them."""
+    return values - regressors.motion.lagged(values, float(regressors.own[0]))
+
+
+def _relaxing(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
+    return (changing.dtheta * regressors.contact - _unrelaxed(regressors, regressors.angle) / regressors.own[0],)
+
+
+def _branch(number: int, needs: str) -> Term:
+    """Return the term of one Maxwell branch: a spring and a damper in series, beside Kc and Bc."""
+    return Term(
+        "maxwell" if number == 1 else f"maxwell{number}",
+        "a viscoelastic branch: a spring in series with a damper" if number == 1 else "another viscoelastic branch",
+        (
+            Parameter(f"K{number}", "N*m/rad", "stiffness that relaxes", presence=True, positive=True),
+            Parameter(
+                f"tau{number}",
+                "s",
+                "time in which it relaxes",
+                scales=False,
+                absent=None,
+                positive=True,
+                nonlinear=True,
+                starts=(0.001, 0.01, 0.03, 0.1, 0.3, 0.7),
+            ),
+        ),
+        columns=lambda r: (_unrelaxed(r, r.angle),),
+        rates=_relaxing,
+        pushed=lambda r, genes, moved: genes[0] * _unrelaxed(r, moved),
+        bounds=_relaxation_bounds,
+        remembers=True,
+        needs=needs,
+        selection="misfit" if number == 1 else "named",
+    )
+
+
+LINEAR: Final = Term(
+    "linear",
+    "a spring Kc and a damper Bc, the paper's equation 3",
+    (
+        Parameter("Kc", "N*m/rad", "stiffness of the coupling", positive=True),
+        Parameter("Bc", "N*m*s/rad", "damping of the coupling", positive=True),
+    ),
+    columns=lambda r: (r.angle, r.motion.dtheta_dot * r.contact),
+    rates=lambda r, c: (c.dtheta * r.contact, c.dtheta_dot * r.contact),
+    pushed=lambda _r, genes, moved: genes[0] * moved,
+    selection="smallest",
+)
+
+CUBIC: Final = Term(
+    "cubic",
+    "a spring that stiffens",
+    (Parameter("K3", "N*m/rad^3", "cubic stiffness", presence=True),),
+    columns=lambda r: (r.angle**3,),
+    rates=lambda r, c: (3.0 * r.angle**2 * c.dtheta,),
+    pushed=lambda r, genes, moved: 3.0 * genes[0] * r.angle**2 * moved,
+    confusable=("backlash", "slack", "deadband"),
+)
+
+ASYMMETRIC: Final = Term(
+    "asymmetric",
+    "a spring that is stiffer in one direction",
+    (
+        Parameter("Ka", "N*m/rad", "half of what the directions differ by; Kc is their mean", presence=True),
+        Parameter(
+            "turn",
+            "rad",
+            "deflection at which the stiffness changes",
+            scales=False,
+            absent=None,
+            nonlinear=True,
+        ),
+    ),
+    columns=_beside_turn,
+    rates=_turning,
+    bounds=_turn_bounds,
+    needs="offset",
+    excludes=_GAPS,
+    reason="a gap has its own flanks, whose stiffness is one (asymmetric)",
+    breaks=True,
+    selection="misfit",
+)
+
+SOFTENING: Final = Term(
+    "softening",
+    "a stiffness that drifts in time",
+    (Parameter("Ks", "N*m/rad/s", "change of the stiffness in a second; Kc is its mean", presence=True),),
+    columns=lambda r: ((r.time - r.middle) * r.angle,),
+    rates=lambda r, c: ((r.time - r.middle) * c.dtheta * r.contact,),
+    pushed=lambda r, genes, moved: genes[0] * (r.time - r.middle) * moved,
+    selection="misfit",
+)
+
+_GAP: Final = Parameter(
+    "gap",
+    "rad",
+    "play of the coupling, its whole width",
+    scales=False,
+    presence=True,
+    positive=True,
+    nonlinear=True,
+    starts=(0.0, 0.03, 0.1, 0.25, 0.5),
+    kinked=True,
+    refined=True,
+    about="centre",
+)
+_CENTRE: Final = Parameter(
+    "centre",
+    "rad",
+    "deflection in the middle of the play",
+    scales=False,
+    absent=None,
+    nonlinear=True,
+    starts=(0.3, 0.5, 0.7),
+    kinked=True,
+    refined=True,
+)
+
+BACKLASH: Final = Term(
+    "backlash",
+    "a gap with a flank on both sides",
+    (_GAP, _CENTRE),
+    bounds=_gap_bounds,
+    remaining=_beyond_gap,
+    shifts=_gap_shifts,
+    contact=_pushing_only,
+    needs="offset",
+    excludes=_others("backlash"),
+    reason=_ONE_GAP,
+    breaks=True,
+)
+
+DEADBAND: Final = Term(
+    "deadband",
+    "a gap of the spring only, in which the damper still acts",
+    (_GAP, _CENTRE),
+    bounds=_gap_bounds,
+    remaining=_beyond_gap,
+    shifts=_gap_shifts,
+    needs="offset",
+    excludes=_others("deadband"),
+    reason=_ONE_GAP,
+    breaks=True,
+    selection="misfit",
+)
+
+SLACK: Final = Term(
+    "slack",
+    "a tendon that only pulls",
+    (
+        Parameter(
+            "slack",
+            "rad",
+            "deflection before the tendon pulls",
+            scales=False,
+            absent=None,
+            nonlinear=True,
+            starts=(0.05, 0.2, 0.4, 0.6, 0.8),
+            kinked=True,
+            refined=True,
+        ),
+    ),
+    bounds=_slack_bounds,
+    remaining=_beyond_slack,
+    shifts=_slack_shifts,
+    contact=_pushing_only,
+    needs="offset",
+    excludes=_others("slack"),
+    reason=_ONE_GAP,
+    breaks=True,
+)
+
+MAXWELL: Final = _branch(1, "")
+MAXWELL2: Final = _branch(2, "maxwell")
