@@ -1,0 +1,236 @@
+"""Terms with memory and those of friction, against closed forms and scipy's integrator."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+
+from ga.model.coupling import CouplingModel, parse
+from ga.model.separable import Fit, Problem, fit
+from ga.model.terms import TERMS, is_addable
+from ga.model.trajectory import Motion
+
+Array = NDArray[np.float64]
+
+KC, BC = 0.3, 3e-3
+LINES = 2.0 * np.pi * np.array([0.3, 0.7, 1.3, 2.2, 3.7, 5.9, 8.3, 11.0])
+PHASES = np.array([0.3, 2.1, 4.0, 5.5, 1.2, 3.3, 0.9, 2.7])
+SIZES = 0.06 / (1.0 + np.arange(8) / 4.0)
+NOISE = 3e-4
+
+
+def moving(time: Array) -> Motion:
+    """A sum of sines from 0.3 to 11 Hz, in closed form at any time."""
+    waves = SIZES * np.exp(1j * (np.outer(time, LINES) + PHASES))
+    parts = [(waves * (1j * LINES) ** order).sum(axis=1).imag for order in range(3)]
+    return Motion(time, *parts, np.zeros(len(time)))
+
+
+def uneven(count: int = 4000, step: float = 2.5e-3) -> Array:
+    return step * (np.arange(count) + np.random.default_rng(3).uniform(-0.3, 0.3, count))
+
+
+MOTION = moving(uneven())
+NOISES = NOISE * np.random.default_rng(5).standard_normal(len(MOTION))
+
+
+def steady_lag(time: Array, constant: float, order: int = 0) -> Array:
+    """The closed form of the deflection (or a derivative) behind a first-order lag, long after the start."""
+    waves = SIZES * np.exp(1j * (np.outer(time, LINES) + PHASES)) * (1j * LINES) ** order
+    return np.asarray((waves / (1.0 + 1j * LINES * constant)).sum(axis=1).imag)
+
+
+def problem(name: str, torque: Array, motion: Motion = MOTION) -> Problem:
+    model = parse(name).anchored(motion)
+    return Problem(model, motion, torque, *model.bounds(motion, highest=11.0))
+
+
+def values(found: Fit, model: CouplingModel) -> dict[str, float]:
+    return dict(zip((parameter.name for parameter in model.parameters), found.values.tolist(), strict=True))
+
+
+def identified(name: str, torque: Array, motion: Motion = MOTION) -> dict[str, float]:
+    asked = problem(name, torque, motion)
+    return values(fit(asked), parse(name))
+
+
+def spring_and_damper(motion: Motion = MOTION) -> Array:
+    return KC * motion.dtheta + BC * motion.dtheta_dot
+
+
+@pytest.mark.parametrize("constant", [1e-4, 5e-3, 0.03, 0.4])
+def test_a_lag_is_that_of_the_closed_form_on_uneven_stamps(constant: float) -> None:
+    settled = MOTION.time > MOTION.time[0] + 12.0 * constant
+    lagged = MOTION.lagged(MOTION.dtheta, constant)
+    assert lagged[settled] == pytest.approx(steady_lag(MOTION.time, constant)[settled], abs=5e-5)
+
+
+def test_a_lag_of_a_cubic_is_exact() -> None:
+    """y = p - T p' + T^2 p'' - T^3 p''' + c exp(-t/T); a parabola has the slopes of central differences."""
+    time = uneven(50)
+    time -= time[0]
+    square = Motion(time, time**2, 2.0 * time, np.full(50, 2.0), np.zeros(50)).lagged(time**2, 0.02)
+    exact = time**2 - 0.04 * time + 8e-4 * (1.0 - np.exp(-time / 0.02))
+    assert square[:-1] == pytest.approx(exact[:-1], abs=1e-6)
+
+
+def test_a_lag_begins_anew_in_every_stretch() -> None:
+    twice = Motion(*(np.concatenate([p, p]) for p in (MOTION.time, MOTION.dtheta, MOTION.dtheta_dot)),
+                   *(np.zeros(2 * len(MOTION)) for _ in range(2)), starts=(0, len(MOTION)))  # fmt: skip
+    lagged = twice.lagged(twice.dtheta + np.repeat([0.0, 5.0], len(MOTION)), 0.03)
+    assert lagged[len(MOTION) :] - 5.0 == pytest.approx(lagged[: len(MOTION)], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["linear+offset+lag", "linear+offset+skew+lag", "linear+maxwell", "linear+dahl"])
+def test_some_rows_remember_the_samples_between_them(name: str) -> None:
+    model = parse(name).anchored(MOTION)
+    nonlinear, _ = model.bounds(MOTION, 11.0)
+    nonlinear = nonlinear + 0.01
+    rows = np.arange(len(MOTION)) % 7 == 3
+    part = MOTION.of(rows).of(slice(None, None, 2))
+    whole = model.columns(MOTION, nonlinear)[rows][::2]
+    assert np.array_equal(model.columns(part, nonlinear), whole)
+
+
+def test_a_cells_lag_comes_back_with_stiffness_and_damping() -> None:
+    """30 Hz; taken for a skew, it makes Bc wrong."""
+    constant = 1.0 / (2.0 * np.pi * 30.0)
+    torque = KC * steady_lag(MOTION.time, constant) + BC * steady_lag(MOTION.time, constant, 1) + NOISES
+    found = identified("linear+offset+lag", torque)
+    assert found["lag"] == pytest.approx(constant, rel=0.02)
+    assert [found["Kc"], found["Bc"]] == pytest.approx([KC, BC], rel=0.02)
+    assert fit(problem("linear+offset+skew", torque)).fitness > 1.2 * fit(problem("linear+offset+lag", torque)).fitness
+
+
+def test_a_standard_linear_solid_comes_back_with_its_relaxed_stiffness() -> None:
+    branch = MOTION.dtheta - steady_lag(MOTION.time, 0.03)
+    found = identified("linear+maxwell", spring_and_damper() + 0.1 * branch + NOISES)
+    assert found == pytest.approx({"Kc": KC, "Bc": BC, "K1": 0.1, "tau1": 0.03}, rel=0.03)
+
+
+def test_two_branches_come_back() -> None:
+    parts = [MOTION.dtheta - steady_lag(MOTION.time, constant) for constant in (0.01, 0.2)]
+    torque = spring_and_damper() + 0.15 * parts[0] + 0.1 * parts[1] + 0.1 * NOISES
+    found = identified("linear+maxwell+maxwell2", torque)
+    branches = sorted([(found["tau1"], found["K1"]), (found["tau2"], found["K2"])])
+    assert found["Kc"] == pytest.approx(KC, rel=0.03)
+    assert branches[1] == pytest.approx((0.2, 0.1), rel=0.15)
+
+
+def test_quadratic_damping_comes_back() -> None:
+    torque = spring_and_damper() + 1e-3 * MOTION.dtheta_dot * np.abs(MOTION.dtheta_dot) + NOISES
+    assert identified("linear+quadratic", torque) == pytest.approx({"Kc": KC, "Bc": BC, "B2": 1e-3}, rel=0.03)
+
+
+def test_friction_that_builds_up_is_that_of_an_integrator() -> None:
+    """Dahl's equation dz/dt = (v - |v| z)/reach."""
+    reach, rate = 0.02, CubicSpline(MOTION.time, MOTION.dtheta_dot)
+    turns = [float(MOTION.time[0]), *rate.roots(extrapolate=False).tolist(), float(MOTION.time[-1])]
+    state, found = 0.0, []
+    for start, stop in pairwise(turns):
+        times = MOTION.time[(MOTION.time >= start) & (MOTION.time < stop)]
+        solved = solve_ivp(
+            lambda t, z: (rate(t) - abs(rate(t)) * z) / reach, (start, stop), [state], "LSODA", [*times, stop],
+            rtol=1e-9, atol=1e-10,
+        )  # fmt: skip
+        found += solved.y[0, :-1].tolist()
+        state = float(solved.y[0, -1])
+    errors = np.abs(MOTION.presliding(reach)[:-1] - found)  # most where the joint turns between two samples
+    assert errors.mean() < 2e-3
+    assert errors.max() < 0.03
+
+
+def test_friction_that_builds_up_comes_back() -> None:
+    torque = spring_and_damper() + 0.005 * MOTION.presliding(0.02) + NOISES
+    expected = {"Kc": KC, "Bc": BC, "Fd": 0.005, "reach": 0.02}
+    assert identified("linear+dahl", torque) == pytest.approx(expected, rel=0.04)
+
+
+def test_friction_in_proportion_to_the_torque_comes_back() -> None:
+    """The torque carried is T = Kc (x - rest) + Bc v, and what is read T + mu |T| sign(v)."""
+    carried = KC * (MOTION.dtheta - 0.02) + BC * MOTION.dtheta_dot
+    torque = carried + 0.15 * np.abs(carried) * np.sign(MOTION.dtheta_dot) + 0.01 + NOISES
+    found = identified("linear+offset+capstan", torque)
+    expected = {"Kc": KC, "Bc": BC, "mu": 0.15, "rest": 0.02, "tau0": 0.01}
+    assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
+
+
+def test_a_dead_band_whose_damper_always_acts_comes_back() -> None:
+    beyond = MOTION.dtheta - 0.01
+    sprung = np.sign(beyond) * np.maximum(np.abs(beyond) - 0.01, 0.0)
+    torque = KC * sprung + BC * MOTION.dtheta_dot + NOISES
+    found = identified("linear+offset+deadband", torque)
+    assert (found["gap"], found["centre"]) == pytest.approx((0.02, 0.01), abs=1e-3)
+    assert [found["Kc"], found["Bc"]] == pytest.approx([KC, BC], rel=0.01)
+    worse = fit(problem("linear+offset+backlash", torque)).fitness
+    assert worse > 1.5 * fit(problem("linear+offset+deadband", torque)).fitness
+
+
+def test_a_stiffness_that_differs_between_the_directions_comes_back() -> None:
+    beyond = MOTION.dtheta - 0.03
+    torque = np.where(beyond > 0.0, 1.2, 0.8) * KC * beyond + BC * MOTION.dtheta_dot + NOISES
+    found = identified("linear+offset+asymmetric", torque)
+    assert [found[name] for name in ("Kc", "Ka", "Bc")] == pytest.approx([KC, 0.2 * KC, BC], rel=0.02)
+    assert found["turn"] == pytest.approx(0.03, abs=2e-3)
+
+
+def test_a_stiffness_that_drifts_comes_back_with_its_mean() -> None:
+    whole = MOTION.time[-1] - MOTION.time[0]
+    share = (MOTION.time - MOTION.time[0]) / whole - 0.5
+    torque = KC * (1.0 - 0.2 * share) * MOTION.dtheta + BC * MOTION.dtheta_dot + NOISES
+    found = identified("linear+softening", torque)
+    assert found == pytest.approx({"Kc": KC, "Bc": BC, "Ks": -0.2 * KC / whole}, rel=0.01)
+
+
+TORQUE = (
+    spring_and_damper()
+    + 0.05 * (MOTION.dtheta - steady_lag(MOTION.time, 0.03))
+    + 3e-3 * np.tanh(MOTION.dtheta_dot / 1e-2)
+    + 0.4 * MOTION.dtheta**3
+    + 0.01
+    + NOISES
+)
+CONTAINED = ("linear+offset", "linear+offset+coulomb", "linear+offset+drift", "linear+offset+cubic+skew")
+
+
+ADDED = [
+    (name, term)
+    for name in CONTAINED
+    for term in TERMS
+    if is_addable(term, name.split("+")) and term not in {"backlash", "slack"}
+]
+
+
+@pytest.mark.parametrize(("name", "term"), ADDED)
+def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
+    """Flanks that only push hold no model without them."""
+    motion = MOTION.of(slice(None, None, 8))
+    less, more = (problem(text, TORQUE[::8], motion) for text in (name, f"{name}+{term}"))
+    smaller = fit(less)
+    near = dict(zip((p.name for p in less.model.nonlinear), smaller.nonlinear.tolist(), strict=True))
+    assert fit(more, near).fitness <= smaller.fitness * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
+     "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew"],
+)  # fmt: skip
+def test_the_jacobian_is_the_derivative_of_the_torque(name: str) -> None:
+    even = moving(0.0025 * np.arange(1600))
+    model = parse(name).anchored(even)
+    low, high = model.bounds(even, 11.0)
+    nonlinear, genes = low + 0.3 * (high - low), np.linspace(0.5, 1.5, len(model.linear))
+    found = model.jacobian(even, nonlinear, genes)
+    for k in range(len(nonlinear)):
+        step = np.zeros(len(nonlinear))
+        step[k] = 1e-6
+        torque = [model.columns(even, nonlinear + sign * step) @ genes for sign in (1.0, -1.0)]
+        expected = (torque[0] - torque[1]) / 2e-6
+        alike = np.isclose(found[:, k], expected, rtol=0.01, atol=0.01 * np.abs(expected).max() + 1e-9)
+        assert np.mean(alike) > 0.9
