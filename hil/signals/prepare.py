@@ -85,7 +85,7 @@ class Signals:
         """Return the signals with deflections from `reference`, rad."""
         if reference == 0.0:
             return self
-        return replace(self, motion=replace(self.motion, dtheta=self.motion.dtheta - reference, curves=None))
+        return replace(self, motion=replace(self.motion, dtheta=self.motion.dtheta - reference, part_of=None))
 
     @property
     def coupling_torque(self) -> Array:

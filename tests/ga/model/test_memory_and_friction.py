@@ -80,8 +80,9 @@ def test_a_lag_of_a_cubic_is_exact() -> None:
 
 
 def test_a_lag_begins_anew_in_every_stretch() -> None:
-    twice = Motion(*(np.concatenate([p, p]) for p in (MOTION.time, MOTION.dtheta, MOTION.dtheta_dot)),
-                   *(np.zeros(2 * len(MOTION)) for _ in range(2)), starts=(0, len(MOTION)))  # fmt: skip
+    time, dtheta, rate = (np.concatenate([part, part]) for part in (MOTION.time, MOTION.dtheta, MOTION.dtheta_dot))
+    still = np.zeros(len(time))
+    twice = Motion(time, dtheta, rate, still, still, starts=(0, len(MOTION)))
     lagged = twice.lagged(twice.dtheta + np.repeat([0.0, 5.0], len(MOTION)), 0.03)
     assert lagged[len(MOTION) :] - 5.0 == pytest.approx(lagged[: len(MOTION)], abs=1e-9)
 
@@ -222,7 +223,7 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
      "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew"],
 )  # fmt: skip
 def test_the_jacobian_is_the_derivative_of_the_torque(name: str) -> None:
-    even = moving(0.0025 * np.arange(1600))
+    even = moving(np.linspace(0.0, 4.0, 1601))
     model = parse(name).anchored(even)
     low, high = model.bounds(even, 11.0)
     nonlinear, genes = low + 0.3 * (high - low), np.linspace(0.5, 1.5, len(model.linear))
