@@ -28,7 +28,7 @@ def moving(time: Array) -> Motion:
     """A sum of sines from 0.3 to 11 Hz, in closed form at any time."""
     waves = SIZES * np.exp(1j * (np.outer(time, LINES) + PHASES))
     parts = [(waves * (1j * LINES) ** order).sum(axis=1).imag for order in range(3)]
-    return Motion(time, *parts, np.zeros(len(time)))
+    return Motion(time, parts[0], parts[1], parts[2], np.zeros(len(time)))
 
 
 def uneven(count: int = 4000, step: float = 2.5e-3) -> Array:
