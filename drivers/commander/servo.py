@@ -39,6 +39,7 @@ RESTARTED = 2
 
 _WAKE = 0.25  # s between two requests to a board that may still be booting
 _MACHINE, _AWAKE = "@3", "@machine"  # the verbose mode in which replies name their command
+_STARTED = "Verb:"  # begins the reply in the verbose mode of a start
 _MODES = {"dc_current": ("1", "dc curr"), "foc_current": ("2", "foc curr")}
 
 
@@ -277,13 +278,16 @@ class CommanderServo:
             )
 
     def _raise_restarted(self) -> None:
-        """Raise DeviceFault where the board prints in the format of a start."""
+        """Raise DeviceFault where the board prints in the format of a start, BadReply where the reply is neither."""
         try:
-            if self._link.ask("@", "@") == "machine":
-                return
+            reply = self._link.ask("@", "@")
         except BadReply as error:
-            if "Verb:" not in str(error):
+            if _STARTED not in str(error):
                 raise
+        else:
+            if reply == _AWAKE[1:]:
+                return
+            raise BadReply(f"the reply to @ is damaged ({shown(reply)}): the sample is dropped")
         raise DeviceFault(
             RESTARTED,
             "the board was restarted, and its motor may be enabled: check its supply and its plug, then start again",

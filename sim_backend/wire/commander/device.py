@@ -1,34 +1,45 @@
-"""An emulated SimpleFOC board: Commander's parser and printer, character for character, over the emulated motor.
+"""An emulated SimpleFOC board: Commander's parser, character for character, over the emulated motor.
 
 Source: Arduino-FOC, src/communication/Commander.cpp, commands.h, src/BLDCMotor.cpp and base_classes/FOCMotor.cpp of
-library 2.3 and 2.4, and docs.simplefoc.com. Gains, filters and modulation are kept and printed and have no effect. No
-I/O: characters in, text out.
+library 2.3.5 and 2.4.0, and docs.simplefoc.com. Gains, filters and modulation are kept and printed and have no effect;
+in the open-loop modes the motor carries no current; measuring and tuning (`F`) fail. The program calls
+`motor.monitor()` in its loop, with nothing printed until a downsample is set, as the library's examples do. No I/O:
+characters in, text out.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 import numpy as np
 
 from sim_backend.parameters import SimParameters
-from sim_backend.wire.commander.motion import MotionControl
+from sim_backend.wire.commander.motion import (
+    ANGLE_MODE,
+    ANGLE_NOCASCADE_MODE,
+    TORQUE_MODE,
+    VELOCITY_MODE,
+    MotionControl,
+)
+from sim_backend.wire.commander.printer import FRIENDLY, MACHINE, NOTHING, Printer
 from sim_backend.wire.loadcell.joint_torque import JointTorque
 from sim_backend.wire.plant_motor import PlantMotor
 
 BUFFER = 20
 """Characters of a command; a longer one is thrown away at that length, and what follows is read as another."""
-NOTHING, ON_REQUEST, FRIENDLY, MACHINE = range(4)
 
 _MOTION = ("torque", "vel", "angle", "vel open", "angle open", "angle nocascade", "custom")
 _TORQUE = ("volt", "dc curr", "foc curr", "est. curr")
 _PIDS = {"Q": "PID curr q| ", "D": "PID curr d| ", "V": "PID vel| ", "A": "PID angle| "}
 _TERMS = {"P": "P: ", "I": "I: ", "D": "D: ", "R": "ramp: ", "L": "limit: ", "F": "Tf: "}
 _WATCHED = ("target", "Vq", "Vd", "Cq", "Cd", "vel", "angle")
-_LIMITS = {"U": "volt: ", "C": "curr: ", "V": "vel: "}
+_LIMITS = {"U": ("volt: ", "voltage_limit"), "C": ("curr: ", "current_limit"), "V": ("vel: ", "velocity_limit")}
 _PLAIN = {"R": "R phase: ", "I": "L phase: ", "K": "Motor KV: "}
+_OFFSETS = {"M": "offset: ", "E": "el. offset: "}
 _BOOT = ("Monitor enabled!", "Init", "Enable driver.", "Align sensor.", "sensor dir: CW", "PP check: OK!", "Ready.")
+_SHOWN = 7
+_VOLTAGE = 0
+"""The torque type in which a limit given beside a target is one of voltage."""
 
 
 def number(text: str) -> float:
@@ -47,8 +58,11 @@ class CommanderDevice:
     def __init__(self, parameters: SimParameters, letter: str = "M", version: tuple[int, int] = (2, 4)) -> None:
         parameters = parameters.resolved()
         self.joint = JointTorque()
-        self.motor = PlantMotor(parameters, MotionControl(parameters, clamps=version >= (2, 4)), self.joint.note)
+        self.modern = version >= (2, 4)
+        self.motor = PlantMotor(parameters, MotionControl(parameters, clamps=self.modern), self.joint.note)
         self.letter = letter
+        self.program_downsample = 0
+        """The downsample of the monitor that the program sets when it begins."""
         self.restart()
 
     @property
@@ -56,18 +70,26 @@ class CommanderDevice:
         """The settings and loops of the motor."""
         return self.motor.law
 
+    @property
+    def streams(self) -> bool:
+        """Whether `motor.monitor()` prints lines."""
+        return self.downsample > 0 and "1" in self.watched
+
     def restart(self) -> None:
         """Set everything as the program does when it begins: the motor is enabled, its target zero."""
-        self.verbose = FRIENDLY
-        self.decimals = 3
+        self.printer = Printer()
         self.torque_type = 0
         self.watched = "1100011"
-        self.downsample = 0
+        self.downsample = self.program_downsample
+        self._motion_downsample = 0
+        self._monitor_decimals = 4
         self._typed = ""
         self._kept = {"VP": 0.2, "VI": 20.0, "AP": 20.0, "QP": 3.0, "QI": 300.0, "DP": 3.0, "DI": 300.0, "VF": 0.005}
+        self._plain: dict[str, float] = {}
+        self._centered = 1
         self.motor.disable()
         motion = self.motion
-        motion.mode, motion.target = 0, 0.0
+        motion.mode, motion.target = TORQUE_MODE, 0.0
         motion.voltage_limit, motion.current_limit, motion.velocity_limit = 12.0, 2.0, 20.0
         self.motor.enable()
 
@@ -77,133 +99,240 @@ class CommanderDevice:
         return "".join(f"MOT: {line}\r\n" for line in _BOOT)
 
     def monitored(self) -> str:
-        """Return a line of `motor.monitor()`: the variables that are watched, four digits, currents in mA with two."""
+        """Return a line of `motor.monitor()`: the variables that are watched, currents in mA."""
         target, vq, vd, iq, id_, velocity, angle = self._state()
         shown = (target, vq, vd, iq * 1e3, id_ * 1e3, velocity, angle)
-        digits = (4, 4, 4, 2, 2, 4, 4)
-        words = [f"{v:.{d}f}" for v, d, on in zip(shown, digits, self.watched, strict=True) if on == "1"]
+        words = [f"{v:.{self._monitor_decimals}f}" for v, on in zip(shown, self.watched, strict=True) if on == "1"]
         return "\t".join(words) + "\r\n" if words else ""
 
     def type(self, character: str) -> str:
         """Return the text that it prints after one character."""
         self._typed += character
-        if character in "\n\r":
-            command, self._typed = self._typed[:-1], ""
-            return self._run(command)
+        if self.printer.ends(character):
+            command, self._typed = self._typed, ""
+            self._run(command)
         if len(self._typed) >= BUFFER:
             self._typed = ""
-        return ""
+        return self.printer.taken()
 
     def forget(self) -> None:
         """Lose the command that is being typed."""
         self._typed = ""
 
-    def _run(self, command: str) -> str:
-        head, rest = command[:1], command[1:]
+    def _run(self, command: str) -> None:
+        """Execute a command, which includes the character that ends it."""
+        head, rest, out = command[0], command[1:], self.printer
         if head == "?":
-            return self._shown(f"{self._machine('?')}{self.letter}:motor\r\n")
-        if head == "@":
-            if rest:
-                self.verbose = int(number(rest))
-            said = {NOTHING: "off!", MACHINE: "machine"}.get(self.verbose, "on!")
-            return self._shown(f"{self._friendly('Verb:')}{self._machine('@')}{said}\r\n")
-        if head == "#":
-            if rest:
-                self.decimals = int(number(rest))
-            return self._shown(f"{self._friendly('Decimal:')}{self._machine('#')}{self.decimals}\r\n")
-        if head != self.letter:
-            return ""
-        return self._shown(self._machine(head) + "".join(self._ask_motor(rest)) + "\r\n")
+            out.machine("?")
+            out.say(f"{self.letter}:")
+            out.line("motor")
+        elif head == "@":
+            self._set_verbose(rest)
+        elif head == "#":
+            if not out.ends(rest[0]):
+                out.decimals = int(number(rest))
+            out.friendly("Decimal:")
+            out.machine("#")
+            out.line(out.decimals)
+        elif head == self.letter:
+            out.machine(head)
+            self._command(rest)
 
-    def _ask_motor(self, text: str) -> Iterator[str]:
-        """The pieces of the reply to what follows the motor's letter."""
-        if not text or text[0].isdigit() or text[0] in "+-":
-            yield from self._target(text)
+    def _set_verbose(self, rest: str) -> None:
+        out = self.printer
+        if not out.ends(rest[0]):
+            out.verbose = int(number(rest))
+        out.friendly("Verb:")
+        out.machine("@")
+        if out.verbose in {NOTHING, MACHINE}:
+            out.line({NOTHING: "off!", MACHINE: "machine"}[out.verbose])
+        elif out.verbose <= FRIENDLY:
+            out.line("on!")
+
+    def _command(self, text: str) -> None:
+        """Execute what follows the motor's letter."""
+        out = self.printer
+        if text[0].isdigit() or text[0] in "+-" or out.ends(text[0]):
+            self._target(text)
             return
-        head, sub = text[0], text[1:2]
-        has_sub = "A" <= sub <= "Z" if sub else False
-        rest = text[2:] if has_sub or sub == "#" else text[1:]
-        yield self._machine(head + (sub if has_sub else ""))
-        value = number(rest) if rest else None
+        head, sub = text[0], text[1]
+        lettered = "A" <= sub <= "Z"
+        rest = text[2:] if lettered or sub == "#" else text[1:]
+        value = None if out.ends(rest[0]) else number(rest)
+        out.machine(head + (sub if lettered else ""))
         match head:
             case "E" | "C" | "T":
-                yield from self._motion(head, sub, text[1:])
-            case "L" if sub in _LIMITS:
-                yield self._friendly(f"Limits| {_LIMITS[sub]}") + self._limit(sub, value)
+                self._motion(head, sub, text)
+            case "L":
+                self._limit(sub, value)
             case "M":
-                yield self._friendly("Monitor | ")
-                yield from self._monitor(sub, rest)
-            case "Q" | "D" | "V" | "A" if sub in _TERMS:
-                yield self._friendly(_PIDS[head] + _TERMS[sub]) + self._keep(head + sub, value)
-            case "S" if sub in {"M", "E"}:
-                words = {"M": "offset: ", "E": "el. offset: "}
-                yield self._friendly("Sensor | " + words[sub]) + self._keep(head + sub, value)
+                out.friendly("Monitor | ")
+                self._monitor(sub, value, rest)
+            case "Q" | "D" | "V" | "A":
+                self._gain(head, sub, text[2:])
             case "R" | "I" | "K":
-                yield self._friendly(_PLAIN[head]) + self._keep(head, value)
-            case "W" if sub in {"T", "C"}:
-                yield self._friendly("PWM Mod | " + ("type: " if sub == "T" else "center: "))
-                yield "SinePWM" if sub == "T" else str(int(value or 0))
+                self._rating(head, sub, value)
+            case "S":
+                out.friendly("Sensor | ")
+                self._kept_number(_OFFSETS.get(sub), head + sub, value)
+            case "W":
+                self._modulation(sub, value)
+            case "F" if self.modern:
+                self._measurement(sub)
             case _:
-                yield self._friendly("unknown cmd ") + "err"
+                out.friendly("unknown cmd ")
+                out.error()
 
-    def _target(self, text: str) -> Iterator[str]:
-        motion = self.motion
-        if text:
-            motion.target = number(text)
-            more = [number(word) for word in text.split(" ")[1:] if word]
-            if motion.mode == 2 and more:
-                motion.velocity_limit = more.pop(0)
-            if motion.mode in {1, 2} and more:
-                motion.current_limit = more[0]
-            yield self._friendly("Target: ")
-        elif self.verbose != MACHINE:
+    def _target(self, text: str) -> None:
+        motion, out = self.motion, self.printer
+        if out.ends(text[0]):
+            if out.verbose == MACHINE:
+                out.line(motion.target)
             return
-        yield self._printed(motion.target)
+        words = [number(word) for word in text.split(" ") if word]
+        motion.target = words.pop(0)
+        if motion.mode in {ANGLE_MODE, 4} and words:
+            motion.velocity_limit = words.pop(0)
+        if motion.mode not in {TORQUE_MODE, ANGLE_NOCASCADE_MODE} and words:
+            setattr(motion, "voltage_limit" if self.torque_type == _VOLTAGE else "current_limit", words[0])
+        out.friendly("Target: ")
+        out.line(motion.target)
 
-    def _motion(self, head: str, sub: str, rest: str) -> Iterator[str]:
-        motor, value = self.motor, number(rest)
+    def _motion(self, head: str, sub: str, text: str) -> None:
+        """Motion type (C), torque type (T), or whether the motor is enabled (E)."""
+        motor, out = self.motor, self.printer
+        asked = out.ends(text[2 if sub == "D" and self.modern else 1])
+        value = number(text[2:] if "A" <= sub <= "Z" else text[1:])
         if head == "E":
-            if rest:
+            out.friendly("Status: ")
+            if not asked:
                 motor.enable() if value else motor.disable()
-            yield self._friendly("Status: ") + str(int(motor.enabled))
-        elif sub == "D":
-            yield self._friendly("Motion: downsample: ") + "0"
+            out.line(int(motor.enabled))
+            return
+        out.friendly("Motion:" if head == "C" else "Torque: ")
+        if sub == "T" and self.modern:
+            out.friendly(" time: ")
+            out.line(100)  # us, of the loop
+        elif head == "C" and sub == "D":
+            out.friendly(" downsample: ")
+            self._motion_downsample = self._motion_downsample if asked else int(value)
+            out.line(self._motion_downsample)
         elif head == "C":
-            if rest and 0 <= value < 3:  # the open-loop modes turn nothing here
-                self.motion.mode = int(value)
-            yield self._friendly("Motion:") + _MOTION[self.motion.mode]
+            if not asked and 0 <= value < (len(_MOTION) if self.modern else 5):
+                self._change_motion(int(value))
+            out.line(_MOTION[self.motion.mode])
         else:
-            if rest and 0 <= value < len(_TORQUE):
+            if not asked and 0 <= int(value) < (len(_TORQUE) if self.modern else 3):
                 self.torque_type = int(value)
-            yield self._friendly("Torque: ") + _TORQUE[self.torque_type]
+            out.line(_TORQUE[self.torque_type])
 
-    def _limit(self, sub: str, value: float | None) -> str:
-        name = {"U": "voltage_limit", "C": "current_limit", "V": "velocity_limit"}[sub]
+    def _change_motion(self, mode: int) -> None:
+        """Since library 2.4 a target does not outlive the kind of motion that it was given for."""
+        motion = self.motion
+        turning, angular = {VELOCITY_MODE, 3}, {ANGLE_MODE, 4, ANGLE_NOCASCADE_MODE}
+        same = mode == motion.mode or {mode, motion.mode} <= turning or {mode, motion.mode} <= angular
+        if self.modern and not same:
+            motion.target = motion.angle(self.motor) if mode in angular else 0.0
+        motion.mode = mode
+
+    def _limit(self, sub: str, value: float | None) -> None:
+        out, motion = self.printer, self.motion
+        out.friendly("Limits| ")
+        if sub not in _LIMITS:
+            out.error()
+            return
+        said, name = _LIMITS[sub]
+        out.friendly(said)
         if value is not None:
-            setattr(self.motion, name, value)
-        return self._printed(getattr(self.motion, name))
+            setattr(motion, name, value)
+        out.line(float(getattr(motion, name)))
 
-    def _monitor(self, sub: str, rest: str) -> Iterator[str]:
-        if sub == "G":
-            values = self._state()
-            which = int(number(rest))
-            if which == 7:
-                yield self._friendly("all: ") + ";".join(self._printed(value) for value in values)
-            elif 0 <= which < 7:
-                yield self._friendly(f"{_WATCHED[which]}: ") + self._printed(values[which])
-            else:
-                yield "err"
+    def _gain(self, head: str, sub: str, rest: str) -> None:
+        self.printer.friendly(_PIDS[head])
+        asked = self.printer.ends(rest[:1] or "\n")
+        self._kept_number(_TERMS.get(sub), head + sub, None if asked else number(rest))
+
+    def _rating(self, head: str, sub: str, value: float | None) -> None:
+        out = self.printer
+        out.friendly(_PLAIN[head])
+        axis = sub if head == "I" and self.modern and sub in {"D", "Q"} else ""
+        if axis:
+            out.friendly(f"{axis.lower()}: ")
+        if value is not None:
+            both = ("ID", "IQ", "I") if head == "I" and not axis else (head + axis,)
+            self._plain |= dict.fromkeys(both, value)
+        out.line(self._plain.get(head + axis, 0))
+
+    def _modulation(self, sub: str, value: float | None) -> None:
+        out = self.printer
+        out.friendly("PWM Mod | ")
+        if sub == "T":
+            out.friendly("type: ")
+            out.line("SinePWM")
         elif sub == "C":
-            self.watched = "0000000"
-            yield "clear"
-        elif sub == "S":
-            self.watched = (rest + "0000000")[:7] if rest else self.watched
-            yield self.watched
-        elif sub == "D":
-            self.downsample = int(number(rest)) if rest else self.downsample
-            yield self._friendly("downsample: ") + str(self.downsample)
+            out.friendly("center: ")
+            self._centered = self._centered if value is None else int(bool(value))
+            out.line(self._centered)
         else:
-            yield "err"
+            out.error()
+
+    def _measurement(self, sub: str) -> None:
+        out = self.printer
+        out.friendly("MOT | ")
+        if sub == "R":
+            out.friendly("Reinit!")
+            self.motion.target = 0.0
+            out.line("done")
+        elif sub in {"P", "C"}:
+            out.friendly("Meas motor params!" if sub == "P" else "PI tune curr.| ")
+            out.friendly("failed, err code: ")
+            out.line(1)
+        else:
+            out.error()
+
+    def _monitor(self, sub: str, value: float | None, rest: str) -> None:
+        out = self.printer
+        if sub == "G":
+            self._show(int(value or 0.0))
+        elif sub == "C":
+            self.watched = "0" * _SHOWN
+            out.line("clear")
+        elif sub == "S":
+            if value is not None:
+                self.watched = self._bits(rest)
+            out.line(self.watched)
+        elif sub == "D":
+            out.friendly("downsample: ")
+            self.downsample = self.downsample if value is None else int(value)
+            out.line(self.downsample)
+        elif sub == "#":
+            out.friendly("decimal: ")
+            self._monitor_decimals = int(value or 0.0)
+            out.line(self._monitor_decimals)
+        else:
+            out.error()
+
+    def _bits(self, rest: str) -> str:
+        bits = ""
+        for character in rest[:_SHOWN]:
+            if self.printer.ends(character):
+                break
+            bits += str(ord(character) - ord("0") & 1)
+        return bits.ljust(_SHOWN, "0")
+
+    def _show(self, which: int) -> None:
+        values, out = self._state(), self.printer
+        if which == _SHOWN:
+            out.friendly("all: ")
+            for value in values[:-1]:
+                out.say(value)
+                out.say(";")
+            out.line(values[-1])
+        elif 0 <= which < _SHOWN:
+            out.friendly(f"{_WATCHED[which]}: ")
+            out.line(values[which])
+        else:
+            out.error()
 
     def _state(self) -> tuple[float, float, float, float, float, float, float]:
         """Return target, Vq, Vd (V), Iq, Id (A), velocity (rad/s) and angle (rad)."""
@@ -218,19 +347,12 @@ class CommanderDevice:
             motion.angle(motor),
         )
 
-    def _keep(self, name: str, value: float | None) -> str:
+    def _kept_number(self, said: str | None, name: str, value: float | None) -> None:
+        """Keep a number that has no effect, and print it; `said`: what comes before it, None where there is none."""
+        if said is None:
+            self.printer.error()
+            return
+        self.printer.friendly(said)
         if value is not None:
             self._kept[name] = value
-        return self._printed(self._kept.get(name, 0.0))
-
-    def _printed(self, value: float) -> str:
-        return f"{np.float32(value):.{self.decimals}f}"
-
-    def _shown(self, text: str) -> str:
-        return "" if self.verbose == NOTHING else text
-
-    def _friendly(self, text: str) -> str:
-        return text if self.verbose == FRIENDLY else ""
-
-    def _machine(self, text: str) -> str:
-        return text if self.verbose == MACHINE else ""
+        self.printer.line(self._kept.get(name, 0.0))

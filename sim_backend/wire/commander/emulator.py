@@ -21,6 +21,8 @@ MODELS = ("motor", "motor+loadcell")
 FIRMWARES = ("2.3", "2.4", "2.4-watchdog")
 WATCHDOG = 0.1
 """s of silence after which the program with a watchdog (docs/serial.md) disables the motor."""
+_SEND_BUFFER = 64
+"""Bytes that the board's serial port holds for sending."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +63,6 @@ class CommanderBoard:
         self.faults = WireFaults[SerialFault]()
         """Each command is a request, each printed line a reply."""
         self._garbled: list[tuple[str, str]] = []
-        self.streams = 0.0
-        """s between two lines of `motor.monitor()` in the program's loop; 0: it is not there."""
         self._streamed = now
 
     @property
@@ -99,7 +99,7 @@ class CommanderBoard:
 
     def due(self) -> float:
         """Return when its program next prints unasked, s."""
-        return self._streamed + self.streams if self.streams else math.inf
+        return self._streamed + self._loop * self.device.downsample if self.device.streams else math.inf
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
         """Return the lines printed after `data`, whose first byte is sent at `now`, and when each has arrived."""
@@ -125,14 +125,21 @@ class CommanderBoard:
         return out
 
     def _monitored(self, now: float) -> list[tuple[float, bytes]]:
-        """Return the lines that the program printed by itself since the last call."""
+        """Return the lines that the program printed by itself since then; it waits where its buffer is full."""
         out: list[tuple[float, bytes]] = []
-        while self.streams and self._streamed + self.streams <= now:
-            self._streamed += self.streams
-            line = self.device.monitored()
-            if line and self._awake <= self._made:
-                out += self._reply(line.encode(), self._streamed)
+        while self.device.streams and self.due() <= now:
+            self._streamed = self.due()
+            if self._awake <= self._made:
+                out += self._reply(self.device.monitored().encode(), self._streamed)
+                self._streamed = max(self._streamed, self._free - _SEND_BUFFER * self._duration(1))
+        if not self.device.streams:
+            self._streamed = now
         return out
+
+    @property
+    def _loop(self) -> float:
+        """s of the program's loop, which calls `motor.monitor()` once."""
+        return (self._timing or CommanderTiming()).loop
 
     def _obey(self, end: str, at: float) -> str:
         self.advance(at)

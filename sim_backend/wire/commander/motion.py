@@ -13,7 +13,8 @@ from sim_backend.parameters import SimParameters
 from sim_backend.sensors import counted
 from sim_backend.wire.plant_motor import BEAT, PlantMotor
 
-TORQUE_MODE, VELOCITY_MODE, ANGLE_MODE = range(3)
+TORQUE_MODE, VELOCITY_MODE, ANGLE_MODE, ANGLE_NOCASCADE_MODE = 0, 1, 2, 5
+"""The library's motion types that drive the motor here; the others are open-loop or the user's own."""
 BANDWIDTH = 2.0 * math.pi * 10.0
 """rad/s of the angle loop."""
 
@@ -69,13 +70,18 @@ class MotionControl:
         if self._clamps or self.mode != TORQUE_MODE:
             ceiling = min(ceiling, self.current_limit)
         ceiling *= self._constant
-        wanted = self.target * self._constant if self.mode == TORQUE_MODE else self._regulated(motor, ceiling)
+        if self.mode == TORQUE_MODE:
+            wanted = self.target * self._constant
+        elif self.mode in {VELOCITY_MODE, ANGLE_MODE, ANGLE_NOCASCADE_MODE}:
+            wanted = self._regulated(motor, ceiling)
+        else:
+            wanted = 0.0
         return max(-ceiling, min(ceiling, wanted))
 
     def _regulated(self, motor: PlantMotor[Any], ceiling: float) -> float:
         damping = motor.inertia * BANDWIDTH * 3.0
         speed = self.target
-        if self.mode == ANGLE_MODE:
+        if self.mode != VELOCITY_MODE:
             speed = BANDWIDTH / 3.0 * (self.target - self.angle(motor))
         speed = max(-self.velocity_limit, min(self.velocity_limit, speed))
         error = speed - motor.velocity

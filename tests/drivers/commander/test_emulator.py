@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from sim_backend.parameters import CouplingParameters, SimParameters
-from sim_backend.wire.commander.device import MACHINE, NOTHING, ON_REQUEST, CommanderDevice
+from sim_backend.wire.commander.device import CommanderDevice
+from sim_backend.wire.commander.emulator import CommanderTiming, new_board
+from sim_backend.wire.commander.printer import MACHINE, NOTHING, ON_REQUEST
 
 FRIENDLY = ["Motion:torque", "Torque: foc curr", "Target: 0.400"]
 
@@ -111,3 +113,100 @@ def test_the_current_limit_bounds_a_torque_target_since_library_2_4_only(
         typed(device, command)
     device.motor.run(0.02)
     assert device.motion.current(device.motor) == pytest.approx(carried, abs=3e-3)
+
+
+WARNING = "Warn: \\r detected! \n"
+
+
+@pytest.mark.parametrize(
+    ("command", "reply"),
+    [
+        ("M\r", WARNING * 3),  # looked at as the end, as a target, and as a value
+        ("ME1\r", WARNING + "Status: 1\r\n"),
+        ("ME\r", WARNING * 3 + "Status: 1\r\n"),
+        ("M0.4\r", WARNING + "Target: 0.400\r\n"),
+        ("M0.4\r\n", WARNING + "Target: 0.400\r\n"),
+        ("@\r", WARNING * 2 + "Verb:on!\r\n"),
+        ("#\r", WARNING * 2 + "Decimal:3\r\n"),
+    ],
+)
+def test_a_carriage_return_ends_a_command_and_is_warned_of_at_every_look(
+    device: CommanderDevice, command: str, reply: str
+) -> None:
+    assert "".join(device.type(character) for character in command) == reply
+
+
+def test_only_the_friendly_mode_warns_of_a_carriage_return(device: CommanderDevice) -> None:
+    for verbose in (ON_REQUEST, MACHINE):
+        typed(device, f"@{verbose}")
+        assert "Warn" not in "".join(device.type(character) for character in "ME\r")
+
+
+@pytest.mark.parametrize(("verbose", "reply"), [(1, ""), (2, ""), (3, "M0.000\r\n")])
+def test_the_bare_letter_of_a_motor_prints_its_target_in_the_machine_mode_only(
+    device: CommanderDevice, verbose: int, reply: str
+) -> None:
+    typed(device, f"@{verbose}")
+    assert typed(device, "M") == reply
+
+
+@pytest.mark.parametrize(
+    ("command", "reply"),
+    [
+        ("MLX", "Limits| err"),
+        ("MVX", "PID vel| err"),
+        ("MSX", "Sensor | err"),
+        ("MWX", "PWM Mod | err"),
+        ("MWC", "PWM Mod | center: 1"),
+        ("MR", "R phase: 0"),
+        ("MR0.5", "R phase: 0.500"),
+        ("MM#2", "Monitor | decimal: 2"),
+        ("MMX", "Monitor | err"),
+        ("MMS0001011", "Monitor | 0001011"),
+        ("MMS", "Monitor | 1100011"),
+        ("MMC", "Monitor | clear"),
+        ("MMD50", "Monitor | downsample: 50"),
+        ("MCD3", "Motion: downsample: 3"),
+        ("MC4", "Motion:angle open"),
+        ("MT3", "Torque: est. curr"),
+        ("MT9", "Torque: volt"),
+        ("MFX", "MOT | err"),
+        ("MXX", "unknown cmd err"),
+    ],
+)
+def test_other_commands_are_answered_in_the_librarys_words(device: CommanderDevice, command: str, reply: str) -> None:
+    assert typed(device, command) == f"{reply}\r\n"
+
+
+@pytest.mark.parametrize("mode", [1, 2])
+def test_a_target_does_not_outlive_its_kind_of_motion_since_library_2_4(mode: int) -> None:
+    kept = CommanderDevice(SimParameters(), version=(2, 3))
+    dropped = CommanderDevice(SimParameters(), version=(2, 4))
+    for device in (kept, dropped):
+        typed(device, "M0.4")
+        typed(device, f"MC{mode}")
+    assert kept.motion.target == pytest.approx(0.4)
+    assert dropped.motion.target == 0.0
+
+
+def test_the_monitor_prints_by_itself_once_it_has_a_downsample() -> None:
+    board = new_board(timing=CommanderTiming())
+    board.receive(b"MMS0000011\n", 0.0)
+    assert board.due() == float("inf")
+    board.receive(b"MMD100\n", 0.1)
+    loop = CommanderTiming().loop
+    lines = board.receive(b"", 0.1 + 1000 * loop + 1e-3)
+    assert len(lines) == 10
+    assert all(line == b"0.0000\t0.0000\r\n" for _, line in lines)
+    board.receive(b"MMD0\n", 0.3)
+    assert board.receive(b"", 0.5) == []
+    board.receive(b"MMD100\n", 0.6)
+    assert len(board.receive(b"", 0.6 + 100 * loop + 1e-3)) == 1  # none from the time in between
+
+
+def test_a_stream_that_the_line_cannot_carry_slows_the_program_down() -> None:
+    board = new_board(timing=CommanderTiming(), baudrate=9600)
+    board.receive(b"MMS1111111\n", 0.0)
+    board.receive(b"MMD1\n", 0.2)
+    bytes_ = sum(len(piece) for _, piece in board.receive(b"", 1.2))
+    assert 0.8 * 960 < bytes_ < 1.1 * 960

@@ -201,10 +201,27 @@ def test_a_restart_between_two_runs_does_not_leave_the_motor_on(foc: Rig) -> Non
     servo = foc.open()
     foc.board.reboot(foc.clock.now())
     foc.wait(4.0)
-    foc.board.device.verbose, foc.board.device.decimals = 3, 5  # a program that prints like this by itself
+    printer = foc.board.device.printer  # of a program that prints like this by itself
+    printer.verbose, printer.decimals = 3, 5
     assert foc.board.motor.enabled
     servo.exchange(Command.rest())
     assert off(foc)
+
+
+@pytest.mark.parametrize("damage", [CorruptReplies(), TruncateReplies(keep=7)])
+def test_a_damaged_reply_about_the_format_is_a_gap_and_no_restart(foc: Rig, damage: Any) -> None:
+    servo = armed(foc)
+    foc.board.faults.inject(DropReplies(count=3))
+    foc.wait(4e-3)
+    with pytest.raises(NoReply):
+        servo.exchange(PUSH)  # so that the board is asked for its format next
+    foc.board.faults.clear()
+    foc.board.faults.inject(damage)
+    foc.wait(4e-3)
+    with pytest.raises((BadReply, NoReply)):
+        servo.exchange(PUSH)
+    foc.wait(4e-3)
+    assert servo.exchange(PUSH).motor_torque > 0.0
 
 
 # -- opening and arming ---------------------------------------------------------------------------------------------
@@ -244,7 +261,7 @@ def test_a_motor_under_another_letter_is_reported_with_the_letters_of_the_board(
 
 
 def test_a_board_that_streams_is_made_to_stop_even_after_a_restart(foc: Rig) -> None:
-    foc.board.streams = 1e-3
+    foc.board.device.program_downsample = foc.board.device.downsample = 10
     servo = armed(foc)
     drive_on(foc, servo, 3)
     assert foc.board.device.watched == "0000000"
