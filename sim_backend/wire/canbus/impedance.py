@@ -55,7 +55,8 @@ def scaled_joint(scale: float, torque_constant: float, resistance: float, *, fri
 class Impedance:
     """torque = feedforward + kp (position - measured) + kd (velocity - measured), at most `ceiling` in magnitude.
 
-    N m, N m/rad, N m s/rad, rad, rad/s, N m.
+    N m, N m/rad, N m s/rad, rad, rad/s, N m. fastest: rad/s, the limit of the speed that position error and velocity
+    ask for together, as in a cascade; it needs a kd.
     """
 
     feedforward: float = 0.0
@@ -64,6 +65,7 @@ class Impedance:
     position: float = 0.0
     velocity: float = 0.0
     ceiling: float = math.inf
+    fastest: float = math.inf
 
     def beats(self, enabled: bool) -> bool:
         """Return whether the torque depends on what is measured."""
@@ -71,9 +73,16 @@ class Impedance:
 
     def demand(self, motor: PlantMotor[Any]) -> float:
         """Return the torque for the motor's position and velocity, N m."""
-        wanted = (
-            self.feedforward + self.kp * (self.position - motor.position) + self.kd * (self.velocity - motor.velocity)
-        )
+        if math.isinf(self.fastest):
+            wanted = (
+                self.feedforward
+                + self.kp * (self.position - motor.position)
+                + self.kd * (self.velocity - motor.velocity)
+            )
+        else:
+            speed = self.velocity + self.kp / self.kd * (self.position - motor.position)
+            bounded = max(-self.fastest, min(self.fastest, speed))
+            wanted = self.feedforward + self.kd * (bounded - motor.velocity)
         return max(-self.ceiling, min(self.ceiling, wanted))
 
     def at_rest(self, _motor: PlantMotor[Any]) -> Impedance:

@@ -1,6 +1,7 @@
 """One motor on MIT frames on a CAN bus, CubeMars AK or Damiao, with the plant at its output.
 
-Sources: as in `mit_tables`. As in the mini-cheetah's firmware every frame to the motor's id is answered with its state,
+Sources: as in `mit.tables`; Damiao's manual for POS_VEL, VEL and FORCE_POS, whose current limit acts here as a share of
+the torque range. As in the mini-cheetah's firmware every frame to the motor's id is answered with its state,
 values are cut off to counts, and zero is nowhere. What the manuals leave open: an AK answers with its own id; a Damiao
 that lost communication is disabled and stays so until FB clears it; an AK's error stays until it is switched off; a
 boot takes 0.2 s and an AK comes back with its rotor's turns forgotten.
@@ -22,6 +23,14 @@ if TYPE_CHECKING:
 BOOT = 0.2
 KP_MOST, KD_MOST = 500.0, 5.0
 TIMEOUT_LSB = 50e-6
+MIT, POSITION_SPEED, SPEED, FORCE_POSITION = 1, 2, 3, 4
+"""Values of a Damiao's CTRL_MODE(10)."""
+POSITION_GAIN = 50.0
+"""rad/s a rad of position error."""
+SPEED_GAIN = 2e-3
+"""N m s/rad of the model's scale."""
+_FORCE_POSITION = struct.Struct("<fHH")
+"""rad, 0.01 rad/s, 0.0001 of the torque range."""
 
 DISABLED, ENABLED = 0, 1
 OVER_CURRENT = {False: 2, True: 10}
@@ -144,16 +153,19 @@ class MitDevice:
             self.error = 0
 
     def _command(self, frame: CanFrame) -> None:
-        mode = int(self.values[10]) if self.damiao else 1
+        mode = int(self.values[10]) if self.damiao else MIT
         if frame.ident != self.ident + 0x100 * (mode - 1):
             return
-        if mode == 1:
+        if mode == MIT:
             self.motor.follow(self._impedance(frame.data))
-        elif mode == 2:
+        elif mode == POSITION_SPEED:
             position, speed = struct.unpack("<ff", frame.data)
-            self._regulate(position, speed)
-        elif mode == 3:
-            self._regulate(None, struct.unpack_from("<f", frame.data)[0])
+            self._regulate(position, abs(speed), self._span()[2])
+        elif mode == SPEED:
+            self._turn(struct.unpack_from("<f", frame.data)[0])
+        else:
+            position, speed, share = _FORCE_POSITION.unpack(frame.data)
+            self._regulate(position, min(speed, 10_000) * 1e-2, min(share, 10_000) * 1e-4 * self._span()[2])
 
     def _impedance(self, data: bytes) -> Impedance:
         word = int.from_bytes(data, "big")
@@ -168,13 +180,16 @@ class MitDevice:
             ceiling=torque,
         )
 
-    def _regulate(self, position: float | None, speed: float) -> None:
-        scale = self.model.scale
-        kp = 0.0 if position is None else 0.1 * scale
-        velocity = speed if position is None else 0.0
+    def _regulate(self, position: float, fastest: float, ceiling: float) -> None:
+        """Go to `position`, rad, no faster than `fastest`, rad/s, with no more torque than `ceiling`, N m."""
+        damping = SPEED_GAIN * self.model.scale
         self.motor.follow(
-            Impedance(0.0, kp, 2e-3 * scale, (position or 0.0) + self._zero, velocity, ceiling=self._span()[2])
+            Impedance(0.0, POSITION_GAIN * damping, damping, position + self._zero, ceiling=ceiling, fastest=fastest)
         )
+
+    def _turn(self, speed: float) -> None:
+        damping = SPEED_GAIN * self.model.scale
+        self.motor.follow(Impedance(kd=damping, velocity=speed, ceiling=self._span()[2]))
 
     def _span(self) -> tuple[float, float, float]:
         return (self.values[21], self.values[22], self.values[23]) if self.damiao else self.model.span

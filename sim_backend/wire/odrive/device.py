@@ -364,5 +364,13 @@ class OdriveDevice:
         stiffness = get("axis0.controller.config.pos_gain") * damping if mode == POSITION_CONTROL else 0.0
         position, velocity = self._position * TURN + self._offset, self._velocity * TURN
         self.motor.follow(
-            Impedance(self._torque, stiffness, damping, position, velocity, ceiling=max(0.0, min(high, -low)))
+            Impedance(
+                self._torque,
+                stiffness,
+                damping,
+                position,
+                velocity,
+                ceiling=max(0.0, min(high, -low)),
+                fastest=speed * TURN if damping > 0.0 else math.inf,
+            )
         )

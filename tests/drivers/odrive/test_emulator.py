@@ -144,3 +144,11 @@ def _made(idents: tuple[int, ...]) -> list[OdriveDevice]:
     made = [serve.make("0.6.10", ident, None, 0.0) for ident in idents]
     assert all(isinstance(drive, OdriveDevice) for drive in made)
     return made  # type: ignore[return-value]  # checked above
+
+
+def test_position_control_keeps_to_the_velocity_limit() -> None:
+    device = driven(mode=3)
+    tell(device, 0x0F, struct.pack("<ff", 0.5, 50.0))
+    tell(device, INPUT_POS, struct.pack("<fhh", 10.0, 0, 0))
+    gain = device.endpoints.get("axis0.controller.config.vel_gain")
+    assert device.motor.demand == pytest.approx(0.5 * gain, rel=1e-6)
