@@ -39,7 +39,7 @@ class XSeries:
 
     eeprom_end = 64
     block = (120, 27)
-    off: tuple[str, ...] = ("torque_enable",)
+    off: tuple[str, ...] = ("torque_enable", "goal_current")
     velocity_lsb = VELOCITY_LSB
 
     def __init__(self, model: DynamixelModel, config: DynamixelConfig, torque_lsb: float) -> None:

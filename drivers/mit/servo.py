@@ -111,6 +111,7 @@ class MitServo:
     def _torque_off(self, _request: int) -> None:
         self._motor.send_leave()  # before `leave`, which waits for replies that are still due
         if self._motor.leave().status == ENABLED and self._motor.damiao:
+            self._motor.drive(self._motor.codec.torque_counts(0.0))  # it may still obey that
             raise DriverError("it is still enabled")
 
     def _describe(self, firmware: str) -> ServoInfo:

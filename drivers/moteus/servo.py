@@ -138,6 +138,8 @@ class MoteusServo:
 
     def _stop(self) -> None:
         mode = self._controller.exchange(_STOP, read("mode", INT8))["mode"]
+        if mode == POSITION:  # it may still obey a command of no torque
+            self._controller.exchange(*self._commanded(math.nan, 0.0, 0, 0.0), read("mode", INT8))
         if mode != STOPPED:
             raise DriverError(f"it is in mode {mode:.0f} after a stop")
 
@@ -167,18 +169,18 @@ class MoteusServo:
         raise DriverError(f"the moteus does not start (mode {state['mode']:.0f}): check it with tview")
 
     def _torque(self, torque: float, limits: Limits) -> tuple[bytes, ...]:
-        return self._commanded(math.nan, torque, 0, limits)
+        return self._commanded(math.nan, torque, 0, limits.torque)
 
     def _position(self, position: float, limits: Limits) -> tuple[bytes, ...]:
-        return self._commanded(position, 0.0, _FULL, limits)
+        return self._commanded(position, 0.0, _FULL, limits.torque)
 
-    def _commanded(self, position: float, torque: float, gain: int, limits: Limits) -> tuple[bytes, ...]:
-        """position rev, torque N m; gain: of all gains, 0 to 127."""
+    def _commanded(self, position: float, torque: float, gain: int, ceiling: float) -> tuple[bytes, ...]:
+        """Return a command. position rev, torque and ceiling N m; gain: of all gains, 0 to 127."""
         return (
             write("mode", INT8, POSITION),
             write("command_position", FLOAT, position, 0.0, torque),
             write("command_kp_scale", INT8, gain, gain),
-            write("command_max_torque", FLOAT, limits.torque),
+            write("command_max_torque", FLOAT, ceiling),
             write("command_timeout", FLOAT, self._config.watchdog),
             write("command_ilimit_scale", INT8, gain),
         )
