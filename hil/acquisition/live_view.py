@@ -18,7 +18,7 @@ import numpy as np
 
 from drivers.servo import Status
 from hil.child import command
-from hil.recording.channels import ROW, Rows
+from hil.recording.channels import Rows
 
 _REFRESH = 0.1  # s
 
@@ -56,9 +56,9 @@ def watch(path: Path) -> None:
     from rich.text import Text
 
     with h5py.File(path, "r") as file:
-        offset, length = int(file["live"].id.get_offset()), len(file["live"])
+        offset, length, layout = int(file["live"].id.get_offset()), len(file["live"]), file["live"].dtype
         duration = float(file["profile"].attrs["duration"])
-    rows: Rows = np.memmap(path, dtype=ROW, mode="r", offset=offset, shape=(length,))
+    rows: Rows = np.memmap(path, dtype=layout, mode="r", offset=offset, shape=(length,))
     ended = threading.Event()
     threading.Thread(target=_wait_for_end, args=(ended,), daemon=True).start()
     console = Console(stderr=True)

@@ -12,17 +12,23 @@ from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
+    from hil.diagnostics import Diagnostic
     from hil.exchange.importer import Column
 
 
 def inspect(
-    recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")], as_json: options.Json = False
+    recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")],
+    as_json: options.Json = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Only check that it is as it was written.")] = False,
 ) -> None:
-    """Summarise a recording and check its quality."""
+    """Summarise a recording and check its quality; like every command, first that it is as it was written."""
     from hil.report.inspection import as_json as to_json
     from hil.report.inspection import inspection_table
     from hil.signals.inspection import inspect as look
 
+    if verify:
+        _verify(recording, as_json=as_json)
+        return
     seen = look(recording)
     if as_json:
         print_json(to_json(seen))
@@ -31,6 +37,21 @@ def inspect(
         out_table(inspection_table(seen))
     print_diagnostics(seen.diagnostics)
     if not seen.usable:
+        raise typer.Exit(UNTRUSTWORTHY)
+
+
+def _verify(path: Path, *, as_json: bool) -> None:
+    from hil.recording.reader import Recording
+
+    with Recording(path) as recording:
+        intact, rows, damaged = recording.verify(), len(recording), recording.damaged
+    if as_json:
+        table = {"schema": "hil-verify/1", "recording": str(path), "intact": intact, "samples": rows}
+        print_json(table | {"damaged": damaged})
+    else:
+        out(f"{path}: {rows} samples, " + ("as they were written" if intact else "not as they were written"))
+    print_diagnostics(_damage(path, damaged, trusted=intact or bool(damaged)))
+    if not intact:
         raise typer.Exit(UNTRUSTWORTHY)
 
 
@@ -116,5 +137,24 @@ def recover(
         raise WrongUse(f"{part} does not end in .part: name the output with -o")
     target = output or part.with_suffix("")
     check_output(target, force=force, inputs=[part])
-    rows = finalise(part, target, force=force)
-    out(f"{target}: {rows} samples recovered; {part} is still there")
+    done = finalise(part, target, force=force)
+    out(f"{target}: {done.samples} samples recovered; {part} is still there")
+    print_diagnostics(_damage(part, done.damaged, trusted=done.trusted))
+    if not done.trusted:
+        raise typer.Exit(UNTRUSTWORTHY)
+
+
+def _damage(path: Path, rows: int, *, trusted: bool) -> list[Diagnostic]:
+    """Return the diagnostics for `rows` damaged rows, and for a hash that differs."""
+    from hil.diagnostics import Diagnostic
+
+    found = []
+    if rows:
+        found.append(Diagnostic("damaged-rows", f"{path}: {rows} rows were damaged on the disk and count as lost"))
+    if not trusted:
+        message = (
+            f"{path} is not as it was written (its SHA-256 differs), so no Kc or Bc can be identified from it: use "
+            "another copy, or look at its rows with `hil export`"
+        )
+        found.append(Diagnostic("changed", message, is_error=True))
+    return found

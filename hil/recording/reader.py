@@ -1,9 +1,10 @@
-"""Recordings on disk: HDF5, schema `hil-recording/2`. One file, one recording, one axis.
+"""Recordings on disk: HDF5, schema `hil-recording/3`. One file, one recording, one axis.
 
 Layout of a finished file (all numbers little-endian, SI)::
 
     /                attrs: schema, uid, created (ISO 8601 UTC), complete (bool), end_reason, software (JSON), host,
-                     command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples)
+                     command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples),
+                     sha256_header (of the rest)
     /samples/        one 1-D dataset a channel, equal length, attrs unit and description: see hil.recording.channels
     /profile/        attrs: kind, mode ("torque" or "position"), amplitude (N m or rad at the joint), duration (s),
                      band_low, band_high (Hz), fade (s, at each end), seed, setpoints (the CSV of kind "file"), rate
@@ -12,51 +13,68 @@ Layout of a finished file (all numbers little-endian, SI)::
     /truth/          attrs, only from a simulator: the true Kc, Bc, ...; never read by identification
 
 `sha256` is over the rows in order, each the 8-byte fields of ROW: the bytes of the arrays that `rows()` yields.
-`hil-recording/1` differs in the names of two attributes of /profile: "quantity" for mode and "soft" for fade.
+`sha256_header` is over the attributes (with `sha256`), the profile, the truth and the events, as
+`hil.recording.integrity` writes them. It is "" where the recording was recovered from a file that had been changed.
+`hil-recording/2` has no `sha256_header`, and no checksums in a recording in progress; `hil-recording/1` also differs in
+the names of two attributes of /profile: "quantity" for mode and "soft" for fade.
 
 A recording in progress is `NAME.h5.part`: the same groups, except that the samples are one contiguous compound dataset
 `/live` and the events one `/live_events`, both preallocated and filled with the end mark. HDF5 is closed before the
 first row, and rows are written straight to the dataset's offset, so that the metadata never changes and the file is
-legal at every moment. A row is valid once its `seq` equals its index. Every reader here takes both layouts.
+legal at every moment. A row is valid once its `seq` equals its index and its checksum holds; before the last valid row,
+one that is not is damaged and reads as lost. Its `sha256_header` is over the header without events; it has no `sha256`.
+Every reader here takes both layouts.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import h5py
 import numpy as np
 from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
+from drivers.servo import Status
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.channels import CHANNELS, LATER, ROW, Rows
+from hil.recording.channels import CHANNELS, LATER, ROW, Row, Rows
+from hil.recording.integrity import LIVE, header_hash, intact, plain, written_first
+from hil.recording.posix import in_child
 
-SCHEMA = "hil-recording/2"
+SCHEMA = "hil-recording/3"
 RENAMED: Mapping[str, Mapping[str, str]] = MappingProxyType(
-    {"hil-recording/1": MappingProxyType({"quantity": "mode", "soft": "fade"}), SCHEMA: MappingProxyType({})}
+    {
+        "hil-recording/1": MappingProxyType({"quantity": "mode", "soft": "fade"}),
+        "hil-recording/2": MappingProxyType({}),
+        SCHEMA: MappingProxyType({}),
+    }
 )
 """The schemas that are read, each with what it called attributes of /profile that have another name now."""
 BLOCK = 65536
 """Rows handled at a time, so that no recording is ever in memory whole."""
 
-EVENT = np.dtype([("time", "<f8"), ("code", "S32"), ("message", "S200")])
 EVENTS = 256
 """Events that a recording in progress has room for."""
+_MOST_EVENTS = 100_000
+_SMALL = 1 << 26  # bytes that any file may declare
+_COMPRESSION = 1000  # declared bytes a stored one
+_TRIAL_TIME, _TRIAL_MEMORY = 2, 1 << 29  # s of processor time, bytes
+_REFUSALS: Mapping[str, type[Exception]] = MappingProxyType({"WrongUse": WrongUse, "Untrustworthy": Untrustworthy})
+_LONGEST = 4000  # bytes of a refusal
+_TAIL = 64  # rows after the last valid one among which damaged ones are looked for
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(NamedTuple):
     """An event at `time` s: a short code and a sentence."""
 
     time: float
@@ -74,20 +92,53 @@ class Recording:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._absent: frozenset[str] = frozenset()
+        self._damaged: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+        _check_regular(path)
+        self._try_out()
         self._file = _open(path)
         try:
             with _legible(path):
-                _refuse_foreign_storage(self._file, path)
-                self.attributes = {name: _plain(self._file.attrs[name]) for name in self._file.attrs}
-                names = self._renamed()
-                profile = self._group("profile").attrs.items()
-                self.profile = {names.get(name, name): _plain(value) for name, value in profile}
-                self.live = "live" in self._file
-                self.complete = bool(self.attributes.get("complete", False))
-                self._length = self._count_live() if self.live else self._check_samples()
+                self._length = self._read_header()
+                if self.live:
+                    self._length = self._count_live()
         except BaseException:
             self._file.close()
             raise
+
+    def _try_out(self) -> None:
+        """Read all but the rows in a copy of this process: the HDF5 library can hang or crash on a damaged file."""
+        answer = in_child(self._refusal, processor=_TRIAL_TIME, memory=_TRIAL_MEMORY)
+        if answer is None:
+            raise WrongUse(
+                f"{self.path} is damaged so that the HDF5 library crashes on it, or takes more than {_TRIAL_TIME} s of "
+                "processor time or 512 MiB of memory to open it: use a copy of it"
+            )
+        kind, _, message = answer.decode(errors="replace").partition(":")
+        if message:
+            raise _REFUSALS[kind](message)
+
+    def _refusal(self) -> bytes:
+        """Return "ok", or the name of the error and the sentence with which reading the header ends."""
+        try:
+            with _open(self.path) as self._file, _legible(self.path):
+                self._read_header()
+                self.events()
+                self.truth()
+        except tuple(_REFUSALS.values()) as error:
+            return f"{type(error).__name__}:{error}".encode()[:_LONGEST]
+        return b"ok"
+
+    def _read_header(self) -> int:
+        """Read what stands before the rows, and return how many the file has room for."""
+        _refuse_foreign_storage(self._file, self.path)
+        self.attributes = plain(self._file.attrs)
+        names = self._renamed()
+        profile = plain(self._group("profile").attrs)
+        self.profile = {names.get(name, name): value for name, value in profile.items()}
+        self.live = "live" in self._file
+        self.complete = bool(self.attributes.get("complete", False))
+        return len(self._checked_live()) if self.live else self._check_samples()
 
     def __enter__(self) -> Self:
         return self
@@ -99,6 +150,11 @@ class Recording:
         return self._length
 
     @property
+    def damaged(self) -> int:
+        """Rows of an unfinished recording that are not as they were written; they read as lost ones."""
+        return len(self._damaged)
+
+    @property
     def stand_toml(self) -> str:
         """The stand file it was recorded with, "" without one."""
         return str(self.attributes.get("stand_toml", ""))
@@ -107,9 +163,10 @@ class Recording:
         """Yield the rows in order, `block` at a time with the index of the first. Raises Untrustworthy."""
         for start in range(0, self._length, block):
             stop = min(start + block, self._length)
-            rows = self._read("live", start, stop) if self.live else np.empty(stop - start, dtype=ROW)
-            for name in () if self.live else CHANNELS:
-                rows[name] = self._column(name, start, stop)
+            source = self._live_rows(start, stop) if self.live else None
+            rows = np.empty(stop - start, dtype=ROW)
+            for name in CHANNELS:
+                rows[name] = self._column(name, start, stop) if source is None else source[name]
             yield start, rows
 
     def channel(self, name: str, start: int = 0, stop: int | None = None) -> Array:
@@ -124,12 +181,10 @@ class Recording:
         """Return the events of the run, in order. Raises WrongUse for a damaged file."""
         with _legible(self.path):
             if self.live:
-                return [
-                    Event(float(row["time"]), *(row[name].decode(errors="replace") for name in ("code", "message")))
-                    for row in self._file["live_events"][:EVENTS]
-                    if row["code"]
-                ]
+                return self._live_events()
             group = self._group("events")
+            if max(len(group[name]) for name in ("time", "code", "message")) > _MOST_EVENTS:
+                raise WrongUse(f"{self.path} declares more than {_MOST_EVENTS} events: use a copy of it")
             text = (group["code"].asstr()[()], group["message"].asstr()[()])
             rows = zip(group["time"], *text, strict=True)
             return [Event(float(time), str(code), str(message)) for time, code, message in rows]
@@ -141,19 +196,53 @@ class Recording:
             return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
 
     def verify(self) -> bool:
-        """Return whether the samples still have the hash they were written with; True for an unfinished recording."""
+        """Return whether all is as it was written: header, rows and events. Raises as reading them does.
+
+        Recordings of older schemas are held to the hash that they have; an unfinished one had none.
+        """
+        with _legible(self.path):
+            intact_rows = not self.damaged if self.live else self._rows_hash() == self._stated("sha256")
+            return intact_rows and self.header_intact()
+
+    def header_intact(self) -> bool:
+        """Return whether attributes, profile and truth are as they were written, and the events of a finished one."""
+        if self.attributes["schema"] != SCHEMA and "sha256_header" not in self.attributes:
+            return True
+        events = [] if self.live else self.events()
+        return self._stated("sha256_header") == header_hash(self.attributes, self.profile, self.truth(), events)
+
+    def _stated(self, name: str) -> str:
+        return str(self.attributes.get(name, ""))
+
+    def _rows_hash(self) -> str:
         digest = hashlib.sha256()
-        present = [name for name in CHANNELS if self.live or f"samples/{name}" in self._file]
+        present = [name for name in CHANNELS if name not in self._absent]
         for _, rows in self.rows():
             digest.update(repack_fields(rows[present]).tobytes())
-        return self.live or digest.hexdigest() == self.attributes.get("sha256")
+        return digest.hexdigest()
 
     def _column(self, name: str, start: int, stop: int) -> Any:
         if self.live:
-            return self._read("live", start, stop)[name]
-        if name in LATER and f"samples/{name}" not in self._file:
+            return self._live_rows(start, stop)[name]
+        if name in self._absent:
             return np.full(stop - start, np.nan)
         return self._read(f"samples/{name}", start, stop)
+
+    def _live_rows(self, start: int, stop: int) -> Rows:
+        rows: Rows = self._read("live", start, stop)
+        for at in self._damaged[(start <= self._damaged) & (self._damaged < stop)]:
+            lost = Row(int(at), status=int(Status.BAD_REPLY))
+            for name, value in zip(Row._fields, lost, strict=True):
+                rows[name][at - start] = value
+        return rows
+
+    def _live_events(self) -> list[Event]:
+        table = self._file["live_events"][:EVENTS]
+        return [
+            Event(float(row["time"]), *(row[name].decode(errors="replace") for name in ("code", "message")))
+            for row in table[intact(table)]
+            if row["code"]
+        ]
 
     def _read(self, name: str, start: int, stop: int) -> Any:
         try:
@@ -180,20 +269,34 @@ class Recording:
         return RENAMED[schema]
 
     def _count_live(self) -> int:
-        """Return the number of rows before the first whose `seq` is not its index."""
+        """Return the number of rows up to the last that was written, and note those that are damaged.
+
+        A block of rows without a valid one ends the search: a day's run that has just begun is not read whole.
+        """
         live = self._file["live"]
-        if live.dtype != ROW:
-            raise WrongUse(f"{self.path}: /live has other fields than {SCHEMA}: use the hil that wrote it")
+        length, damaged = 0, [self._damaged]
         for start in range(0, len(live), BLOCK):
-            seq = live[start : start + BLOCK]["seq"]
-            invalid = np.flatnonzero(seq != np.arange(start, start + len(seq), dtype=np.uint64))
-            if invalid.size:
-                return start + int(invalid[0])
-        return len(live)
+            rows = live[start : start + BLOCK]
+            index = np.arange(start, start + len(rows))
+            valid = index[(rows["seq"] == index.astype(np.uint64)) & intact(rows)]
+            if not valid.size:
+                break
+            damaged.append(np.setdiff1d(np.arange(length, valid[-1]), valid, assume_unique=True))
+            length = int(valid[-1]) + 1
+        torn = length + np.arange(written_first(live[length : length + _TAIL]))
+        self._damaged = np.concatenate([*damaged, torn])
+        return length + len(torn)
+
+    def _checked_live(self) -> h5py.Dataset:
+        live = self._file["live"]
+        if live.dtype not in {LIVE, ROW} or live.ndim != 1:
+            raise WrongUse(f"{self.path}: /live has other fields than {SCHEMA}: use the hil that wrote it")
+        return live
 
     def _check_samples(self) -> int:
         samples = self._group("samples")
-        names = [name for name in CHANNELS if name not in LATER or name in samples]
+        self._absent = frozenset(name for name in LATER if name not in samples)
+        names = [name for name in CHANNELS if name not in self._absent]
         absent = [name for name in names if not isinstance(samples.get(name), h5py.Dataset)]
         if absent:
             raise WrongUse(f"{self.path}: /samples lacks {', '.join(absent)}: it is not a complete recording")
@@ -204,7 +307,22 @@ class Recording:
         if len(set(lengths.values())) > 1:
             odd = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise WrongUse(f"{self.path}: channels of unequal length ({odd}): the file was not written completely")
+        self._check_size(samples, lengths["time"])
         return lengths["time"]
+
+    def _check_size(self, samples: h5py.Group, rows: int) -> None:
+        """Raise WrongUse where the file declares more than it can hold, which would fill the memory or the disk."""
+        stored = self.path.stat().st_size
+        if rows * ROW.itemsize > max(_SMALL, _COMPRESSION * stored):
+            raise WrongUse(
+                f"{self.path} declares {rows} rows in {stored} bytes, which no recording does: use a copy of it"
+            )
+        for name in samples:
+            chunk = math.prod(samples[name].chunks or ()) * samples[name].dtype.itemsize
+            if chunk > _SMALL:
+                raise WrongUse(
+                    f"{self.path}: /samples/{name} has chunks of {chunk} bytes: no recording of hil has such"
+                )
 
 
 @contextmanager
@@ -222,14 +340,17 @@ def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-def _open(path: Path) -> h5py.File:
-    """Open an ordinary HDF5 file read-only; a FIFO or a device would block the reader."""
+def _check_regular(path: Path) -> None:
+    """Raise WrongUse for all but an ordinary file; a FIFO or a device would block the reader."""
     try:
         mode = path.stat().st_mode
     except OSError as error:
         raise WrongUse(f"{path} cannot be opened ({error.strerror}): check the name") from None
     if not stat.S_ISREG(mode):
         raise WrongUse(f"{path} is not a file: name a recording such as recordings/run1.h5")
+
+
+def _open(path: Path) -> h5py.File:
     with _legible(path):
         try:
             return h5py.File(path, "r")
@@ -260,10 +381,3 @@ def _writer(attributes: Mapping[str, Any]) -> str:
         return f"hil {json.loads(attributes['software'])['hil']}"
     except (KeyError, TypeError, ValueError):
         return "an unknown version of hil"
-
-
-def _plain(value: Any) -> Any:
-    """Return an attribute as Python's own type."""
-    if isinstance(value, bytes):
-        return value.decode(errors="replace")
-    return value.item() if isinstance(value, np.generic) else value

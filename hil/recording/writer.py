@@ -18,16 +18,17 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import h5py
 import numpy as np
 
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.channels import CHANNELS, END_MARK, ROW, Row, Rows, packed
+from hil.recording.channels import CHANNELS, END_MARK, ROW, Row, Rows
+from hil.recording.integrity import EVENT, LIVE, header_hash, packed, packed_array, packed_event, plain
 from hil.recording.output import NameTaken, atomic_write, check_space, part_path, writing
 from hil.recording.posix import is_at, lock, open_binary, remove, write_at
-from hil.recording.reader import BLOCK, EVENT, EVENTS, SCHEMA, Array, Event, Recording
+from hil.recording.reader import BLOCK, EVENTS, SCHEMA, Array, Event, Recording
 
 _OVERHEAD = 1 << 18  # bytes of a file that are not samples, generously
 _DURABLE = 0.25  # s between two requests that the disk keep what it was given
@@ -66,7 +67,7 @@ class RecordingWriter:
         self._closing = threading.Event()
         self._syncer = threading.Thread(target=self._keep_durable, daemon=True)
         with writing(self.path):
-            check_space(self.path, 2 * length * ROW.itemsize + _OVERHEAD)  # the second stage stands beside the first
+            check_space(self.path, 2 * length * LIVE.itemsize + _OVERHEAD)  # the second stage stands beside the first
             self._file = _locked_new(self.path)
             try:
                 self._offset, self._event_offset = _fill_part(self.path, header, length)
@@ -102,9 +103,8 @@ class RecordingWriter:
         """Write the end mark over every row: a full disk shows now, not with the motor on."""
         blank = packed([Row(END_MARK)]) * min(BLOCK, length)
         for start in range(0, length, BLOCK):
-            self._write(blank[: (length - start) * ROW.itemsize], self._offset + start * ROW.itemsize)
-        events = np.full(EVENTS, np.array((math.nan, b"", b""), dtype=EVENT))
-        self._write(events.tobytes(), self._event_offset)
+            self._write(blank[: (length - start) * LIVE.itemsize], self._offset + start * LIVE.itemsize)
+        self._write(packed_event(math.nan, "", "") * EVENTS, self._event_offset)
         assert self._file is not None  # noqa: S101 - opened just above
         os.fsync(self._file)
 
@@ -133,11 +133,11 @@ class RecordingWriter:
 
     def extend(self, rows: Rows) -> None:
         """Add many rows, (n,) of ROW, and hand them to the operating system. Raises Untrustworthy."""
-        self._extend(rows.tobytes())
+        self._extend(packed_array(rows))
 
     def _extend(self, data: bytes) -> None:
-        self._add(data, self._offset + self._rows * ROW.itemsize)
-        self._rows += len(data) // ROW.itemsize
+        self._add(data, self._offset + self._rows * LIVE.itemsize)
+        self._rows += len(data) // LIVE.itemsize
 
     def flush(self) -> None:
         """Hand the pending rows to the operating system. Raises Untrustworthy where the disk fails."""
@@ -151,8 +151,7 @@ class RecordingWriter:
         Raises Untrustworthy where the disk fails.
         """
         if self._events < EVENTS:
-            entry = np.array([(time, code.encode()[:32], message.encode()[:200])], dtype=EVENT)
-            self._add(entry.tobytes(), self._event_offset + self._events * EVENT.itemsize)
+            self._add(packed_event(time, code, message), self._event_offset + self._events * EVENT.itemsize)
             self._events += 1
 
     def finish(self, end_reason: str, *, force: bool = False) -> Path:
@@ -215,7 +214,8 @@ def _fill_part(path: Path, header: Header, length: int) -> tuple[int, int]:
     with h5py.File(path, "w", libver="latest", locking=False) as file:  # we have locked it already
         _write_header(file, header)
         file.attrs.update(complete=False, end_reason="")
-        return _reserve_contiguous(file, "live", length, ROW), _reserve_contiguous(file, "live_events", EVENTS, EVENT)
+        _sign(file, header.truth, [])
+        return _reserve_contiguous(file, "live", length, LIVE), _reserve_contiguous(file, "live_events", EVENTS, EVENT)
 
 
 def _reserve_contiguous(file: h5py.File, name: str, length: int, dtype: np.dtype[Any]) -> int:
@@ -254,6 +254,13 @@ def _write_attributes(
         file.create_group("truth").attrs.update(truth)
 
 
+def _sign(file: h5py.File, truth: Mapping[str, float], events: list[Event]) -> None:
+    """Add the hash of the header, which must be whole."""
+    attributes, profile = plain(file.attrs), plain(file["profile"].attrs)
+    truth = {name: float(value) for name, value in truth.items()}
+    file.attrs["sha256_header"] = header_hash(attributes, profile, truth, events)
+
+
 def _software() -> dict[str, str]:
     versions = {"python": platform.python_version(), "os": sys.platform}
     for name in ("hil", "numpy", "h5py", "numba"):
@@ -268,21 +275,48 @@ def _software() -> dict[str, str]:
     return versions
 
 
-def finalise(source: Path, output: Path, *, end_reason: str | None = None, force: bool = False) -> int:
+class Finalised(NamedTuple):
+    """The rows of a final file, those that were damaged and count as lost, and whether it can be trusted.
+
+    trusted: whether the source still had the hash that it was written with; otherwise the file has none.
+    """
+
+    samples: int
+    damaged: int
+    trusted: bool
+
+
+def finalise(source: Path, output: Path, *, end_reason: str | None = None, force: bool = False) -> Finalised:
     """Write the recording `source` (either layout, any schema that is read) to `output` in the final layout.
 
     The output appears whole or not at all, and `source` is not touched. end_reason: None marks it as recovered. force:
-    replace a file of that name. Returns the number of samples. Raises WrongUse where the output cannot be written.
+    replace a file of that name. Raises WrongUse where the output cannot be written.
     """
     with Recording(source) as recording:
+        done = Finalised(len(recording), recording.damaged, _is_trusted(recording))
         check_space(output, len(recording) * ROW.itemsize + _OVERHEAD)
         with atomic_write(output, force=force) as temporary, h5py.File(temporary, "w", libver="latest") as file:
-            _write_attributes(file, recording.attributes, recording.profile, recording.truth())
+            attributes = {name: value for name, value in recording.attributes.items() if name != "sha256_header"}
+            _write_attributes(file, attributes, recording.profile, recording.truth())
             file.attrs["complete"] = end_reason == "done"
             file.attrs["end_reason"] = "recovered" if end_reason is None else end_reason
             file.attrs["sha256"] = _write_samples(file, recording)
-            _write_events(file, recording.events())
-        return len(recording)
+            events = [*recording.events(), *_damage(recording)]
+            _write_events(file, events)
+            if done.trusted:
+                _sign(file, recording.truth(), events)
+            else:
+                file.attrs["sha256_header"] = ""
+        return done
+
+
+def _is_trusted(recording: Recording) -> bool:
+    return recording.header_intact() if recording.live else recording.verify()
+
+
+def _damage(recording: Recording) -> list[Event]:
+    message = f"{recording.damaged} rows were damaged on the disk and count as lost"
+    return [Event(0.0, "damaged-rows", message)] if recording.damaged else []
 
 
 def write(path: Path, header: Header, channels: Mapping[str, Array], *, force: bool = False) -> None:

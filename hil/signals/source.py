@@ -35,11 +35,16 @@ class Source:
         return 0.0 if self.table is None else self.table.torque_uncertainty
 
     def verify(self) -> None:
-        """Raise Untrustworthy where the samples are not those that were written."""
+        """Raise Untrustworthy where the recording is not as it was written."""
+        if self.recording.damaged:
+            raise Untrustworthy(
+                f"{self.path}: {self.recording.damaged} rows are not the ones that were written: make a recording in "
+                f"which they count as lost with `hil recover {self.path}`"
+            )
         if not self.recording.verify():
             raise Untrustworthy(
-                f"{self.path}: the samples are not the ones that were written (their SHA-256 differs), so Kc and Bc "
-                "cannot be identified from them: use another copy of the file, or record again"
+                f"{self.path} is not as it was written (its SHA-256 differs), so Kc and Bc cannot be identified from "
+                "it: use another copy of the file, or record again"
             )
 
 

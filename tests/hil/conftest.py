@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 import pytest
 
 from drivers.servo import Command, Limits, NoReply, Quantity, Sample, ServoInfo, Status
 from hil.cli.app import run
+from hil.recording.integrity import header_hash, plain
 from hil.recording.reader import Array
 from hil.recording.writer import Header, write
 
@@ -130,6 +133,18 @@ def make_recording(tmp_path: Path) -> Maker:
         return path
 
     return make
+
+
+@contextmanager
+def edited(path: Path) -> Iterator[h5py.File]:
+    """Open a finished recording to change its header, and give it the hash of what it then holds."""
+    with h5py.File(path, "r+") as file:
+        yield file
+        truth = {name: float(value) for name, value in file["truth"].attrs.items()} if "truth" in file else {}
+        group = file["events"]
+        texts = (group["code"].asstr()[()].tolist(), group["message"].asstr()[()].tolist())
+        events = list(zip(group["time"][()].tolist(), *texts, strict=True))
+        file.attrs["sha256_header"] = header_hash(plain(file.attrs), plain(file["profile"].attrs), truth, events)
 
 
 class Ended(NamedTuple):

@@ -83,3 +83,15 @@ def test_the_design_benchmark_compares_every_case_with_its_prediction(tmp_path: 
     rows = [line.split("|") for line in text.splitlines() if "%" in line and line.startswith("|")]
     assert [row[3].strip() for row in rows] == ["Kc", "Bc"] * 6
     assert all(0.0 < float(row[6]) < 10.0 for row in rows)  # the ratio of found to predicted error, of two recordings
+
+
+def test_a_changed_byte_of_a_recording_is_noticed_or_has_no_effect() -> None:
+    """A short form of what benchmarks/mutants.py does ten thousand times."""
+    command = [sys.executable, "benchmarks/mutants.py", "--times", "100", "--rows", "60"]
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "no breach" in done.stdout
+    for outcome in ("refused", "reported as changed", "rows reported as lost", "without effect"):
+        assert outcome in done.stdout

@@ -15,7 +15,7 @@ from hil.recording.channels import Row
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, RecordingWriter
 
-from ..conftest import Ended, Hil, Maker
+from ..conftest import Ended, Hil, Maker, edited
 
 SHORT = ("--duration", "2", "--fade", "0.2")
 
@@ -133,7 +133,7 @@ def test_the_papers_preset_arrives_at_the_exact_optimum(hil: Hil, make_recording
 def test_identification_never_looks_at_the_truth(hil: Hil) -> None:
     record(hil, *SHORT, "-o", "a.h5")
     before = hil("identify", "a.h5", "--json").json
-    with h5py.File("a.h5", "r+") as file:
+    with edited(Path("a.h5")) as file:
         del file["truth"]
     after = hil("identify", "a.h5", "--json").json
     for table in (before, after):

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
@@ -24,7 +23,7 @@ from hil.identification.result import Estimate, Repeatability
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.signals.source import open_sources
 
-from ..conftest import Hil, Maker
+from ..conftest import Hil, Maker, edited
 
 SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
 STAND = '[stand]\nname = "finger"\ngear_ratio = 4.0\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n'
@@ -33,7 +32,7 @@ STAND = '[stand]\nname = "finger"\ngear_ratio = 4.0\n[limits]\ntorque = 0.03\nde
 def stamped(path: Path, hour: float = 0.0, stand: str = "", kind: str = "chirp") -> Path:
     """The same recording with another time, stand and kind of profile."""
     minutes = round(60 * hour)
-    with h5py.File(path, "r+") as file:
+    with edited(path) as file:
         file.attrs["created"] = f"2026-05-04T{10 + minutes // 60:02d}:{minutes % 60:02d}:00+00:00"
         file.attrs["stand_toml"] = stand
         file["profile"].attrs["kind"] = kind

@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
@@ -15,7 +14,7 @@ from hil.cli.app import run
 from hil.recording.reader import Array
 from hil.recording.writer import Header, write
 
-from ..conftest import Maker
+from ..conftest import Maker, edited
 
 KC, BC = 0.02, 2e-4
 FIXTURE = (0.2, 1e-3)
@@ -107,7 +106,7 @@ def test_an_uncertain_torque_is_carried_in_once(make_recording: Maker, capfd: py
     """Both recordings are wrong by the same part, and so is what is left: 2 % stays 2 %."""
     joint, rig = make_recording(noise=1e-5), make_recording("rig.h5", kc=0.05, bc=2e-4, noise=1e-5)
     for path in (joint, rig):
-        with h5py.File(path, "r+") as file:
+        with edited(path) as file:
             file.attrs["stand_toml"] = "[stand]\ntorque_uncertainty = 0.02\n"
     for parameter in identified(capfd, joint, rig)[1]["parameters"].values():
         half = 0.5 * (parameter["ci95"][1] - parameter["ci95"][0])

@@ -21,10 +21,12 @@ import h5py
 import numpy as np
 import pytest
 
+from drivers.servo import Status
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording import reader
 from hil.recording import writer as writer_module
 from hil.recording.channels import CHANNELS, ROW, Row
+from hil.recording.integrity import LIVE, packed
 from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, remove_unfinished
 from hil.recording.reader import SCHEMA, Recording
 from hil.recording.writer import Header, RecordingWriter, finalise, write
@@ -110,14 +112,96 @@ def test_a_recording_in_progress_is_legal_hdf5_at_every_row(tmp_path: Path) -> N
     part.close()
 
 
-def test_rows_after_a_hole_are_not_taken_for_the_runs(tmp_path: Path) -> None:
-    part = recorded(tmp_path / "a.h5", 5, planned=20)
-    with part.path.open("rb+") as file, h5py.File(part.path) as hdf5:
-        file.seek(hdf5["live"].id.get_offset() + 8 * ROW.itemsize)
-        file.write(np.array([row(8)], dtype=ROW).tobytes())
+def change(path: Path, at: int, data: bytes) -> None:
+    with path.open("rb+") as file:
+        file.seek(at)
+        file.write(data)
+
+
+def offset_of(part: Path, name: str) -> int:
+    with h5py.File(part) as file:
+        return int(file[name].id.get_offset())
+
+
+@pytest.mark.parametrize("channel", ["seq", "torque", "status"])
+def test_a_damaged_row_of_a_part_counts_as_lost_and_costs_no_other(tmp_path: Path, channel: str) -> None:
+    part = recorded(tmp_path / "a.h5", 12, planned=20)
     part.close()
+    within = next(at for at, name in enumerate(CHANNELS) if name == channel) * 8
+    change(part.path, offset_of(part.path, "live") + 4 * LIVE.itemsize + within + 1, b"\x55")
     with Recording(part.path) as recording:
-        assert len(recording) == 5
+        assert (len(recording), recording.damaged, recording.verify()) == (12, 1, False)
+        assert np.flatnonzero(np.isnan(recording.channel("torque"))).tolist() == [4]
+        assert recording.channel("status")[4] == Status.BAD_REPLY
+    assert finalise(part.path, tmp_path / "b.h5") == (12, 1, True)
+    with Recording(tmp_path / "b.h5") as recording:
+        assert recording.verify()
+        np.testing.assert_array_equal(recording.channel("seq"), np.arange(12.0))
+        assert np.flatnonzero(np.isnan(recording.channel("torque"))).tolist() == [4]
+        assert [event.code for event in recording.events()] == ["damaged-rows"]
+
+
+def test_rows_after_a_hole_are_kept_and_the_hole_counts_as_lost(tmp_path: Path) -> None:
+    """A power cut may keep a later page and lose an earlier one."""
+    part = recorded(tmp_path / "a.h5", 5, planned=20)
+    part.close()
+    change(part.path, offset_of(part.path, "live") + 8 * LIVE.itemsize, packed([row(8)]))
+    with Recording(part.path) as recording:
+        assert (len(recording), recording.damaged) == (9, 3)
+
+
+def test_zeros_where_a_row_was_to_be_written_are_no_row(tmp_path: Path) -> None:
+    """Some filesystems grow a file before they fill it; row 0 of zeros has the right number."""
+    part = recorded(tmp_path / "a.h5", 0, planned=20)
+    part.close()
+    change(part.path, offset_of(part.path, "live"), bytes(20 * LIVE.itemsize))
+    with Recording(part.path) as recording:
+        assert len(recording) == 0
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.h5.part"])
+def test_a_changed_stand_is_noticed_and_is_not_made_good_by_recovering(tmp_path: Path, name: str) -> None:
+    header = Header(profile={"kind": "chirp"}, stand_toml="[stand]\ngear_ratio = 1.0\n")
+    part = RecordingWriter(tmp_path / "a.h5", header, 5)
+    part.append(row(0))
+    part.flush()
+    part.close() if name.endswith(".part") else part.finish("done")
+    path = tmp_path / name
+    data = path.read_bytes()
+    assert data.count(b"gear_ratio = 1.0") == 1
+    path.write_bytes(data.replace(b"gear_ratio = 1.0", b"gear_ratio = 2.0"))
+    with Recording(path) as recording:
+        assert not recording.verify()
+    assert not finalise(path, tmp_path / "b.h5").trusted
+    with Recording(tmp_path / "b.h5") as recording:
+        assert not recording.verify()
+        assert len(recording) == 1
+
+
+def test_a_changed_event_is_noticed(tmp_path: Path) -> None:
+    part = recorded(tmp_path / "a.h5", 5)
+    part.event(0.5, "stop-requested", "signal 2")
+    change(part.path, offset_of(part.path, "live_events") + 45, b"X")
+    with Recording(part.path) as recording:
+        assert recording.events() == []
+    part.event(0.6, "stop-requested", "signal 3")
+    path = part.finish("done")
+    path.write_bytes(path.read_bytes().replace(b"signal 3", b"signal 9"))
+    with Recording(path) as recording:
+        assert recording.events()[0].message == "signal 9"
+        assert not recording.verify()
+
+
+def test_a_recording_of_todays_schema_without_its_hash_does_not_verify(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "a.h5", 5).finish("done")
+    with h5py.File(path, "r+") as file:
+        del file.attrs["sha256_header"]
+    with Recording(path) as recording:
+        assert not recording.verify()
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema"] = "hil-recording/2"
+    with Recording(path) as recording:
+        assert recording.verify()
 
 
 def test_a_killed_recorder_leaves_every_row_it_handed_over(tmp_path: Path) -> None:
@@ -326,7 +410,7 @@ def test_a_temporary_file_of_somebody_elses_is_left_alone(tmp_path: Path) -> Non
 def test_a_part_without_a_row_is_recovered_as_an_empty_recording(tmp_path: Path, planned: int) -> None:
     part = RecordingWriter(tmp_path / "a.h5", HEADER, planned)
     part.close()
-    assert finalise(part.path, tmp_path / "a.h5") == 0
+    assert finalise(part.path, tmp_path / "a.h5") == (0, 0, True)
     with Recording(tmp_path / "a.h5") as recording:
         assert (len(recording), recording.verify()) == (0, True)
         assert recording.truth() == {"Kc": 0.01775}
@@ -440,7 +524,10 @@ def _nothing(path: Path) -> None:
         (_not_hdf5, "is not HDF5"),
         (_empty_file, "is not HDF5"),
         (_foreign, "hil import"),
-        (_other_version, "'hil-recording/9', written by hil 7.1.0; this hil reads hil-recording/1, hil-recording/2"),
+        (
+            _other_version,
+            "'hil-recording/9', written by hil 7.1.0; this hil reads hil-recording/1, hil-recording/2, hil-",
+        ),
         (_unequal, "unequal length"),
         (_lacking, "lacks dtheta"),
         (_text_channel, "one column of numbers"),
@@ -494,14 +581,14 @@ def test_a_row_without_readings_holds_its_number_only() -> None:
     assert np.isnan(readings).all()
 
 
-@pytest.mark.parametrize("name", ["version1.h5", "version1.h5.part"])
-def test_a_recording_of_the_first_schema_is_read_by_the_names_of_today(tmp_path: Path, name: str) -> None:
-    """The files were written by the last hil of schema 1: `hil record --profile chirp --soft 0.1`, 41 samples."""
+@pytest.mark.parametrize("name", ["version1.h5", "version1.h5.part", "version2.h5", "version2.h5.part"])
+def test_a_recording_of_an_earlier_schema_is_read_by_the_names_of_today(tmp_path: Path, name: str) -> None:
+    """The files were written by the last hil of their schema: `hil record --profile chirp --soft 0.1`, 41 samples."""
     path = tmp_path / name
     path.write_bytes(gzip.decompress((DATA / f"{name}.gz").read_bytes()))
     finalise(path, tmp_path / "new.h5")
     with Recording(path) as old, Recording(tmp_path / "new.h5") as new:
-        assert old.attributes["schema"] == "hil-recording/1"
+        assert old.attributes["schema"] == f"hil-recording/{name[7]}"
         assert new.attributes["schema"] == SCHEMA
         assert (old.live, len(old), len(new)) == (name.endswith(".part"), 41, 41)
         assert new.profile == old.profile
@@ -513,3 +600,58 @@ def test_a_recording_of_the_first_schema_is_read_by_the_names_of_today(tmp_path:
         assert new.verify()
         for channel in CHANNELS:
             np.testing.assert_array_equal(new.channel(channel), old.channel(channel))
+
+
+def _many_rows(path: Path) -> None:
+    recorded(path, 5).finish("done")
+    with h5py.File(path, "r+") as file:
+        for name in CHANNELS:
+            del file["samples"][name]
+            file["samples"].create_dataset(name, (10**9,), ROW[name], chunks=(4096,))
+
+
+def _many_events(path: Path) -> None:
+    recorded(path, 5).finish("done")
+    with h5py.File(path, "r+") as file:
+        del file["events"]["time"]
+        file["events"].create_dataset("time", (10**8,), "<f8", chunks=(1000,))
+
+
+def _large_chunks(path: Path) -> None:
+    recorded(path, 5).finish("done")
+    with h5py.File(path, "r+") as file:
+        del file["samples"]["torque"]
+        file["samples"].create_dataset("torque", (5,), "<f8", chunks=(2**27,), maxshape=(None,), compression="gzip")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "expected"),
+    [(_many_rows, "declares 1000000000 rows"), (_many_events, "declares more than"), (_large_chunks, "chunks of 1073")],
+)
+def test_declared_sizes_are_not_believed(tmp_path: Path, spoil: Callable[[Path], None], expected: str) -> None:
+    spoil(tmp_path / "a.h5")
+    with pytest.raises(WrongUse, match=expected):
+        Recording(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize("fault", ["hangs", "crashes", "needs much memory"])
+def test_a_file_on_which_the_library_fails_is_refused_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    """In the library itself, where no exception and no signal handler of Python's runs."""
+    path = recorded(tmp_path / "a.h5", 5).finish("done")
+
+    def fail(*words: object) -> None:
+        del words
+        if fault == "hangs":
+            signal.signal(signal.SIGXCPU, signal.SIG_DFL)
+            while True:
+                pass
+        if fault == "crashes":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        bytearray(1 << 31)
+
+    monkeypatch.setattr(reader, "_TRIAL_TIME", 1)
+    monkeypatch.setattr(reader, "_refuse_foreign_storage", fail)
+    with pytest.raises(WrongUse, match="is damaged"):
+        Recording(path)

@@ -10,7 +10,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import ClassVar
 
-import h5py
 import numpy as np
 import pytest
 
@@ -28,7 +27,7 @@ from hil.stand.servo import SILENCE, StandServo
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo
 
-from ..conftest import Maker
+from ..conftest import Maker, edited
 
 LIMITS = Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0))
 
@@ -207,7 +206,7 @@ def test_a_slow_and_late_sensor_leaves_stiffness_and_damping_what_they_are(tmp_p
 
 def test_a_recording_from_before_there_was_a_joint_time_is_read_as_it_is(make_recording: Maker) -> None:
     path = make_recording()
-    with h5py.File(path, "r+") as file:
+    with edited(path) as file:
         names = [name for name in CHANNELS if name != "joint_time"]
         rows = np.empty(len(file["samples/time"]), dtype=[(name, file["samples"][name].dtype) for name in names])
         for name in names:
