@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 else:
     ModelName = Literal[tuple(sorted(models()))]  # so that a refused name is reported with all that are known
 
-Mode = Literal["position", "torque"]
+Mode = Literal["torque", "position"]
 Baudrate = Literal[1000000, 500000, 250000, 128000, 115200, 76800, 57600, 38400]
 """bit/s by the value of Baud Rate(6), from 0 on."""
 

@@ -52,6 +52,12 @@ _LIMITS = (
     Question("limits", "velocity", "rad/s", 20.0),
     Question("limits", "temperature", "degC, of the winding", 60.0),
 )
+_ACCEPTED = Question(
+    "stand",
+    "torque_stays_on_if_host_dies",
+    "true: drive a motor without a watchdog, which keeps its torque when this computer stops",
+    (False,),
+)
 _TABLES: Mapping[str, Any] = {"stand": StandTable, "limits": LimitsTable}
 
 
@@ -101,6 +107,7 @@ class Draft:
             "[stand]",
             f"backend = {_toml(self.backend)}",
             *_lines(_STAND, answers),
+            *_lines([_ACCEPTED], answers, optional=True),
         ]
         mine = list(self._device_questions())
         for table in dict.fromkeys(question.table for question in mine):
@@ -112,7 +119,7 @@ class Draft:
         return "\n".join(lines) + "\n"
 
     def _by_key(self) -> dict[str, Question]:
-        return {question.key: question for question in (*_STAND, *_LIMITS, *self._device_questions())}
+        return {question.key: question for question in (*_STAND, _ACCEPTED, *_LIMITS, *self._device_questions())}
 
     def _class_of(self, table: str) -> Any:
         if table == "joint_sensor":

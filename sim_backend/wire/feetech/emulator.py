@@ -53,5 +53,7 @@ def serve(
         plant = replace(parameters, motor=motor)
     now = time.monotonic()
     servos = [FeetechDevice(name, ident, baudrate=baudrate, parameters=plant, now=now) for ident in idents]
+    for servo in servos:
+        servo.write(40, b"\x80")  # mounted at the middle of its turn
     line = PtyLine(link, PacketBus(servos, timing=timing, protocol=1))
     return line if name == model else with_cell(line, servos[0], plant.sensors)
