@@ -184,6 +184,7 @@ def glimpse(recording: Recording, stand: StandTable | None, parts: int = 16, row
     """Return some stretches of a long recording, evenly spread. Raises Untrustworthy as `stream`."""
     columns = _columns_of(recording, stand)
     window = _probed(recording, columns)
+    parts = max(1, min(parts, len(recording) // rows))  # samples that were seen twice would count as more evidence
     starts = np.linspace(0, max(0, len(recording) - rows), parts).astype(int).tolist()
     stretches = (_usable(recording, columns, start, min(start + rows, len(recording))) for start in starts)
     return [_signals(usable, columns, window, (0, len(recording))) for usable in stretches]

@@ -12,7 +12,7 @@ import pytest
 from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
-from hil.signals.prepare import joined, prepare, spread_stamps, stream
+from hil.signals.prepare import glimpse, joined, prepare, spread_stamps, stream
 from hil.signals.windows import excited_band
 from hil.stand.file import StandTable
 
@@ -179,6 +179,13 @@ def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
     assert together.defects == whole.defects
     assert whole.defects.not_numbers > 50
+
+
+def test_no_sample_of_a_recording_is_glimpsed_twice(make_recording: Maker) -> None:
+    with Recording(make_recording()) as recording:
+        for rows in (1 << 14, 900, 100):
+            times = np.concatenate([one.motion.time for one in glimpse(recording, None, rows=rows)])
+            assert len(np.unique(times)) == len(times) > 0
 
 
 def test_the_window_is_as_narrow_as_the_noise_of_the_deflection_allows(make_recording: Maker) -> None:
