@@ -7,9 +7,11 @@ refused.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import uuid
 import zipfile
 from dataclasses import asdict
 from typing import TYPE_CHECKING, NamedTuple
@@ -66,17 +68,32 @@ def save(path: Path, belongs: dict[str, str], state: SearchState) -> None:
         field: np.stack([getattr(population, field) for population in state.populations])
         for field in Population._fields
     }
-    draft = path.with_name(path.name + ".tmp")
-    with draft.open("wb") as file:
-        np.savez(file, records=state.records, belongs=np.array(json.dumps(belongs)), **arrays)  # type: ignore[arg-type]
-        file.flush()
-        os.fsync(file.fileno())
-    draft.replace(path)
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is not an ordinary file", str(path))
+    draft = path.with_name(f".hil-{uuid.uuid4().hex}.tmp")
+    try:
+        with draft.open("xb") as file:
+            np.savez(file, records=state.records, belongs=np.array(json.dumps(belongs)), **arrays)  # type: ignore[arg-type]
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _check_stored(path: Path) -> None:
+    """Raise ValueError where a part of the file is compressed, which `save` never does: it could fill the memory."""
+    with zipfile.ZipFile(path) as archive:
+        if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
+            raise ValueError("a part is compressed")
 
 
 def load(path: Path, belongs: dict[str, str]) -> SearchState:
     """The state in a file. Raises WrongCheckpoint where it is of another run or none, OSError as opening does."""
+    if not path.is_file():  # a FIFO or a device would block, or never end
+        raise WrongCheckpoint(f"{path} is not an ordinary file: name another")
     try:
+        _check_stored(path)
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             found = json.loads(str(archive["belongs"]))
             arrays = [archive[field] for field in Population._fields]

@@ -12,7 +12,7 @@ from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.live_view import beside
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
 from hil.errors import WrongUse
-from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, remove_unfinished
+from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, part_path, remove_unfinished
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand.devices import check_backend
 from hil.stand.file import Stand
@@ -44,7 +44,9 @@ def run(
     """
     check_backend(stand.stand.backend)
     if output is not None:
-        check_output(output, force=force)
+        inputs = stand.named_files()
+        check_output(output, force=force, inputs=inputs)
+        check_output(part_path(output), force=True, inputs=inputs)
         if not force:
             check_unfinished(output)
     with StopRequest().listening() as stop:

@@ -94,9 +94,9 @@ class IdentificationResult:
         """Return a picture: the torque with its model, the residuals, the loop and the diagnostic checks."""
         return page.figure(self.identification)
 
-    def report(self, path: AnyPath) -> list[Path]:
-        """Write the report to `path`, in place of one that is there, and return what was written. Raises WrongUse."""
-        return page.write_page(self.identification, Path(path))
+    def report(self, path: AnyPath, *, force: bool = True) -> list[Path]:
+        """Write the report to `path` and return what was written. force: in place of one there. Raises WrongUse."""
+        return page.write_page(self.identification, Path(path), force=force)
 
 
 class NoResult(Untrustworthy):
@@ -144,9 +144,9 @@ class ComparisonResult:
         """Return a picture: each parameter over the recordings with its interval, and the pooled interval."""
         return comparison_report.figure(self.comparison)
 
-    def report(self, path: AnyPath) -> list[Path]:
-        """Write the report to `path`, in place of one that is there, and return what was written. Raises WrongUse."""
-        return comparison_report.write_page(self.comparison, Path(path))
+    def report(self, path: AnyPath, *, force: bool = True) -> list[Path]:
+        """Write the report to `path` and return what was written. force: in place of one there. Raises WrongUse."""
+        return comparison_report.write_page(self.comparison, Path(path), force=force)
 
 
 def identify(

@@ -36,7 +36,7 @@ def compare(
         out(str(found))
         out_table(comparison_table(found.comparison))
     if report is not None:
-        for path in found.report(report):
+        for path in found.report(report, force=force):
             say(f"wrote {path}")
     print_diagnostics(found.diagnostics)
     if not found.trustworthy:

@@ -84,7 +84,7 @@ def identify(
             fixture=fixture,
             progress=show,
         )
-    _publish(found, report, as_json=as_json, verbose=verbose)
+    _publish(found, report, force=force, as_json=as_json, verbose=verbose)
     if found.interrupted:
         exit_interrupted(checkpoint)
     if not found.trustworthy:
@@ -104,13 +104,13 @@ def _failure_published(*, as_json: bool) -> Iterator[None]:
         raise
 
 
-def _publish(found: IdentificationResult, report: Path | None, *, as_json: bool, verbose: bool) -> None:
+def _publish(found: IdentificationResult, report: Path | None, *, force: bool, as_json: bool, verbose: bool) -> None:
     if as_json:
         print_json(found.as_json())
     else:
         _show(found.identification, verbose=verbose)
     if report is not None:
-        for path in found.report(report):
+        for path in found.report(report, force=force):
             say(f"wrote {path}")
     print_diagnostics(found.diagnostics)
 

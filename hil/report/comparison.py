@@ -98,10 +98,10 @@ def _pooled_rows(found: Comparison) -> list[list[str]]:
     return [[heading, "", *cells] for heading, *cells in zip(headings, *together, strict=True)]
 
 
-def write_page(found: Comparison, path: Path) -> list[Path]:
-    """Write the page to `path` and its picture beside it; return both. Raises WrongUse."""
+def write_page(found: Comparison, path: Path, *, force: bool) -> list[Path]:
+    """Write the page to `path` and its picture beside it; return both. force: replace files there. Raises WrongUse."""
     path, picture = page_files(path)
-    save_picture(figure(found), picture)
+    save_picture(figure(found), picture, force=force)
     rows = [_headings(found), *_recording_rows(found), *_pooled_rows(found)]
     verdicts = [parameter.verdict for parameter in found.parameters]
     write_html(
@@ -112,6 +112,7 @@ def write_page(found: Comparison, path: Path) -> list[Path]:
         rows=rows,
         lines=verdicts,
         diagnostics=found.diagnostics,
+        force=force,
     )
     return [path, picture]
 

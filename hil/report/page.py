@@ -40,10 +40,10 @@ def page_files(path: Path) -> tuple[Path, Path]:
     return path, picture
 
 
-def write_page(found: Identification, path: Path) -> list[Path]:
-    """Write the page to `path` and its picture beside it; return both. Raises WrongUse."""
+def write_page(found: Identification, path: Path, *, force: bool) -> list[Path]:
+    """Write the page to `path` and its picture beside it; return both. force: replace files there. Raises WrongUse."""
     path, picture = page_files(path)
-    save_picture(figure(found), picture)
+    save_picture(figure(found), picture, force=force)
     heading = ", ".join(str(recording) for recording in found.recordings)
     lines = identification_lines(found)
     write_html(
@@ -54,6 +54,7 @@ def write_page(found: Identification, path: Path) -> list[Path]:
         rows=_rows(found),
         lines=lines,
         diagnostics=found.diagnostics,
+        force=force,
     )
     return [path, picture]
 
@@ -67,6 +68,7 @@ def write_html(
     rows: Iterable[Sequence[str]],
     lines: Iterable[str],
     diagnostics: Iterable[Diagnostic],
+    force: bool,
 ) -> None:
     """Write a page that holds its picture: heading, a table whose first row is its headings, lines, warnings."""
     table = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
@@ -78,7 +80,7 @@ def write_html(
         f"<style>{_STYLE}</style><h1>{html.escape(heading)}</h1><table>{table}</table>{text}<ul>{messages}</ul>"
         f'<img alt="{alt}" src="data:image/png;base64,{data}"></html>\n'
     )
-    with atomic_write(path, force=True) as temporary:
+    with atomic_write(path, force=force) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
@@ -128,9 +130,9 @@ def figure(found: Identification) -> Figure:
     return drawn
 
 
-def save_picture(figure: Figure, path: Path) -> None:
-    """Write a figure as a PNG, in place of one that is there. Raises WrongUse where it cannot be written."""
-    with atomic_write(path, force=True) as temporary:
+def save_picture(figure: Figure, path: Path, *, force: bool) -> None:
+    """Write a figure as a PNG. force: in place of one that is there. Raises WrongUse where it cannot be written."""
+    with atomic_write(path, force=force) as temporary:
         figure.savefig(temporary, format="png", dpi=110)
 
 

@@ -95,4 +95,4 @@ def draw_convergence(done: Replication, path: Path) -> None:
     panels[1].set(xscale="log", yscale="log", xlabel="generation", ylabel="optimiser gap")
     for panel in panels:
         panel.grid(visible=True, lw=0.3)
-    save_picture(figure, path)
+    save_picture(figure, path, force=True)

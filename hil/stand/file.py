@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, create_model
 
 from hil.errors import WrongUse
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
@@ -94,6 +94,12 @@ class Stand:
             motor_damping=stated.get("motor_damping"),
         )
 
+    def named_files(self) -> list[Path]:
+        """Return the files that the devices' tables name, such as a recording to replay: no output may replace them."""
+        tables = [*self.devices.values(), *([] if self.sensor is None else [self.sensor[1]])]
+        values = [value for table in tables for value in TypeAdapter(type(table)).dump_python(table).values()]
+        return [Path(value) for value in values if isinstance(value, str) and _is_file(value)]
+
     def checked_limits(self) -> LimitsTable:
         """The limits, without which nothing is driven. Raises WrongUse where the file has none."""
         if self.limits is None:
@@ -117,6 +123,13 @@ velocity = 100.0
 temperature = 80.0
 """
 """The stand of `--backend sim`. All other keys have the simulator's defaults."""
+
+
+def _is_file(name: str) -> bool:
+    try:
+        return Path(name).is_file()
+    except (OSError, ValueError):  # too long, or with a null character: no name of a file
+        return False
 
 
 def load(path: Path) -> Stand:

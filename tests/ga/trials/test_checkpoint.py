@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,12 +10,11 @@ import pytest
 
 from ga.bounds import PAPER_BOUNDS
 from ga.evolution.evolution import PRESETS, Settings
-from ga.trials.checkpoint import WrongCheckpoint
+from ga.trials.checkpoint import SearchState, WrongCheckpoint, load, save
 from ga.trials.trials import Trials, run_trials
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from tests.ga.conftest import Data
 
@@ -112,3 +113,29 @@ def test_a_damaged_checkpoint_is_refused_with_its_name(paper_like: Data, tmp_pat
     file.write_bytes(content)
     with pytest.raises(WrongCheckpoint, match=r"run\.npz is not a checkpoint"):
         tried(paper_like, checkpoint=file)
+
+
+def test_a_checkpoint_is_an_ordinary_file_and_nothing_else_is_read_or_replaced(tmp_path: Path) -> None:
+    """A FIFO would hang, an endless device would fill the memory."""
+    os.mkfifo(tmp_path / "fifo")
+    for path in (tmp_path / "fifo", Path("/dev/zero")):
+        with pytest.raises(WrongCheckpoint, match="not an ordinary file"):
+            load(path, {})
+        with pytest.raises(OSError, match="not an ordinary file"):
+            save(path, {}, SearchState([], np.zeros(1)))
+    assert [item.name for item in tmp_path.iterdir()] == ["fifo"]
+
+
+def test_a_compressed_checkpoint_is_none_of_ours(tmp_path: Path) -> None:
+    """A few kilobytes could fill the memory."""
+    np.savez_compressed(tmp_path / "a.npz", records=np.zeros(1_000_000))
+    with pytest.raises(WrongCheckpoint, match="not a checkpoint"):
+        load(tmp_path / "a.npz", {})
+
+
+def test_saving_follows_no_link_that_waits_under_the_name_of_its_draft(paper_like: Data, tmp_path: Path) -> None:
+    (tmp_path / "victim").write_text("mine")
+    (tmp_path / "run.npz.tmp").symlink_to("victim")
+    tried(paper_like, stop=once(1), checkpoint=tmp_path / "run.npz")
+    assert (tmp_path / "victim").read_text() == "mine"
+    assert {item.name for item in tmp_path.iterdir()} == {"victim", "run.npz.tmp", "run.npz"}

@@ -106,6 +106,20 @@ def test_both_files_of_a_report_are_looked_at_before_any_work(
     assert hil("identify", make_recording(), "--report", "q.png")[0] == 2
 
 
+@pytest.mark.parametrize("taken", ["p.html", "p.png"])
+def test_a_report_does_not_replace_a_file_that_appears_while_it_is_made(
+    hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch, taken: str
+) -> None:
+    from hil.report import page
+
+    draw = page.figure
+    monkeypatch.setattr(page, "figure", lambda found: (Path(taken).write_text("somebody's"), draw(found))[1])
+    status, _, err = hil("identify", make_recording(noise=1e-5), "--model", "linear", "--report", "p.html")
+    assert status == 2
+    assert f"{taken} exists" in err
+    assert Path(taken).read_text() == "somebody's"
+
+
 def test_a_demo_does_not_overwrite_the_report_of_an_earlier_one(hil: Hil) -> None:
     Path("hil-demo").mkdir()
     Path("hil-demo/run1.png").write_text("mine")

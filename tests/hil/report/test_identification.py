@@ -42,7 +42,7 @@ def test_a_page_says_value_interval_and_unit_as_they_were_found(
 ) -> None:
     """A hand's joint is spoken of in mN m, as in the paper; an arm's is not."""
     result = found(make_recording(kc=kc, bc=kc / 100.0, noise=kc / 100.0))
-    page = write_page(result, tmp_path / "a.html")[0].read_text()
+    page = write_page(result, tmp_path / "a.html", force=True)[0].read_text()
     rows = re.findall(r"<tr><td>(\w+)</td><td>(\S+)</td><td>(\S+) to (\S+)</td><td>([^<]+)</td><td>yes</td></tr>", page)
     assert [(name, said) for name, _, _, _, said in rows] == [("Kc", f"{unit}/rad"), ("Bc", f"{unit} s/rad")]
     for name, *numbers, _ in rows:
@@ -179,6 +179,6 @@ def test_a_picture_that_cannot_be_drawn_leaves_the_old_one(
 
     monkeypatch.setattr(Figure, "savefig", fail)
     with pytest.raises(WrongUse, match="No space left"):
-        write_page(result, tmp_path / "p.html")
+        write_page(result, tmp_path / "p.html", force=True)
     assert sorted(item.name for item in tmp_path.iterdir()) == ["a.h5", "p.png"]
     assert (tmp_path / "p.png").read_text() == "the old one"

@@ -83,3 +83,13 @@ def play(servo: Servo, exchanges: int) -> None:
     for _ in range(exchanges):
         with suppress(NoReply):  # what was lost is lost again
             servo.exchange(Command.rest())
+
+
+@pytest.mark.parametrize("name", ["first.h5", "first.h5.part"])
+def test_a_replay_never_replaces_its_own_source(tmp_path: Path, recorded: Path, name: str) -> None:
+    source = recorded.rename(tmp_path / name)
+    before = source.read_bytes()
+    stand = replay(tmp_path / "stand.toml", source)
+    words = ["record", "--stand", str(stand), "--duration", "1", "-o", str(tmp_path / "first.h5"), "--force"]
+    assert run(words) == 2
+    assert source.read_bytes() == before
