@@ -51,6 +51,7 @@ from sim_backend.wire.feetech.device import HEAT, OVER_CURRENT, FeetechDevice
 from sim_backend.wire.feetech.device import OVERLOAD as FEETECH_OVERLOAD
 from sim_backend.wire.mit import device as mit
 from sim_backend.wire.moteus import device as moteus
+from sim_backend.wire.moteus.command import POSITION as MOTEUS_POSITION
 from sim_backend.wire.odrive import device as odrive
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 
@@ -281,7 +282,7 @@ def with_endpoints(rig: Rig, path: Path) -> None:
 
 
 def moteus_left_on(rig: Rig) -> None:
-    rig.device.mode = moteus.POSITION
+    rig.device.mode = MOTEUS_POSITION
     rig.motor.enable()
 
 

@@ -1,13 +1,17 @@
 """The diagnostic console of a moteus: lines in, lines out, and the configuration behind them.
 
 Source: mjbots/moteus docs/protocol/diagnostic.md and docs/reference/configuration.md; defaults are those of the
-reference where it names them. Of the commands there are conf get, set, enumerate, load, default and write, d stop, and
-tel stop; others are answered with an error, as unknown ones are.
+reference where it names them. Of the commands there are conf get, set, enumerate, load, default and write; d stop,
+nearest, rezero, exact and cfg-set-output; tel list, schema, fmt, get and stop, in the binary format; others are
+answered with an error, as unknown ones are.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
+
+from sim_backend.wire.moteus.telemetry import Field, announced, data, schema
 
 _DEFAULTS: dict[str, float] = {
     "can.prefix": 0,
@@ -39,16 +43,20 @@ _WHOLE = {"id.id", "can.prefix", "servo.timeout_mode", "servo.enable_motor_tempe
 
 
 class Console:
-    """The console and configuration of the controller `ident`. values: by the vendor's names."""
+    """The console and configuration of the controller `ident`. values: by the vendor's names.
 
-    def __init__(self, ident: int) -> None:
+    channels: the functions that return the fields of the telemetry channels, by name.
+    """
+
+    def __init__(self, ident: int, channels: Mapping[str, Callable[[], Sequence[Field]]]) -> None:
+        self._channels = channels
         self._stored = {"id.id": float(ident), **_DEFAULTS}
         self.values = dict(self._stored)
         self.refused: set[str] = set()
         """Names whose setting is acknowledged and not done."""
         self._in = b""
         self._out = b""
-        self._stop = False
+        self._requests: list[tuple[str, float]] = []
 
     def load(self) -> None:
         """Back to what is stored, as at power-up."""
@@ -68,35 +76,60 @@ class Console:
         out, self._out = self._out[:most], self._out[most:]
         return out
 
-    def stop_asked(self) -> bool:
-        """Whether `d stop` came since this was last asked."""
-        asked, self._stop = self._stop, False
-        return asked
+    def requests(self) -> list[tuple[str, float]]:
+        """Return the `d` commands since this was last called, with their number, 0 where there is none."""
+        requests, self._requests = self._requests, []
+        return requests
 
     def _answer(self, words: list[str]) -> bytes:
         match words:
-            case ["conf", "get", name] if name in self.values:
-                return f"{self._text(name)}\r\n".encode()
-            case ["conf", "set", name, text] if name in self.values:
-                return self._set(name, text)
-            case ["conf", "enumerate"]:
-                lines = "".join(f"{name} {self._text(name)}\r\n" for name in sorted(self.values))
-                return f"{lines}OK\r\n".encode()
-            case ["conf", "write"]:
-                self._stored = dict(self.values)
-            case ["conf", "load"]:
-                self.values = dict(self._stored)
-            case ["conf", "default"]:
-                self.values |= _DEFAULTS
+            case ["conf", *rest]:
+                return self._configuration(rest)
+            case ["tel", *rest]:
+                return self._telemetry(rest)
             case ["d", "stop"]:
-                self._stop = True
-            case ["tel", "stop"]:
-                pass
-            case ["conf", "get" | "set", *_]:
-                return b"ERR error reading\r\n"
+                self._requests.append(("stop", 0.0))
+            case ["d", "nearest" | "rezero" | "exact" | "cfg-set-output" as name, *text]:
+                self._requests.append((name, _number(text)))
             case _:
                 return b"ERR unknown command\r\n"
         return b"OK\r\n"
+
+    def _configuration(self, words: list[str]) -> bytes:
+        match words:
+            case ["get", name] if name in self.values:
+                return f"{self._text(name)}\r\n".encode()
+            case ["set", name, text] if name in self.values:
+                return self._set(name, text)
+            case ["enumerate"]:
+                lines = "".join(f"{name} {self._text(name)}\r\n" for name in sorted(self.values))
+                return f"{lines}OK\r\n".encode()
+            case ["write"]:
+                self._stored = dict(self.values)
+            case ["load"]:
+                self.values = dict(self._stored)
+            case ["default"]:
+                self.values |= _DEFAULTS
+            case ["get" | "set", *_]:
+                return b"ERR error reading\r\n"
+            case _:
+                return b"ERR unknown group\r\n"
+        return b"OK\r\n"
+
+    def _telemetry(self, words: list[str]) -> bytes:
+        match words:
+            case ["schema", name] if name in self._channels:
+                return announced("schema", name, schema(self._channels[name]()))
+            case ["get", name] if name in self._channels:
+                return announced("emit", name, data(self._channels[name]()))
+            case ["list"]:
+                return "".join(f"{name}\r\n" for name in self._channels).encode() + b"OK\r\n"
+            case ["fmt", name, "0"] if name in self._channels:
+                return b"OK\r\n"
+            case ["stop"]:
+                return b"OK\r\n"
+            case _:
+                return b"ERR unknown name\r\n"
 
     def _set(self, name: str, text: str) -> bytes:
         try:
@@ -110,3 +143,10 @@ class Console:
     def _text(self, name: str) -> str:
         value = self.values[name]
         return f"{int(value)}" if name in _WHOLE else f"{value:.6f}"
+
+
+def _number(text: list[str]) -> float:
+    try:
+        return float(text[0])
+    except (IndexError, ValueError):
+        return 0.0

@@ -2,16 +2,33 @@
 
 Source: mjbots/moteus docs/protocol/registers.md, can.md, diagnostic.md and docs/reference/configuration.md. What they
 leave open: getting ready takes three commands; a refused register's error number is 1; a boot takes 0.1 s; torque is
-reported in steps of 2 mN m, the resolution of an analogue converter. Ki and the generated trajectories have no effect.
+reported in steps of 2 mN m, the resolution of an analogue converter. Ki has no effect. Modes that drive the phases
+themselves (PWM, voltage, voltage FOC, inductance) need a rotor that the plant has not: they end in the fault "motor not
+configured".
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from sim_backend.wire.canbus.frames import CanFrame, padded
-from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
+from sim_backend.wire.canbus.impedance import Impedance, scaled_joint
+from sim_backend.wire.moteus.channels import CHANNELS
+from sim_backend.wire.moteus.command import (
+    BRAKE,
+    POSITION,
+    RESISTANCE,
+    RUNNING,
+    TIMED,
+    TIMEOUT,
+    TORQUE_CONSTANT,
+    TURN,
+    ZERO_VELOCITY,
+    Command,
+    arrived,
+)
 from sim_backend.wire.moteus.console import Console
 from sim_backend.wire.moteus.frames import (
     Poll,
@@ -26,21 +43,25 @@ from sim_backend.wire.moteus.frames import (
     reply,
     valued,
 )
-from sim_backend.wire.moteus.registers import COMMANDS, READABLE, UNITS, UNSET
+from sim_backend.wire.moteus.registers import COMMANDS, READABLE, UNITS
+from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
 
-TURN = 2.0 * math.pi
 COUNTS = 16384
 TORQUE_LSB = 2e-3
-TORQUE_CONSTANT = 0.05
 SCALE = 20.0
 """The paper's joint with torques as large as suit the motor."""
 BOOT = 0.1
 
-STOPPED, FAULT, PREPARING, POSITION, TIMEOUT = 0, 1, 4, 10, 11
-DRIVER_FAULT, OVER_TEMPERATURE, OUTSIDE_LIMIT = 33, 38, 39
+STOPPED, FAULT, PREPARING = 0, 1, 4
+_PHASES = frozenset({5, 6, 7, 14})
+"""PWM, voltage, voltage FOC, inductance."""
+_ALIASES = {0x042: 0x022, 0x043: 0x023, 0x044: 0x024, 0x045: 0x025, 0x046: 0x027, 0x047: 0x02B, 0x048: 0x02D}
+"""The registers of the mode that stays within bounds which are those of the position mode."""
+DRIVER_FAULT, NOT_CONFIGURED, OVER_TEMPERATURE, OUTSIDE_LIMIT = 33, 36, 38, 39
+_PREPARATION = 3
 _LONGEST_REPLY = 64
 
 
@@ -57,12 +78,15 @@ class MoteusDevice:
         parameters: SimParameters | None = None,
         now: float = 0.0,
     ) -> None:
-        self.motor = CanMotor(parameters or scaled_joint(SCALE, TORQUE_CONSTANT, 0.1), Impedance())
-        self.console = Console(ident)
-        self._identity = {0x100: 0x20, 0x102: register_map, 0x110: ident, 0x158: 1}
-        self._identity[0x101] = firmware[0] << 16 | firmware[1] << 8 | firmware[2]
-        self._identity |= {0x120 + i: word for i, word in enumerate(serial)}
-        self._identity |= {0x150 + i: 0x01020304 * (i + 1) for i in range(4)}
+        plant = parameters or scaled_joint(SCALE, TORQUE_CONSTANT, RESISTANCE)
+        self.motor: PlantMotor[Any] = PlantMotor(plant, Impedance())
+        channels = {name: partial(channel, self) for name, channel in CHANNELS.items()}
+        self.console = Console(ident, channels)
+        self.command = Command(self.console)
+        self.identity = {0x100: 0x20, 0x102: register_map, 0x110: ident, 0x158: 1}
+        self.identity[0x101] = firmware[0] << 16 | firmware[1] << 8 | firmware[2]
+        self.identity |= {0x120 + i: word for i, word in enumerate(serial)}
+        self.identity |= {0x150 + i: 0x01020304 * (i + 1) for i in range(4)}
         self.unknown: set[int] = set()
         """Registers that this firmware does not have."""
         self.ignores_stop = False
@@ -75,8 +99,8 @@ class MoteusDevice:
         self.mode, self.fault = STOPPED, 0
         self._booted = self._heard = now
         self._ready = now
-        self._commands = dict(UNSET)
-        self._held = math.nan
+        self.command.clear()
+        self.command.forget()
         self._steps = 0
 
     @property
@@ -114,7 +138,7 @@ class MoteusDevice:
     def advance(self, now: float) -> None:
         """Carry the motor to `now` and look for faults."""
         timeout = self._timeout()
-        if self.mode == POSITION and now - self._heard > timeout:
+        if self.mode in TIMED and now - self._heard > timeout:
             self.motor.run(self._heard + timeout - self._powered)
             self._time_out()
         self.motor.run(now - self._powered)
@@ -148,8 +172,8 @@ class MoteusDevice:
             case Say():
                 if subframe.channel == 1:
                     self.console.take(subframe.text)
-                    if self.console.stop_asked():
-                        self._stop()
+                    for name, value in self.console.requests():
+                        self._asked(name, value)
                 return b""
             case Poll():
                 return console(subframe.channel, self.console.give(subframe.most) if subframe.channel == 1 else b"")
@@ -179,7 +203,7 @@ class MoteusDevice:
             0x004: self.motor.torque / TORQUE_CONSTANT,
             0x007: self.motor.torque * self.motor.velocity,
             0x00A: self.motor.temperature if self.console.values["servo.enable_motor_temperature"] else math.nan,
-            0x00B: 1.0,
+            0x00B: float(arrived(self.motor)),
             0x00C: 1.0,
             0x00D: 24.0,
             0x00E: self.motor.temperature,
@@ -189,17 +213,17 @@ class MoteusDevice:
         }
         if number in live:
             return live[number]
-        if number in self._identity:
-            return float(self._identity[number])
-        if number in COMMANDS:
-            return self._commands[number]
+        if number in self.identity:
+            return float(self.identity[number])
+        if _ALIASES.get(number, number) in COMMANDS:
+            return self.command.values[_ALIASES.get(number, number)]
         return 0.0 if number in READABLE else None
 
     def _write(self, number: int, kind: int, raw: float, now: float) -> bytes:
-        if number == 0:
+        if number == 0 and raw <= BRAKE:
             self._enter(int(raw), now)
-        elif number in COMMANDS and number not in self.unknown:
-            self._commands[number] = valued(raw, UNITS.get(number), kind)
+        elif _ALIASES.get(number, number) in COMMANDS and number not in self.unknown:
+            self.command.values[_ALIASES.get(number, number)] = valued(raw, UNITS.get(number), kind)
         elif number in {0x130, 0x131}:
             self._offset = self.motor.position - valued(raw, UNITS[0x001], kind) * TURN
         else:
@@ -210,19 +234,22 @@ class MoteusDevice:
 
     def _enter(self, mode: int, now: float) -> None:
         """Every mode command begins with the commands unset; a stop clears a fault and a timeout."""
-        self._commands = dict(UNSET)
+        self.command.clear()
         if mode == STOPPED:
             self._stop()
-        elif mode == POSITION and self.mode not in {FAULT, TIMEOUT}:
+        elif mode in RUNNING | _PHASES and self.mode not in {FAULT, TIMEOUT}:
             self._heard = now
             self._steps += 1
-            if self.mode == STOPPED and self._outside():
+            if self.mode == STOPPED and mode in TIMED and self._outside():
                 self.fail(OUTSIDE_LIMIT)
-            elif self._steps >= 3 and self.mode != POSITION:
-                self.mode, self._held = POSITION, math.nan
-                self.motor.enable()
-            elif self.mode != POSITION:
+            elif self._steps < _PREPARATION:
                 self.mode = PREPARING
+            elif mode in _PHASES:
+                self.fail(NOT_CONFIGURED)
+            elif self.mode != mode:
+                self.mode = mode
+                self.command.forget()
+                self.motor.enable()
 
     def _outside(self) -> bool:
         low, high = self.console.values["servopos.position_min"], self.console.values["servopos.position_max"]
@@ -235,54 +262,41 @@ class MoteusDevice:
         self.motor.disable()
 
     def _timeout(self) -> float:
-        asked = self._commands[0x027]
+        asked = self.command.values[0x027]
         seconds = self.console.values["servo.default_timeout_s"] if asked == 0.0 else asked
         return math.inf if math.isnan(seconds) else seconds
 
     def _time_out(self) -> None:
-        """Disengage or damp, as servo.timeout_mode is set."""
+        """Disengage, hold, damp or brake, as servo.timeout_mode is set."""
         self.mode = TIMEOUT
-        if int(self.console.values["servo.timeout_mode"]) == 0:
-            self.motor.disable()
+        self.command.clear()
+        mode = int(self.console.values["servo.timeout_mode"])
+        if mode in {POSITION, ZERO_VELOCITY, BRAKE}:
+            self.command.forget()
+            self.motor.follow(self._law(mode))
         else:
-            kd = self.console.values["servo.pid_position.kd"] / TURN
-            self.motor.follow(Impedance(kd=kd, ceiling=self.console.values["servo.timeout_max_torque_Nm"]))
+            self.motor.disable()
 
     def _follow(self) -> None:
-        """Set the motor's law from the commands of the position mode."""
-        if self.mode != POSITION:
+        """Set the motor's law from the commands of its mode."""
+        if self.mode in RUNNING:
+            self.motor.follow(self._law(self.mode))
+
+    def _law(self, mode: int) -> Any:
+        return self.command.law(mode, self.motor, self._offset)
+
+    def _asked(self, name: str, value: float) -> None:
+        """Obey a `d` command: stop, or set the position, rev; "nearest" keeps the part of a turn that is measured."""
+        if name == "stop":
+            self._stop()
             return
-        values, commands = self.console.values, self._commands
-        if not math.isnan(commands[0x020]):
-            self._held = commands[0x020]
-        elif math.isnan(self._held):
-            self._held = self.turns
-        kp_scale = commands[0x023]
-        self.motor.follow(
-            Impedance(
-                feedforward=commands[0x022],
-                kp=values["servo.pid_position.kp"] * kp_scale / TURN,
-                kd=values["servo.pid_position.kd"] * min(kp_scale, commands[0x024]) / TURN,
-                position=self._held * TURN + self._offset,
-                velocity=commands[0x021] * TURN if math.isfinite(commands[0x021]) else 0.0,
-                ceiling=self._ceiling() * self._derated(),
-            )
-        )
-
-    def _ceiling(self) -> float:
-        most = self.console.values["servo.max_current_A"] * TORQUE_CONSTANT
-        asked = self._commands[0x025]
-        return most if math.isnan(asked) else min(most, asked)
-
-    def _derated(self) -> float:
-        """Share of the torque that is left above servo.max_velocity."""
-        over = abs(self.motor.velocity) / TURN - self.console.values["servo.max_velocity"]
-        return max(0.0, min(1.0, 1.0 - over / self.console.values["servo.max_velocity_derate"]))
+        error = self.turns - value
+        self._offset += (round(error) if name in {"nearest", "rezero"} else error) * TURN
 
     def _limiting(self) -> int:
         """The code for what limits the torque."""
-        if self.mode != POSITION:
+        if self.mode not in TIMED:
             return 0
-        if self._derated() < 1.0:
+        if self.command.derated(self.motor) < 1.0:
             return 96
-        return 102 if abs(self.motor.demand) >= self._ceiling() > 0.0 else 0
+        return 102 if abs(self.motor.demand) >= self.command.ceiling() > 0.0 else 0

@@ -44,8 +44,8 @@ UNSET: dict[int, float] = dict.fromkeys(
     0x02A: math.nan,
     0x02B: 1.0,
     0x02C: math.nan,
-    0x040: 0.0,
-    0x041: 0.0,
+    0x040: math.nan,
+    0x041: math.nan,
 }
 """What a command register holds where a frame does not give it."""
 

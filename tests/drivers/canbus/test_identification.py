@@ -23,6 +23,7 @@ from sim_backend.wire.canbus.impedance import scaled_joint
 from sim_backend.wire.cia402 import tables
 from sim_backend.wire.mit.tables import MODELS
 from sim_backend.wire.moteus import device as moteus
+from sim_backend.wire.moteus.command import TORQUE_CONSTANT
 from sim_backend.wire.odrive import device as odrive
 
 STAND = """
@@ -130,6 +131,6 @@ def test_a_chirp_through_a_moteus_gives_stiffness_and_damping_back(
     make_moteus: Callable[..., Any], tmp_path: Path
 ) -> None:
     scale = moteus.SCALE
-    rig = make_moteus(parameters=scaled_joint(scale, moteus.TORQUE_CONSTANT, 0.1, friction=False))
+    rig = make_moteus(parameters=scaled_joint(scale, TORQUE_CONSTANT, 0.1, friction=False))
     signals = recorded(rig, tmp_path / "run.h5", scale)
     check(signals, scale, moteus.TORQUE_LSB, 2.0 * math.pi / moteus.COUNTS)

@@ -14,7 +14,8 @@ from drivers.moteus.config import MoteusConfig
 from drivers.moteus.frames import FLOAT, INT8, INT16, INT32, answers, filled, read, registers, write
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Status, UnsafeCommand
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.moteus.device import COUNTS, POSITION, STOPPED, TORQUE_LSB, MoteusDevice
+from sim_backend.wire.moteus.command import POSITION
+from sim_backend.wire.moteus.device import COUNTS, STOPPED, TORQUE_LSB, MoteusDevice
 from sim_backend.wire.moteus.emulator import serve
 from sim_backend.wire.moteus.frames import Read, Reader, Write
 from sim_backend.wire.moteus.registers import UNITS
@@ -158,8 +159,8 @@ def test_limits_are_written_read_back_and_put_back(make_moteus: Make) -> None:
     assert values["servo.fault_temperature"] == 70.0
     assert values["servo.motor_fault_temperature"] == 70.0
     assert values["servo.timeout_mode"] == 0
-    assert rig.device._commands[0x025] == pytest.approx(0.4)
-    assert rig.device._commands[0x027] == pytest.approx(0.1)
+    assert rig.device.command.values[0x025] == pytest.approx(0.4)
+    assert rig.device.command.values[0x027] == pytest.approx(0.1)
     servo.close()
     assert (values["servo.max_velocity"], values["servo.fault_temperature"]) == (500.0, 75.0)
     assert math.isnan(values["servo.motor_fault_temperature"])

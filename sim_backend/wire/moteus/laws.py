@@ -1,0 +1,97 @@
+"""The demand laws that a moteus has beside the plain impedance.
+
+Source: mjbots/moteus fw/bldc_servo_control.h for staying within bounds, docs/protocol/registers.md for limits of speed
+and acceleration. A profile begins at rest.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sim_backend.wire.canbus.impedance import Impedance
+from sim_backend.wire.plant_motor import PlantMotor
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """Outside `lowest` to `highest`, rad, `law` about the bound that was passed; inside, its feedforward alone.
+
+    NaN: no bound.
+    """
+
+    law: Impedance
+    lowest: float
+    highest: float
+
+    def beats(self, enabled: bool) -> bool:
+        """Return whether the torque depends on what is measured."""
+        return enabled
+
+    def demand(self, motor: PlantMotor[Any]) -> float:
+        """Return the torque for the motor's position, N m."""
+        law = replace(self.law, kp=0.0, kd=0.0)
+        for bound, passed in (
+            (self.lowest, motor.position < self.lowest),
+            (self.highest, motor.position > self.highest),
+        ):
+            law = replace(self.law, position=bound) if passed else law
+        return law.demand(motor)
+
+    def at_rest(self, _motor: PlantMotor[Any]) -> Impedance:
+        """Return the law of no torque."""
+        return Impedance()
+
+
+@dataclass(frozen=True, slots=True)
+class Guided:
+    """`law` about a position that goes from `start` to the law's own, no faster than `speed` and `acceleration` allow.
+
+    begin s, rad, rad/s, rad/s^2; infinite: no limit.
+    """
+
+    law: Impedance
+    begin: float
+    start: float
+    speed: float
+    acceleration: float
+
+    @property
+    def duration(self) -> float:
+        """Return the s that the way takes."""
+        way = abs(self.law.position - self.start)
+        reached, ramp = self._cruise(way)
+        return 0.0 if reached == math.inf else 2.0 * ramp + max(0.0, way - reached * ramp) / reached if way else 0.0
+
+    def beats(self, enabled: bool) -> bool:
+        """Return whether the torque depends on what is measured."""
+        return enabled
+
+    def demand(self, motor: PlantMotor[Any]) -> float:
+        """Return the torque for the motor's position and velocity, N m."""
+        position, velocity = self._at(motor.time - self.begin)
+        return replace(self.law, position=position, velocity=velocity).demand(motor)
+
+    def at_rest(self, _motor: PlantMotor[Any]) -> Impedance:
+        """Return the law of no torque."""
+        return Impedance()
+
+    def _cruise(self, way: float) -> tuple[float, float]:
+        """Return the highest speed on a way, rad/s, and the s until it is reached."""
+        reached = min(self.speed, math.sqrt(way * self.acceleration))
+        return reached, reached / self.acceleration
+
+    def _at(self, elapsed: float) -> tuple[float, float]:
+        """Return position, rad, and velocity, rad/s, `elapsed` s after the begin."""
+        way, whole = self.law.position - self.start, self.duration
+        if elapsed >= whole:
+            return self.law.position, self.law.velocity
+        reached, ramp = self._cruise(abs(way))
+        done, speed = reached * (elapsed - 0.5 * ramp), reached
+        if elapsed < ramp:
+            done, speed = 0.5 * self.acceleration * elapsed**2, self.acceleration * elapsed
+        elif elapsed > whole - ramp:
+            left = whole - elapsed
+            done, speed = abs(way) - 0.5 * self.acceleration * left**2, self.acceleration * left
+        return self.start + math.copysign(done, way), math.copysign(speed, way)

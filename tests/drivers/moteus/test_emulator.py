@@ -1,0 +1,175 @@
+"""The modes, the telemetry and the zero of an emulated moteus, byte by byte and with the vendor's tool."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sim_backend.wire.canbus.frames import CanFrame
+from sim_backend.wire.moteus.command import (
+    BRAKE,
+    CURRENT,
+    POSITION,
+    STAY_WITHIN,
+    TORQUE_CONSTANT,
+    TURN,
+    VOLTAGE_DQ,
+    ZERO_VELOCITY,
+)
+from sim_backend.wire.moteus.device import FAULT, NOT_CONFIGURED, STOPPED, MoteusDevice
+from sim_backend.wire.moteus.emulator import serve
+from sim_backend.wire.uart.pty_line import PtyLine
+
+moteus: Any = pytest.importorskip("moteus")
+
+
+def told(device: MoteusDevice, mode: int, now: float, *registers: tuple[int, float]) -> None:
+    """Command a mode with float registers, in one frame."""
+    data = bytes([0x01, 0x00, mode])
+    for number, value in registers:
+        data += bytes([0x0D, number]) + struct.pack("<f", value)
+    device.handle(CanFrame(0x0001, data, fd=True), now)
+
+
+def running(mode: int, *registers: tuple[int, float]) -> MoteusDevice:
+    device = MoteusDevice(1)
+    for step in range(3):
+        told(device, mode, 1e-3 * step, *registers)
+    return device
+
+
+def asked(device: MoteusDevice, number: int, now: float) -> float:
+    (reply,) = device.handle(CanFrame(0x8001, bytes([0x1D, number]), fd=True), now)
+    return float(struct.unpack_from("<f", reply.data, 2)[0])
+
+
+def test_a_current_is_made_and_is_not_ended_by_the_watchdog() -> None:
+    device = running(CURRENT, (0x1C, 2.0))
+    assert asked(device, 0x000, 1.0) == CURRENT
+    assert device.motor.torque == pytest.approx(2.0 * TORQUE_CONSTANT)
+
+
+def test_a_voltage_in_the_rotors_frame_makes_the_current_of_the_winding() -> None:
+    device = running(VOLTAGE_DQ, (0x1B, 0.2))
+    device.advance(3.0)
+    assert device.motor.torque == pytest.approx(0.2 / 0.1 * TORQUE_CONSTANT, rel=1e-3)
+
+
+@pytest.mark.parametrize("mode", [ZERO_VELOCITY, BRAKE])
+def test_zero_velocity_and_brake_oppose_motion_and_nothing_else(mode: int) -> None:
+    device = running(CURRENT, (0x1C, 2.0))
+    device.advance(0.01)
+    told(device, mode, 0.011)
+    assert device.mode == mode
+    assert device.motor.velocity * device.motor.demand < 0.0
+    device.advance(5.0)
+    assert device.motor.torque == pytest.approx(0.0, abs=1e-4)
+
+
+def test_within_its_bounds_the_motor_is_free_and_outside_it_is_pushed_back() -> None:
+    device = running(STAY_WITHIN, (0x40, -0.1), (0x41, 0.1), (0x27, 10.0))
+    assert asked(device, 0x000, 0.01) == STAY_WITHIN
+    assert device.motor.demand == 0.0
+    device = running(STAY_WITHIN, (0x40, 0.05), (0x27, 10.0))
+    assert device.motor.demand > 0.0
+    device = running(STAY_WITHIN, (0x41, -0.05), (0x45, 0.03), (0x27, 10.0))
+    assert device.motor.demand == pytest.approx(-0.03)
+
+
+@pytest.mark.parametrize("mode", [5, 6, 7, 14])
+def test_modes_that_drive_the_phases_end_in_a_fault_that_has_a_name(mode: int) -> None:
+    device = running(mode)
+    assert (device.mode, device.fault) == (FAULT, NOT_CONFIGURED)
+    assert not device.motor.enabled
+    told(device, STOPPED, 0.1)
+    assert (device.mode, device.fault) == (STOPPED, 0)
+
+
+def test_a_mode_that_is_not_in_the_table_is_refused() -> None:
+    (reply,) = MoteusDevice(1).handle(CanFrame(0x8001, bytes([0x01, 0x00, 16]), fd=True), 0.1)
+    assert reply.data[0] == 0x30
+
+
+def test_a_position_with_a_speed_limit_is_reached_in_its_time_and_then_the_trajectory_is_complete() -> None:
+    way, speed = 0.02, 0.1  # rev, rev/s
+    registers = ((0x20, way), (0x28, speed), (0x27, math.nan))
+    device = running(POSITION, *registers)
+    assert asked(device, 0x00B, 0.0021) == 0.0
+    told(device, POSITION, 0.5 * way / speed, *registers)  # the same again does not begin anew
+    assert asked(device, 0x00B, 0.9 * way / speed) == 0.0
+    assert asked(device, 0x00B, 1.1 * way / speed) == 1.0
+
+
+def test_a_limit_of_acceleration_makes_a_triangle_of_the_speed() -> None:
+    way, acceleration = 0.02, 2.0  # rev, rev/s^2
+    device = running(POSITION, (0x20, way), (0x29, acceleration), (0x27, math.nan))
+    law = device.motor.law
+    assert law.duration == pytest.approx(2.0 * math.sqrt(way / acceleration))
+    position, velocity = law._at(0.5 * law.duration)
+    assert position == pytest.approx(0.5 * way * TURN)
+    assert velocity == pytest.approx(math.sqrt(way * acceleration) * TURN)
+
+
+def test_without_limits_a_position_is_commanded_at_once() -> None:
+    device = running(POSITION, (0x20, 0.1), (0x27, 1.0))
+    assert asked(device, 0x00B, 0.01) == 1.0
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Iterator[PtyLine]:
+    with serve(tmp_path / "ttyCAN") as served:
+        assert isinstance(served, PtyLine)
+        yield served
+
+
+def tool(line: PtyLine, *arguments: str) -> str:
+    """Run the vendor's moteus_tool in a process of its own."""
+    bus = ["--force-transport", "pythoncan", "--can-iface", "slcan", "--can-chan", str(line.link)]
+    command = [sys.executable, "-m", "moteus.moteus_tool", *bus, "-t", "1", *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
+
+
+def test_the_vendors_tool_shows_what_it_is_and_its_channels(line: PtyLine) -> None:
+    info = json.loads(tool(line, "--info"))
+    assert info["git_hash"] == "0" * 40
+    assert json.loads(tool(line, "--read", "firmware"))["version"] == 0x010100
+    assert json.loads(tool(line, "--read", "servo_stats"))["mode"] == STOPPED
+
+
+def test_the_vendors_tool_sets_the_zero(line: PtyLine) -> None:
+    tool(line, "--zero-offset")
+    assert abs(json.loads(tool(line, "--read", "servo_stats"))["position"]) < 1e-3
+
+
+def test_the_vendors_client_uses_every_mode() -> None:
+    async def session() -> None:
+        transport = moteus.PythonCan(interface="virtual", channel="test_moteus_modes")
+        controller = moteus.Controller(id=1, transport=transport)
+        register, mode = moteus.Register, moteus.Mode
+
+        async def reached(command: Any, **options: Any) -> Any:
+            await controller.set_stop()
+            for _ in range(5):
+                result = await command(query=True, **options)
+            return result.values[register.MODE]
+
+        assert await reached(controller.set_current, d_A=0.0, q_A=1.0) == mode.CURRENT
+        assert await reached(controller.set_zero_velocity) == mode.ZERO_VELOCITY
+        assert await reached(controller.set_brake) == mode.BRAKE
+        within = {"lower_bound": -0.5, "upper_bound": 0.5, "watchdog_timeout": 5.0}
+        assert await reached(controller.set_stay_within, **within) == mode.STAY_WITHIN
+        assert await reached(controller.set_vfoc, theta=0.0, voltage=0.1) == mode.FAULT
+        await controller.set_stop()
+        transport.close()
+
+    with serve("test_moteus_modes", interface="virtual"):
+        asyncio.run(asyncio.wait_for(session(), 30.0))
