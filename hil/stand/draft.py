@@ -177,7 +177,7 @@ def _commented(line: str, meaning: str) -> Iterator[str]:
         yield line
         return
     first, *rest = textwrap.wrap(meaning, 86)
-    yield f"{line:<30}# {first}"
+    yield f"{line:<29} # {first}"
     for more in rest:
         yield f"{'':<30}# {more}"
 
