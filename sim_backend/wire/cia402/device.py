@@ -3,7 +3,8 @@
 Source: CiA 402-2 for states and objects, the maxon firmware specifications for units. What they leave open, or what is
 chosen here: the speed limit in torque modes takes away the torque that would go beyond it; a heartbeat that stays
 away switches the power stage off whatever 0x6007 is (and latches 0x8130); in an active quick stop the drive brakes;
-averages are not averaged. Modes other than the torque mode are taken and drive nothing.
+averages are not averaged. Only the torque mode has its objects; it, and the mode of delivery, in which no current
+flows here, are the ones that can be set.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
 from sim_backend.wire.canopen.dictionary import BAD_SIGNATURE, RANGE, Abort, Dictionary, eds
-from sim_backend.wire.canopen.node import CanopenNode
-from sim_backend.wire.cia402.machine import Cia402Machine, Cia402State
+from sim_backend.wire.canopen.node import OPERATIONAL, CanopenNode
+from sim_backend.wire.cia402.machine import REMOTE, VOLTAGE, Cia402Machine, Cia402State
 from sim_backend.wire.cia402.tables import GROUPS, MODELS, SCALE, TORQUE_CONSTANT, entries
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ TURN = 2.0 * math.pi
 OVERTEMPERATURE = 0x4210
 OVERCURRENT = 0x2310
 FOLLOWING_ERROR = 0x8611
+_OFFSET_MEASURED = 0x100
+"""Bit of an EPOS2's statusword: the offset of its current sensors has been measured."""
+_DELIVERED = 1
+"""0x6060 as delivered: profile position."""
 _SAVE, _LOAD = 0x65766173, 0x64616F6C
 _REGISTER = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0x8: 0x10}
 """Bits of the error register by the first digit of the error code; bit 0 is always set."""
@@ -53,7 +58,7 @@ class Cia402Device:
             (0x1018, 2): self.model.product,
             (0x1018, 3): self.model.revision,
             (0x1018, 4): serial,
-            (0x6502, 0): 1 << 9 if self.model.mode == 10 else 1 << 16,
+            (0x6502, 0): _mode_bit(self.model.mode),
         }
         for key, value in identity.items():
             self.objects.put(*key, value)
@@ -222,7 +227,7 @@ class Cia402Device:
         counts = counts or self.objects.get(*((0x3000, 5) if self.kind == "epos4" else (0x608F, 1)))
         motor = self.motor
         reads = {
-            (0x6041, 0): lambda: self.machine.statusword,
+            (0x6041, 0): self._statusword,
             (0x6064, 0): lambda: round((motor.position - self._zero) / TURN * counts),
             (0x606C, 0): lambda: round(motor.velocity / self._speed_unit()),
             (0x6077, 0): lambda: round(motor.torque / self._rated() * 1e3) if self._rated() else 0,
@@ -245,11 +250,23 @@ class Cia402Device:
             0x6060: self._mode_written,
         }
 
+    def _statusword(self) -> int:
+        """Return 0x6041. An EPOS2 has bits of its own: Firmware Specification, April 2010, 8.1.1 and Table 101."""
+        word = self.machine.statusword
+        if self.kind != "epos2":
+            return word
+        word |= _OFFSET_MEASURED
+        if self.node.state != OPERATIONAL:
+            word &= ~REMOTE
+        if self.machine.state is Cia402State.SWITCHED_ON:
+            word &= ~VOLTAGE  # it comes with the power stage
+        return word
+
     def _milliamperes(self) -> int:
         return round(self.motor.torque / TORQUE_CONSTANT * 1e3)
 
     def _mode_written(self, _index: int, _sub: int, value: int) -> None:
-        if value not in {self.model.mode, 1, 3, 6}:
+        if value not in {self.model.mode, _DELIVERED}:
             raise Abort(RANGE)
         self.objects.put(0x6061, 0, value)
 
@@ -269,3 +286,8 @@ class Cia402Device:
         delivered = {key: entry.default for key, entry in self.objects.entries.items()}
         identity = {key: self.objects.values[key] for key in delivered if key[0] in {0x1008, 0x1018, 0x6502}}
         self.node.saved = delivered | identity
+
+
+def _mode_bit(mode: int) -> int:
+    """Return the bit of 0x6502 for a mode: from 0 on those of CiA 402, from 16 on the manufacturer's, which are < 0."""
+    return 1 << (mode - 1 if mode > 0 else 15 - mode)

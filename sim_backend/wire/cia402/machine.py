@@ -24,8 +24,9 @@ class Cia402State(IntEnum):
     FAULT = 0x08
 
 
-_VOLTAGE = 0x10
-_REMOTE = 0x200
+VOLTAGE = 0x10
+REMOTE = 0x200
+"""Bits of the statusword: the power stage has voltage; the drive obeys the bus."""
 _LIMITING = 0x800
 _WITH_VOLTAGE = {Cia402State.SWITCHED_ON, Cia402State.OPERATION_ENABLED, Cia402State.QUICK_STOP_ACTIVE}
 
@@ -46,9 +47,9 @@ class Cia402Machine:
     @property
     def statusword(self) -> int:
         """0x6041."""
-        word = int(self.state) | _REMOTE
+        word = int(self.state) | REMOTE
         if self.state in _WITH_VOLTAGE:
-            word |= _VOLTAGE
+            word |= VOLTAGE
         return word | (_LIMITING if self.limiting else 0)
 
     def due(self) -> float:
