@@ -64,12 +64,12 @@ def belonging(
 
 def save(path: Path, belongs: dict[str, str], state: SearchState) -> None:
     """Write the state, replacing what is there in one step. Raises OSError."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is not an ordinary file", str(path))
     arrays = {
         field: np.stack([getattr(population, field) for population in state.populations])
         for field in Population._fields
     }
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "it is not an ordinary file", str(path))
     draft = path.with_name(f".hil-{uuid.uuid4().hex}.tmp")
     try:
         with draft.open("xb") as file:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import signal
 import sys
 import traceback
-from contextlib import suppress
 from typing import Any, NoReturn, cast
 
 import typer
@@ -70,8 +70,9 @@ def run(words: list[str]) -> int:
     try:
         answer = app([word for word in words if word != "--debug"], standalone_mode=False)
     except _UsageError as error:
-        with suppress(OSError):  # standard error that cannot be written
-            cast("Any", error).show()
+        shown = io.StringIO()
+        cast("Any", error).show(file=shown)
+        say(shown.getvalue().rstrip("\n"))
         return WRONG_USE
     except typer.Exit as error:
         return error.exit_code

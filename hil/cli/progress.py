@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from hil.cli.terminal import say
+from hil.cli.terminal import printable, say
 
 _QUIET = 10.0  # s between two lines
 
@@ -28,6 +28,7 @@ def progress() -> Iterator[Callable[[str, float], None]]:
         task = bar.add_task("", total=1.0)
 
         def show(what: str, done: float) -> None:
+            what = printable(what)
             if what != bar.tasks[0].description or done < bar.tasks[0].completed:
                 bar.reset(task, description=what)  # a new phase has its own time left
             bar.update(task, completed=done)

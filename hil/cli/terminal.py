@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+from unicodedata import category
 
 import typer
 
@@ -22,11 +24,13 @@ if TYPE_CHECKING:
 
 DONE, UNTRUSTWORTHY, WRONG_USE, STAND_FAILED, LIMIT_REACHED = 0, 1, 2, 3, 4
 INTERRUPTED = 130
+_UNUSUAL = re.compile(r"[^\n\t -~]")
+_STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode's controls, formats, surrogates, separators of lines
 
 
-def out(text: str) -> None:
-    """Print text to standard output. Raises WrongUse where it cannot be written."""
-    if error := _written(text, sys.stdout):
+def out(text: str, *, is_drawn: bool = False) -> None:
+    """Print text to standard output. is_drawn: it is escaped already. Raises WrongUse where it cannot be written."""
+    if error := _written(text, sys.stdout, is_drawn=is_drawn):
         raise WrongUse(f"standard output cannot be written ({error.strerror or error}): send it elsewhere")
 
 
@@ -36,16 +40,28 @@ def say(text: str) -> None:
         _written(text, sys.stderr)
 
 
-def _written(text: str, stream: TextIO | None) -> OSError | None:
+def printable(text: str) -> str:
+    """Return text in which the characters that steer a terminal are escaped, all but line ends and tabs.
+
+    Names and messages may come from files of others: an escape sequence in them could rewrite what is on the screen.
+    """
+    return _UNUSUAL.sub(lambda found: _escaped(found[0]), text)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode() if category(character) in _STEERING else character
+
+
+def _written(text: str, stream: TextIO | None, *, is_drawn: bool = False) -> OSError | None:
     """Print to `stream` (None: it was closed before we started). Return the error where it cannot be written.
 
-    The stream goes nowhere from then on, or the interpreter's last flush would fail as well. A reader that has closed
-    the pipe (`hil inspect a.h5 | head -1`) is no error.
+    is_drawn: the text is escaped already and has colours. The stream goes nowhere after an error, or the interpreter's
+    last flush would fail as well. A reader that has closed the pipe (`hil inspect a.h5 | head -1`) is no error.
     """
     if stream is None:
         return None
     try:
-        print(text, file=stream, flush=True)
+        print(text if is_drawn else printable(text), file=stream, flush=True)
     except OSError as error:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
@@ -57,11 +73,13 @@ def _written(text: str, stream: TextIO | None) -> OSError | None:
 def out_table(table: Table) -> None:
     """Print a table to standard output."""
     from rich.console import Console
+    from rich.segment import Segment, Segments
 
     console = Console()
     with console.capture() as drawn:
-        console.print(table)
-    out(drawn.get().rstrip("\n"))
+        parts = [Segment(printable(text), style, control) for text, style, control in console.render(table)]
+        console.print(Segments(parts), end="")
+    out(drawn.get().rstrip("\n"), is_drawn=True)
 
 
 def print_json(table: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ from hil.recording.channels import Row
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 
-from ..conftest import Hil, Maker
+from ..conftest import Hil, Maker, edited
 
 SIM = ("record", "--backend", "sim", "--duration", "1", "--fade", "0.2")
 
@@ -208,6 +208,39 @@ def test_a_stiff_simulated_stand_is_said_to_be_slow(hil: Hil) -> None:
 def test_a_name_is_shown_as_it_is(hil: Hil) -> None:
     assert hil(*SIM, "--duration", "3", "-o", "[red]a.h5")[0] == 0
     assert "[red]a.h5: chirp, done" in hil("inspect", "[red]a.h5")[1]
+
+
+STEERING = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202e"
+
+
+def test_no_text_of_a_file_steers_the_terminal(hil: Hil, make_recording: Maker) -> None:
+    """End reasons, kinds of profiles, keys, headings and file names, all of which somebody else may have written."""
+    with edited(make_recording("a.h5", noise=1e-5)) as file:
+        file.attrs["end_reason"] = STEERING
+        file["profile"].attrs["kind"] = STEERING
+    name = f"b{STEERING}.h5"
+    Path("a.h5").rename(name)
+    Path("stand.toml").write_text('[stand]\n"k\\u001b[2Jy" = 1\n"\\u009b" = "\\u001b[31m"\n')
+    Path("s.csv").write_text(f"t{STEERING},q{STEERING},p\n0,1,2\n")
+    shown = ""
+    for words in [
+        ("inspect", name),
+        ("inspect", name, "--verify"),
+        ("identify", name, "--model", "linear"),
+        ("inspect", f"none{STEERING}"),
+        ("inspect", "a.h5", f"--{STEERING}"),
+        ("record", "--stand", "stand.toml"),
+        ("import", "s.csv", "--time", "x", "--torque", "q", "--dtheta", "p", "-o", "c.h5"),
+    ]:
+        ended = hil(*words)
+        shown += ended.out + ended.err
+    assert shown.count("\\x1b[2J") >= 7
+    assert not set(STEERING) - set("[2J]0;owned31m") & set(shown)
+
+
+def test_a_file_name_that_is_no_text_is_shown(hil: Hil) -> None:
+    status, _, err = hil("inspect", "a\udcff.h5")
+    assert (status, "a\\udcff.h5 cannot be opened" in err) == (2, True)
 
 
 @pytest.mark.parametrize("words", ["inspect a.h5", "inspect a.h5 --json"])
