@@ -20,8 +20,9 @@ import numpy as np
 from drivers.gate import confirm_torque_off
 from drivers.servo import BadReply, Command, NoReply, Quantity, Sample, Servo, Status
 from hil.acquisition.excitation import Profile
-from hil.acquisition.guard import AtJoint, Guard, LimitReached
+from hil.acquisition.guard import Guard
 from hil.acquisition.interrupt import StopRequest
+from hil.acquisition.limits import AtJoint, LimitReached
 from hil.acquisition.setpoints import SetPoints
 from hil.acquisition.sink import Sink
 from hil.errors import WrongUse
@@ -188,22 +189,22 @@ class Recorder:
         period = 1.0 / self._rate
         self._start = clock.now() + period
         stopping_at = math.inf
-        sent = 0.0
+        sent, sent_at = 0.0, self._start - period
         for seq, set_point in enumerate(set_points):
             due = seq * period
             clock.sleep_until(self._start + due)
-            late = clock.now() - self._start - due
-            too_late = self._guard.check_late(late)
+            now = clock.now()
+            too_late = self._guard.check_late(now - sent_at - period)
             if (stop.count or too_late) and math.isinf(stopping_at):
                 stopping_at = due
                 self._ramp_down(stop, due, too_late)
             left = min(1.0, 1.0 - (due - stopping_at) / _RAMP_DOWN) if math.isfinite(stopping_at) else 1.0
             if left <= 0.0 or stop.count > 1:
                 return
-            if late >= period:
+            if now - self._start - due >= period:
                 self._miss(seq, due, sent)
                 continue
-            sent = set_point * left
+            sent, sent_at = set_point * left, now
             self._tick(seq, due, sent, zero)
 
     def _ramp_down(self, stop: StopRequest, due: float, too_late: str) -> None:

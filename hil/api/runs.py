@@ -102,7 +102,7 @@ def record(
     where the torque may still be on. ended: is called with the run before a fault that ended it is raised.
 
     The torque is off on return. Ctrl-C ramps it to zero and keeps the rows: `outcome.signal` is set. Raises WrongUse
-    before anything moves; DriverError where the drive fails; `hil.acquisition.guard.LimitReached` where a safety limit
+    before anything moves; DriverError where the drive fails; `hil.acquisition.limits.LimitReached` where a safety limit
     ended the run. The rows up to a fault are kept.
     """
     opened = opened_stand(stand)

@@ -89,7 +89,7 @@ def run(words: list[str]) -> int:
 
 def _status_of(error: Exception) -> int:
     from drivers.servo import DriverError
-    from hil.acquisition.guard import LimitReached
+    from hil.acquisition.limits import LimitReached
 
     if isinstance(error, WrongUse):
         return WRONG_USE

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import hil as api
-from hil.acquisition.guard import LimitReached
+from hil.acquisition.limits import LimitReached
 from hil.recording.reader import Recording
 
 from .conftest import Hil, Maker

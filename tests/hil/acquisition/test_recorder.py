@@ -20,8 +20,8 @@ import pytest
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, LinkLost, NoReply, Quantity, Sample, Status
 from hil.acquisition import excitation, recorder
 from hil.acquisition.excitation import Profile
-from hil.acquisition.guard import LimitReached
 from hil.acquisition.interrupt import StopRequest
+from hil.acquisition.limits import LimitReached
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
 from hil.acquisition.sink import Memory
 from hil.errors import WrongUse

@@ -1,0 +1,332 @@
+"""The limits of a run: each has a name, the reason that it gives, and how long it must be exceeded.
+
+All are at the joint in SI and follow the stand's limits. A single reading far beyond a limit ends a run; a reading
+slightly beyond must repeat, in a row or not, so that one bad count does not end a recording. Whatever is not finite is
+treated before any comparison, since a NaN exceeds no limit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from drivers.servo import BadReply, Sample
+
+_TIMES, _OF = 3, 10  # readings beyond a limit, or missing, among the last ones
+_SLIGHTLY, _BEYOND, _FAR_BEYOND = 1.03, 1.1, 1.5  # of a limit
+_SLIGHTLY_FOR, _FORGET = 0.25, 10.0  # s slightly beyond a limit, which are forgotten after about so many s
+_LONGEST = 0.05  # s of one reading that count
+_COOL_START, _COOL_RUN = 15.0, 5.0  # degC below the limit: refuse to start, stop
+_FROZEN, _WARMING = 300.0, 0.5  # s of the same temperature while the torque is above this share of its limit
+_SUPPLY = 0.3  # of the supply voltage at rest
+_STUCK = 20  # replies in a row with the same motor angle, to the last bit
+_CELL_STUCK, _CELL_STUCK_FOR, _CELL_MOVES = 50, 0.2, 0.25  # replies, s, share of the deflection's range so far
+_CELL_ZERO = 0.05  # of the torque limit; a torque below may stay the same in the play of a gear or a slack cable
+_JUMP, _JUMP_WITHIN = 0.1, 5e-3  # of the deflection limit, in one tick of at most so many s
+_NOISE_OVER, _NOISE_SIZE, _ROUGH = 100, 0.02, 1.45  # replies; of the deflection limit; second over first differences
+_YIELDS = 0.2  # of the deflection limit, that a locked joint may turn
+
+
+class LimitReached(Exception):
+    """A safety limit ended the run (exit status 4)."""
+
+
+class AtJoint(NamedTuple):
+    """One reply converted to the joint: N m, rad, rad/s; NaN where there is no such reading."""
+
+    torque: float = math.nan
+    dtheta: float = math.nan
+    dtheta_dot: float = math.nan
+
+
+class Limit(Protocol):
+    """One limit. name: of the quantity, for messages."""
+
+    name: str
+
+    def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
+        """Take the readings at rest. Raises LimitReached where the run must not begin."""
+        ...
+
+    def check(self, sample: Sample, at_joint: AtJoint) -> None:
+        """Check one reply. Raises LimitReached, and BadReply where a sensor is not reliable any more."""
+        ...
+
+
+class Persistence:
+    """Whether something was so in `_TIMES` of the last `_OF` readings."""
+
+    def __init__(self) -> None:
+        self._seen = 0
+
+    def __call__(self, now: bool) -> bool:
+        """Take a reading; return whether it is so again, for the `_TIMES`-th time."""
+        self._seen = (self._seen << 1 | now) & ((1 << _OF) - 1)
+        return now and self._seen.bit_count() >= _TIMES
+
+
+class Presence:
+    """A reading that was there at rest must go on coming: a run without it would be one without its limit."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._missing = Persistence()
+        self.expected = False
+
+    def check(self, value: float) -> bool:
+        """Return whether there is a reading. Raises BadReply where it is missing for the third time."""
+        present = math.isfinite(value)
+        if self._missing(not present) and self.expected:
+            raise BadReply(f"the {self._name} was missing from {_TIMES} replies: check its sensor and cable")
+        return present
+
+
+class Level:
+    """The magnitude of one field of `AtJoint`: torque, deflection or velocity."""
+
+    def __init__(self, name: str, field: int, unit: str, limit: float) -> None:
+        self.name = name
+        self._field, self._unit, self._limit = field, unit, limit
+        self._present = Presence(name)
+        self._beyond = Persistence()
+        self._last = math.nan
+        self._spent = 0.0  # s slightly beyond
+
+    def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
+        """See `Limit`."""
+        del samples
+        self._present.expected = any(math.isfinite(one[self._field]) for one in at_joint)
+
+    def check(self, sample: Sample, at_joint: AtJoint) -> None:
+        """See `Limit`."""
+        value = at_joint[self._field]
+        if not self._present.check(value):
+            return
+        size = abs(value) / self._limit
+        if self._beyond(size > _BEYOND) or size > _FAR_BEYOND or self._stays(size > _SLIGHTLY, sample.t):
+            raise LimitReached(
+                f"the {self.name} reached {abs(value):.3g} {self._unit}; its limit is {self._limit:g}: "
+                "lower --amplitude or change --band"
+            )
+
+    def _stays(self, beyond: bool, now: float) -> bool:
+        passed, self._last = now - self._last, now
+        if self._spent or beyond:
+            passed = min(passed, _LONGEST) if passed > 0.0 else 0.0
+            self._spent = max(0.0, self._spent * (1.0 - passed / _FORGET) + (passed if beyond else 0.0))
+        return self._spent > _SLIGHTLY_FOR
+
+
+class Temperature:
+    """The winding's temperature, degC, which must also change while the motor is loaded."""
+
+    name = "temperature"
+
+    def __init__(self, limit: float, torque: float) -> None:
+        self._limit = limit
+        self._loaded = _WARMING * torque
+        self._present = Presence(self.name)
+        self._same, self._loaded_for, self._last = math.nan, 0.0, math.nan
+
+    def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
+        """See `Limit`."""
+        del at_joint
+        temperatures = [sample.temperature for sample in samples if math.isfinite(sample.temperature)]
+        self._present.expected = bool(temperatures)
+        if temperatures and temperatures[-1] > self._limit - _COOL_START:
+            raise LimitReached(
+                f"the winding is at {temperatures[-1]:.0f} degC, within {_COOL_START:.0f} of its limit of "
+                f"{self._limit:.0f}: let it cool down first"
+            )
+
+    def check(self, sample: Sample, at_joint: AtJoint) -> None:
+        """See `Limit`."""
+        value = sample.temperature
+        if not self._present.check(value):
+            return
+        if value > self._limit - _COOL_RUN:
+            raise LimitReached(f"the winding reached {value:.0f} degC; its limit is {self._limit:.0f}")
+        passed, self._last = sample.t - self._last, sample.t
+        if value != self._same:
+            self._same, self._loaded_for = value, 0.0
+        elif abs(at_joint.torque) > self._loaded:
+            self._loaded_for += min(passed, _LONGEST)
+            if self._loaded_for > _FROZEN:
+                raise BadReply(
+                    f"the temperature stayed at {value:g} degC in {_FROZEN:.0f} s under load: its sensor is frozen, "
+                    "and the winding may be hot"
+                )
+
+
+class Supply:
+    """The drive's supply voltage, which must stay near what it was at rest."""
+
+    name = "voltage"
+
+    def __init__(self) -> None:
+        self._at_rest = math.nan
+        self._away = Persistence()
+
+    def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
+        """See `Limit`."""
+        del at_joint
+        self._at_rest = next((one.voltage for one in reversed(samples) if math.isfinite(one.voltage)), math.nan)
+
+    def check(self, sample: Sample, at_joint: AtJoint) -> None:
+        """See `Limit`."""
+        del at_joint
+        if self._away(abs(sample.voltage - self._at_rest) > _SUPPLY * self._at_rest):  # false where one is NaN
+            raise LimitReached(
+                f"the supply voltage went from {self._at_rest:.3g} V at rest to {sample.voltage:.3g} V: the torque is "
+                "not what was commanded; use a supply with more current, or with a brake resistor"
+            )
+
+
+class StuckEncoder:
+    """The motor's angle, which must change while the torque does. moves: N m that cannot pass without it."""
+
+    name = "encoder"
+
+    def __init__(self, moves: float) -> None:
+        self._moves = moves
+        self._angle = math.nan
+        self._same = 0
+        self._low = self._high = math.nan
+
+    def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
+        """See `Limit`."""
+
+    def check(self, sample: Sample, at_joint: AtJoint) -> None:
+        """See `Limit`."""
+        torque = at_joint.torque
+        if sample.motor_position != self._angle:
+            self._angle, self._same = sample.motor_position, 0
+            self._low = self._high = torque
+            return
+        self._same += 1
+        if math.isfinite(torque):
+            self._low, self._high = min(torque, self._low), max(torque, self._high)
+        if self._same >= _STUCK and self._high - self._low > self._moves:
+            raise BadReply(
+                f"the motor's angle did not change in {self._same} replies while the torque changed by "
+                f"{self._high - self._low:.3g} N m: check the encoder, and that nothing blocks the motor"
+            )
+
+
+class ImplausibleEncoder:
+    """The deflection, which can neither jump nor be rough. limit: rad, of the deflection; velocity: rad/s.
+
+    Between two readings it moves no further than three times its reported rate allows, and a tenth of its limit. The
+    second differences of a motion that is sampled often enough are smaller than the first ones; those of noise are not.
+    """
+
+    name = "encoder"
+
+    def __init__(self, limit: float, velocity: float) -> None:
+        self._jump, self._rough, self._velocity = _JUMP * limit, _NOISE_SIZE * limit, velocity
+        self._t = self._trusted = self._rate = math.nan
+        self._untrusted = Persistence()
+        self._before, self._step = math.nan, math.nan
+        self._steps = self._bends = 0.0
+        self._count = 0
+
+    def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
+        """See `Limit`."""
+
+    def check(self, sample: Sample, at_joint: AtJoint) -> None:
+        """See `Limit`."""
+        angle = at_joint.dtheta
+        if not math.isfinite(angle):
+            return
+        self._check_jump(angle, abs(at_joint.dtheta_dot), sample.t)
+        self._check_noise(angle)
+
+    def _check_jump(self, angle: float, rate: float, t: float) -> None:
+        passed = t - self._t
+        self._t, fastest = t, max(rate if math.isfinite(rate) else self._velocity, self._rate)
+        self._rate = rate if math.isfinite(rate) else self._velocity
+        moved = abs(angle - self._trusted)
+        jumped = passed <= _JUMP_WITHIN and moved > self._jump + 3.0 * passed * fastest
+        if self._untrusted(jumped):
+            raise BadReply(f"the deflection jumped by {moved:.3g} rad between two readings: check the encoder")
+        if not jumped:
+            self._trusted = angle
+
+    def _check_noise(self, angle: float) -> None:
+        step = angle - self._before
+        if math.isfinite(step) and math.isfinite(self._step):
+            self._steps += abs(step)
+            self._bends += abs(step - self._step)
+            self._count += 1
+        self._before, self._step = angle, step
+        if self._count < _NOISE_OVER:
+            return
+        size, ratio = self._bends / self._count, self._bends / (self._steps or 1.0)
+        self._steps, self._bends, self._count = 0.0, 0.0, 0
+        if size > self._rough and ratio > _ROUGH:
+            raise BadReply(
+                f"the deflection changes to and fro by {size:.3g} rad from reading to reading: check the encoder, its "
+                "magnet and its cable, or raise --rate"
+            )
+
+
+class StuckCell:
+    """The torque, N m, which must change while the deflection does. limit: of the torque."""
+
+    name = "torque"
+
+    def __init__(self, limit: float) -> None:
+        self._zero = _CELL_ZERO * limit
+        self._low = self._high = 0.0
+        self._torque, self._since, self._same = math.nan, math.nan, 0
+        self._from, self._to = math.nan, math.nan
+
+    def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
+        """See `Limit`."""
+
+    def check(self, sample: Sample, at_joint: AtJoint) -> None:
+        """See `Limit`."""
+        torque, angle = at_joint.torque, at_joint.dtheta
+        if not (math.isfinite(torque) and math.isfinite(angle)):
+            return
+        if torque != self._torque:
+            self._low, self._high = min(angle, self._low), max(angle, self._high)
+            self._torque, self._since, self._same = torque, sample.t, 0
+            self._from = self._to = angle
+            return
+        self._same += 1
+        self._from, self._to = min(angle, self._from), max(angle, self._to)
+        if self._same < _CELL_STUCK or sample.t - self._since < _CELL_STUCK_FOR or abs(torque) < self._zero:
+            return
+        if self._to - self._from > _CELL_MOVES * (self._high - self._low) > 0.0:
+            raise BadReply(
+                f"the torque stayed at {torque:.3g} N m in {self._same} replies while the deflection changed by "
+                f"{self._to - self._from:.3g} rad: the sensor is stuck, at the end of its range, or the cable is off"
+            )
+
+
+class Lock:
+    """The locked joint, which must not turn where its angle is measured. limit: rad, of the deflection."""
+
+    name = "lock"
+
+    def __init__(self, limit: float) -> None:
+        self._most = _YIELDS * limit
+        self._at_rest = math.nan
+        self._turned = Persistence()
+
+    def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
+        """See `Limit`."""
+        del at_joint
+        angles = [one.joint_position for one in samples if math.isfinite(one.joint_position)]
+        self._at_rest = angles[-1] if angles else math.nan
+
+    def check(self, sample: Sample, at_joint: AtJoint) -> None:
+        """See `Limit`."""
+        del at_joint
+        turned = abs(sample.joint_position - self._at_rest)
+        if self._turned(turned > self._most):  # false where one is NaN
+            raise LimitReached(
+                f"the joint turned by {turned:.2g} rad: it is not locked, so Kc would be too small; lock it"
+            )

@@ -1,0 +1,141 @@
+"""Every limit ends a run at what it is there for, and at nothing else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.servo import BadReply, Sample
+from hil.acquisition.guard import Guard
+from hil.acquisition.limits import AtJoint, LimitReached
+from hil.stand.file import LimitsTable
+
+LIMITS = LimitsTable(torque=0.1, deflection=1.0, velocity=50.0, temperature=70.0)
+RATE = 500.0
+Reading = tuple[Sample, AtJoint]
+Change = Callable[[int, Sample, AtJoint], Reading]
+_noise = np.random.default_rng(5).standard_normal(200_000)
+
+
+def swinging(tick: int, size: float = 0.5, rate: float = RATE) -> Reading:
+    """A spring of 0.1 N m/rad at `size` of its limits, with the noise of a good sensor; the winding warms."""
+    t, omega = tick / rate, 2.0 * math.pi * 2.0
+    phase = omega * t
+    dtheta = size * math.sin(phase) + 1e-4 * _noise[tick % len(_noise)]
+    torque = 0.1 * dtheta + 1e-5 * _noise[-1 - tick % len(_noise)]
+    sample = Sample(t, t, motor_position=dtheta, temperature=30.0 + t / 60.0, voltage=12.0, joint_position=0.0)
+    return sample, AtJoint(torque, dtheta, size * omega * math.cos(phase))
+
+
+def ended(
+    change: Change, *, seconds: float = 10.0, size: float = 0.5, rate: float = RATE
+) -> tuple[int, Exception] | None:
+    """The tick, counted from the one at 1 s, that ends a run in which `change` acts from then on, and its error."""
+    guard = Guard(LIMITS, moves=0.05)
+    rest = swinging(0)
+    guard.check_start([rest[0]] * 16, [rest[1]] * 16)
+    first = round(rate)
+    for tick in range(first + round(seconds * rate)):
+        reading = swinging(tick, size, rate)
+        try:
+            guard.check(*(change(tick - first, *reading) if tick >= first else reading))
+        except (LimitReached, BadReply) as error:
+            return tick - first, error
+    return None
+
+
+def torque(value: Callable[[int, float], float]) -> Change:
+    return lambda tick, sample, joint: (sample, joint._replace(torque=value(tick, joint.torque)))
+
+
+def angle(value: Callable[[int, float], float]) -> Change:
+    def change(tick: int, sample: Sample, joint: AtJoint) -> Reading:
+        dtheta = value(tick, joint.dtheta)
+        return replace(sample, motor_position=dtheta), joint._replace(dtheta=dtheta)
+
+    return change
+
+
+@pytest.mark.parametrize("size", [0.01, 0.5, 1.0])
+def test_a_sound_run_up_to_its_limits_is_never_ended(size: float) -> None:
+    assert ended(lambda _tick, *reading: reading, size=size, seconds=20.0) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "within", "kind", "words"),
+    [
+        (
+            "1.05 of the limit for ever",
+            torque(lambda k, _: 0.105 + 1e-6 * (k % 2)),
+            0.26,
+            LimitReached,
+            "the torque reached 0.105",
+        ),
+        ("1.05 at every peak", torque(lambda _, value: 2.1 * value), 10.0, LimitReached, "its limit is 0.1"),
+        ("a spike every second sample", torque(lambda k, v: 0.12 if k % 2 else v), 0.011, LimitReached, "torque"),
+        ("far beyond once", torque(lambda k, v: 0.16 if k == 0 else v), 0.0, LimitReached, "0.16 N m"),
+        ("an encoder that jumps", angle(lambda _, value: value + 0.3), 0.005, BadReply, "jumped by 0.3"),
+        ("an encoder that jumps to and fro", angle(lambda k, v: v + 0.3 * (k % 2)), 0.011, BadReply, "jumped"),
+        ("a noisy encoder", angle(lambda k, v: v + 0.03 * _noise[k]), 1.0, BadReply, "to and fro"),
+        ("a stuck cell", torque(lambda _, __: 0.02), 1.0, BadReply, "the torque stayed at 0.02 N m"),
+        ("a saturated cell", torque(lambda _, value: max(value, -0.01)), 1.0, BadReply, "the end of its range"),
+        (
+            "a low supply",
+            lambda _, sample, joint: (replace(sample, voltage=8.0), joint),
+            0.005,
+            LimitReached,
+            "from 12 V at rest to 8 V",
+        ),
+        (
+            "a slipping lock",
+            lambda k, sample, joint: (replace(sample, joint_position=2e-3 * k), joint),
+            0.21,
+            LimitReached,
+            "it is not locked",
+        ),
+        (
+            "a warm winding",
+            lambda _, sample, joint: (replace(sample, temperature=66.0), joint),
+            0.0,
+            LimitReached,
+            "the winding reached 66 degC",
+        ),
+    ],
+)
+def test_what_must_end_a_run_does_within_its_time(
+    name: str, change: Change, within: float, kind: type[Exception], words: str
+) -> None:
+    end = ended(change)
+    assert end is not None, name
+    tick, error = end
+    assert isinstance(error, kind)
+    assert words in str(error)
+    assert tick / RATE <= within
+
+
+def test_a_frozen_temperature_is_noticed_under_load_only() -> None:
+    def frozen(_: int, sample: Sample, joint: AtJoint) -> Reading:
+        return replace(sample, temperature=30.0), joint
+
+    end = ended(frozen, size=0.9, seconds=700.0, rate=40.0)
+    assert end is not None
+    assert "sensor is frozen" in str(end[1])
+    assert 300.0 < end[0] / 40.0 < 700.0  # the torque is above half its limit for six tenths of the time
+    assert ended(frozen, size=0.3, seconds=700.0, rate=40.0) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        torque(lambda k, v: 0.12 if k % 6 == 0 and k < 12 else v),
+        torque(lambda k, v: math.nan if k in {3, 4} else v),
+        angle(lambda k, v: v + (0.3 if k == 5 else 0.0)),
+        torque(lambda _, v: 0.0 if abs(v) < 0.01 else v),  # play: no torque in a fifth of the way
+    ],
+)
+def test_what_a_sound_stand_does_now_and_then_ends_nothing(change: Change) -> None:
+    assert ended(change) is None
