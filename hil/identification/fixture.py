@@ -125,6 +125,7 @@ def _corrected(estimate: Estimate, value: float, error: float, common: float) ->
         estimate,
         value=value,
         ci95=(value - half, value + half),
+        conditional=None,
         optimiser=replace(trials, best=trials.best + shift, mean=trials.mean + shift),
         identifiable=estimate.identifiable and narrow(half, value),
     )

@@ -11,7 +11,7 @@ from ga.model.record import Parameter
 from ga.trials.trials import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
-from hil.identification.result import Estimate, Repeatability, Validation
+from hil.identification.result import Conditional, Estimate, Repeatability, Validation
 from hil.identification.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
@@ -38,7 +38,8 @@ _MARGIN = 1e-4  # part of a range within which a value is at its end
 class Evidence:
     """What identifiability is derived from.
 
-    columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters. scattered: the variance
+    columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters. exact: the values and
+    half the intervals given the model, where `values` and `errors` are averaged over models. scattered: the variance
     components of pooled recordings. gap: of the optimiser, relative. unmoved: why nothing moved, "" where it did.
     """
 
@@ -53,6 +54,7 @@ class Evidence:
     high: Array
     gap: float
     holdout: Validation
+    exact: tuple[Array, Array]
     unmoved: str = ""
 
     @property
@@ -92,10 +94,11 @@ class Evidence:
 
     def at_bound(self, at: int) -> str | None:
         """Return which end of its bounds the exact optimum lies at or beyond, None for neither."""
-        near = min(_MARGIN * (self.high[at] - self.low[at]), float(self.errors.half_width[at]))
-        if self.values[at] <= self.low[at] + near:
+        value, half = (float(of[at]) for of in self.exact)
+        near = min(_MARGIN * (self.high[at] - self.low[at]), half)
+        if value <= self.low[at] + near:
             return "low"
-        return "high" if self.values[at] >= self.high[at] - near else None
+        return "high" if value >= self.high[at] - near else None
 
 
 def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
@@ -103,6 +106,8 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
     found = []
     for at, parameter in enumerate(evidence.parameters):
         value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
+        exact, own = (float(of[at]) for of in evidence.exact)
+        is_average = (exact, own) != (value, half)
         best, mean, std = (float(of[at]) for of in (evidence.trials.best, evidence.trials.mean, evidence.trials.std))
         found.append(
             Estimate(
@@ -115,6 +120,7 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
                 at_bound=evidence.at_bound(at),
                 bounds=(float(evidence.low[at]), float(evidence.high[at])),
                 components=evidence.scattered[at],
+                conditional=Conditional(exact, (exact - own, exact + own)) if is_average else None,
             )
         )
     return tuple(found)

@@ -23,6 +23,7 @@ from ga.trials.nonlinear import search_nonlinear
 from ga.trials.trials import Trials, run_trials
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
+from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.disk_table import Progress
 from hil.identification.identifiability import Evidence, estimates, judge, rivals
@@ -154,12 +155,15 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     scales = np.array([parameter.scales for parameter in parameters])
     sampling = confidence_intervals(solution.blocks, solution.values)
     pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
+    values, chosen = _averaged(data, solution, sampling.half_width)
+    exact = pooled.with_torque_uncertainty(data.uncertainty, solution.values, scales)
     return Evidence(
         model=data.choice.model,
         signals=data.signals,
         columns=solution.columns,
-        values=solution.values,
-        errors=pooled.with_torque_uncertainty(data.uncertainty, solution.values, scales),
+        values=values,
+        errors=exact.with_choice(chosen, sampling.half_width),
+        exact=(solution.values, exact.half_width),
         scattered=components,
         trials=solution.trials,
         low=solution.low,
@@ -168,6 +172,16 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         holdout=_validation(data, solution, np.isfinite(sampling.half_width)),
         unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
     )
+
+
+def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Array, Array]:
+    """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected."""
+    values, half_width = solution.values.copy(), half_width.copy()
+    names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
+    nonlinear = values[len(data.choice.model.linear) :]
+    for name, one in (averaged(data.choice, data.signals, data.used, nonlinear) if data.whole else {}).items():
+        values[names.index(name)], half_width[names.index(name)] = one.value, one.half_width
+    return values, half_width
 
 
 def _described(data: Dataset, solution: _Solution, evidence: Evidence) -> Described:
@@ -183,7 +197,7 @@ def _described(data: Dataset, solution: _Solution, evidence: Evidence) -> Descri
         columns=columns,
         names=tuple(evidence.names),
         values=solution.values,
-        half_width=evidence.errors.half_width,
+        half_width=evidence.errors.half_width + np.abs(evidence.values - solution.values),
     )
 
 
@@ -196,7 +210,7 @@ def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: _So
     if not steps:
         return ()
     last = max(at for at, step in enumerate(steps) if step.included)
-    final = replace(steps[last], fitness=solution.optimum.fitness, Kc=found[0].value, Bc=found[1].value)
+    final = replace(steps[last], fitness=solution.optimum.fitness, Kc=found[0].exact, Bc=found[1].exact)
     return (*steps[:last], final, *steps[last + 1 :])
 
 

@@ -28,9 +28,18 @@ class Repeatability:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
-    """One parameter in SI. value: of the exact optimum; ci95: around it.
+class Conditional:
+    """One parameter given the selected model, SI: the exact optimum and the 95 % interval around it."""
 
+    value: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One parameter in SI. value: of the exact optimum, or its average over models; ci95: around it.
+
+    conditional: given the selected model, None where that is what value and ci95 are.
     bounds: NaN where the parameter was solved for and not searched. components: within and between pooled recordings,
     None for a single recording and where fewer than two can estimate the parameter.
     """
@@ -44,6 +53,20 @@ class Estimate:
     at_bound: str | None
     bounds: tuple[float, float]
     components: VarianceComponents | None = None
+    conditional: Conditional | None = None
+
+    @property
+    def exact(self) -> float:
+        """The exact optimum of the selected model, with which the optimiser's trials are compared."""
+        return self.value if self.conditional is None else self.conditional.value
+
+    @property
+    def choice(self) -> float:
+        """The part of the interval's width that comes from the choice of the model, 0 to 1."""
+        if self.conditional is None:
+            return 0.0
+        (low, high), (least, most) = self.ci95, self.conditional.ci95
+        return max(0.0, 1.0 - (most - least) / (high - low)) if high > low else 0.0
 
 
 @dataclass(frozen=True, slots=True)

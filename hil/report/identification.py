@@ -88,6 +88,8 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
         "value": estimate.value,
         "unit": estimate.unit,
         "ci95": [json_number(end) for end in estimate.ci95],
+        "conditional": _conditional(estimate),
+        "choice_share": estimate.choice,
         "identifiable": estimate.identifiable,
         "at_bound": estimate.at_bound,
         "bounds": [json_number(end) for end in estimate.bounds],
@@ -99,6 +101,12 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
             "trials_std": json_number(trials.std),
         },
     }
+
+
+def _conditional(estimate: Estimate) -> dict[str, Any]:
+    """The exact optimum of the selected model, and its interval given that model."""
+    low, high = estimate.ci95 if estimate.conditional is None else estimate.conditional.ci95
+    return {"value": estimate.exact, "ci95": [json_number(low), json_number(high)]}
 
 
 def _step(step: Step) -> dict[str, Any]:
@@ -214,7 +222,7 @@ def repeatability_table(found: Identification) -> Table:
         factor, unit = people_unit(estimate.unit, milli=milli(found))
         trials = estimate.optimiser
         std = f" ± {trials.std * factor:.0e}" if math.isfinite(trials.std) else ""  # none for a single trial
-        numbers = (f"{trials.best * factor:.5g}", f"{trials.mean * factor:.5g}{std}", f"{estimate.value * factor:.5g}")
+        numbers = (f"{trials.best * factor:.5g}", f"{trials.mean * factor:.5g}{std}", f"{estimate.exact * factor:.5g}")
         rows.append((estimate.name, *numbers, unit))
     title = f"optimiser repeatability, {len(found.trials.fitness)} trials"
     return plain_table(title, ("", "best trial", "mean ± std", "exact", ""), rows)
@@ -247,12 +255,20 @@ def identification_lines(found: Identification) -> list[str]:
         f"optimiser gap {found.optimiser_gap:.1e}",
         f"validation on 20 % held-out data: {found.validation.fitness * factor:.3g} {unit}; "
         f"RMS {found.validation.nrmse:.2%} of the torque's",
+        *_choice_lines(found),
         *_component_lines(found),
         *_fixture_lines(found),
         *([] if found.steps else ["the intervals assume this model: --model auto selects its terms from the data"]),
         f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s",
     ]
+
+
+def _choice_lines(found: Identification) -> list[str]:
+    """How much of the intervals of Kc and Bc comes from the choice of the model."""
+    averages = [estimate for estimate in found.estimates[:2] if estimate.conditional is not None]
+    shares = " and ".join(f"{estimate.choice:.0%} of the interval of {estimate.name}" for estimate in averages)
+    return [f"averaged over the models that the data cannot decide between: {shares} comes from that"] if shares else []
 
 
 def _component_lines(found: Identification) -> list[str]:

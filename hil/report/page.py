@@ -144,7 +144,7 @@ def _broken(values: Array, starts: tuple[int, ...]) -> Array:
 def _modelled(found: Identification) -> Array:
     """The torque of the model, (n,) N m, for the motion of the recordings."""
     signals = found.signals
-    values = np.array([estimate.value for estimate in found.estimates])
+    values = np.array([estimate.exact for estimate in found.estimates])
     nonlinear = values[len(found.model.linear) :]
     columns = found.model.columns(signals.motion, nonlinear)
     known = signals.torque - found.model.target(signals.motion, signals.torque, nonlinear)

@@ -46,6 +46,26 @@ class ConfidenceIntervals:
         carried = np.where(scales, 1.96 * uncertainty * np.abs(values), 0.0)
         return ConfidenceIntervals(np.hypot(self.half_width, carried), self.inflation)
 
+    def with_choice(self, chosen: Array, sampling: Array) -> ConfidenceIntervals:
+        """Return the intervals with half the widths of averages over models (p,) in place of those of sampling (p,)."""
+        other = np.sqrt(np.maximum(self.half_width**2 - sampling**2, 0.0))
+        return ConfidenceIntervals(
+            np.where(chosen == sampling, self.half_width, np.hypot(chosen, other)), self.inflation
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Covariance:
+    """The sampling covariance of the parameters, (p, p), SI, zero for those that are not distinct (p,) from others.
+
+    quantile (p,): half a 95 % interval in standard errors. inflation (p,): as of `ConfidenceIntervals`.
+    """
+
+    matrix: Array
+    quantile: Array
+    distinct: NDArray[np.bool_]
+    inflation: Array
+
 
 def confidence_intervals(blocks: Blocks, genes: Array) -> ConfidenceIntervals:
     """Return the intervals around the exact optimum `genes` (p,) of the data in `blocks`, which are read three times.
@@ -53,21 +73,28 @@ def confidence_intervals(blocks: Blocks, genes: Array) -> ConfidenceIntervals:
     A parameter that the columns, or their rows near zero residual, cannot distinguish from others has an infinite
     half-width and inflation; the others keep theirs.
     """
+    found = covariance(blocks, genes)
+    variance = np.diag(found.matrix)  # negative by rounding: nearly dependent columns
+    half = found.quantile * np.sqrt(np.where(found.distinct & (variance >= 0.0), variance, np.inf))
+    return ConfidenceIntervals(half, found.inflation)
+
+
+def covariance(blocks: Blocks, genes: Array) -> Covariance:
+    """Return the sampling covariance of the exact optimum `genes` (p,) of the data in `blocks`."""
     from scipy.special import stdtrit  # Student's quantile; scipy.stats would cost half a second of start-up
 
     sums = _first_pass(blocks, genes)
     gram, distinct = _inverse(sums.gram / sums.count)
-    half, inflation = np.full(len(genes), np.inf), np.full(len(genes), np.inf)
+    quantile, inflation = np.full(len(genes), np.inf), np.full(len(genes), np.inf)
     if not distinct.any():
-        return ConfidenceIntervals(half, inflation)
+        return Covariance(np.zeros_like(gram), quantile, distinct, inflation)
     kernel, spectrum = _second_pass(blocks, genes, sums)
     bread, near = _inverse(kernel)
     distinct &= near
-    variance = np.diag(bread @ spectrum.covariance @ bread)[distinct]  # negative by rounding: nearly dependent columns
-    quantile = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[distinct]), 0.975)
-    half[distinct] = quantile * np.sqrt(np.where(variance >= 0.0, variance, np.inf))
+    quantile[distinct] = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[distinct]), 0.975)
     inflation[distinct] = (np.diag(gram) * np.diag(sums.gram) / sums.count)[distinct]
-    return ConfidenceIntervals(half, inflation)
+    matrix = np.where(np.outer(distinct, distinct), bread @ spectrum.covariance @ bread, 0.0)
+    return Covariance(matrix, quantile, distinct, inflation)
 
 
 def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:

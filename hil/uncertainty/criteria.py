@@ -37,6 +37,9 @@ UNEXPLAINED: Final = 0.9
 EVIDENCE_AGAINST: Final = -6.0
 """Gain below which the evidence against a term is strong (Kass and Raftery 1995)."""
 
+TICK_SHARE: Final = 0.1
+"""Part of a tick by which one recorder's readings of torque and angle differ in age, one standard deviation."""
+
 BETWEEN: Final = 3.0
 """Standard deviation between recordings over that within, from which the recordings differ and not their noise."""
 

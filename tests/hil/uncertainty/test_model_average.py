@@ -1,0 +1,82 @@
+"""Averages over models: each submodel equals its refit, and the interval holds the truth beside small effects."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from hil.uncertainty.model_average import Array, average
+
+NOISE = 0.3
+NOTHING = np.full(4, np.inf)
+
+
+def regression(seed: int, truth: tuple[float, ...] = (2.0, 1.0, 0.02, 0.0)) -> tuple[Array, Array]:
+    """Four columns that resemble each other, (200, 4), and a torque with noise."""
+    rng = np.random.default_rng(seed)
+    columns = rng.standard_normal((200, 4)) + rng.standard_normal((200, 1))
+    return columns, columns @ np.array(truth) + NOISE * rng.standard_normal(200)
+
+
+def fitted(columns: Array, torque: Array) -> tuple[Array, Array]:
+    """The least-squares estimates and their covariance."""
+    covariance = NOISE**2 * np.linalg.inv(columns.T @ columns)
+    return np.asarray(covariance @ columns.T @ torque / NOISE**2), np.asarray(covariance)
+
+
+def test_the_average_is_that_of_refits_of_every_submodel_weighted_by_akaike() -> None:
+    columns, torque = regression(1)
+    found = average(*fitted(columns, torque), [2, 3], [], NOTHING)
+    assert found is not None
+    refits, errors, criteria = [], [], []
+    for left_out in [part for count in range(3) for part in combinations((2, 3), count)]:
+        kept = [at for at in range(4) if at not in left_out]
+        values, covariance = fitted(columns[:, kept], torque)
+        refits.append(np.zeros(4))
+        refits[-1][kept] = values
+        errors.append(np.zeros(4))
+        errors[-1][kept] = np.diag(covariance)
+        criteria.append(np.sum((torque - columns[:, kept] @ values) ** 2) / NOISE**2 + 2.0 * len(kept))
+    weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
+    weights /= weights.sum()
+    mean = weights @ np.array(refits)
+    np.testing.assert_allclose(found.weights, weights, rtol=1e-6)
+    np.testing.assert_allclose(found.values, mean, rtol=1e-9)
+    variance = weights @ (np.array(errors) + (np.array(refits) - mean) ** 2)
+    np.testing.assert_allclose(found.errors, np.sqrt(variance), rtol=1e-9)
+
+
+def test_a_scale_gives_the_estimate_of_ridge_regression() -> None:
+    columns, torque = regression(2)
+    found = average(*fitted(columns, torque), [], [], np.array([np.inf, np.inf, 0.01, np.inf]))
+    assert found is not None
+    precision = columns.T @ columns / NOISE**2 + np.diag([0.0, 0.0, 0.01**-2, 0.0])
+    np.testing.assert_allclose(found.values, np.linalg.solve(precision, columns.T @ torque / NOISE**2), rtol=1e-9)
+    np.testing.assert_allclose(found.errors, np.sqrt(np.diag(np.linalg.inv(precision))), rtol=1e-9)
+
+
+def test_a_model_with_a_negative_parameter_is_not_among_them() -> None:
+    columns, torque = regression(3, (2.0, 1.0, -1.0, 0.0))
+    values, covariance = fitted(columns, torque)
+    found = average(values, covariance, [2, 3], [2], NOTHING)
+    assert found is not None
+    assert all(2 in left_out for left_out in found.left_out)
+    assert average(values, covariance, [3], [2], NOTHING) is None
+
+
+@pytest.mark.parametrize("small", [0.0, 0.02, 0.05, 0.1])
+def test_the_interval_holds_a_parameter_beside_a_small_effect_that_selection_leaves_out(small: float) -> None:
+    """300 runs: 95 % lies within 3.8 % at three standard deviations; the significant model alone holds far fewer."""
+    averaged, selected = [], []
+    for seed in range(300):
+        columns, torque = regression(seed, (2.0, 1.0, small, 0.0))
+        values, covariance = fitted(columns, torque)
+        found = average(values, covariance, [2, 3], [], NOTHING)
+        assert found is not None
+        averaged.append(abs(found.values[0] - 2.0) < 1.96 * found.errors[0])
+        without, narrow = fitted(columns[:, :2], torque)
+        selected.append(abs(without[0] - 2.0) < 1.96 * np.sqrt(narrow[0, 0]))
+    assert np.mean(averaged) >= 0.91
+    assert small < 0.05 or np.mean(selected) < 0.9
