@@ -76,6 +76,10 @@ class IdentificationResult:
         """Whether there is no error among the diagnostics."""
         return self.identification.trustworthy
 
+    def trusted(self, name: str) -> bool:
+        """Return whether a parameter, "Kc" or "Bc", may be trusted: it is identifiable, and no error concerns it."""
+        return self.identification.trusted(name)
+
     @property
     def interrupted(self) -> bool:
         """Whether Ctrl-C ended the search, whose result so far this is."""

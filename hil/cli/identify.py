@@ -59,12 +59,14 @@ def identify(
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture (PNG).")] = None,
     force: options.Force = False,
+    require: Annotated[str, typer.Option(help="Kc, Bc or both: what must be trusted for exit status 0.")] = "both",
     as_json: options.Json = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Also show the optimiser's repeatability.")] = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
     from hil.api.analysis import identify as identify_recordings
 
+    required = _required(require)
     check_report(report, recordings, force=force)
     readings = {"selection": selection, "weights": weights, "replacement": replacement}
     with _failure_published(as_json=as_json), progress() as show:
@@ -87,8 +89,16 @@ def identify(
     _publish(found, report, force=force, as_json=as_json, verbose=verbose)
     if found.interrupted:
         exit_interrupted(checkpoint)
-    if not found.trustworthy:
+    if not all(found.trusted(name) for name in required):
         raise typer.Exit(UNTRUSTWORTHY)
+
+
+def _required(require: str) -> tuple[str, ...]:
+    """The parameters that must be trusted. Raises WrongUse."""
+    known = {"Kc": ("Kc",), "Bc": ("Bc",), "both": ("Kc", "Bc")}
+    if require not in known:
+        raise WrongUse(f"--require {require}: write one of {', '.join(known)}")
+    return known[require]
 
 
 @contextmanager

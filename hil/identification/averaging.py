@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Problem, descend
-from ga.model.terms import PARAMETERS, TERMS
+from ga.model.terms import PARAMETERS, TERMS, is_addable
 from hil.identification.model_choice import Choice
 from hil.identification.stepwise import Step
 from hil.signals.prepare import Signals
@@ -85,7 +85,9 @@ class _Largest:
 def _largest(model: CouplingModel, doubtful: Sequence[str], data: Signals, nonlinear: Array) -> _Largest | None:
     """The largest model in which each added term can be distinguished from the others; None where there is none."""
     chosen = model.name.split("+")
-    added = [name for name in dict.fromkeys((*_BENCH, *doubtful)) if name not in chosen]
+    added: list[str] = []
+    for term in (*_BENCH, *doubtful):
+        added += [term] if is_addable(term, (*chosen, *added)) else []
     start = {parameter.name: parameter.absent for parameter in PARAMETERS.values()}
     start |= dict(zip((parameter.name for parameter in model.nonlinear), nonlinear.tolist(), strict=True))
     while True:

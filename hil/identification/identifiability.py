@@ -200,12 +200,13 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
         )
     if not evidence.identifiable(at):
         found.append(Diagnostic("not-identifiable", _why_not(evidence, at), name, is_error=is_error))
-    elif (name == "Kc" and evidence.values[at] <= 0.0) or (name == "Bc" and evidence.values[at] < 0.0):
+    elif evidence.parameters[at].positive and evidence.values[at] < 0.0:
         found.append(
             Diagnostic(
                 "implausible",
-                f"{name} is negative, which no coupling is: {_IMPLAUSIBLE[name]}",
-                name,
+                f"{name} is {evidence.values[at]:.3g} {evidence.parameters[at].unit}, and it cannot be negative: "
+                f"{_IMPLAUSIBLE.get(name, 'Bc takes up what it is wrong by; leave its term out, or try --model auto')}",
+                name if is_error else "Bc",
                 is_error=True,
             )
         )

@@ -124,6 +124,15 @@ class Identification:
     def __getitem__(self, name: str) -> Estimate:
         return next(estimate for estimate in self.estimates if estimate.name == name)
 
+    def doubts(self, name: str) -> list[str]:
+        """Return the codes of the errors that concern a parameter or all; empty where it may be trusted."""
+        return [one.code for one in self.diagnostics if one.is_error and one.parameter in {name, None}]
+
+    def trusted(self, name: str) -> bool:
+        """Return whether a parameter may be trusted; one that the model has not, by the errors that concern all."""
+        known = all(estimate.identifiable for estimate in self.estimates if estimate.name == name)
+        return known and not self.doubts(name)
+
     @property
     def trustworthy(self) -> bool:
         """Whether there is no error among the diagnostics."""

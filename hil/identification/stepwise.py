@@ -200,6 +200,8 @@ class _Selector:
             return False
         if _stiffness(larger) <= 0.0 < _stiffness(smaller):  # no coupling pushes: the term stands in for it
             return False
+        if _is_impossible(larger, term):
+            return False
         better = smaller.held_out - larger.held_out
         breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable)
         least, gain = (_BETTER, _STRONG) if breaks else (-_WORSE, 0.0)
@@ -284,6 +286,12 @@ def _own(term: str) -> tuple[str, ...]:
 
 def _stiffness(fitted: _Candidate) -> float:
     return float(fitted.fit.optimum.genes[0])
+
+
+def _is_impossible(fitted: _Candidate, term: str) -> bool:
+    """Whether a parameter of the term is negative that nature has no negative one of, as a friction."""
+    values = dict(zip((parameter.name for parameter in fitted.model.parameters), fitted.fit.values, strict=True))
+    return any(parameter.positive and values[parameter.name] < 0.0 for parameter in TERMS[term].parameters)
 
 
 def _step(fitted: _Candidate, gain: float, *, included: bool) -> Step:

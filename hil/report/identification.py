@@ -33,7 +33,10 @@ def as_json(found: Identification) -> dict[str, Any]:
     """Return the JSON object of `hil identify --json`, SI units; a number that is not finite is null."""
     return {
         **_head(found.recordings, found.model.name, found.preset, found.seed),
-        "parameters": {estimate.name: _parameter(estimate) for estimate in found.estimates},
+        "parameters": {
+            estimate.name: _parameter(estimate) | {"trusted": found.trusted(estimate.name)}
+            for estimate in found.estimates
+        },
         "fitness": {
             "value": found.optimum,
             "best_trial": found.fitness,
@@ -62,7 +65,7 @@ def unusable_json(recordings: Sequence[Path], model: str, preset: str, seed: int
     return {
         **_head(recordings, model, preset, seed),
         "parameters": {
-            name: {"value": None, "unit": unit, "ci95": [None, None], "identifiable": False}
+            name: {"value": None, "unit": unit, "ci95": [None, None], "identifiable": False, "trusted": False}
             for name, unit in units.items()
         },
         **diagnostics_json(Diagnostic("unusable", reason, name, is_error=True) for name in units),
@@ -181,14 +184,16 @@ def _upgraded_step(old: dict[str, Any]) -> dict[str, Any]:
 
 
 def headline(found: Identification) -> str:
-    """Return Kc and Bc with half of their 95 % intervals, in one line."""
-    parts = []
-    for estimate in found.estimates[:2]:
-        value, half, _, unit = printed(found, estimate)
-        known = estimate.identifiable and half is not None
-        interval = f"± {half} {unit}" if known else f"{unit} (not identifiable)"
-        parts.append(f"{estimate.name} = {value} {interval}")
-    return ",  ".join(parts)
+    """Return Kc and Bc with half of their 95 % intervals and whether they may be trusted, in one line."""
+    return ",  ".join(_verdict(found, estimate) for estimate in found.estimates[:2])
+
+
+def _verdict(found: Identification, estimate: Estimate) -> str:
+    value, half, _, unit = printed(found, estimate)
+    if not estimate.identifiable or half is None:
+        return f"{estimate.name} = {value} {unit} (not identifiable)"
+    doubts = "" if found.trusted(estimate.name) else f" (not to be trusted: {', '.join(found.doubts(estimate.name))})"
+    return f"{estimate.name} = {value} ± {half} {unit}{doubts}"
 
 
 def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None, str, str]:
@@ -268,7 +273,7 @@ def _choice_lines(found: Identification) -> list[str]:
     """How much of the intervals of Kc and Bc comes from the choice of the model."""
     averages = [estimate for estimate in found.estimates[:2] if estimate.conditional is not None]
     shares = " and ".join(f"{estimate.choice:.0%} of the interval of {estimate.name}" for estimate in averages)
-    return [f"averaged over the models that the data cannot decide between: {shares} comes from that"] if shares else []
+    return [f"the choice of the model makes up {shares}"] if shares else []
 
 
 def _component_lines(found: Identification) -> list[str]:

@@ -56,7 +56,8 @@ def test_the_json_of_identify_is_the_designs(hil: Hil, make_recording: Maker) ->
     assert list(found) == [*keys.split(), *tests, "fixture"]
     assert (found["schema"], found["model"], found["preset"]) == ("hil-identification/2", "linear", "default")
     kc = found["parameters"]["Kc"]
-    assert {"value", "unit", "ci95", "optimiser_repeatability", "identifiable"} <= set(kc)
+    assert {"value", "unit", "ci95", "conditional", "choice_share", "identifiable", "trusted"} <= set(kc)
+    assert set(kc["conditional"]) == {"value", "ci95"}
     assert set(kc["optimiser_repeatability"]) == {"best", "trials_mean", "trials_std"}
     assert (kc["unit"], found["parameters"]["Bc"]["unit"], found["fitness"]["unit"]) == ("N*m/rad", "N*m*s/rad", "N*m")
     assert set(found["fitness"]) == {"value", "best_trial", "optimiser_gap", "unit"}
@@ -75,7 +76,7 @@ def test_every_reported_number_is_what_its_name_says(hil: Hil, make_recording: M
     found = hil("identify", path, "--json", "--trials", 7).json
     with Recording(path) as recording:
         signals = prepare(recording, None)
-    exact = [found["parameters"][name]["value"] for name in ("Kc", "Bc")]
+    exact = [found["parameters"][name]["conditional"]["value"] for name in ("Kc", "Bc")]
     best = [found["parameters"][name]["optimiser_repeatability"]["best"] for name in ("Kc", "Bc")]
     columns = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
 
@@ -92,6 +93,32 @@ def test_every_reported_number_is_what_its_name_says(hil: Hil, make_recording: M
     # held out: every fifth of ten blocks, against a fit to the rest; Gaussian noise of 0.2 mN m
     assert found["validation"]["fitness"] == pytest.approx(2e-4 * np.sqrt(2 / np.pi), rel=0.1)
     assert found["validation"]["nrmse"] == pytest.approx(2e-4 / float(np.std(signals.torque)), rel=0.2)
+
+
+def test_the_exit_status_is_by_the_parameters_that_are_required(hil: Hil, make_recording: Maker) -> None:
+    """One speed there and back: dry friction and damping are the same, and the stiffness is not touched by it."""
+
+    def triangle(channels: dict[str, Array]) -> None:
+        rate = 0.8 * np.sign(np.cos(2.0 * np.pi * channels["time"]))
+        channels["dtheta"] = 0.4 / np.pi * np.arcsin(np.sin(2.0 * np.pi * channels["time"]))
+        channels["dtheta_dot"] = rate
+        noise = 1e-4 * np.random.default_rng(1).standard_normal(len(rate))
+        channels["torque"] = 0.02 * channels["dtheta"] + 2e-4 * rate + noise
+
+    path = make_recording(change=triangle)
+    status = {
+        required: hil("identify", path, "--model", "linear", "--trials", 1, "--require", required).status
+        for required in ("Kc", "Bc", "both", "K")
+    }
+    assert status == {"Kc": 0, "Bc": 1, "both": 1, "K": 2}
+    ended = hil("identify", path, "--model", "linear", "--trials", 1, "--json")
+    assert ended.status == 1
+    assert {name: one["trusted"] for name, one in ended.json["parameters"].items()} == {"Kc": True, "Bc": False}
+    first = hil("identify", path, "--model", "linear", "--trials", 1).out.splitlines()[0]
+    stiffness, damping = first.split(",  ")
+    assert "±" in stiffness
+    assert "trusted" not in stiffness
+    assert damping.endswith("(not identifiable)")
 
 
 def test_the_same_seed_gives_the_same_samples_and_another_does_not(hil: Hil) -> None:

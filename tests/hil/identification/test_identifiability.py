@@ -54,6 +54,29 @@ def sine(channels: dict[str, Array], frequency: float) -> None:
     channels["torque"] += 1e-4 * np.random.default_rng(1).standard_normal(len(phase))
 
 
+def driven_backwards(channels: dict[str, Array]) -> None:
+    """Two speeds, and a torque of 1 mN m along the motion: the friction of a model would have to be negative."""
+    time = channels["time"]
+    channels["dtheta"] = 0.2 * np.sin(6.0 * time) + 0.05 * np.sin(40.0 * time)
+    rate = channels["dtheta_dot"] = 1.2 * np.cos(6.0 * time) + 2.0 * np.cos(40.0 * time)
+    channels["torque"] = 0.02 * channels["dtheta"] + 2e-3 * rate - 1e-3 * np.sign(rate)
+    channels["torque"] += 1e-4 * np.random.default_rng(1).standard_normal(len(time))
+
+
+def test_a_friction_that_comes_out_negative_makes_the_damping_untrustworthy(make_recording: Maker) -> None:
+    path = make_recording(change=driven_backwards)
+    found = identify([path], parse("linear+coulomb"), SEARCH)
+    assert found["Fc"].ci95[1] < 0.0
+    assert (found.trusted("Kc"), found.trusted("Bc")) == (True, False)
+    (said,) = [one for one in found.diagnostics if one.code == "implausible"]
+    assert "Fc is -0.000999 N*m, and it cannot be negative" in said.message
+
+
+def test_model_selection_never_includes_a_negative_friction(make_recording: Maker) -> None:
+    found = identify([make_recording(change=driven_backwards)], None, SEARCH)
+    assert "coulomb" not in found.model.name
+
+
 def triangle(channels: dict[str, Array]) -> None:
     """One speed there and back, 0.8 rad/s, with as much dry friction."""
     sine(channels, 1.0)
