@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from drivers.servo import Quantity
 from hil.errors import WrongUse
+from hil.recording.input import read_text
 
 Array = NDArray[np.float64]
 Shape = Callable[[Array], Array]
@@ -31,6 +32,7 @@ _SHORTEST_FADE = 0.1  # s
 _LINES_BLOCK = 256  # of a multisine, worked out at a time
 _LINES_PERIOD = 20.0  # s; the longest base period of a multisine, so that its lines stay few
 _PRBS_BITS = 15  # of the register
+_LARGEST = 1 << 28  # bytes of a file of set-points
 _BAND = (0.1, 15.0)  # Hz, unless another is given
 
 
@@ -249,10 +251,7 @@ def _prbs(band: tuple[float, float], duration: float, seed: int) -> Shape:
 
 def _from_file(path: Path) -> tuple[Shape, float, float]:
     """Return the shape in a CSV of two columns, its peak (N m or rad) and its end (s)."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise WrongUse(f"{path}: the set-points cannot be read ({error})") from None
+    text = read_text(path, largest=_LARGEST)
     try:
         rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].startswith("#")]
     except csv.Error as error:

@@ -15,6 +15,9 @@ from hil.errors import WrongUse
 from hil.exchange import delimited, matlab
 from hil.exchange.row_filter import RowFilter
 from hil.exchange.units import split
+from hil.recording.input import open_input
+
+_LARGEST = 1 << 36  # bytes of a file
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -100,8 +103,7 @@ class _Columns(NamedTuple):
 
 
 def _columns(source: Path) -> _Columns:
-    if not source.is_file():
-        raise WrongUse(f"{source} cannot be read: there is no such file")
+    open_input(source, largest=_LARGEST).close()
     return _FILES[source.suffix.lower()](source)
 
 

@@ -10,6 +10,7 @@ import zlib
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from io import BufferedReader, TextIOWrapper
 from pathlib import Path
 from typing import TextIO
@@ -19,10 +20,13 @@ from numpy.typing import NDArray
 
 from hil.errors import WrongUse
 from hil.exchange.row_filter import RowFilter
+from hil.recording.input import open_input
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+_LARGEST = 1 << 36  # bytes of a file, which is read row by row
+_LONGEST = 1 << 20  # characters of a line; what is longer is read as several, none of which has the right fields
 _SHOWN = 40  # characters of a bad cell that are quoted
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
@@ -43,7 +47,7 @@ def read(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFi
     lines = array("q")
     with _text(source) as text:
         names, delimiter = _header(source, text)
-        reader = csv.reader(text, delimiter=delimiter)
+        reader = csv.reader(iter(partial(text.readline, _LONGEST), ""), delimiter=delimiter)
         cells = _Cells(source, names)
         for row in _rows(source, reader):
             if not row:
@@ -84,7 +88,7 @@ def _unequal(source: Path, line: int, row: list[str], names: list[str], delimite
 
 
 def _header(source: Path, text: TextIO) -> tuple[list[str], str]:
-    line = text.readline().rstrip("\r\n")
+    line = text.readline(_LONGEST).rstrip("\r\n")
     delimiter = max(",;\t", key=line.count)
     try:
         names = next(csv.reader([line], delimiter=delimiter), [])
@@ -105,10 +109,14 @@ def _text(source: Path) -> Iterator[TextIO]:
         raise WrongUse(f"{source} cannot be read ({reason}): check the name, and that it is CSV or .csv.gz") from None
 
 
-def _bytes(source: Path) -> gzip.GzipFile | BufferedReader:
-    if not source.is_file():  # a FIFO would hang the reader
-        raise WrongUse(f"{source} cannot be read: there is no such file")
-    return gzip.open(source, "rb") if source.suffix.lower() == ".gz" else source.open("rb")
+@contextmanager
+def _bytes(source: Path) -> Iterator[gzip.GzipFile | BufferedReader]:
+    with open_input(source, largest=_LARGEST) as raw:
+        if source.suffix.lower() == ".gz":
+            with gzip.open(raw, "rb") as unpacked:
+                yield unpacked
+        else:
+            yield raw
 
 
 def _encoding(source: Path) -> str:

@@ -16,9 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
+from hil.recording.input import open_input
 
 Array = NDArray[np.float64]
 
+_LARGEST = 1 << 30  # bytes of a file, which is in memory whole
+_SMALL, _COMPRESSION = 1 << 26, 100  # bytes that any element may unpack to; for a larger one, bytes for each of its own
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -32,10 +35,8 @@ def vectors(source: Path) -> dict[str, Array]:
 
     Raises WrongUse for a file that is not a MAT-file of level 5, and for a damaged one.
     """
-    try:
-        data = source.read_bytes()
-    except OSError as error:
-        raise WrongUse(f"{source} cannot be read ({error.strerror}): check the name") from None
+    with open_input(source, largest=_LARGEST) as file:
+        data = file.read()
     if data.startswith(b"MATLAB 7.3"):
         raise WrongUse(f"{source} is of MATLAB's version 7.3: save it with save(..., '-v7'), or as CSV")
     order = {b"IM": "<", b"MI": ">"}.get(data[_HEADER - 2 : _HEADER])
@@ -45,12 +46,24 @@ def vectors(source: Path) -> dict[str, Array]:
     try:
         for kind, content in _elements(data[_HEADER:], order):
             if kind == _COMPRESSED:
-                [(kind, content)] = list(_elements(zlib.decompress(content), order))  # noqa: PLW2901 - unpacked
+                [(kind, content)] = list(_elements(_unpacked(content), order))  # noqa: PLW2901 - unpacked
             if kind == _MATRIX:
                 _collect(found, _Matrix.of(content, order), order)
     except (ValueError, StopIteration, struct.error, zlib.error) as error:
         raise WrongUse(f"{source} is a damaged MAT-file, or is cut off ({error}): save it again") from None
     return found
+
+
+def _unpacked(content: bytes) -> bytes:
+    """Return the data of a compressed element. Raises ValueError for one that would fill the memory."""
+    largest = max(_SMALL, _COMPRESSION * len(content))
+    unpacker = zlib.decompressobj()
+    data = unpacker.decompress(content, largest)
+    if unpacker.unconsumed_tail:
+        raise ValueError(f"{len(content)} bytes unpack to more than {largest}")
+    if not unpacker.eof:
+        raise ValueError("an element is cut off")
+    return data
 
 
 @dataclass(frozen=True, slots=True)

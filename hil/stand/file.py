@@ -5,6 +5,7 @@ Angles and torques of `Stand` are at the joint; `hil.stand.transmission` brings 
 
 from __future__ import annotations
 
+import reprlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,11 +15,13 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, create_model
 
 from hil.errors import WrongUse
+from hil.recording.input import read_text
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
 from sim_backend.parameters import SimParameters
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+_LARGEST = 1 << 20  # bytes of a stand file
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -134,18 +137,22 @@ def _is_file(name: str) -> bool:
 
 def load(path: Path) -> Stand:
     """Return the stand in a TOML file. Raises WrongUse with every error of the file at once, each with its key."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise WrongUse(f"{path}: the stand file cannot be read ({error})") from None
+    text = read_text(path, largest=_LARGEST)
     return parse(text, str(path))
 
 
 def parse(text: str, name: str = "stand.toml") -> Stand:
     """Return the stand in `text`. Raises WrongUse with every error at once, each with its key."""
     try:
+        return _parsed(text, name)
+    except RecursionError:
+        raise WrongUse(f"{name} is nested too deeply: a stand file has tables of plain values") from None
+
+
+def _parsed(text: str, name: str) -> Stand:
+    try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # of TOML, or of an integer of thousands of digits
         raise WrongUse(f"{name} is not TOML: {error}") from None
     kind, errors = _sensor_kind(table)
     file: Any = None
@@ -188,4 +195,4 @@ def _message(item: Any) -> str:
         return f"{key}: must be given"
     if item["type"] == "value_error":  # several keys that do not fit each other; the message names them
         return f"{key}: {item['ctx']['error']}"
-    return f"{key} = {item['input']!r}: {item['msg']}"
+    return f"{key} = {reprlib.repr(item['input'])}: {item['msg']}"

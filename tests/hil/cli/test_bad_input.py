@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import random
 import subprocess
@@ -98,7 +99,7 @@ def test_no_command_overwrites_what_it_reads(hil: Hil, make_recording: Maker) ->
 def test_both_files_of_a_report_are_looked_at_before_any_work(
     hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch, existing: str
 ) -> None:
-    monkeypatch.setattr("hil.identification.identify.identify", lambda *_: pytest.fail("it has begun to work"))
+    monkeypatch.setattr("hil.api.analysis.identify_recordings", lambda *_: pytest.fail("it has begun to work"))
     Path(existing).write_text("mine")
     status, _, err = hil("identify", make_recording(), "--report", "p.html")
     assert status == 2
@@ -264,3 +265,42 @@ def test_a_multisine_of_many_lines_keeps_to_its_amplitude(hil: Hil) -> None:
     with Recording(Path("a.h5")) as recording:
         command = recording.channel("command")
     assert 0.8 * 0.006 < float(np.abs(command).max()) <= 0.006
+
+
+# --- declared sizes, and what is no file -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["fifo", "/dev/zero", "."])
+def test_only_ordinary_files_are_read(hil: Hil, name: str) -> None:
+    os.mkfifo("fifo")
+    for path in (name,) if name != "fifo" else ("fifo", "fifo.mat", "fifo.csv.gz"):
+        if path.startswith("fifo."):
+            os.mkfifo(path)
+        columns = ("--time", "t", "--torque", "q", "--dtheta", "p", "-o", "b.h5")
+        for words in [
+            ("record", "--stand", path),
+            (*SIM, "--profile", "file", "--setpoints", path),
+            ("import", path, *columns),
+            ("inspect", path),
+        ]:
+            status, _, err = hil(*words)
+            assert (status, "is not a file" in err) == (2, True), words
+
+
+def test_a_line_without_end_is_not_read_whole(hil: Hil) -> None:
+    with gzip.open("a.csv.gz", "wb", compresslevel=1) as file:
+        for _ in range(64):
+            file.write(b"1,2," * (1 << 18))
+    Path("b.csv").write_text("t,q,p\n" + "1," * (1 << 20))
+    for name in ("a.csv.gz", "b.csv"):
+        status, _, err = hil("import", name, "--time", "t", "--torque", "q", "--dtheta", "p", "-o", "b.h5")
+        assert (status, "fault in hil" in err) == (2, False)
+
+
+@pytest.mark.parametrize(
+    "text", ["a = " + "[" * 5000, "a." * 5000 + "b = 1", "a = " + "9" * 5000, "#" * (1 << 20) + "#"]
+)
+def test_a_nested_or_huge_stand_file_is_wrong_use(hil: Hil, text: str) -> None:
+    Path("stand.toml").write_text(text)
+    status, _, err = hil("record", "--stand", "stand.toml")
+    assert (status, "fault in hil" in err, len(err) < 500) == (2, False, True)

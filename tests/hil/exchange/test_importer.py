@@ -292,7 +292,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path, name: str) -> Non
 
 
 def test_something_else_than_a_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(WrongUse, match="no such file"):
+    with pytest.raises(WrongUse, match="is not a file"):
         import_table(tmp_path, tmp_path / "a.h5", PLAIN, [])
 
 

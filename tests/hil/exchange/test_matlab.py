@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -90,3 +92,13 @@ def test_a_damaged_file_is_read_or_refused_and_nothing_else(
         assert "MAT" in str(error)  # noqa: PT017 - either outcome is right
     else:
         assert all(values.ndim == 1 for values in found.values())
+
+
+def test_an_element_that_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
+    packer = zlib.compressobj(9)
+    packed = b"".join(packer.compress(bytes(1 << 20)) for _ in range(200)) + packer.flush()
+    data = written(compressed=False)[:128] + struct.pack("<II", 15, len(packed)) + packed
+    path = tmp_path / "bomb.mat"
+    path.write_bytes(data)
+    with pytest.raises(WrongUse, match="unpack to more than"):
+        vectors(path)
