@@ -11,7 +11,7 @@ import math
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean, median
 
@@ -23,6 +23,7 @@ from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import Guard
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.limits import AtJoint, LimitReached
+from hil.acquisition.phases import Phase, Phases
 from hil.acquisition.setpoints import SetPoints
 from hil.acquisition.sink import Sink
 from hil.errors import WrongUse
@@ -51,6 +52,7 @@ class Outcome:
     late: ticks that began more than half a period after their time. missed: those of them that were skipped, since the
     next one was due already. error: the fault that ended it, None where it ran to its end or was stopped on request.
     signal: of that request. alarm: a sentence to show first, where the torque may still be on; "" otherwise.
+    phases: of the run.
     """
 
     samples: int = 0
@@ -62,6 +64,7 @@ class Outcome:
     signal: int = 0
     error: BaseException | None = None
     alarm: str = ""
+    phases: Phases = field(default_factory=Phases)
 
 
 def tick_count(profile: Profile, rate: float) -> int:
@@ -128,6 +131,7 @@ class Recorder:
             with _quiet_collector():
                 _check_stop(stop)
                 try:
+                    self._enter(Phase.ARMING)
                     self._servo.arm(limits)
                     self._loop(set_points, zero, stop)
                 finally:  # before anything else, which might take its time
@@ -188,6 +192,8 @@ class Recorder:
         clock = self._servo.clock
         period = 1.0 / self._rate
         self._start = clock.now() + period
+        self._enter(Phase.FADE_IN)
+        fading = True
         stopping_at = math.inf
         sent, sent_at = 0.0, self._start - period
         for seq, set_point in enumerate(set_points):
@@ -197,7 +203,11 @@ class Recorder:
             too_late = self._guard.check_late(now - sent_at - period)
             if (stop.count or too_late) and math.isinf(stopping_at):
                 stopping_at = due
+                self._enter(Phase.RAMP_DOWN)
                 self._ramp_down(stop, due, too_late)
+            elif fading and due >= self._profile.fade and math.isinf(stopping_at):
+                fading = False
+                self._enter(Phase.RUN)
             left = min(1.0, 1.0 - (due - stopping_at) / _RAMP_DOWN) if math.isfinite(stopping_at) else 1.0
             if left <= 0.0 or stop.count > 1:
                 return
@@ -279,6 +289,11 @@ class Recorder:
         result = confirm_torque_off(self._servo)
         self._outcome.alarm, self._off_error = result.alarm, result.error
         self._off_asked = True
+        if result.confirmed and self._outcome.phases.now is not Phase.OFF:
+            self._enter(Phase.OFF)
+
+    def _enter(self, phase: Phase) -> None:
+        self._outcome.phases.enter(phase, self._servo.clock.now())
 
     def _note_end(self) -> None:
         """Add the fault that ended the run to its events. A failure here must not lose the data."""

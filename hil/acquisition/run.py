@@ -10,6 +10,7 @@ from drivers.servo import Servo
 from hil.acquisition.excitation import Profile
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.live_view import beside
+from hil.acquisition.phases import Phase
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
 from hil.errors import WrongUse
 from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, part_path, remove_unfinished
@@ -104,6 +105,7 @@ def _close(writer: RecordingWriter) -> None:
 def _close_servo(servo: Servo, outcome: Outcome) -> None:
     try:
         servo.close()
+        outcome.phases.enter(Phase.CLOSED, servo.clock.now())
     except BaseException as error:  # noqa: BLE001 - the data of a run outlives a fault of its driver
         outcome.error = outcome.error or error
 

@@ -1,0 +1,48 @@
+"""The phases of a run as one state machine: what may follow what, and when each began."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from types import MappingProxyType
+
+
+class Phase(StrEnum):
+    """A phase of a run. Torque may be on from ARMING on, and is off again in OFF."""
+
+    REST = "at rest"
+    ARMING = "arming"
+    FADE_IN = "fade-in"
+    RUN = "run"
+    RAMP_DOWN = "ramp-down"
+    OFF = "off"
+    CLOSED = "closed"
+
+
+FOLLOWS: Mapping[Phase, frozenset[Phase]] = MappingProxyType(
+    {
+        Phase.REST: frozenset({Phase.ARMING, Phase.OFF, Phase.CLOSED}),
+        Phase.ARMING: frozenset({Phase.FADE_IN, Phase.OFF, Phase.CLOSED}),
+        Phase.FADE_IN: frozenset({Phase.RUN, Phase.RAMP_DOWN, Phase.OFF, Phase.CLOSED}),
+        Phase.RUN: frozenset({Phase.RAMP_DOWN, Phase.OFF, Phase.CLOSED}),
+        Phase.RAMP_DOWN: frozenset({Phase.OFF, Phase.CLOSED}),
+        Phase.OFF: frozenset({Phase.CLOSED}),
+        Phase.CLOSED: frozenset(),
+    }
+)
+"""The phases that may follow each. CLOSED without OFF before it: the torque-off was not confirmed."""
+
+
+class Phases:
+    """The present phase of a run. history: each phase with the time, s on the servo's clock, at which it began."""
+
+    def __init__(self) -> None:
+        self.now = Phase.REST
+        self.history: list[tuple[float, Phase]] = []
+
+    def enter(self, phase: Phase, t: float) -> None:
+        """Begin `phase` at `t` s. Raises ValueError where it cannot follow the present one."""
+        if phase not in FOLLOWS[self.now]:
+            raise ValueError(f"a run cannot go from {self.now} to {phase}")
+        self.now = phase
+        self.history.append((t, phase))
