@@ -23,7 +23,7 @@ from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Identification
 from hil.report import comparison as comparison_report
 from hil.report import identification as identification_report
-from hil.report import page
+from hil.report import identification_page, pictures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -96,11 +96,18 @@ class IdentificationResult:
 
     def plot(self) -> Figure:
         """Return a picture: the torque with its model, the residuals, the loop and the diagnostic checks."""
-        return page.figure(self.identification)
+        return pictures.figure(self.identification)
 
-    def report(self, path: AnyPath, *, force: bool = True) -> list[Path]:
-        """Write the report to `path` and return what was written. force: in place of one there. Raises WrongUse."""
-        return page.write_page(self.identification, Path(path), force=force)
+    def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
+        """Write the report, HTML, and return its path. Raises WrongUse.
+
+        command: the command or the script that made it, for its provenance. force: replace a file that is there.
+        """
+        return identification_page.write_page(self.identification, Path(path), command, force=force)
+
+    def save_plots(self, folder: AnyPath, *, force: bool = False) -> list[Path]:
+        """Write every picture of the report as a PNG into a folder, and return their paths. Raises WrongUse."""
+        return pictures.write_pictures(pictures.pictures(self.identification), Path(folder), force=force)
 
 
 class NoResult(Untrustworthy):
@@ -113,6 +120,12 @@ class NoResult(Untrustworthy):
     def as_json(self) -> dict[str, Any]:
         """Return the JSON object of `hil identify --json`, whose values are null."""
         return identification_report.unusable_json(self.recordings, self.model, self.preset, self.seed, str(self))
+
+    def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
+        """Write the report, which says why, as `IdentificationResult.report`. Raises WrongUse."""
+        return identification_page.write_failure(
+            str(self), self.recordings, self.as_json(), Path(path), command, force=force
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,9 +161,9 @@ class ComparisonResult:
         """Return a picture: each parameter over the recordings with its interval, and the pooled interval."""
         return comparison_report.figure(self.comparison)
 
-    def report(self, path: AnyPath, *, force: bool = True) -> list[Path]:
-        """Write the report to `path` and return what was written. force: in place of one there. Raises WrongUse."""
-        return comparison_report.write_page(self.comparison, Path(path), force=force)
+    def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
+        """Write the report, HTML, as `IdentificationResult.report`. Raises WrongUse."""
+        return comparison_report.write_page(self.comparison, Path(path), command, force=force)
 
 
 def identify(

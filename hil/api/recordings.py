@@ -82,7 +82,7 @@ class LoadedRecording:
         """Return a picture: command, torque and deflection over time, and torque against deflection."""
         from hil.report.pictures import recording_figure
 
-        return recording_figure(self.path.name, self.channels, self.units)
+        return recording_figure(self.channels, self.units)
 
 
 def load(path: str | os.PathLike[str]) -> LoadedRecording:

@@ -10,7 +10,7 @@ import typer
 from hil.cli import options
 from hil.cli.progress import progress
 from hil.cli.report import check_report
-from hil.cli.terminal import UNTRUSTWORTHY, out, out_table, print_diagnostics, print_json, say
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json, say
 
 
 def compare(
@@ -19,7 +19,7 @@ def compare(
     trials: Annotated[int | None, typer.Option(min=1, help="Independent searches of each, as in hil identify.")] = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
-    report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture (PNG).")] = None,
+    report: Annotated[Path | None, typer.Option(help="Also write a report (HTML).")] = None,
     force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
@@ -36,8 +36,7 @@ def compare(
         out(str(found))
         out_table(comparison_table(found.comparison))
     if report is not None:
-        for path in found.report(report, force=force):
-            say(f"wrote {path}")
+        say(f"wrote {found.report(report, command_line(), force=force)}")
     print_diagnostics(found.diagnostics)
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)

@@ -13,12 +13,10 @@ from hil.cli.terminal import out
 def demo(output: options.Folder = Path("hil-demo")) -> None:
     """Run the main job on the simulated servo: record a chirp, identify, write the report."""
     from hil.recording.output import check_output, next_free
-    from hil.report.page import page_files
 
     path = next_free(output)
     page = path.with_suffix(".html")
-    for later in page_files(page):
-        check_output(later, force=False)
+    check_output(page, force=False)
     out("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
     record(backend="sim", note="hil demo", output=path)
     out("Identifying ...")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli import options
-from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -18,17 +18,26 @@ if TYPE_CHECKING:
 
 def inspect(
     recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")],
+    plot: Annotated[Path | None, typer.Option(help="Also draw the recording into this file (PNG).")] = None,
+    force: options.Force = False,
     as_json: options.Json = False,
     verify: Annotated[bool, typer.Option("--verify", help="Only check that it is as it was written.")] = False,
 ) -> None:
     """Summarise a recording and check its quality; like every command, first that it is as it was written."""
+    from hil.api.recordings import load
+    from hil.recording.output import check_output
     from hil.report.inspection import as_json as to_json
     from hil.report.inspection import inspection_table
+    from hil.report.pictures import check_picture_name, save_picture
     from hil.signals.inspection import inspect as look
 
     if verify:
         _verify(recording, as_json=as_json)
         return
+    if plot is not None:
+        check_output(check_picture_name(plot), force=force, inputs=[recording])
+        save_picture(load(recording).plot(), plot, force=force)
+        say(f"wrote {plot}")
     seen = look(recording)
     if as_json:
         print_json(to_json(seen))

@@ -15,6 +15,7 @@ from hil.cli.progress import progress
 from hil.cli.report import check_report
 from hil.cli.terminal import (
     UNTRUSTWORTHY,
+    command_line,
     exit_interrupted,
     out,
     out_table,
@@ -47,9 +48,7 @@ def identify(
     mutation: Annotated[float | None, typer.Option(min=0.0, max=1.0, help="Probability (0.1: Algorithm 1).")] = None,
     selection: Annotated[str | None, typer.Option(help="A reading of the paper; see docs/paper.md.")] = None,
     weights: Annotated[str | None, typer.Option(help="Of equation 6; see docs/paper.md.")] = None,
-    replacement: Annotated[
-        str | None, typer.Option(help="Which individual the offspring replaces; see docs/paper.md.")
-    ] = None,
+    replacement: Annotated[str | None, typer.Option(help="Which individual is replaced; see docs/paper.md.")] = None,
     bounds: Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI; repeat for several.")] = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
@@ -57,7 +56,8 @@ def identify(
     fixture: Annotated[
         Path | None, typer.Option(help="A recording of the empty rig, to subtract the fixture's compliance.")
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Also write a page (HTML) and its picture (PNG).")] = None,
+    report: Annotated[Path | None, typer.Option(help="Also write a report (HTML).")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Also write its pictures (PNG) into this folder.")] = None,
     force: options.Force = False,
     require: Annotated[str, typer.Option(help="Kc, Bc or both: what must be trusted for exit status 0.")] = "both",
     as_json: options.Json = False,
@@ -68,8 +68,7 @@ def identify(
 
     required = _required(require)
     check_report(report, recordings, force=force)
-    readings = {"selection": selection, "weights": weights, "replacement": replacement}
-    with _failure_published(as_json=as_json), progress() as show:
+    with _failure_published(report, force=force, as_json=as_json), progress() as show:
         found = identify_recordings(
             recordings,
             model,
@@ -78,7 +77,9 @@ def identify(
             generations=generations,
             population=population,
             mutation=mutation,
-            **readings,
+            selection=selection,
+            weights=weights,
+            replacement=replacement,
             bounds=dict(_bounds(text) for text in bounds or ()),
             seed=seed,
             workers=workers,
@@ -86,7 +87,12 @@ def identify(
             fixture=fixture,
             progress=show,
         )
-    _publish(found, report, force=force, as_json=as_json, verbose=verbose)
+    _publish(found, report, plot, as_json=as_json, verbose=verbose, force=force)
+    _end(found, checkpoint, required)
+
+
+def _end(found: IdentificationResult, checkpoint: Path | None, required: tuple[str, ...]) -> None:
+    """End the command with the status that the result asks for."""
     if found.interrupted:
         exit_interrupted(checkpoint)
     if not all(found.trusted(name) for name in required):
@@ -102,8 +108,8 @@ def _required(require: str) -> tuple[str, ...]:
 
 
 @contextmanager
-def _failure_published(*, as_json: bool) -> Iterator[None]:
-    """Print the JSON object that says why, where nothing could be identified."""
+def _failure_published(report: Path | None, *, force: bool, as_json: bool) -> Iterator[None]:
+    """Print the JSON object and write the report that say why, where nothing could be identified."""
     from hil.api.analysis import NoResult
 
     try:
@@ -111,16 +117,28 @@ def _failure_published(*, as_json: bool) -> Iterator[None]:
     except NoResult as failure:
         if as_json:
             print_json(failure.as_json())
+        if report is not None:
+            say(f"wrote {failure.report(report, command_line(), force=force)}")
         raise
 
 
-def _publish(found: IdentificationResult, report: Path | None, *, force: bool, as_json: bool, verbose: bool) -> None:
+def _publish(
+    found: IdentificationResult,
+    report: Path | None,
+    plot: Path | None,
+    *,
+    as_json: bool,
+    verbose: bool,
+    force: bool,
+) -> None:
     if as_json:
         print_json(found.as_json())
     else:
         _show(found.identification, verbose=verbose)
     if report is not None:
-        for path in found.report(report, force=force):
+        say(f"wrote {found.report(report, command_line(), force=force)}")
+    if plot is not None:
+        for path in found.save_plots(plot, force=force):
             say(f"wrote {path}")
     print_diagnostics(found.diagnostics)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 
 def check_report(report: Path | None, inputs: Sequence[Path], *, force: bool) -> None:
-    """Raise WrongUse, before any work is done, where the report would overwrite a file."""
+    """Raise WrongUse, before any work is done, where the report would overwrite a file or has another's suffix."""
     from hil.recording.output import check_output
-    from hil.report.page import page_files
+    from hil.report.html_page import check_page_name
 
-    for path in () if report is None else page_files(report):
-        check_output(path, force=force, inputs=inputs)
+    if report is not None:
+        check_output(check_page_name(report), force=force, inputs=inputs)

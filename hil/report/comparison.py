@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from hil.identification.compare import COMPARED, Comparison, Measured, Repeated
 from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
-from hil.report.page import page_files, save_picture, write_html
+from hil.report.html_page import Page, Picture, Section, write
+from hil.report.provenance import provenance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,23 +99,23 @@ def _pooled_rows(found: Comparison) -> list[list[str]]:
     return [[heading, "", *cells] for heading, *cells in zip(headings, *together, strict=True)]
 
 
-def write_page(found: Comparison, path: Path, *, force: bool) -> list[Path]:
-    """Write the page to `path` and its picture beside it; return both. force: replace files there. Raises WrongUse."""
-    path, picture = page_files(path)
-    save_picture(figure(found), picture, force=force)
-    rows = [_headings(found), *_recording_rows(found), *_pooled_rows(found)]
+def write_page(found: Comparison, path: Path, command: str = "", *, force: bool) -> Path:
+    """Write the report to `path` and return it. command: as it was typed. Raises WrongUse."""
     verdicts = [parameter.verdict for parameter in found.parameters]
-    write_html(
-        path,
-        picture,
-        alt="Kc and Bc of each recording",
-        heading=found.model,
-        rows=rows,
-        lines=verdicts,
+    rows = [_headings(found), *_recording_rows(found), *_pooled_rows(found)]
+    alt = f"Kc and Bc of {len(found.recordings)} recordings with their 95 % intervals. {' '.join(verdicts)}"
+    paths = [one.path for one in found.recordings]
+    page = Page(
+        title=f"{', '.join(path.name for path in paths)}: {verdicts[0]}",
+        subject=f"Comparison of {len(paths)} recordings, {found.model}",
+        verdict=verdicts,
         diagnostics=found.diagnostics,
-        force=force,
+        sections=[Section("Each recording on its own", rows)],
+        pictures=[Picture("comparison", "Kc and Bc of each recording", alt, lambda: figure(found))],
+        provenance=provenance(paths, command),
+        table=as_json(found),
     )
-    return [path, picture]
+    return write(page, path, force=force)
 
 
 def _cell(found: Comparison, one: Measured, name: str) -> str:

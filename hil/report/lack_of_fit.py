@@ -113,7 +113,7 @@ def draw_correlation(found: LackOfFit | None, panel: Axes) -> None:
     for values, name in zip(found.correlation.T, ("deflection", "rate"), strict=True):
         panel.plot(found.lags * 1e3, values, lw=0.8, label=name)
     chance = 1.96 / math.sqrt(found.samples)
-    panel.axhspan(-chance, chance, color="0.85", lw=0)
+    panel.axhspan(-chance, chance, color="0.5", alpha=0.3, lw=0)
     panel.set(xlabel="lag [ms]", title=f"residuals with the motion: {'misfit' if found.misfit else 'no misfit'}")
     panel.legend()
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.identification.replicate import PAPER
 from hil.report.formatting import diagnostics_json, json_number
-from hil.report.page import save_picture
+from hil.report.pictures import save_picture
 
 if TYPE_CHECKING:
     from hil.identification.replicate import Replication

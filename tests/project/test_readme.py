@@ -82,7 +82,7 @@ def test_the_commands_for_ones_own_stand_run_on_the_stand_file_shown(
     (tmp_path / "stand.toml").write_text(text)
     for command in block("own stand", "sh").splitlines():
         assert run(shlex.split(command)[1:]) == 0, command
-    assert (tmp_path / "mine.png").exists()
+    assert (tmp_path / "mine.html").exists()
 
 
 @pytest.mark.usefixtures("busy_machine")

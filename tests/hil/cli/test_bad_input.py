@@ -58,10 +58,10 @@ def test_recovering_a_part_without_a_row_gives_an_empty_recording(hil: Hil) -> N
 
 
 def test_a_report_with_force_leaves_a_part_of_its_name_alone(hil: Hil, make_recording: Maker) -> None:
-    for name in ("d.html", "d.html.part", "d.png.part"):
+    for name in ("d.html", "d.html.part"):
         Path(name).write_text("mine")
     assert hil("identify", make_recording(noise=1e-5), "--report", "d.html", "--force")[0] == 0
-    assert Path("d.html.part").read_text() == Path("d.png.part").read_text() == "mine"
+    assert Path("d.html.part").read_text() == "mine"
 
 
 def test_importing_gives_no_unfinished_recording_up(hil: Hil) -> None:
@@ -95,26 +95,24 @@ def test_no_command_overwrites_what_it_reads(hil: Hil, make_recording: Maker) ->
     assert {path: path.read_bytes() for path in before} == before
 
 
-@pytest.mark.parametrize("existing", ["p.html", "p.png"])
-def test_both_files_of_a_report_are_looked_at_before_any_work(
-    hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch, existing: str
+def test_the_file_of_a_report_is_looked_at_before_any_work(
+    hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.api.analysis.identify_recordings", lambda *_: pytest.fail("it has begun to work"))
-    Path(existing).write_text("mine")
+    Path("p.html").write_text("mine")
     status, _, err = hil("identify", make_recording(), "--report", "p.html")
     assert status == 2
-    assert f"{existing} exists" in err
+    assert "p.html exists" in err
     assert hil("identify", make_recording(), "--report", "q.png")[0] == 2
 
 
-@pytest.mark.parametrize("taken", ["p.html", "p.png"])
 def test_a_report_does_not_replace_a_file_that_appears_while_it_is_made(
-    hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch, taken: str
+    hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hil.report import page
+    from hil.report import html_page
 
-    draw = page.figure
-    monkeypatch.setattr(page, "figure", lambda found: (Path(taken).write_text("somebody's"), draw(found))[1])
+    taken, draw = "p.html", html_page.svg
+    monkeypatch.setattr(html_page, "svg", lambda picture: (Path(taken).write_text("somebody's"), draw(picture))[1])
     status, _, err = hil("identify", make_recording(noise=1e-5), "--model", "linear", "--report", "p.html")
     assert status == 2
     assert f"{taken} exists" in err
@@ -123,11 +121,11 @@ def test_a_report_does_not_replace_a_file_that_appears_while_it_is_made(
 
 def test_a_demo_does_not_overwrite_the_report_of_an_earlier_one(hil: Hil) -> None:
     Path("hil-demo").mkdir()
-    Path("hil-demo/run1.png").write_text("mine")
+    Path("hil-demo/run1.html").write_text("mine")
     status, _, err = hil("demo")
     assert status == 2
-    assert "run1.png exists" in err
-    assert [item.name for item in Path("hil-demo").iterdir()] == ["run1.png"]
+    assert "run1.html exists" in err
+    assert [item.name for item in Path("hil-demo").iterdir()] == ["run1.html"]
 
 
 # --- what is wrong use is said to be that ----------------------------------------------------------------------------

@@ -100,7 +100,7 @@ def test_the_report_draws_the_test(tmp_path: Path) -> None:
 
     app.run(["identify", str(recording(tmp_path / "a.h5", sheathed())), "--trials", "1", "--report", str(page)])
 
-    assert page.with_suffix(".png").stat().st_size > 10_000
+    assert "Does the model describe the recording?" in page.read_text()
 
 
 @pytest.mark.parametrize("zero", [2.0, -6.0])

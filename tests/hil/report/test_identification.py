@@ -17,8 +17,10 @@ from ga.model.coupling import parse
 from hil.errors import WrongUse
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification
+from hil.report.html_page import check_page_name
 from hil.report.identification import as_json, estimates_table, headline, repeatability_table, upgraded
-from hil.report.page import figure, page_files, write_page
+from hil.report.identification_page import write_page
+from hil.report.pictures import figure
 
 from ..conftest import Maker
 
@@ -42,8 +44,9 @@ def test_a_page_says_value_interval_and_unit_as_they_were_found(
 ) -> None:
     """A hand's joint is spoken of in mN m, as in the paper; an arm's is not."""
     result = found(make_recording(kc=kc, bc=kc / 100.0, noise=kc / 100.0))
-    page = write_page(result, tmp_path / "a.html", force=True)[0].read_text()
-    rows = re.findall(r"<tr><td>(\w+)</td><td>(\S+)</td><td>(\S+) to (\S+)</td><td>([^<]+)</td><td>yes</td></tr>", page)
+    page = write_page(result, tmp_path / "a.html", force=True).read_text()
+    pattern = r'<tr><th scope="row">(\w+)</th><td>(\S+)</td><td>(\S+) to (\S+)</td><td>([^<]+)</td></tr>'
+    rows = re.findall(pattern, page)
     assert [(name, said) for name, _, _, _, said in rows] == [("Kc", f"{unit}/rad"), ("Bc", f"{unit} s/rad")]
     for name, *numbers, _ in rows:
         estimate = result[name]
@@ -161,24 +164,23 @@ def test_one_trial_has_a_mean_and_no_standard_deviation(make_recording: Maker) -
     assert "±" not in shown.replace("mean ± std", "")
 
 
-def test_a_page_is_not_its_own_picture(tmp_path: Path) -> None:
-    assert page_files(tmp_path / "a.html") == (tmp_path / "a.html", tmp_path / "a.png")
-    with pytest.raises(WrongUse, match=r"a\.html"):
-        page_files(tmp_path / "a.png")
+def test_a_report_whose_name_says_another_format_is_refused(tmp_path: Path) -> None:
+    assert check_page_name(tmp_path / "a.HTML") == tmp_path / "a.HTML"
+    with pytest.raises(WrongUse, match=r"a\.png is no name of a report.* a\.html|a\.html"):
+        check_page_name(tmp_path / "a.png")
 
 
-def test_a_picture_that_cannot_be_drawn_leaves_the_old_one(
+def test_a_report_that_cannot_be_drawn_leaves_the_old_one(
     make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = found(make_recording(noise=2e-4))
-    (tmp_path / "p.png").write_text("the old one")
+    (tmp_path / "p.html").write_text("the old one")
 
-    def fail(*words: Any, **settings: Any) -> None:
-        Path(words[1]).write_text(f"half of it, {len(settings)}")
-        raise OSError(28, "No space left on device")
+    def fail(*_words: Any, **_settings: Any) -> None:
+        raise MemoryError
 
     monkeypatch.setattr(Figure, "savefig", fail)
-    with pytest.raises(WrongUse, match="No space left"):
+    with pytest.raises(MemoryError):
         write_page(result, tmp_path / "p.html", force=True)
-    assert sorted(item.name for item in tmp_path.iterdir()) == ["a.h5", "p.png"]
-    assert (tmp_path / "p.png").read_text() == "the old one"
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["a.h5", "p.html"]
+    assert (tmp_path / "p.html").read_text() == "the old one"

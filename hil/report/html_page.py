@@ -1,0 +1,124 @@
+"""A report as one HTML file that needs no other file and no network: its parts, and how it is written."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.diagnostics import Diagnostic
+from hil.errors import WrongUse
+from hil.recording.output import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.table import Table
+
+_INK = "#010203"  # stands for the colour of the page's text, which is another in the dark
+_INLINE: dict[Any, Any] = {
+    "svg.fonttype": "none",  # text stays text: it can be searched, and takes the page's colour
+    "svg.hashsalt": "hil",
+    "font.size": 11,
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK),
+    **dict.fromkeys(("figure.facecolor", "axes.facecolor", "legend.facecolor"), "none"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a page: its heading, a table whose first row is its headings (none: no table), and lines below it."""
+
+    heading: str
+    rows: Sequence[Sequence[str]] = ()
+    lines: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture with the sentence that replaces it where it cannot be seen, with its numbers."""
+
+    name: str
+    heading: str
+    alt: str
+    draw: Callable[[], Figure]
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page, its parts in order. title: names recording and result. verdict: the answer, in lines. failed: whether
+    there is none. provenance: pairs of a name and a text. table: the command's JSON object.
+    """
+
+    title: str
+    subject: str
+    verdict: Sequence[str]
+    diagnostics: Sequence[Diagnostic]
+    sections: Sequence[Section]
+    pictures: Sequence[Picture]
+    provenance: Sequence[tuple[str, str]]
+    table: Mapping[str, Any]
+    failed: bool = False
+
+    @property
+    def state(self) -> str:
+        """Return "error", "warning" or "good", by the gravest diagnostic."""
+        if self.failed or any(one.is_error for one in self.diagnostics):
+            return "error"
+        return "warning" if self.diagnostics else "good"
+
+
+def check_page_name(path: Path) -> Path:
+    """Return the path of a page. Raises WrongUse for a suffix that says another format."""
+    if path.suffix.lower() not in {".html", ".htm"}:
+        raise WrongUse(f"{path} is no name of a report, which is HTML: name it {path.with_suffix('.html')}")
+    return path
+
+
+def write(page: Page, path: Path, *, force: bool) -> Path:
+    """Write a page and return its path. force: in place of a file that is there. Raises WrongUse."""
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    check_page_name(path)
+    source = resources.files("hil.report").joinpath("page.html.j2").read_text(encoding="utf-8")
+    template = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    drawn = [(one, Markup(svg(one))) for one in page.pictures]  # noqa: S704 - our own drawing, which escapes its texts
+    embedded = Markup(_embedded(page.table))  # noqa: S704 - escaped for a script element
+    text = template.from_string(source).render(page=page, pictures=drawn, json=embedded)
+    with atomic_write(path, force=force) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def svg(picture: Picture) -> str:
+    """Return a picture as an SVG element for a page with others, in the colours of that page."""
+    from matplotlib import rc_context
+
+    buffer = io.StringIO()
+    with rc_context(_INLINE):
+        picture.draw().savefig(buffer, format="svg", transparent=True)
+    text = buffer.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)
+    # a tenth of a point is finer than a screen, and half as long to write
+    text = re.sub(r' d="[^"]+"', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), text)
+    for mark in (' id="', "url(#", 'href="#'):  # names are unique in a page, not only in a picture
+        text = text.replace(mark, f"{mark}{picture.name}-")
+    return text.replace(_INK, "currentColor")
+
+
+def table_rows(table: Table) -> list[list[str]]:
+    """Return a table of the terminal as rows, its headings first."""
+    columns = [[str(column.header), *(str(cell) for cell in column.cells)] for column in table.columns]
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _embedded(table: Mapping[str, Any]) -> str:
+    """Return JSON that cannot end the script element which it stands in."""
+    text = json.dumps(table, indent=1, allow_nan=False, default=str)
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")

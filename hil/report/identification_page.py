@@ -1,0 +1,87 @@
+"""The report of an identification, and of recordings from which nothing could be identified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.diagnostics import Diagnostic
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording.channels import CHANNELS
+from hil.recording.reader import Recording
+from hil.report.html_page import Page, Picture, Section, table_rows, write
+from hil.report.identification import (
+    as_json,
+    estimates_table,
+    headline,
+    identification_lines,
+    model_selection_table,
+    repeatability_table,
+)
+from hil.report.pictures import pictures, recording_figure
+from hil.report.provenance import provenance
+
+if TYPE_CHECKING:
+    from hil.identification.result import Identification
+
+_MOST = 4_000_000  # rows of a recording that are drawn although nothing came of it
+
+
+def write_page(found: Identification, path: Path, command: str = "", *, force: bool) -> Path:
+    """Write the report of a result to `path` and return it. command: as it was typed. Raises WrongUse."""
+    names = ", ".join(str(recording) for recording in found.recordings)
+    answer = headline(found)
+    page = Page(
+        title=f"{', '.join(recording.name for recording in found.recordings)}: {answer}",
+        subject=f"Identification of {names}",
+        verdict=(answer,),
+        diagnostics=found.diagnostics,
+        sections=_sections(found),
+        pictures=pictures(found),
+        provenance=provenance(found.recordings, command),
+        table=as_json(found),
+    )
+    return write(page, path, force=force)
+
+
+def _sections(found: Identification) -> list[Section]:
+    sections = [
+        Section("Numbers, with 95 % intervals", table_rows(estimates_table(found)), identification_lines(found))
+    ]
+    if found.steps:
+        sections.append(Section("Model selection", table_rows(model_selection_table(found))))
+    text = f"{len(found.trials.fitness)} independent trials. This is how well the search repeats, and no uncertainty."
+    return [*sections, Section("Optimiser repeatability", table_rows(repeatability_table(found)), (text,))]
+
+
+def write_failure(
+    reason: str, recordings: Sequence[Path], table: Mapping[str, Any], path: Path, command: str = "", *, force: bool
+) -> Path:
+    """Write the report where nothing could be identified: the reason, and what the recordings show. Raises WrongUse."""
+    names = ", ".join(str(recording) for recording in recordings)
+    page = Page(
+        title=f"{', '.join(recording.name for recording in recordings)}: no result",
+        subject=f"Identification of {names}",
+        verdict=("Kc and Bc: no result",),
+        diagnostics=[Diagnostic("unusable", reason, is_error=True)],
+        sections=[],
+        pictures=[picture for at, recording in enumerate(recordings) for picture in _seen(at, recording)],
+        provenance=provenance(recordings, command),
+        table=table,
+        failed=True,
+    )
+    return write(page, path, force=force)
+
+
+def _seen(at: int, path: Path) -> list[Picture]:
+    """The picture of a recording, as far as it can be read."""
+    with suppress(WrongUse, Untrustworthy), Recording(path) as recording:
+        if not 1 < len(recording) <= _MOST:
+            return []
+        channels = {name: recording.channel(name) for name in ("time", "command", "torque", "dtheta")}
+        units = {name: CHANNELS[name].unit for name in channels}
+        text = f"Command, torque and deflection of {path} over {len(recording)} samples, and torque over deflection."
+        return [Picture(f"recording{at}", "The recording", text, lambda: recording_figure(channels, units))]
+    return []

@@ -1,0 +1,66 @@
+"""The provenance of a result: its recordings, their stand and drive, when they were made, and by what."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording.reader import Recording
+
+
+def provenance(recordings: Sequence[Path], command: str) -> list[tuple[str, str]]:
+    """Return pairs of a name and a text. command: as it was typed, "" where there was none.
+
+    A recording that cannot be read any more is named with the reason.
+    """
+    rows = [pair for path in recordings for pair in _of_recording(path)]
+    made = [("report made", f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"), ("by", _hil())]
+    return [*rows, *made, *([("command", command)] if command else [])]
+
+
+def _hil() -> str:
+    try:
+        return f"hil {version('hil')}"
+    except PackageNotFoundError:  # a checkout that is run without being installed has none
+        return "hil, not installed"
+
+
+def _of_recording(path: Path) -> list[tuple[str, str]]:
+    try:
+        with Recording(path) as recording:
+            said, text, profile = recording.attributes, recording.stand_toml, recording.profile
+            samples = len(recording)
+    except (WrongUse, Untrustworthy) as error:
+        return [("recording", str(path)), ("its state", str(error))]
+    rows = {
+        "recording": str(path),
+        "recorded": str(said.get("created", "")),
+        "excitation": f"{profile.get('kind', 'unknown')}, {samples} samples",
+        "stand": _stand(text),
+        "recorded by": _software(str(said.get("software", ""))),
+        "recorded with": str(said.get("command_line", "")),
+        "note": str(said.get("operator_note", "")),
+        "SHA-256 of the samples": str(said.get("sha256", "")),
+    }
+    return [(name, value) for name, value in rows.items() if value]
+
+
+def _stand(text: str) -> str:
+    with suppress(tomllib.TOMLDecodeError):
+        table = tomllib.loads(text).get("stand", {})
+        return ", ".join(f"{table[key]}" for key in ("name", "backend") if key in table)
+    return ""
+
+
+def _software(text: str) -> str:
+    with suppress(ValueError):
+        table = json.loads(text)
+        if isinstance(table, dict):
+            return ", ".join(f"{name} {value}" for name, value in table.items() if name != "os")
+    return ""
