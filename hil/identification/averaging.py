@@ -28,6 +28,7 @@ from hil.uncertainty.model_average import average
 Array = NDArray[np.float64]
 
 _ALWAYS = ("offset", "skew")
+_SELECTED, _NORMAL = 0.05, 1.96  # the least weight of the selected model; half a 95 % interval in standard errors
 _BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
 
 
@@ -37,6 +38,16 @@ class Averaged:
 
     value: float
     half_width: float
+
+    def beside(self, value: float, half_width: float) -> Averaged:
+        """Return the average with an estimate of the selected model, SI, which weighs 5 %, its half width included.
+
+        Selection by prediction and the average by likelihood need not agree: what they differ by is in the width.
+        """
+        apart = value - self.value
+        variance = (1.0 - _SELECTED) * (self.half_width / _NORMAL) ** 2 + _SELECTED * (half_width / _NORMAL) ** 2
+        variance += _SELECTED * (1.0 - _SELECTED) * apart**2
+        return Averaged(self.value + _SELECTED * apart, _NORMAL * float(np.sqrt(variance)))
 
 
 def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinear: Array) -> dict[str, Averaged]:

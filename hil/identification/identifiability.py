@@ -20,6 +20,7 @@ from hil.uncertainty.criteria import (
     COUPLING,
     EVIDENCE_AGAINST,
     LIKE_FRICTION,
+    LONGEST_SKEW,
     ONE_SPEED,
     OPTIMISER_GAP,
     UNEXPLAINED,
@@ -131,6 +132,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     found = _interruption(evidence.trials)
     for at, name in enumerate(evidence.names):
         found += _of_parameter(evidence, at, name)
+    found += _implausible_skew(evidence)
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
             Diagnostic(
@@ -171,6 +173,25 @@ def rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> list[Diagnos
                     )
                 )
     return undecided
+
+
+def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
+    """A warning of a skew that is longer than the readings of one recorder are apart."""
+    if "skew" not in evidence.names:
+        return []
+    skew = float(evidence.values[evidence.names.index("skew")])
+    ticks = abs(skew) / float(np.median(np.diff(evidence.signals.motion.time)))
+    if ticks <= LONGEST_SKEW:
+        return []
+    return [
+        Diagnostic(
+            "skew-implausible",
+            f"the skew of {1e3 * skew:.3g} ms is {ticks:.2g} ticks, and one recorder reads torque and angle less than "
+            "one apart: a filter of the torque cell, an inertia or a slow cell may be taken for it, and Bc is wrong "
+            "then; try --model linear+offset+lag, or compare the two sensors' filters",
+            "Bc",
+        )
+    ]
 
 
 def _interruption(trials: Trials) -> list[Diagnostic]:

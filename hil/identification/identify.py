@@ -180,7 +180,9 @@ def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Ar
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
     nonlinear = values[len(data.choice.model.linear) :]
     for name, one in (averaged(data.choice, data.signals, data.used, nonlinear) if data.whole else {}).items():
-        values[names.index(name)], half_width[names.index(name)] = one.value, one.half_width
+        at = names.index(name)
+        with_selected = one.beside(float(values[at]), float(half_width[at]))
+        values[at], half_width[at] = with_selected.value, with_selected.half_width
     return values, half_width
 
 

@@ -40,6 +40,9 @@ EVIDENCE_AGAINST: Final = -6.0
 TICK_SHARE: Final = 0.1
 """Part of a tick by which one recorder's readings of torque and angle differ in age, one standard deviation."""
 
+LONGEST_SKEW: Final = 1.5
+"""Ticks between two readings of one recorder, from which a skew is more likely something else."""
+
 BETWEEN: Final = 3.0
 """Standard deviation between recordings over that within, from which the recordings differ and not their noise."""
 

@@ -7,6 +7,7 @@ import pytest
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
+from hil.identification.averaging import Averaged
 from hil.identification.identify import Search, identify
 from hil.recording.reader import Array
 from hil.report.identification import as_json
@@ -56,9 +57,63 @@ def test_the_json_keeps_the_conditional_interval_and_says_what_the_choice_adds(m
     assert 0.1 < said["choice_share"] < 0.9
 
 
+def test_the_estimate_of_the_selected_model_weighs_a_twentieth() -> None:
+    """By the variance of a mixture: 0.95 of N(1, 0.1^2) and 0.05 of N(2, 0.3^2)."""
+    mixed = Averaged(1.0, 0.196).beside(2.0, 0.588)
+    assert mixed.value == pytest.approx(1.05)
+    second_moment = 0.95 * (0.1**2 + 1.0) + 0.05 * (0.3**2 + 4.0)
+    assert (mixed.half_width / 1.96) ** 2 == pytest.approx(second_moment - 1.05**2)
+
+
 def test_a_named_model_keeps_its_own_interval(make_recording: Maker) -> None:
     path = make_recording(change=lambda channels: sweep(channels, 0.0, 1))
     found = identify([path], parse("linear+offset"), SEARCH)
     assert all(one.conditional is None and one.choice == 0.0 for one in found.estimates)
     said = as_json(found)["parameters"]["Kc"]
     assert (said["value"], said["ci95"]) == (said["conditional"]["value"], said["conditional"]["ci95"])
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("model", [None, "linear+offset+coulomb"])
+def test_value_exact_optimum_and_interval_agree_whatever_the_joint(
+    make_recording: Maker, seed: int, model: str | None
+) -> None:
+    """Joints, noise, friction and skew drawn at random: stiffness over four decades, damping down to nothing."""
+    rng = np.random.default_rng(seed)
+    kc, corner = 10.0 ** rng.uniform(-2.0, 2.0), rng.uniform(0.0, 0.05)
+    friction, noise, skew = rng.uniform(0.0, 0.1, 3) * [1.0, 1.0, 0.02]
+
+    def drawn(channels: dict[str, Array]) -> None:
+        sweep(channels, skew, seed)
+        angle, rate = channels["dtheta"], channels["dtheta_dot"]
+        pure = kc * (angle + corner * rate - skew * rate)
+        size = float(np.std(pure))
+        channels["torque"] = pure + size * (friction * np.sign(rate) + noise * rng.standard_normal(len(rate)))
+
+    found = identify([make_recording(change=drawn)], None if model is None else parse(model), SEARCH)
+    for said in as_json(found)["parameters"].values():
+        for one in (said, said["conditional"]):
+            if one["ci95"][0] is not None:
+                assert one["value"] == pytest.approx(0.5 * sum(one["ci95"]), abs=1e-9 * max(map(abs, one["ci95"])))
+        low, high = said["ci95"]
+        assert low is None or low <= said["conditional"]["value"] <= high or said["choice_share"] > 0.0
+        trial, exact = said["optimiser_repeatability"]["best"], said["conditional"]["value"]
+        assert trial == pytest.approx(exact, rel=0.01, abs=0.1 * (high - low) if low is not None else np.inf)
+    included = [step for step in found.steps if step.included]
+    if included:
+        assert (included[-1].Kc, included[-1].Bc) == (found["Kc"].exact, found["Bc"].exact)
+    signals, model_used = found.signals, found.model
+    if not model_used.nonlinear and found.samples == len(signals):
+        columns = model_used.columns(signals.motion)
+        error = signals.torque - columns @ np.array([one.exact for one in found.estimates])
+        assert found.optimum == pytest.approx(float(np.mean(np.abs(error))), rel=1e-9)
+        assert found.optimum <= found.fitness
+    if found.trusted("Bc"):
+        assert found["Bc"].value > 0.0
+
+
+def test_a_skew_of_more_than_a_tick_is_said_to_be_none_of_a_recorder(make_recording: Maker) -> None:
+    for skew, expected in ((1e-3, []), (5e-3, ["skew-implausible"])):
+        path = make_recording(f"{skew}.h5", change=lambda channels, skew=skew: sweep(channels, skew, 1))
+        found = identify([path], parse("linear+skew"), SEARCH)
+        assert [one.code for one in found.diagnostics if one.code == "skew-implausible"] == expected
