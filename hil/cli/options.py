@@ -19,7 +19,7 @@ DEFAULT_RATE = 500.0
 """Hz."""
 ALL_CORES = os.cpu_count() or 1
 
-Backend = Annotated[str | None, typer.Option(help="A stand that needs no stand file: sim.")]
+Backend = Annotated[str | None, typer.Option(help="A stand that needs no stand file: sim, or replay FILE.")]
 StandFile = Annotated[Path | None, typer.Option(help="The stand file (stand.toml).")]
 Kind = Annotated[str, typer.Option("--profile", help="The excitation; hil record --list-profiles explains them.")]
 Mode = Annotated[Quantity, typer.Option(help="Command torque or position.")]
@@ -48,6 +48,8 @@ def stand_of(backend: str | None, path: Path | None) -> str | Path:
         return path
     if backend is None:
         raise WrongUse("which stand? --backend sim for the simulated one, --stand stand.toml for your own")
+    if backend == "replay":
+        raise WrongUse("which recording? hil record --backend replay FILE")
     if check_backend(backend) != "sim":
         raise WrongUse(f"backend {backend!r} needs a stand file, with its limits and its port: --stand stand.toml")
     return backend

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -9,12 +10,15 @@ import typer
 from drivers.servo import Quantity
 from hil.cli import options
 from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, print_diagnostics, print_json, say
+from hil.errors import WrongUse
 
 if TYPE_CHECKING:
     from hil.api.runs import Run
+    from hil.stand.file import Stand
 
 
 def record(
+    recording: Annotated[Path | None, typer.Argument(help="With --backend replay: the recording to play back.")] = None,
     backend: options.Backend = None,
     stand: options.StandFile = None,
     profile: options.Kind = "chirp",
@@ -41,7 +45,7 @@ def record(
     if list_profiles or list_backends:
         _list_kinds(profiles=list_profiles)
         return
-    chosen = options.stand_of(backend, stand)
+    chosen = _replayed(recording, backend, stand) if recording else options.stand_of(backend, stand)
     if output is not None:
         check_output(output, force=force, inputs=[path for path in (stand, setpoints) if path is not None])
     run = runs.record(
@@ -69,6 +73,14 @@ def record(
     print_diagnostics([one for one in run.diagnostics if one.code == "many-late"])
     if not run.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)
+
+
+def _replayed(recording: Path, backend: str | None, stand: Path | None) -> Stand:
+    from hil.stand.replay import replayed
+
+    if backend != "replay" or stand is not None:
+        raise WrongUse(f"{recording}: a recording is played back with --backend replay, without --stand")
+    return replayed(recording)
 
 
 def _print_json(run: Run) -> None:

@@ -41,7 +41,7 @@ class StandTable(_Table):
 
     name: str = "unnamed stand"
     backend: str | None = None
-    gear_ratio: Positive = 1.0
+    gear_ratio: Annotated[float, Field(ge=1e-3, le=1e5)] = 1.0
     motor_inertia: NotNegative = 0.0
     motor_damping: NotNegative = 0.0
     torque_source: Literal["motor", "joint"] = "motor"

@@ -9,11 +9,15 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from drivers.clock import Clock, VirtualClock
 from drivers.gate import Gate
 from drivers.servo import Command, Limits, LinkLost, NoReply, Quantity, Sample, ServoInfo, Status
+from hil.errors import WrongUse
+
+if TYPE_CHECKING:
+    from hil.stand.file import Stand
 
 _LOST = Status.NO_REPLY | Status.BAD_REPLY
 
@@ -25,6 +29,23 @@ class ReplayConfig:
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid"}
 
     recording: str
+
+
+def replayed(path: Path) -> Stand:
+    """Return the stand on which a recording was made, with the recording in the place of its servo.
+
+    Raises WrongUse and Untrustworthy as opening a recording does, and WrongUse for one that holds no stand file.
+    """
+    from hil.recording.reader import Recording
+    from hil.stand.file import parse
+
+    with Recording(path) as recording:
+        text = recording.stand_toml
+    if not text:
+        raise WrongUse(f"{path} holds no stand file, whose limits a replay needs: name it in [replay] of a stand file")
+    stand = parse(text, f"{path}: stand_toml")
+    table = stand.stand.model_copy(update={"backend": "replay", "zero": 0.0})  # its positions have lost their zero
+    return replace(stand, stand=table, devices={"replay": ReplayConfig(str(path))}, sensor=None)
 
 
 class ReplayServo:

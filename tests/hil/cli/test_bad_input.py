@@ -302,3 +302,10 @@ def test_a_nested_or_huge_stand_file_is_wrong_use(hil: Hil, text: str) -> None:
     Path("stand.toml").write_text(text)
     status, _, err = hil("record", "--stand", "stand.toml")
     assert (status, "fault in hil" in err, len(err) < 500) == (2, False, True)
+
+
+@pytest.mark.parametrize("ratio", ["1e300", "1e-300", "1e-9", "0", "-1", "nan", "inf"])
+def test_a_gear_that_nobody_builds_is_wrong_use(hil: Hil, ratio: str) -> None:
+    Path("stand.toml").write_text(f'[stand]\nbackend = "sim"\ngear_ratio = {ratio}\n[limits]\ntorque = 1\n')
+    status, _, err = hil("record", "--stand", "stand.toml")
+    assert (status, "stand.gear_ratio" in err) == (2, True)

@@ -51,7 +51,11 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     assert run(["stand", "new", "-o", str(path)]) == 0
     shown = capfd.readouterr()
     assert shown.out.strip() == ""
-    for message in ("-3: Input should be greater than 0", "elbow: Input should be", "xl1: Input should be 'mx-106'"):
+    for message in (
+        "-3: Input should be greater than or equal to 0.001",
+        "elbow: Input should be",
+        "xl1: Input should be 'mx-106'",
+    ):
         assert message in shown.err
     stand = load(path)
     assert (stand.stand.name, stand.stand.gear_ratio, stand.checked_limits().torque) == ("my finger", 2.0, 0.05)

@@ -93,3 +93,19 @@ def test_a_replay_never_replaces_its_own_source(tmp_path: Path, recorded: Path, 
     words = ["record", "--stand", str(stand), "--duration", "1", "-o", str(tmp_path / "first.h5"), "--force"]
     assert run(words) == 2
     assert source.read_bytes() == before
+
+
+def test_a_recording_is_played_back_without_a_stand_file(tmp_path: Path, recorded: Path) -> None:
+    again = tmp_path / "again.h5"
+    words = ["--duration", "1.5", "--fade", "0.2", "--amplitude", "0.001", "-o", str(again)]
+    assert run(["record", "--backend", "replay", str(recorded), *words]) == 0
+    with Recording(recorded) as first, Recording(again) as second:
+        np.testing.assert_array_equal(second.channel("torque"), first.channel("torque", 0, len(second)))
+    assert run(["record", "--backend", "replay", str(recorded), "-o", str(recorded), "--force"]) == 2
+
+
+@pytest.mark.parametrize(
+    "words", [["--backend", "replay"], ["--backend", "sim", "a.h5"], ["a.h5"], ["--backend", "replay", "none.h5"]]
+)
+def test_a_replay_without_its_recording_is_wrong_use(words: list[str]) -> None:
+    assert run(["record", *words]) == 2
