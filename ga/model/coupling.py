@@ -210,11 +210,11 @@ class CouplingModel:
         return Regressors(elapsed, seen, angle, contact, smoothing, self.middle or 0.0, np.empty(0))
 
     def _own(self, regressors: Regressors, nonlinear: Array | None) -> Iterator[tuple[Term, Regressors]]:
-        """Each term with the regressors for it."""
+        """Each term with the regressors for it; without nonlinear parameters only those that have none."""
         valued = {term.name: values for term, values in self._valued(nonlinear)}
         for term in self.terms:
-            own = valued.get(term.name)
-            yield term, regressors if own is None else replace(regressors, own=own)
+            if term.linear or nonlinear is not None:
+                yield term, replace(regressors, own=valued[term.name]) if term.name in valued else regressors
 
     def _pushed(self, regressors: Regressors, nonlinear: Array | None, genes: Array, moved: Array) -> Array:
         """How the torque, N m, changes where the deflection changes by `moved` (n,) rad, for genes (p,)."""

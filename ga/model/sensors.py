@@ -77,7 +77,8 @@ SKEW: Final = Term(
     ),
     bounds=_skew_bounds,
     delays=True,
-    confusable=("coulomb",),  # it moves the breaks that friction makes at every reversal
+    # it moves the breaks that friction makes at every reversal, and differs little from what else follows late
+    confusable=("coulomb", "lag", "maxwell"),
 )
 
 LAG: Final = Term(

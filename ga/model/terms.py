@@ -44,6 +44,9 @@ CONSIDERED: Final = tuple(
 )
 """The terms that model selection considers for every recording."""
 
+RARER: Final = tuple(t.name for t in _RECORDS if t.selection == "misfit")
+"""The terms that it considers where a model of those does not describe the recording."""
+
 SYNTAX: Final = "linear" + "".join(f"[+{name}]" for name in TERMS if name != "linear")
 """How a model is written."""
 

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.separable import Problem, SeparableModel, fit
-from ga.model.terms import CONSIDERED, TERMS
+from ga.model.terms import CONSIDERED, RARER, TERMS
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification import stepwise
-from hil.identification.stepwise import Step
+from hil.identification.misfit import Described, tested
+from hil.identification.stepwise import Selection, Step
 from hil.signals.prepare import Signals
+from hil.uncertainty.effects import Recorded
 
 Array = NDArray[np.float64]
 
@@ -91,14 +93,41 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     terms = (*CONSIDERED, *(from_motor if signals.torque_from == "motor" else ()))
     if linear_only:
         terms = tuple(term for term in terms if TERMS[term].linear)
+    # an inertia hides behind a skew, but where neither is enough it may be there, whoever read the torque
+    rarer = () if linear_only else (*RARER, *(name for name, one in TERMS.items() if one.selection == "motor torque"))
+    rarer = tuple(term for term in rarer if term not in terms)
     motion, highest = signals.motion, signals.band[1]
-    found = stepwise.select(motion, signals.torque, highest, terms)
+    found = stepwise.select(
+        motion, signals.torque, highest, terms, rarer=rarer, describes=lambda found: _describes(found, signals)
+    )
     sticking = _is_sticking(found.model, motion, found.delay, found.residuals)
     if sticking:
         described = found.model.described(motion, found.delay)
-        again = stepwise.select(motion.of(described), signals.torque[described], highest, terms)
+        rarer = tuple(term for term in rarer if term in found.model.name.split("+"))
+        again = stepwise.select(motion.of(described), signals.torque[described], highest, (*terms, *rarer))
         found = again if again.model.sticks else found
     return Choice(found.model.anchored(motion), found.steps, sticking, found.delay)
+
+
+def _describes(found: Selection, signals: Signals) -> bool:
+    """Whether the model selected passes the tests of its fit, however small what it lacks is."""
+    motion, kept = signals.motion, np.ones(len(signals), dtype=bool)
+    if _is_sticking(found.model, motion, found.delay, found.residuals):
+        kept = found.model.described(motion, found.delay)
+    fit = tested(
+        Described(
+            recorded=Recorded(motion.time, signals.coupling_torque, motion.dtheta, motion.dtheta_dot, motion.starts),
+            band=signals.band,
+            command=None,
+            kept=kept,
+            residuals=found.residuals[kept],
+            columns=found.columns[kept],
+            names=tuple(parameter.name for parameter in found.model.parameters),
+            values=found.values,
+            half_width=np.zeros(len(found.values)),
+        )
+    )
+    return fit is None or not fit.misfit
 
 
 def _is_sticking(model: Coupling, motion: Motion, delay: float, residuals: Array) -> bool:

@@ -11,8 +11,8 @@ those of the richest model's residuals, because a missing term must not be taken
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
-from ga.model.terms import CONSIDERED, TERMS, is_addable
+from ga.model.terms import CONSIDERED, RARER, TERMS, is_addable
 from ga.model.trajectory import Motion
 from hil.uncertainty.residual_spectrum import measure
 
@@ -32,6 +32,7 @@ _WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, an
 _STRONG = 10.0  # gain of a term with a break, whose chance is not known to be that of others
 _CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
 _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
+_LIKELY = 3  # rarer terms that are considered, of those that lower the fitness most
 _MARGIN = 1e-4  # of a range, within which a value is at its end
 
 
@@ -58,12 +59,15 @@ class Step:
 class Selection:
     """The model selected, anchored, and the steps: up to it, then one for each rejected term on top of it.
 
-    residuals: (n,) N m, of its fit. delay: s, how much older the torque reading is, 0 where no term of the model says.
+    residuals: (n,) N m, of its fit; columns: (n, p + q), of the problem linearised there, and values (p + q,), SI.
+    delay: s, how much older the torque reading is, 0 where no term of the model says.
     """
 
     model: CouplingModel
     steps: tuple[Step, ...]
     residuals: Array
+    columns: Array
+    values: Array
     delay: float
 
 
@@ -78,21 +82,44 @@ class _Candidate:
     held_out: Array
 
 
-def select(motion: Motion, torque: Array, highest: float, terms: tuple[str, ...] = CONSIDERED) -> Selection:
+def select(
+    motion: Motion,
+    torque: Array,
+    highest: float,
+    terms: tuple[str, ...] = CONSIDERED,
+    *,
+    rarer: tuple[str, ...] = (),
+    describes: Callable[[Selection], bool] = lambda _selection: True,
+) -> Selection:
     """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
 
+    describes: whether a model describes the recording; where it does not, rarer terms are considered too.
     Raises RuntimeError where not even the smallest model can be fitted.
     """
     selector = _Selector(motion, torque, highest, terms)
     selector.measure_noise()
-    chosen, seen = selector.candidate(selector.smallest), set[frozenset[str]]()
+    chosen = _climbed(selector, selector.candidate(selector.smallest))
+    usual = selector.selection(chosen)
+    if not rarer:
+        return usual
+    if describes(usual):
+        return selector.beside_lag(chosen, usual)
+    selector.consider(selector.likeliest(rarer, chosen.terms))
+    selector.measure_noise()
+    richer = _climbed(selector, selector.candidate(selector.smallest))
+    return selector.selection(richer) if set(rarer).intersection(richer.terms) else usual
+
+
+def _climbed(selector: _Selector, chosen: _Candidate) -> _Candidate:
+    """Return the model after the steps from one chosen, each with the term that pays most, and those that do not."""
+    seen: set[frozenset[str]] = set()
     while (larger := selector.larger(chosen)) is not None:
         seen.add(frozenset(chosen.terms))
         larger = selector.pruned(larger)
         if frozenset(larger.terms) in seen:
             break  # the new term replaced one that it needs: this would repeat for ever
         chosen = larger
-    return selector.selection(selector.pruned(chosen))
+    return selector.pruned(chosen)
 
 
 class _Selector:
@@ -105,10 +132,43 @@ class _Selector:
         self._size = float(np.mean(np.abs(torque)))
         smallest = [name for name, term in TERMS.items() if term.selection == "smallest"]
         self.smallest = tuple(name for name in smallest if name == "linear" or name in terms)
+        self._rich, self._compared = self.smallest, 1
+
+    def consider(self, terms: tuple[str, ...]) -> None:
+        """Consider some more terms, which may be much alike."""
+        self._candidates, self._compared = (*self._candidates, *terms), _LIKELY
+
+    def beside_lag(self, chosen: _Candidate, usual: Selection) -> Selection:
+        """Return the selection with a torque cell's lag held against its skew: in place of it, where it fits clearly
+        better, or as a step that was rejected.
+        """
+        terms = tuple("lag" if term == "skew" else term for term in chosen.terms)
+        if "skew" not in chosen.terms or self._fitness(terms) == np.inf:
+            return usual
+        lagging = self.candidate(terms)
+        if self._ends(lagging, "lag") or _damping(lagging) < 0.0:
+            return usual
+        gain = float(self.ratio(chosen, lagging) / self._correlation(lagging, "lag"))
+        if gain > _STRONG:
+            return self.selection(lagging)
+        rival = replace(_step(lagging, gain, included=False), term="lag")
+        return replace(usual, steps=(*usual.steps, rival))
+
+    def _criterion(self, reference: _Candidate, one: _Candidate) -> float:
+        """Schwarz's criterion of a model, less that of the reference without its parameters."""
+        return len(one.model.parameters) * float(np.log(len(self._torque))) - self.ratio(reference, one)
+
+    def likeliest(self, terms: tuple[str, ...], chosen: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the terms that lower the fitness most, alone or beside those of the model chosen."""
+        lowest = {}
+        for term in terms:
+            larger = [(*less, term) for less in (self.smallest, chosen) if is_addable(term, less)]
+            lowest[term] = min((self._fitness(more) for more in larger), default=np.inf)
+        return tuple(sorted((term for term in terms if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY])
 
     def measure_noise(self) -> None:
         """Take the residuals of the richest model for the noise: those of a smaller one would hold missing terms."""
-        terms = self._richest()
+        terms = self._rich = self._richest()
         problem, seen = self._problem(terms), self._preview(terms)
         residuals = problem.residuals(descend(problem, seen.nonlinear if seen else problem.low))
         self._signs = np.sign(residuals)
@@ -118,14 +178,18 @@ class _Selector:
 
     def _richest(self) -> tuple[str, ...]:
         """All terms that lower the fitness one after the other, the better of two that exclude each other."""
-        found = {self.smallest}
+        found = {self._rich}
         for term in self._candidates:
             for terms in tuple(found):
                 more = (*terms, term)
                 if is_addable(term, terms) and self._fitness(more) < self._fitness(terms):
                     found.add(more)
-                    found -= set() if TERMS[term].excludes else {terms}
+                    found -= set() if self._has_rivals(term) else {terms}
         return min(found, key=self._fitness)
+
+    def _has_rivals(self, term: str) -> bool:
+        """Whether there is a candidate that the term cannot stand beside."""
+        return bool(TERMS[term].excludes) or any(term in TERMS[other].excludes for other in self._candidates)
 
     def _fitness(self, terms: tuple[str, ...]) -> float:
         seen = self._preview(terms)
@@ -157,11 +221,15 @@ class _Selector:
             term: self._held_out(self._problem((*smaller.terms, term)), found).mean()
             for term, found in self._beyond(smaller.terms).items()
         }
+        paying: list[_Candidate] = []
         for term in sorted(errors, key=lambda term: errors[term]):
             larger = self.candidate((*smaller.terms, term), beside=smaller)
             if self.pays(smaller, larger, term):
-                return larger
-        return None
+                paying.append(larger)
+            if len(paying) == self._compared:
+                break
+        # held-out blocks cannot distinguish terms that are much alike: all samples may
+        return min(paying, key=lambda larger: self._criterion(smaller, larger)) if paying else None
 
     def candidate(self, terms: tuple[str, ...], beside: _Candidate | None = None) -> _Candidate:
         """Return the model of these terms, fitted to all samples; beside: a fit with similar nonlinear parameters."""
@@ -186,11 +254,14 @@ class _Selector:
 
     def gain(self, smaller: _Candidate, larger: _Candidate, term: str) -> float:
         """Return the gain beyond chance of the term that the larger model has and the smaller has not."""
-        count = len(self._torque)
-        ratio = 4.0 * self._density * count * (smaller.fit.fitness - larger.fit.fitness)
+        count, ratio = len(self._torque), self.ratio(smaller, larger)
         alike = self._correlation(larger, term)
         chosen_from = np.log(len(self._candidates))  # their gamma of 1/2
         return float(ratio / alike - len(_own(term)) * np.log(max(count / alike, np.e)) - chosen_from)
+
+    def ratio(self, one: _Candidate, other: _Candidate) -> float:
+        """Return twice by how much the other model's logarithmic likelihood is higher, for independent residuals."""
+        return 4.0 * self._density * len(self._torque) * (one.fit.fitness - other.fit.fitness)
 
     def pays(self, smaller: _Candidate, larger: _Candidate, term: str) -> bool:
         """Return whether the term pays that the larger model has and the smaller has not."""
@@ -200,10 +271,10 @@ class _Selector:
             return False
         if _stiffness(larger) <= 0.0 < _stiffness(smaller):  # no coupling pushes: the term stands in for it
             return False
-        if _is_impossible(larger, term):
+        if _is_impossible(larger, term) or (_damping(larger) < 0.0 <= _damping(smaller)):
             return False
         better = smaller.held_out - larger.held_out
-        breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable)
+        breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable) or term in RARER
         least, gain = (_BETTER, _STRONG) if breaks else (-_WORSE, 0.0)
         if better.mean() < least * better.std(ddof=1) / np.sqrt(_FOLDS):
             return False
@@ -251,7 +322,9 @@ class _Selector:
     def selection(self, chosen: _Candidate) -> Selection:
         """Return the model selected, with the steps to it and the terms rejected."""
         model, residuals = chosen.model.anchored(self._motion), chosen.problem.residuals(chosen.fit)
-        return Selection(model, self._steps(chosen), residuals, model.delay(chosen.fit.nonlinear))
+        columns, _ = chosen.problem.linearised(chosen.fit)
+        delay = model.delay(chosen.fit.nonlinear)
+        return Selection(model, self._steps(chosen), residuals, columns, chosen.fit.values, delay)
 
     def _steps(self, chosen: _Candidate) -> tuple[Step, ...]:
         """The steps up to the chosen model, then one with each rejected term on top of it."""
@@ -292,6 +365,10 @@ def _is_impossible(fitted: _Candidate, term: str) -> bool:
     """Whether a parameter of the term is negative that nature has no negative one of, as a friction."""
     values = dict(zip((parameter.name for parameter in fitted.model.parameters), fitted.fit.values, strict=True))
     return any(parameter.positive and values[parameter.name] < 0.0 for parameter in TERMS[term].parameters)
+
+
+def _damping(fitted: _Candidate) -> float:
+    return float(fitted.fit.optimum.genes[1])
 
 
 def _step(fitted: _Candidate, gain: float, *, included: bool) -> Step:

@@ -53,6 +53,17 @@ def with_play(moved: Moved) -> Array:
     return np.where(pushed * torque > 0.0, torque, 0.0)
 
 
+def relaxing(moved: Moved) -> Array:
+    """A standard linear solid: a branch of 40 % of Kc that relaxes in 30 ms, integrated in small steps."""
+    fine = np.linspace(0.0, TIME[-1], 40 * SAMPLES)
+    angle, keep = chirp(fine).dtheta, np.exp(-(fine[1] - fine[0]) / 0.03)
+    state, states = angle[0], np.empty(len(fine))
+    for at, value in enumerate(angle.tolist()):
+        state = value + (state - value) * keep
+        states[at] = state
+    return linear(moved) + 0.4 * KC * (moved.dtheta - np.interp(moved.time, fine, states))
+
+
 CASES: dict[str, Callable[[Moved], Array]] = {
     "linear": linear,
     "linear+offset": lambda moved: linear(moved) + 5e-4,
@@ -139,3 +150,33 @@ def test_the_model_chosen_is_anchored_to_the_recording() -> None:
     model = selected(linear(moved), moved).model
     assert model.origin == 5.0
     assert model.smoothing is not None
+
+
+RARE: dict[str, tuple[Callable[[Moved], Array], str]] = {
+    "linear+quadratic": (lambda moved: linear(moved) + 2e-5 * moved.rate * np.abs(moved.rate), "quadratic"),
+    "linear+maxwell": (relaxing, "maxwell"),
+    "linear+softening": (lambda moved: linear(moved) - 3e-4 * (moved.time - 8.0) * moved.dtheta, "softening"),
+}
+
+
+@pytest.mark.parametrize("expected", RARE)
+def test_a_rarer_term_is_included_where_the_usual_ones_do_not_describe_the_recording(expected: str) -> None:
+    moved, (torque, term) = chirp(TIME), RARE[expected]
+    motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
+    noisy = torque(moved) + 5e-5 * np.random.default_rng(4).standard_normal(SAMPLES)
+    rarer = ("quadratic", "maxwell", "softening", "lag")
+    found = select(motion, noisy, HIGHEST, rarer=rarer, describes=lambda _usual: False)
+    assert found.model.name == expected
+    assert found.values[:2] == pytest.approx([KC, BC], rel=0.03)
+    kept = select(motion, noisy, HIGHEST, rarer=rarer, describes=lambda _usual: True)
+    assert term not in kept.model.name
+
+
+def test_a_lag_that_a_skew_hides_is_named_as_a_rival() -> None:
+    moved = chirp(TIME - 1e-3)
+    motion = Motion(TIME, chirp(TIME).dtheta, chirp(TIME).rate, chirp(TIME).acceleration, np.zeros(SAMPLES))
+    noisy = linear(moved) + 5e-5 * np.random.default_rng(4).standard_normal(SAMPLES)
+    found = select(motion, noisy, HIGHEST, rarer=("lag",))
+    assert "skew" in found.model.name
+    assert found.steps[-1].term == "lag"
+    assert not found.steps[-1].included
