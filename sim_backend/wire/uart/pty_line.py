@@ -32,7 +32,7 @@ table above.
 """
 _IDLE = 0.05
 """s between two looks at the emulator while nothing is sent."""
-_ABSENT = 2e-3
+_ABSENT = 1e-3
 """s between two looks for a client while there is none; nothing wakes the emulator up when one opens the port."""
 _SPIN = 1.5e-4
 """s before a reply is due that are waited out awake: a sleeping process wakes up late by about as much."""

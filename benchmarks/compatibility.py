@@ -1,0 +1,250 @@
+"""Programs that nobody here wrote, against every emulated drive: python benchmarks/compatibility.py
+
+Each session identifies a drive, switches it on, commands it, reads its state and switches it off. The table is written
+to docs/compatibility.md; tests/drivers/test_clients.py runs one model of each. A client that is not installed is left
+out, and so is a model that the client does not know.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))
+
+BAUD = 1_000_000
+UNKNOWN = "model not known to it"
+X_MODELS = [f"xl330-m{n}" for n in ("077", "288")] + ["xc330-t181", "xc330-t288", "xc330-m181", "xc330-m288"]
+X_MODELS += ["xl430-w250", "xm430-w210", "xm430-w350", "xm540-w150", "xm540-w270"]
+MX_MODELS = ["mx-64", "mx-106"]
+DAMIAO = {"dm-j4310": "4310", "dm-j4340": "4340", "dm-j6006": "6006", "dm-j8009": "8009", "dm-h3510": "H3510"}
+
+
+class Unsupported(Exception):
+    """The client does not know the model."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """client: the package. backend, models: of `hil emulate`. talk: the session, given the link and the model."""
+
+    client: str
+    backend: str
+    models: list[str]
+    talk: Callable[[str, str], None]
+
+
+def require(condition: object, what: str) -> None:
+    """Raise AssertionError with `what` where the condition does not hold."""
+    if not condition:
+        raise AssertionError(what)
+
+
+def of_dynamixel_sdk(link: str, model: str) -> None:
+    """The vendor's SDK, with the registers of each protocol."""
+    import dynamixel_sdk as sdk
+
+    mx = model in MX_MODELS
+    port, packets = sdk.PortHandler(link), sdk.PacketHandler(1.0 if mx else 2.0)
+    torque, position = (24, 36) if mx else (64, 132)
+    require(port.openPort() and port.setBaudRate(BAUD), "the port does not open")
+    try:
+        require(packets.ping(port, 1)[1] == sdk.COMM_SUCCESS, "no answer to a ping")
+        for on in (1, 0):
+            require(packets.write1ByteTxRx(port, 1, torque, on)[0] == sdk.COMM_SUCCESS, "torque is not set")
+            require(packets.read1ByteTxRx(port, 1, torque)[0] == on, "torque is not read back")
+        read = packets.read2ByteTxRx if mx else packets.read4ByteTxRx
+        require(read(port, 1, position)[1] == sdk.COMM_SUCCESS, "no position")
+    finally:
+        port.closePort()
+
+
+def of_rustypot(link: str, model: str) -> None:
+    """Rust's serialport crate and rustypot's own protocol code."""
+    import rustypot
+
+    known = rustypot.find_model(model)
+    if known is None:
+        raise Unsupported
+    number, definition = known
+    with rustypot.Bus(link, BAUD, 1.0, {1: definition}) as bus:  # patience on a busy machine
+        # it waits a few ms for each id, which a busy machine may take to wake the emulator up
+        found = any(bus.scan(definition, [1, 2]) == {1: number} for _ in range(10))
+        require(found, "the scan does not find it")
+        for on in (True, False):
+            require(not bus.set_torque([1], on), "torque is not set")
+            require(bool(bus.read_register(1, "torque_enable")) is on, "torque is not read back")
+        bus.sync_read_register([1], "present_position") if model not in MX_MODELS else None
+        bus.read_register(1, "present_position")
+
+
+def of_moteus(link: str, _model: str) -> None:
+    """The vendor's client over python-can."""
+    import moteus
+
+    async def talk() -> None:
+        transport = moteus.PythonCan(interface="slcan", channel=link)
+        controller = moteus.Controller(id=1, transport=transport)
+        await controller.set_stop()
+        for _ in range(5):
+            state = await controller.set_current(d_A=0.0, q_A=0.5, query=True)
+        require(state.values[moteus.Register.MODE] == moteus.Mode.CURRENT, "no current mode")
+        await controller.set_stop()
+        state = await controller.query()
+        require(state.values[moteus.Register.MODE] == moteus.Mode.STOPPED, "it does not stop")
+        transport.close()
+
+    asyncio.run(asyncio.wait_for(talk(), 20.0))
+
+
+def of_odrive_can(link: str, _model: str) -> None:
+    """The package's driver, whose messages are those of firmware 0.5.6."""
+    import can
+    from odrive_can.odrive import ODriveCAN
+
+    async def talk() -> None:
+        with can.Bus(interface="slcan", channel=link, bitrate=500_000, ignore_config=True) as bus:
+            drive = ODriveCAN(axis_id=0, can_bus=bus)
+            await drive.start()
+            drive.clear_errors()
+            drive.set_controller_mode("TORQUE_CONTROL", "PASSTHROUGH")
+            await drive.set_axis_state("CLOSED_LOOP_CONTROL")
+            drive.set_input_torque(0.05)
+            await asyncio.sleep(0.1)
+            iq = await drive.get_iq()
+            require(iq["Iq_Measured"] > 0.5, "no current")
+            await drive.set_axis_state("IDLE")
+            drive.stop()
+            await asyncio.sleep(0.1)
+
+    asyncio.run(asyncio.wait_for(talk(), 20.0))
+
+
+def of_canopen(link: str, model: str) -> None:
+    """The library's CiA 402 node, with the electronic data sheet of the drive."""
+    import canopen
+    from canopen.objectdictionary import import_od
+    from canopen.profiles.p402 import BaseNode402
+
+    from sim_backend.wire.cia402.device import Cia402Device
+
+    sheet = io.StringIO(Cia402Device(model, 1).eds)
+    sheet.name = "drive.eds"
+    network = canopen.Network()
+    network.connect(interface="slcan", channel=link, bitrate=BAUD, ignore_config=True)
+    try:
+        node: Any = BaseNode402(1, import_od(sheet, node_id=1))  # type: ignore[no-untyped-call]  # typed in parts
+        network.add_node(node)
+        node.nmt.state = "PRE-OPERATIONAL"
+        node.sdo[0x1017].raw = 20
+        node.nmt.wait_for_heartbeat(2.0)
+        node.setup_402_state_machine()
+        node.nmt.state = "OPERATIONAL"
+        node.state = "OPERATION ENABLED"
+        require(node.sdo[0x6041].raw & 0x6F == 0x27, "it is not enabled")
+        node.state = "SWITCH ON DISABLED"
+    finally:
+        network.disconnect()
+
+
+def of_damiao_motor(link: str, model: str) -> None:
+    """The package's motor, on a bus of python-can."""
+    import can
+    from damiao_motor.core.motor import DaMiaoMotor
+
+    with can.Bus(interface="slcan", channel=link, bitrate=BAUD, ignore_config=True) as bus:
+        motor = DaMiaoMotor(motor_id=1, feedback_id=0, bus=bus, motor_type=DAMIAO[model])
+
+        def state() -> Any:
+            message = bus.recv(2.0)
+            require(message is not None, "no answer")
+            return motor.decode_sensor_feedback(bytes(message.data)) if message is not None else None
+
+        motor.enable()
+        require(state()["status_code"] == 1, "it is not enabled")
+        motor.send_cmd_mit(feedforward_torque=0.1)
+        require(state() is not None, "no state")
+        motor.disable()
+        require(state()["status_code"] == 0, "it is not disabled")
+
+
+SESSIONS = [
+    Session("dynamixel-sdk", "dynamixel", X_MODELS + MX_MODELS, of_dynamixel_sdk),
+    Session("rustypot", "dynamixel", X_MODELS + MX_MODELS, of_rustypot),
+    Session("moteus", "moteus", ["moteus"], of_moteus),
+    Session("odrive-can", "odrive", ["0.5.6"], of_odrive_can),
+    Session("canopen", "cia402", ["epos4", "epos2", "generic"], of_canopen),
+    Session("damiao-motor", "mit", list(DAMIAO), of_damiao_motor),
+]
+
+
+def installed(client: str) -> str:
+    """Return the client's version, "" where it is not installed."""
+    try:
+        return version(client)
+    except PackageNotFoundError:
+        return ""
+
+
+@contextmanager
+def emulated(backend: str, model: str) -> Iterator[str]:
+    """Serve one drive from a process of its own; yield its link."""
+    with tempfile.TemporaryDirectory() as folder:
+        link = Path(folder) / "tty"
+        option = {"odrive": ["--firmware", model], "moteus": []}.get(backend, ["--model", model])
+        command = [sys.executable, "-m", "hil", "emulate", backend, "--link", str(link), *option]
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": str(ROOT)})
+        try:
+            end = time.monotonic() + 60.0
+            while not link.is_symlink() and time.monotonic() < end:
+                time.sleep(0.02)
+            yield str(link)
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def result(session: Session, model: str) -> str:
+    """Return what came of a session: "works", or why not."""
+    with emulated(session.backend, model) as link:
+        try:
+            session.talk(link, model)
+        except Unsupported:
+            return UNKNOWN
+        except Exception as error:  # noqa: BLE001 - whatever a client raises is its result
+            return f"fails: {type(error).__name__}: {error}"
+    return "works"
+
+
+def main() -> None:
+    """Run every session against every model, and write the page."""
+    rows = ["| client | drive | model | result |", "| --- | --- | --- | --- |"]
+    for session in SESSIONS:
+        found = installed(session.client)
+        for model in session.models if found else []:
+            said = result(session, model)
+            print(f"{session.client} {found}, {model}: {said}", flush=True)
+            rows.append(f"| {session.client} {found} | {session.backend} | {model} | {said} |")
+    intro = (
+        "# Compatibility\n\nPrograms that nobody here wrote, against every emulated drive that `hil emulate` serves: "
+        "each identifies the drive, switches it on, reads its state and switches it off. "
+        "Written by `python benchmarks/compatibility.py`.\n\n"
+    )
+    page = Path(__file__).parent.parent / "docs" / "compatibility.md"
+    page.write_text(intro + "\n".join(rows) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

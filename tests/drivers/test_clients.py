@@ -1,0 +1,44 @@
+"""Clients that nobody here wrote, one model of each: the sessions of benchmarks/compatibility.py."""
+
+from __future__ import annotations
+
+import gc
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "compatibility.py"
+
+
+def script() -> Any:
+    spec = importlib.util.spec_from_file_location("compatibility", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["compatibility"] = module  # where dataclasses look for it
+    spec.loader.exec_module(module)
+    return module
+
+
+COMPATIBILITY = script()
+
+
+@pytest.mark.filterwarnings("ignore:Exception ignored in.*ODriveCAN:pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("session", COMPATIBILITY.SESSIONS, ids=lambda session: session.client)
+def test_a_client_that_is_not_ours_accepts_the_drive(session: Any) -> None:
+    if not COMPATIBILITY.installed(session.client):
+        pytest.skip(f"{session.client} is not installed")
+    with COMPATIBILITY.emulated(session.backend, session.models[0]) as link:
+        session.talk(link, session.models[0])
+        gc.collect()  # odrive-can closes its bus a second time when it is collected
+
+
+def test_the_page_names_every_client_and_model_and_no_failure() -> None:
+    page = (SCRIPT.parent.parent / "docs" / "compatibility.md").read_text(encoding="utf-8")
+    assert "fails" not in page
+    for session in COMPATIBILITY.SESSIONS:
+        for model in session.models:
+            assert f"| {session.backend} | {model} |" in page
