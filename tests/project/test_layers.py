@@ -16,9 +16,13 @@ ALLOWED = {
     | {"scipy", "pyarrow", "jinja2", "markupsafe"},
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},
-    "sim_backend": {"sim_backend", "drivers.servo", "drivers.gate", "drivers.clock"}
+    "sim_backend": {"sim_backend", "drivers.servo", "drivers.gate", "drivers.clock", "drivers.canbus.multicast"}
     | {"ga.compiled", "numpy", "numba", "annotated_types", "can"},
 }
+
+
+ENDS_A_COPY = "posix.py"
+"""A forked copy must end without the handlers of the process that it was copied from."""
 
 
 def folder(package: str) -> Path:
@@ -64,7 +68,7 @@ def test_only_the_command_line_prints_or_exits() -> None:
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:
                     wrong.add(f"{path.name}:{node.lineno}")
-                if isinstance(node, ast.Attribute) and node.attr in {"exit", "_exit"}:
+                if isinstance(node, ast.Attribute) and node.attr in {"exit", "_exit"} and path.name != ENDS_A_COPY:
                     wrong.add(f"{path.name}:{node.lineno}")
     assert wrong == set()
 

@@ -32,7 +32,7 @@ from sim_backend.wire.uart.pty_line import PtyLine
 moteus: Any = pytest.importorskip("moteus")
 
 
-def told(device: MoteusDevice, mode: int, now: float, *registers: tuple[int, float]) -> None:
+def commanded(device: MoteusDevice, mode: int, now: float, *registers: tuple[int, float]) -> None:
     """Command a mode with float registers, in one frame."""
     data = bytes([0x01, 0x00, mode])
     for number, value in registers:
@@ -43,7 +43,7 @@ def told(device: MoteusDevice, mode: int, now: float, *registers: tuple[int, flo
 def running(mode: int, *registers: tuple[int, float]) -> MoteusDevice:
     device = MoteusDevice(1)
     for step in range(3):
-        told(device, mode, 1e-3 * step, *registers)
+        commanded(device, mode, 1e-3 * step, *registers)
     return device
 
 
@@ -68,7 +68,7 @@ def test_a_voltage_in_the_rotors_frame_makes_the_current_of_the_winding() -> Non
 def test_zero_velocity_and_brake_oppose_motion_and_nothing_else(mode: int) -> None:
     device = running(CURRENT, (0x1C, 2.0))
     device.advance(0.01)
-    told(device, mode, 0.011)
+    commanded(device, mode, 0.011)
     assert device.mode == mode
     assert device.motor.velocity * device.motor.demand < 0.0
     device.advance(5.0)
@@ -90,7 +90,7 @@ def test_modes_that_drive_the_phases_end_in_a_fault_that_has_a_name(mode: int) -
     device = running(mode)
     assert (device.mode, device.fault) == (FAULT, NOT_CONFIGURED)
     assert not device.motor.enabled
-    told(device, STOPPED, 0.1)
+    commanded(device, STOPPED, 0.1)
     assert (device.mode, device.fault) == (STOPPED, 0)
 
 
@@ -104,7 +104,7 @@ def test_a_position_with_a_speed_limit_is_reached_in_its_time_and_then_the_traje
     registers = ((0x20, way), (0x28, speed), (0x27, math.nan))
     device = running(POSITION, *registers)
     assert asked(device, 0x00B, 0.0021) == 0.0
-    told(device, POSITION, 0.5 * way / speed, *registers)  # the same again does not begin anew
+    commanded(device, POSITION, 0.5 * way / speed, *registers)  # the same again does not begin anew
     assert asked(device, 0x00B, 0.9 * way / speed) == 0.0
     assert asked(device, 0x00B, 1.1 * way / speed) == 1.0
 
