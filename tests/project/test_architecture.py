@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import ast
 import re
+from importlib.util import find_spec
 from pathlib import Path
 from statistics import median, quantiles
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text(encoding="utf-8")
 PACKAGES = ("hil", "ga", "drivers", "sim_backend")
 LARGEST_FOLDER, LONGEST_FUNCTION = 15, 60
+
+
+def root() -> Path:
+    """The folder that holds the packages: a checkout, or where they are installed."""
+    spec = find_spec("hil")
+    assert spec is not None
+    assert spec.origin is not None
+    return Path(spec.origin).parents[1]
+
+
+ROOT = root()
 
 
 def sub_packages() -> set[str]:

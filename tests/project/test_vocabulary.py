@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("hil", "ga", "drivers", "sim_backend", "tests", "benchmarks", "docs")
+PACKAGES = ("hil", "ga", "drivers", "sim_backend")
 REPLACED = {
     r"\btold\b|cannot be told|can be told": "identifiable, can be estimated, cannot be distinguished from",
     r"\bladders?\b|\brungs?\b|\bclimb(s|ed|ing)?\b": "model selection; step; included, rejected",
@@ -37,9 +38,18 @@ EXCEPTIONS = {
 
 
 def texts() -> list[tuple[str, str]]:
-    pages = [path for folder in FOLDERS for ending in ("py", "md") for path in (ROOT / folder).rglob(f"*.{ending}")]
-    pages += [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-    return [(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")) for path in sorted(pages)]
+    """Every module and page by its name: the packages from where they are installed, the rest from beside the tests."""
+    spec = find_spec("hil")
+    assert spec is not None
+    assert spec.origin is not None
+    installed = Path(spec.origin).parents[1]
+    places = [(installed, name) for name in PACKAGES] + [(ROOT, name) for name in ("tests", "benchmarks", "docs")]
+    found = [
+        (root, path) for root, name in places for ending in ("py", "md") for path in (root / name).rglob(f"*.{ending}")
+    ]
+    found += [(ROOT, ROOT / "README.md"), (ROOT, ROOT / "CONTRIBUTING.md")]
+    assert len(found) > 400
+    return [(str(path.relative_to(root)), path.read_text(encoding="utf-8")) for root, path in sorted(found)]
 
 
 @pytest.mark.parametrize("pattern", REPLACED)

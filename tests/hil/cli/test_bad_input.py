@@ -76,7 +76,7 @@ def test_importing_gives_no_unfinished_recording_up(hil: Hil) -> None:
 
 
 def test_no_command_overwrites_what_it_reads(hil: Hil, make_recording: Maker) -> None:
-    recording = make_recording("c.h5")
+    recording = make_recording("c.html")
     Path("s.csv").write_text("0,0\n1,0.004\n2,0\n")
     Path("stand.toml").write_text('[stand]\nbackend = "sim"\n[limits]\ntorque = 0.03\ndeflection = 1\nvelocity = 100\n')
     before = {path: path.read_bytes() for path in (recording, Path("s.csv"), Path("stand.toml"))}
@@ -84,9 +84,9 @@ def test_no_command_overwrites_what_it_reads(hil: Hil, make_recording: Maker) ->
     for words in [
         ("import", "s.csv", *columns, "-o", "s.csv"),
         ("import", "s.csv", *columns, "--stand", "stand.toml", "-o", "stand.toml"),
-        ("identify", "c.h5", "--report", "c.h5"),
-        ("identify", "c.h5", "--report", recording),
-        ("recover", "c.h5", "-o", "c.h5"),
+        ("identify", "c.html", "--report", "c.html"),
+        ("identify", "c.html", "--report", recording),
+        ("recover", "c.html", "-o", "c.html"),
         ("record", "--stand", "stand.toml", "-o", "stand.toml"),
         (*SIM, "--profile", "file", "--setpoints", "s.csv", "-o", "./s.csv"),
     ]:

@@ -63,7 +63,7 @@ def test_the_stiffness_without_a_model_is_in_the_json(tmp_path: Path, capfd: pyt
 
 
 def test_a_misfit_ends_with_status_1_and_names_the_effect(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    status, found = identified(capfd, recording(tmp_path / "a.h5", sheathed()))
+    status, found = identified(capfd, recording(tmp_path / "a.h5", sheathed()), "--model", "linear")
 
     assert status == 1
     message = next(one["message"] for one in found["errors"] if one["code"] == "misfit")
