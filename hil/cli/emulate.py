@@ -25,7 +25,7 @@ def emulate(
     instant: Annotated[bool, typer.Option("--instant", help="Answer at once, without the time of the wire.")] = False,
 ) -> None:
     """Emulate a drive on a port or bus until Ctrl-C, moving the simulated plant ([sim] of --stand)."""
-    from sim_backend.wire.catalogue import EMULATORS, ended_by_signal, make
+    from sim_backend.wire.catalogue import EMULATORS, ended_by_signal, make, waking_in_time
 
     if name is None:
         for known, emulator in EMULATORS.items():
@@ -43,7 +43,7 @@ def emulate(
         served = make(name, given)
     except ValueError as error:
         raise WrongUse(str(error)) from None
-    with ended_by_signal(served):
+    with ended_by_signal(served), waking_in_time():
         say(f"Emulating {EMULATORS[name].noun}{f' {model.upper()}' if model else ''}{place}. Ctrl-C to stop.")
         served.serve()
     say("ended")

@@ -14,9 +14,10 @@ option it has no parameter for is refused, and one without a default must be giv
 from __future__ import annotations
 
 import inspect
+import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import import_module
@@ -123,6 +124,27 @@ def _parameter(option: str, takes: Mapping[str, inspect.Parameter]) -> str:
         return "interface"
     other = {"link": "channel", "firmware": "model"}.get(option, option)
     return other if option not in takes and other in takes else option
+
+
+@contextmanager
+def waking_in_time() -> Iterator[None]:
+    """Let this thread wake up before others of a busy machine, where the system permits it (root, or `ulimit -r`).
+
+    A sleeping process may wait for the time slice of a busy one, many ms. No client is that patient: rustypot's scan
+    waits 5 ms for a reply, as a real servo gives it. The emulators sleep most of the time.
+    """
+    scheduler = getattr(os, "sched_setscheduler", None)  # Linux has it
+    if scheduler is None:
+        yield
+        return
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(OSError):
+        scheduler(0, os.SCHED_RR, os.sched_param(1))
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            scheduler(0, *before)
 
 
 @contextmanager

@@ -251,7 +251,11 @@ class Cia402Device:
         }
 
     def _statusword(self) -> int:
-        """Return 0x6041. An EPOS2 has bits of its own: Firmware Specification, April 2010, 8.1.1 and Table 101."""
+        """Return 0x6041. An EPOS2 has bits of its own: Firmware Specification, April 2010, 8.1.1 and Table 101.
+
+        Each of its states is x0xx xxx1 x... ...., with bit 4 from the power stage on: 0x140, 0x121, 0x123, 0x137, 0x117
+        and 0x108 (compared with the states that the clients EPOS_Canopen and libEPOS recognise by that table).
+        """
         word = self.machine.statusword
         if self.kind != "epos2":
             return word

@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 import serial
 
+from sim_backend.wire.catalogue import waking_in_time
 from sim_backend.wire.uart.pty_line import PtyLine
 
 TIOCGEXCL = 0x80045440
@@ -154,3 +155,17 @@ def test_what_a_client_sent_just_before_it_closed_is_heard(line: PtyLine, peer: 
         with serial.Serial(str(line.link)) as port:
             port.write(b"off")
     assert eventually(lambda: peer.heard == b"off" * 20)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="Linux sets the scheduling of a thread")
+def test_an_emulator_wakes_up_before_busy_programs_where_the_system_permits_it_and_only_while_it_serves() -> None:
+    before = os.sched_getscheduler(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+        permitted = True
+        os.sched_setscheduler(0, before, os.sched_param(0))
+    except PermissionError:
+        permitted = False
+    with waking_in_time():
+        assert os.sched_getscheduler(0) == (os.SCHED_RR if permitted else before)
+    assert os.sched_getscheduler(0) == before
