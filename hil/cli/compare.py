@@ -34,9 +34,10 @@ def compare(
         print_json(found.as_json())
     else:
         out(str(found))
+    print_diagnostics(found.diagnostics)
+    if not as_json:
         out_table(comparison_table(found.comparison))
     if report is not None:
         say(f"wrote {found.report(report, command_line(), force=force)}")
-    print_diagnostics(found.diagnostics)
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)

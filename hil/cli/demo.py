@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import typer
+
 from hil.cli import options
-from hil.cli.identify import identify
+from hil.cli.identify import publish
+from hil.cli.progress import progress
 from hil.cli.record import record
-from hil.cli.terminal import out
+from hil.cli.terminal import UNTRUSTWORTHY, out
 
 
 def demo(output: options.Folder = Path("hil-demo")) -> None:
-    """Run the main job on the simulated servo: record a chirp, identify, write the report."""
+    """Run the main job on the simulated servo: record a chirp, identify, write the report, compare with the truth."""
+    from hil.api.analysis import identify
+    from hil.api.recordings import load
     from hil.recording.output import check_output, next_free
+    from hil.report.identification import truth_lines
 
     path = next_free(output)
     page = path.with_suffix(".html")
@@ -20,6 +26,11 @@ def demo(output: options.Folder = Path("hil-demo")) -> None:
     out("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
     record(backend="sim", note="hil demo", output=path)
     out("Identifying ...")
-    identify([path], report=page)
+    with progress() as show:
+        found = identify(path, progress=show)
+    publish(found, page)
+    for line in truth_lines(found.identification, load(path).truth):
+        out(line)
     out(f"The recording is {path}; look at it with: hil inspect {path}")
-    out("Its true values are in its /truth group: Kc 17.75 mN m/rad, Bc 0.19 mN m s/rad.")
+    if not found.trustworthy:
+        raise typer.Exit(UNTRUSTWORTHY)

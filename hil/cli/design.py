@@ -57,8 +57,9 @@ def design(
         print_json(found.as_json())
     else:
         out(str(found))
+    print_diagnostics(found.diagnostics)
+    if not as_json:
         out_table(error_table(found.task, found.judged))
         out_table(limit_table(found.task, found.judged))
         for line in design_lines(found.task, found.judged, found.stand):
             out(line)
-    print_diagnostics(found.diagnostics)

@@ -43,8 +43,9 @@ def inspect(
         print_json(to_json(seen))
     else:
         out("usable" if seen.usable else "not usable")
-        out_table(inspection_table(seen))
     print_diagnostics(seen.diagnostics)
+    if not as_json:
+        out_table(inspection_table(seen))
     if not seen.usable:
         raise typer.Exit(UNTRUSTWORTHY)
 

@@ -61,7 +61,12 @@ def identify(
     force: options.Force = False,
     require: Annotated[str, typer.Option(help="Kc, Bc or both: what must be trusted for exit status 0.")] = "both",
     as_json: options.Json = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Also show the optimiser's repeatability.")] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose", help="Also show every parameter, model selection, repeatability and dynamic stiffness."
+        ),
+    ] = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
     from hil.api.analysis import identify as identify_recordings
@@ -87,7 +92,7 @@ def identify(
             fixture=fixture,
             progress=show,
         )
-    _publish(found, report, plot, as_json=as_json, verbose=verbose, force=force)
+    publish(found, report, plot, as_json=as_json, verbose=verbose, force=force)
     _end(found, checkpoint, required)
 
 
@@ -122,44 +127,50 @@ def _failure_published(report: Path | None, *, force: bool, as_json: bool) -> It
         raise
 
 
-def _publish(
+def publish(
     found: IdentificationResult,
-    report: Path | None,
-    plot: Path | None,
+    report: Path | None = None,
+    plot: Path | None = None,
     *,
-    as_json: bool,
-    verbose: bool,
-    force: bool,
+    as_json: bool = False,
+    verbose: bool = False,
+    force: bool = False,
 ) -> None:
+    """Print the result, the answer first, and write its report (HTML) and its pictures (PNG). Raises WrongUse."""
     if as_json:
         print_json(found.as_json())
     else:
-        _show(found.identification, verbose=verbose)
+        _show_answer(found.identification)
+    print_diagnostics(found.diagnostics)
+    if not as_json:
+        _show_work(found.identification, verbose=verbose)
     if report is not None:
         say(f"wrote {found.report(report, command_line(), force=force)}")
     if plot is not None:
         for path in found.save_plots(plot, force=force):
             say(f"wrote {path}")
-    print_diagnostics(found.diagnostics)
 
 
-def _show(found: Identification, *, verbose: bool) -> None:
-    from hil.report.identification import (
-        estimates_table,
-        headline,
-        identification_lines,
-        model_selection_table,
-        repeatability_table,
-    )
+def _show_answer(found: Identification) -> None:
+    from hil.report.identification import headline
 
     out(headline(found))
-    out_table(estimates_table(found))
+
+
+def _show_work(found: Identification, *, verbose: bool) -> None:
+    """Print what was done in three lines, or with `verbose` in tables and lines."""
+    from hil.report import identification as report
+
+    if not verbose:
+        for line in report.summary_lines(found):
+            out(line)
+        return
+    out_table(report.estimates_table(found))
     if found.steps:
-        out_table(model_selection_table(found))
-    if verbose:
-        out_table(repeatability_table(found))
-        _show_dynamic_stiffness(found)
-    for line in identification_lines(found):
+        out_table(report.model_selection_table(found))
+    out_table(report.repeatability_table(found))
+    _show_dynamic_stiffness(found)
+    for line in report.identification_lines(found):
         out(line)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -185,7 +185,8 @@ def _upgraded_step(old: dict[str, Any]) -> dict[str, Any]:
 
 def headline(found: Identification) -> str:
     """Return Kc and Bc with half of their 95 % intervals and whether they may be trusted, in one line."""
-    return ",  ".join(_verdict(found, estimate) for estimate in found.estimates[:2])
+    verdicts = [_verdict(found, estimate) for estimate in found.estimates[:2]]
+    return ",  ".join(verdicts) + ("  (95 %)" if all("±" in verdict for verdict in verdicts) else "")
 
 
 def _verdict(found: Identification, estimate: Estimate) -> str:
@@ -267,6 +268,37 @@ def identification_lines(found: Identification) -> list[str]:
         f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s",
     ]
+
+
+def summary_lines(found: Identification) -> list[str]:
+    """Return three lines on what was done: the model and its other parameters, the fit, the work."""
+    factor, unit = people_unit("N*m", milli=milli(found))
+    others = [_verdict(found, estimate) for estimate in found.estimates[2:]]
+    chosen = f", selected from {len(found.steps)} candidates" if found.steps else ""
+    return [
+        f"model {found.model.name}{chosen}" + (f": {',  '.join(others)}" if others else ""),
+        f"mean |torque error| {found.optimum * factor:.3g} {unit} over {found.samples} samples; "
+        f"RMS {found.validation.nrmse:.2%} of the torque's on held-out data; optimiser gap {found.optimiser_gap:.1e}",
+        f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
+        f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s; more with --verbose",
+    ]
+
+
+def truth_lines(found: Identification, truth: Mapping[str, float]) -> list[str]:
+    """Return a line for Kc and one for Bc: the simulator's true value, and whether the 95 % interval holds it.
+
+    truth: SI, by the names of a recording's /truth group.
+    """
+    return [_truth_line(found, estimate, truth[estimate.name]) for estimate in found.estimates[:2]]
+
+
+def _truth_line(found: Identification, estimate: Estimate, true: float) -> str:
+    factor, unit = people_unit(estimate.unit, milli=milli(found))
+    low, high = estimate.ci95
+    holds = "holds" if low <= true <= high else "does not hold"
+    _, _, interval, _ = printed(found, estimate)
+    said = f"true {estimate.name} of the simulated joint: {true * factor:.5g} {unit}"
+    return f"{said}; the interval, {interval}, {holds} it"
 
 
 def _choice_lines(found: Identification) -> list[str]:

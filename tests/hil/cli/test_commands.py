@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tempfile
@@ -253,6 +254,19 @@ def test_the_demo_runs_the_main_job_and_says_where_the_files_are(hil: Hil, tmp_p
     for name in ("run1.h5", "run1.html"):
         assert (tmp_path / "hil-demo" / name).exists()
         assert f"hil-demo/{name}" in ended.out + ended.err
+    assert re.search(r"^true Kc of the simulated joint: 17\.75 mN m/rad; the interval, .*, holds it$", ended.out, re.M)
+    assert re.search(r"^true Bc of the simulated joint: 0\.19 mN m s/rad; the interval, .*, holds it$", ended.out, re.M)
+
+
+def test_identify_answers_first_and_shows_its_tables_only_when_asked(hil: Hil, make_recording: Maker) -> None:
+    path = make_recording(noise=1e-4)
+    brief, verbose = (hil("identify", path, "--trials", 1, *words).out for words in ((), ("--verbose",)))
+    assert brief.splitlines()[0].startswith("Kc = ")
+    assert len(brief.splitlines()) == 4
+    assert verbose.splitlines()[0] == brief.splitlines()[0]
+    for table in ("95 % interval", "model selection", "optimiser repeatability"):
+        assert table not in brief
+        assert table in verbose
 
 
 def test_inspect_says_what_a_recording_holds(hil: Hil) -> None:

@@ -18,7 +18,15 @@ from hil.errors import WrongUse
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification
 from hil.report.html_page import check_page_name
-from hil.report.identification import as_json, estimates_table, headline, repeatability_table, upgraded
+from hil.report.identification import (
+    as_json,
+    estimates_table,
+    headline,
+    repeatability_table,
+    summary_lines,
+    truth_lines,
+    upgraded,
+)
 from hil.report.identification_page import write_page
 from hil.report.pictures import figure
 
@@ -125,7 +133,8 @@ def test_a_json_object_of_this_version_is_read_as_it_is_and_one_of_another_refus
 def test_the_pictures_title_has_the_value_and_half_the_interval(make_recording: Maker) -> None:
     result = found(make_recording(noise=2e-4))
     titles = [axes.get_title() for axes in figure(result).axes]
-    match = re.fullmatch(r"Kc = (\S+) ± (\S+) mN m/rad,  Bc = (\S+) ± (\S+) mN m s/rad", next(filter(None, titles)))
+    shown = r"Kc = (\S+) ± (\S+) mN m/rad,  Bc = (\S+) ± (\S+) mN m s/rad  \(95 %\)"
+    match = re.fullmatch(shown, next(filter(None, titles)))
     assert match is not None
     for index, name in enumerate(("Kc", "Bc")):
         estimate = result[name]
@@ -156,6 +165,26 @@ def test_a_parameter_that_is_not_identifiable_is_said_to_be_in_every_place(make_
     assert "Bc (not identifiable)" in text(doubted, 100)
     assert "(not identifiable)" not in text(result, 100) + headline(result)
     assert headline(doubted).endswith("mN m s/rad (not identifiable)")
+
+
+def test_the_summary_names_every_other_parameter_and_the_fit(make_recording: Maker) -> None:
+    result = found(make_recording(noise=2e-4), model="linear+offset+drift")
+    model, fit, work = summary_lines(result)
+    assert model.startswith("model linear+offset+drift: tau0 = ")
+    assert ",  drift = " in model
+    assert f"{result.optimum * 1e3:.3g} mN m over {result.samples} samples" in fit
+    assert f"{result.validation.nrmse:.2%}" in fit
+    assert f"{result.trials.evaluations} evaluations" in work
+
+
+def test_the_truth_of_a_simulated_joint_is_held_against_the_interval(make_recording: Maker) -> None:
+    result = found(make_recording(noise=2e-4))
+    (low, high), (first, _) = result["Kc"].ci95, result["Bc"].ci95
+    kc, bc = truth_lines(result, {"Kc": 0.5 * (low + high), "Bc": 0.99 * first, "Fc": 0.0})
+    assert kc.startswith(f"true Kc of the simulated joint: {0.5e3 * (low + high):.5g} mN m/rad")
+    assert kc.endswith("holds it")
+    assert "does not hold" not in kc
+    assert bc.endswith("does not hold it")
 
 
 def test_one_trial_has_a_mean_and_no_standard_deviation(make_recording: Maker) -> None:
