@@ -40,9 +40,10 @@ def nothing_is_left_running() -> Iterator[None]:
 
 @pytest.fixture
 def busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a run in real time go on where other work on this machine makes a tick late."""
+    """Let a run in real time go on, and end well, where other work on this machine makes its ticks late."""
     monkeypatch.setattr("hil.acquisition.guard._LATE_RAMP", 1.0)
     monkeypatch.setattr("hil.acquisition.guard._LATE_OFF", 1.0)
+    monkeypatch.setattr("hil.diagnostics._MOSTLY_LATE", 1.0)
 
 
 @pytest.fixture(scope="session")
