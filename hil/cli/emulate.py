@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hil.cli import options
 from hil.cli.terminal import out, say
 from hil.errors import WrongUse
+
+if TYPE_CHECKING:
+    from sim_backend.wire.torque_log import TorqueLog
 
 
 def emulate(
@@ -22,9 +25,15 @@ def emulate(
     channel: Annotated[str | None, typer.Option(help="The channel of --bus.")] = None,
     baudrate: Annotated[int | None, typer.Option(help="bit/s.")] = None,
     stand: options.StandFile = None,
+    log: Annotated[
+        Path | None, typer.Option(help="A new CSV file of the torque at every moment, which survives a kill.")
+    ] = None,
     instant: Annotated[bool, typer.Option("--instant", help="Answer at once, without the time of the wire.")] = False,
 ) -> None:
-    """Emulate a drive on a port or bus until Ctrl-C, moving the simulated plant ([sim] of --stand)."""
+    """Emulate a drive on a port or bus until Ctrl-C, moving the simulated plant ([sim] of --stand).
+
+    Example: hil emulate dynamixel --link ./ttyDXL --log torque.csv
+    """
     from sim_backend.wire.catalogue import EMULATORS, ended_by_signal, make, waking_in_time
 
     if name is None:
@@ -39,11 +48,26 @@ def emulate(
         from hil.stand.file import load
 
         given["parameters"] = load(stand).simulated()
+    if log is not None:
+        given["log"] = _torque_log(log)
     try:
         served = make(name, given)
     except ValueError as error:
+        if log is not None:
+            log.unlink()  # nothing was emulated
         raise WrongUse(str(error)) from None
     with ended_by_signal(served), waking_in_time():
         say(f"Emulating {EMULATORS[name].noun}{f' {model.upper()}' if model else ''}{place}. Ctrl-C to stop.")
         served.serve()
     say("ended")
+
+
+def _torque_log(path: Path) -> TorqueLog:
+    from sim_backend.wire.torque_log import TorqueLog
+
+    try:
+        return TorqueLog(path)
+    except FileExistsError:
+        raise WrongUse(f"{path} exists: choose another name with --log") from None
+    except OSError as error:
+        raise WrongUse(f"{path} cannot be written ({error.strerror}): choose another folder with --log") from None

@@ -8,6 +8,7 @@ option it has no parameter for is refused, and one without a default must be giv
     model: str, firmware: str                    --model, --firmware (means --model where there is no firmware)
     idents: Sequence[int], baudrate: int         --id, --baudrate (bit/s)
     parameters: SimParameters | None             --stand: its plant; None: the emulator's own
+    log: TorqueLog | None                        --log
     instant: bool, or timing: object | None      --instant: no time passes; else what the line's `timing` makes
 """
 

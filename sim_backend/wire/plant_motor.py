@@ -50,13 +50,17 @@ Law = TypeVar("Law", bound=DemandLaw)
 class PlantMotor(Generic[Law]):
     """A plant under a demand law. Times are s since it was made; everything is at the motor's output shaft.
 
-    note: called after each step with the time, s, and the torque in the coupling, N m.
+    note: called after each step with the time, s, and the torque in the coupling, N m. commanded: the torque demanded
+    in the last step, N m, 0 while disabled. observer: called after each step, and when the motor is enabled or
+    disabled.
     """
 
     def __init__(self, parameters: SimParameters, law: Law, note: Callable[[float, float], None] | None = None) -> None:
         plant = constants(parameters)
         self.law = law
         self.enabled = False
+        self.commanded = 0.0
+        self.observer: Callable[[], None] = lambda: None
         self.inertia = plant.inertia
         self._note = note
         self._packed = packed(plant, Constants._fields)
@@ -116,12 +120,15 @@ class PlantMotor(Generic[Law]):
         """Let current flow."""
         self.law = self.law.at_rest(self)
         self.enabled = True
+        self.observer()
 
     def disable(self) -> None:
         """Open the output stage: no current from now on."""
         self.law = self.law.at_rest(self)
         self.enabled = False
+        self.commanded = 0.0
         self._path.state[TORQUE] = 0.0
+        self.observer()
 
     def run(self, until: float) -> None:
         """Carry the plant to `until`, s; nothing happens where that is past."""
@@ -129,6 +136,8 @@ class PlantMotor(Generic[Law]):
             end = until
             if self.law.beats(self.enabled):
                 end = min((math.floor(self.time / BEAT + 1e-6) + 1.0) * BEAT, until)
-            integrate(self._path, self.demand, end, self._packed[0])
+            self.commanded = self.demand
+            integrate(self._path, self.commanded, end, self._packed[0])
+            self.observer()
             if self._note is not None:
                 self._note(self.time, self.coupling_torque)

@@ -13,16 +13,18 @@ from typing import TYPE_CHECKING, Protocol, Self
 import can
 
 from sim_backend.wire.arrivals import Arrivals
-from sim_backend.wire.canbus.bus import CanBus
+from sim_backend.wire.canbus.bus import CanBus, CanNode
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.messages import from_message, to_message
 from sim_backend.wire.canbus.slcan import slcan_line
+from sim_backend.wire.torque_log import Watched
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from sim_backend.parameters import SimParameters
-    from sim_backend.wire.canbus.bus import CanNode, CanTiming
+    from sim_backend.wire.canbus.bus import CanTiming
+    from sim_backend.wire.torque_log import TorqueLog
 
 _IDLE = 0.02
 """s between two looks at whether it is to stop."""
@@ -110,6 +112,10 @@ def _opened(interface: str, channel: str) -> can.BusABC:
     return can.Bus(interface=interface, channel=channel, ignore_config=True)
 
 
+class CanDrive(CanNode, Watched, Protocol):
+    """A drive on the bus whose torque can be logged."""
+
+
 @dataclass(frozen=True, slots=True)
 class CanFamily:
     """Emulated drives of one family on a CAN bus, each with a plant of its own: call it to make a bus of them.
@@ -122,7 +128,7 @@ class CanFamily:
     noun: str
     known: tuple[str, ...]
     default: str
-    make: Callable[[str, int, SimParameters | None, float], CanNode]
+    make: Callable[[str, int, SimParameters | None, float], CanDrive]
     first: int = 1
 
     def __call__(
@@ -134,16 +140,21 @@ class CanFamily:
         interface: str = "slcan",
         parameters: SimParameters | None = None,
         timing: CanTiming | None = None,
+        log: TorqueLog | None = None,
     ) -> Served:
         """Return a bus of drives, to be served: `with served:` from a thread, `served.serve()` from this one.
 
         interface: "slcan" makes `channel` a symlink to a pty that speaks slcan; any other is one of python-can, with
-        its channel. timing: None answers at once. Raises ValueError for a model that is not `known` or an id that
-        cannot be, FileExistsError where `channel` is a file, can.CanError where the interface cannot be opened.
+        its channel. timing: None answers at once. log: of the torque of each. Raises ValueError for a model that is not
+        `known` or an id that cannot be, FileExistsError where `channel` is a file, can.CanError where the interface
+        cannot be opened.
         """
         model = model or self.default
         if model not in self.known:
             raise ValueError(f"{self.noun} {model!r} is not known: choose one of {', '.join(self.known)}")
         now = time.monotonic()
-        bus = CanBus([self.make(model, ident, parameters, now) for ident in idents or (self.first,)], timing=timing)
+        drives = [self.make(model, ident, parameters, now) for ident in idents or (self.first,)]
+        if log is not None:
+            log.watch_all(drives, now)
+        bus = CanBus(drives, timing=timing)
         return slcan_line(Path(channel), bus) if interface == "slcan" else CanServer(interface, str(channel), bus)

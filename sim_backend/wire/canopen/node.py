@@ -108,6 +108,11 @@ class CanopenNode:
         elif not period:
             self._beat = math.inf
 
+    @property
+    def watches(self) -> bool:
+        """Whether it waits for another node's next heartbeat."""
+        return math.isfinite(self._lapse())
+
     def _lapse(self) -> float:
         """Return the time at which the first of the received heartbeats is overdue, s."""
         return min((self._heard[n] + t for n, t in self._consumed() if n in self._heard), default=math.inf)

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
 from sim_backend.wire.canopen.dictionary import BAD_SIGNATURE, RANGE, Abort, Dictionary, eds
-from sim_backend.wire.canopen.node import OPERATIONAL, CanopenNode
+from sim_backend.wire.canopen.node import HEARTBEAT_LOST, OPERATIONAL, CanopenNode
 from sim_backend.wire.cia402.machine import REMOTE, VOLTAGE, Cia402Machine, Cia402State
 from sim_backend.wire.cia402.tables import GROUPS, MODELS, SCALE, TORQUE_CONSTANT, entries
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
     from sim_backend.wire.canbus.frames import CanFrame
+    from sim_backend.wire.torque_log import WatchdogState
 
 TURN = 2.0 * math.pi
 OVERTEMPERATURE = 0x4210
@@ -66,6 +67,13 @@ class Cia402Device:
         self._zero = 0.0
         self._hook()
         self.node = CanopenNode(ident, self.objects, self, now)
+
+    @property
+    def watchdog_state(self) -> WatchdogState:
+        """The state of the watch on the host's heartbeat."""
+        if self.machine.state is Cia402State.FAULT and self.objects.get(0x1003, 1) == HEARTBEAT_LOST:
+            return "tripped"
+        return "on" if self.node.watches else "off"
 
     @property
     def eds(self) -> str:

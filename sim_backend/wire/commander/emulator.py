@@ -14,6 +14,7 @@ from sim_backend.wire.commander.motion import MotionControl
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 from sim_backend.wire.loadcell.emulator import Pair, with_cell
 from sim_backend.wire.plant_motor import PlantMotor
+from sim_backend.wire.torque_log import TorqueLog, WatchdogState
 from sim_backend.wire.uart.pacing import paced
 from sim_backend.wire.uart.pty_line import PtyLine
 
@@ -54,9 +55,10 @@ class CommanderBoard:
         self.device = device
         self.unplugged = False
         self.watchdog = watchdog
+        self._tripped = False
         self._baudrate = baudrate
         self._timing = timing
-        self._made = now
+        self.made = now
         self._heard = now
         self._awake = now
         self._free = now
@@ -70,6 +72,14 @@ class CommanderBoard:
         """The motor with its settings."""
         return self.device.motor
 
+    @property
+    def watchdog_state(self) -> WatchdogState:
+        """The state of the watchdog in its program."""
+        if not self.watchdog:
+            return "none"
+        self._tripped = self._tripped and not self.motor.enabled
+        return "tripped" if self._tripped else "on" if self.motor.enabled else "off"
+
     def garble(self, sent: str, received: str) -> None:
         """Let the board once receive `received` where `sent` was sent."""
         self._garbled.append((sent, received))
@@ -77,7 +87,7 @@ class CommanderBoard:
     def mean(self, begin: float, end: float) -> float:
         """Return the mean torque at the joint from `begin` to `end`, N m, as a torque cell there measures it."""
         self.advance(end)
-        return self.device.joint.mean(begin - self._made, end - self._made)
+        return self.device.joint.mean(begin - self.made, end - self.made)
 
     def reboot(self, now: float) -> None:
         """Lose power for a moment."""
@@ -87,15 +97,16 @@ class CommanderBoard:
 
     def advance(self, now: float) -> None:
         """Carry it to `now`, s."""
-        if self._awake > self._made and now >= self._awake:
-            self.motor.run(self._awake - self._made)
+        if self._awake > self.made and now >= self._awake:
+            self.motor.run(self._awake - self.made)
             self.device.restart()
-            self._heard, self._awake = self._awake, self._made
+            self._heard, self._awake = self._awake, self.made
         elif self.watchdog and self.motor.enabled and now > self._heard + self.watchdog:
-            self.motor.run(self._heard + self.watchdog - self._made)
+            self.motor.run(self._heard + self.watchdog - self.made)
+            self._tripped = True
             self.motor.disable()
             self.motor.law.target = 0.0
-        self.motor.run(now - self._made)
+        self.motor.run(now - self.made)
 
     def due(self) -> float:
         """Return when its program next prints unasked, s."""
@@ -116,7 +127,7 @@ class CommanderBoard:
         at = now
         for character in text:
             at += self._duration(1)
-            if self._awake > self._made:  # it does not hear while it boots
+            if self._awake > self.made:  # it does not hear while it boots
                 continue
             self._heard = at
             printed = self.device.type(character) if character not in "\n\r" else self._obey(character, at)
@@ -129,7 +140,7 @@ class CommanderBoard:
         out: list[tuple[float, bytes]] = []
         while self.device.streams and self.due() <= now:
             self._streamed = self.due()
-            if self._awake <= self._made:
+            if self._awake <= self.made:
                 out += self._reply(self.device.monitored().encode(), self._streamed)
                 self._streamed = max(self._streamed, self._free - _SEND_BUFFER * self._duration(1))
         if not self.device.streams:
@@ -191,13 +202,14 @@ def emulate(
     baudrate: int = 1_000_000,
     parameters: SimParameters | None = None,
     instant: bool = False,
+    log: TorqueLog | None = None,
 ) -> PtyLine | Pair:
     """Return what `hil emulate commander` serves.
 
     model: "motor", or "motor+loadcell" for a torque cell at its joint on a second pty, named as `link` with ".cell"
     behind it. firmware: the library's version, "2.4-watchdog" for a program that disables the motor after 0.1 s of
-    silence. Raises ValueError for a model, a firmware or a baud rate that cannot be, FileExistsError where `link` is a
-    file.
+    silence. log: of its torque. Raises ValueError for a model, a firmware or a baud rate that cannot be,
+    FileExistsError where `link` is a file.
     """
     if model not in MODELS:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(MODELS)}")
@@ -213,6 +225,8 @@ def emulate(
         timing=None if instant else CommanderTiming(),
         now=time.monotonic(),
     )
+    if log is not None:
+        log.watch_all([board], board.made)
     line = serve(link, board)
     if model == "motor":
         return line

@@ -26,6 +26,7 @@ from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
+    from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
 """s without an answer after a reboot; not in the manual."""
@@ -103,6 +104,13 @@ class DynamixelDevice:
     def tripped(self) -> bool:
         """Whether the bus watchdog has stopped it."""
         return self.registers.get("bus_watchdog") == -1
+
+    @property
+    def watchdog_state(self) -> WatchdogState:
+        """The state of the bus watchdog, which watches while the torque is on."""
+        if self.tripped:
+            return "tripped"
+        return "on" if self.motor.enabled and self.registers.get("bus_watchdog") > 0 else "off"
 
     @property
     def torque_on(self) -> bool:

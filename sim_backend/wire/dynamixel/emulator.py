@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from sim_backend.parameters import SimParameters
+    from sim_backend.wire.torque_log import TorqueLog
 
 KNOWN = tuple(sorted(MODELS | MX_MODELS))
 """The models there are; those with protocol 1.0 cannot share a line with the others."""
@@ -31,13 +32,14 @@ def serve(
     baudrate: int = 1_000_000,
     parameters: SimParameters | None = None,
     timing: PacketTiming | None = None,
+    log: TorqueLog | None = None,
 ) -> PtyLine:
     """Return servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
 
     `with serve(...) as line:` answers from a thread; `serve(...).serve()` from this one until `line.stop()`.
     parameters: the plant, in which the motor's constant and winding are made the model's; None: the paper's joint on
-    the horn. timing: None answers at once. Raises ValueError for a model, an id or a baud rate that cannot be,
-    FileExistsError where `link` is a file.
+    the horn. timing: None answers at once. log: of the torque of each. Raises ValueError for a model, an id or a baud
+    rate that cannot be, FileExistsError where `link` is a file.
     """
     if model not in KNOWN:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(KNOWN)}")
@@ -53,4 +55,6 @@ def serve(
     make = MxDevice if model in MX_MODELS else DynamixelDevice
     now = time.monotonic()
     servos = [make(model, ident, baudrate=baudrate, parameters=parameters, now=now) for ident in idents]
+    if log is not None:
+        log.watch_all(servos, now)
     return PtyLine(link, PacketBus(servos, timing=timing, protocol=1 if model in MX_MODELS else 2))

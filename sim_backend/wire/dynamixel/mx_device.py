@@ -18,6 +18,7 @@ from sim_backend.wire.plant_motor import PlantMotor
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
     from sim_backend.wire.dynamixel.tables import Item
+    from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
 """s without an answer after the power comes; not in the manual."""
@@ -37,6 +38,7 @@ class MxDevice:
 
     shadow: int | None = None
     sync_reads = False
+    watchdog_state: WatchdogState = "none"
 
     def __init__(
         self,

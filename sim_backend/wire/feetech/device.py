@@ -29,6 +29,7 @@ from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
+    from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
 """s without an answer after the power comes; not in the manual."""
@@ -45,6 +46,8 @@ class FeetechDevice:
     Times are s on the bus's clock, `now` when it is powered. joint: the past of the torque in the coupling. Raises
     KeyError for a model and ValueError for a baud rate that is not in the tables.
     """
+
+    watchdog_state: WatchdogState = "none"
 
     def __init__(
         self,

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from sim_backend.parameters import SimParameters
+    from sim_backend.wire.torque_log import TorqueLog
 
 CELL = "+loadcell"
 """Behind a model's name: with a torque cell at the joint of the first servo."""
@@ -31,13 +32,14 @@ def serve(
     baudrate: int = 1_000_000,
     parameters: SimParameters | None = None,
     timing: PacketTiming | None = None,
+    log: TorqueLog | None = None,
 ) -> PtyLine | Pair:
     """Return servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
 
     model: "sts3215+loadcell" for a torque cell at the first one's joint on a second pty, named as `link` with ".cell"
     behind it. parameters: the plant, in which the motor's constant and winding are made the model's; None: the paper's
-    joint at the output. timing: None answers at once. Raises ValueError for a model, an id or a baud rate that cannot
-    be, FileExistsError where `link` is a file.
+    joint at the output. timing: None answers at once. log: of the torque of each. Raises ValueError for a model, an id
+    or a baud rate that cannot be, FileExistsError where `link` is a file.
     """
     name = model.removesuffix(CELL)
     if name not in MODELS:
@@ -55,5 +57,7 @@ def serve(
     servos = [FeetechDevice(name, ident, baudrate=baudrate, parameters=plant, now=now) for ident in idents]
     for servo in servos:
         servo.write(40, b"\x80")  # mounted at the middle of its turn
+    if log is not None:
+        log.watch_all(servos, now)
     line = PtyLine(link, PacketBus(servos, timing=timing, protocol=1))
     return line if name == model else with_cell(line, servos[0], plant.sensors)

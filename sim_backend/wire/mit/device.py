@@ -19,6 +19,7 @@ from sim_backend.wire.mit.tables import MODELS, registers
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
+    from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.2
 KP_MOST, KD_MOST = 500.0, 5.0
@@ -87,6 +88,15 @@ class MitDevice:
         if self.error or not self.damiao:
             return self.error
         return ENABLED if self.motor.enabled else DISABLED
+
+    @property
+    def watchdog_state(self) -> WatchdogState:
+        """The state of a Damiao's timeout; the emulated AK has none."""
+        if not self.damiao:
+            return "none"
+        if self.error == LOST_COMMUNICATION:
+            return "tripped"
+        return "on" if self.motor.enabled and self.values[9] else "off"
 
     def due(self) -> float:
         """Return infinity: it sends nothing unasked."""

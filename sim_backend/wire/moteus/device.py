@@ -48,6 +48,7 @@ from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
+    from sim_backend.wire.torque_log import WatchdogState
 
 COUNTS = 16384
 TORQUE_LSB = 2e-3
@@ -112,6 +113,13 @@ class MoteusDevice:
     def turns(self) -> float:
         """rev at the output, in whole counts."""
         return round((self.motor.position - self._offset) / TURN * COUNTS) / COUNTS
+
+    @property
+    def watchdog_state(self) -> WatchdogState:
+        """The state of the watchdog, which watches in the modes that take set-points."""
+        if self.mode == TIMEOUT:
+            return "tripped"
+        return "on" if self.mode in TIMED and math.isfinite(self._timeout()) else "off"
 
     def due(self) -> float:
         """Return infinity: it sends nothing unasked."""

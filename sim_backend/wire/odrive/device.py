@@ -20,6 +20,7 @@ from sim_backend.wire.odrive.endpoints import Endpoints
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
+    from sim_backend.wire.torque_log import WatchdogState
 
 IDLE, CLOSED_LOOP = 1, 8
 TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL = 1, 2, 3
@@ -95,6 +96,19 @@ class OdriveDevice:
         """The node id."""
         return int(self.endpoints.get(_NODE_ID))
 
+    @property
+    def watchdog_state(self) -> WatchdogState:
+        """The state of the watchdog of the axis."""
+        if self.errors & WATCHDOG[self.layout]:
+            return "tripped"
+        return "on" if self._watched else "off"
+
+    @property
+    def _watched(self) -> bool:
+        set_ = bool(self.endpoints.get("axis0.config.enable_watchdog"))
+        set_ = set_ and self.endpoints.get("axis0.config.watchdog_timeout") > 0.0
+        return set_ and (self.layout == "0.5" or self.state == CLOSED_LOOP)
+
     # -- the node's side of the bus ---------------------------------------------------------------------------------
 
     def due(self) -> float:
@@ -134,8 +148,7 @@ class OdriveDevice:
     def advance(self, now: float) -> None:
         """Carry the motor to `now` and look for faults."""
         timeout = self.endpoints.get("axis0.config.watchdog_timeout")
-        watched = bool(self.endpoints.get("axis0.config.enable_watchdog")) and timeout > 0.0
-        if watched and now - self._fed > timeout and (self.layout == "0.5" or self.state == CLOSED_LOOP):
+        if self._watched and now - self._fed > timeout:
             self.motor.run(self._fed + timeout - self._powered)
             self.fail(WATCHDOG[self.layout])
         self.motor.run(now - self._powered)
