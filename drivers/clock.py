@@ -11,11 +11,9 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """Return the time now, s."""
-        ...
 
     def sleep_until(self, t: float) -> None:
         """Return at `t` s or later; at once where `t` has passed."""
-        ...
 
 
 class MonotonicClock:

@@ -190,19 +190,16 @@ class Servo(Protocol):
     @property
     def info(self) -> ServoInfo:
         """The identity of the servo."""
-        ...
 
     @property
     def clock(self) -> Clock:
         """The clock of its samples: virtual for the simulator, monotonic for hardware."""
-        ...
 
     def arm(self, limits: Limits) -> None:
         """Write the limits into the device where it has registers for them, then enable it at zero torque.
 
         Raises DeviceFault where a fault is latched, DriverError where a limit is refused.
         """
-        ...
 
     def exchange(self, command: Command) -> Sample:
         """Write the set-point, read the state.
@@ -210,15 +207,12 @@ class Servo(Protocol):
         A disarmed servo is only read, and accepts only `Command.rest()`.
         Raises UnsafeCommand, NoReply, BadReply, LinkLost, DeviceFault.
         """
-        ...
 
     def disarm(self) -> None:
         """Switch the torque off. Harmless when already off. Raises DriverError where the device does not confirm it."""
-        ...
 
     def close(self) -> None:
         """Switch the torque off, then close the link. Harmless when already closed; never raises."""
-        ...
 
 
 class JointSensor(Protocol):
@@ -230,8 +224,6 @@ class JointSensor(Protocol):
         It returns the same reading again until there is a new one, so that the loop never waits for a slow sensor.
         Raises NoReply, BadReply, LinkLost.
         """
-        ...
 
     def close(self) -> None:
         """Close the link. Harmless when already closed."""
-        ...

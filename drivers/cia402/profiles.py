@@ -68,11 +68,6 @@ def profile(name: str) -> Profile:
     return Profile.model_validate(table("cia402")["profiles"][name])
 
 
-def profile_names() -> list[str]:
-    """Return the names of all profiles."""
-    return list(table("cia402")["profiles"])
-
-
 def fault(code: int) -> DeviceFault:
     """Return the error for the drive's error `code`."""
     texts = {int(key, 0): text for key, text in table("cia402")["errors"].items()}

@@ -38,9 +38,6 @@ _PATTERNS = (
 NEXT = {DriveState.DISABLED: SHUTDOWN, DriveState.READY: SWITCH_ON, DriveState.ON: ENABLE, DriveState.ENABLED: ENABLE}
 """The controlword that leads towards ENABLED; the other states have none, or end by themselves."""
 
-WITHOUT_TORQUE = frozenset({DriveState.NOT_READY, DriveState.DISABLED, DriveState.READY, DriveState.FAULT})
-"""The power stage is off."""
-
 
 def state_of(statusword: int) -> DriveState:
     """Return the state in a statusword."""

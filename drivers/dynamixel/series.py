@@ -45,36 +45,27 @@ class Series(Protocol):
 
     def identity(self, bus: Bus) -> tuple[int, int]:
         """Return model number and firmware."""
-        ...
 
     def state(self, raw: bytes) -> DynamixelState:
         """Return the reading in the bytes of `block`."""
-        ...
 
     def ceiling(self, torque: float) -> int:
         """Return `torque` N m in counts of the servo's torque limit, rounded down; 0 where it has none."""
-        ...
 
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
         """With the torque off, write mode and limits and read them back."""
-        ...
 
     def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
         """Write a set-point that causes no step, and the watchdog; the caller then switches the torque on."""
-        ...
 
     def rest(self, table: ControlTable) -> None:
         """After torque-off, reset what would act when the torque is switched on again."""
-        ...
 
     def goal(self, counts: int, ceiling: int) -> tuple[int, bytes, int]:
         """Return address and bytes of a set-point of `counts` of current or position, and its counts after clamping."""
-        ...
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
         """Raise DeviceFault where an error is latched."""
-        ...
 
     def raise_stopped(self, bus: Bus, table: ControlTable) -> None:
         """Raise DeviceFault where an armed servo has stopped by itself."""
-        ...

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 _REPLY_WANTED = 0x80
 _POLLS = 40
 """Requests to the console for the rest of a line."""
-_WRITE_PIECE = 61
 
 
 class Controller:

@@ -18,20 +18,16 @@ class Register(Protocol):
     @property
     def address(self) -> int:
         """The address of its first byte."""
-        ...
 
     @property
     def size(self) -> int:
         """Its number of bytes."""
-        ...
 
     def encoded(self, value: int) -> bytes:
         """Return the bytes of `value`. Raises OverflowError where it does not fit."""
-        ...
 
     def decoded(self, data: bytes) -> int:
         """Return the value of the bytes."""
-        ...
 
 
 class ControlTable:

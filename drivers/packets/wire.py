@@ -41,23 +41,18 @@ class Wire(Protocol):
 
     def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
         """Return the bytes of a request."""
-        ...
 
     def place(self, *numbers: int) -> bytes:
         """Return addresses and lengths as the protocol encodes them."""
-        ...
 
     def receive(self, port: SerialPort) -> tuple[bytes, int]:
         """Return the packet that the SDK reads from `port`, and its result. Raises IndexError for a bad length."""
-        ...
 
     def opened(self, raw: bytes) -> Answer | None:
         """Return the content of a packet from `receive`; None where it is no status packet."""
-        ...
 
     def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
         """Yield id and model number (0 where the protocol has none) of each reply to a ping in received bytes."""
-        ...
 
 
 class Wire1:

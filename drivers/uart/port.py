@@ -38,23 +38,18 @@ class OpenPort(Protocol):
     @property
     def in_waiting(self) -> int:
         """The number of received bytes that were not read."""
-        ...
 
     def read(self, size: int = 1, /) -> bytes:
         """Return up to `size` bytes; wait for them no longer than `POLL`."""
-        ...
 
     def write(self, data: bytes, /) -> int | None:
         """Send `data`; return how many bytes were accepted."""
-        ...
 
     def reset_input_buffer(self) -> None:
         """Discard received bytes."""
-        ...
 
     def close(self) -> None:
         """Close the port."""
-        ...
 
 
 def open_port(name: str, baudrate: int) -> serial.Serial:

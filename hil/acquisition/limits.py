@@ -47,11 +47,9 @@ class Limit(Protocol):
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
         """Take the readings at rest. Raises LimitReached where the run must not begin."""
-        ...
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
         """Check one reply. Raises LimitReached, and BadReply where a sensor is not reliable any more."""
-        ...
 
 
 class Persistence:

@@ -15,15 +15,12 @@ class Sink(Protocol):
 
     def append(self, row: Row) -> None:
         """Add one row. Raises Untrustworthy where it cannot be kept."""
-        ...
 
     def event(self, time: float, code: str, message: str) -> None:
         """Add an event at `time` s: a short code and a sentence. Raises as `append` does."""
-        ...
 
     def __len__(self) -> int:
         """Return the number of rows so far."""
-        ...
 
 
 class Memory:

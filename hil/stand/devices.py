@@ -30,7 +30,6 @@ class HasMode(Protocol):
 
     def for_quantity(self, quantity: Quantity) -> Self:
         """Return the table with the mode that commands `quantity`. Raises ValueError where there is none."""
-        ...
 
 
 @runtime_checkable
@@ -39,7 +38,6 @@ class HasRestrictions(Protocol):
 
     def restrictions(self, torque_source: str) -> list[str]:
         """Return what it cannot do where the stand's torque comes from `torque_source`, each with the remedy."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

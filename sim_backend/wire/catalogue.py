@@ -31,11 +31,9 @@ class Served(Protocol):
 
     def serve(self) -> None:
         """Answer until `stop` is called, then clean up."""
-        ...
 
     def stop(self) -> None:
         """Make `serve` return; may be called from a signal."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,88 +11,62 @@ from typing import Generic, TypeVar
 
 
 @dataclass(frozen=True, slots=True)
-class DropReplies:
+class _Scheduled:
+    """A fault that begins `after` further replies and lasts for `count` of them."""
+
+    after: int = 0
+    count: int = 1
+
+
+class DropReplies(_Scheduled):
     """The drive answers and nothing arrives."""
 
-    after: int = 0
-    count: int = 1
 
-
-@dataclass(frozen=True, slots=True)
-class CorruptReplies:
+class CorruptReplies(_Scheduled):
     """One bit of the middle byte arrives flipped."""
 
-    after: int = 0
-    count: int = 1
-
 
 @dataclass(frozen=True, slots=True)
-class TruncateReplies:
+class TruncateReplies(_Scheduled):
     """Only the first `keep` bytes arrive."""
 
-    after: int = 0
-    count: int = 1
     keep: int = 3
 
 
 @dataclass(frozen=True, slots=True)
-class DelayReplies:
+class DelayReplies(_Scheduled):
     """The reply arrives `seconds` later than it should."""
 
-    after: int = 0
-    count: int = 1
     seconds: float = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class DuplicateReplies:
+class DuplicateReplies(_Scheduled):
     """The reply arrives twice."""
 
-    after: int = 0
-    count: int = 1
-
 
 @dataclass(frozen=True, slots=True)
-class NoiseBefore:
+class NoiseBefore(_Scheduled):
     """The bytes `noise` arrive in front of the reply."""
 
-    after: int = 0
-    count: int = 1
     noise: bytes = b"\x00\xff\xff\xfd\x13\x37"
 
 
-@dataclass(frozen=True, slots=True)
-class DropRequests:
+class DropRequests(_Scheduled):
     """The request does not reach any drive."""
 
-    after: int = 0
-    count: int = 1
 
-
-@dataclass(frozen=True, slots=True)
-class Reboots:
+class Reboots(_Scheduled):
     """Every drive loses its power for a moment, before it would have answered."""
 
-    after: int = 0
-    count: int = 1
 
-
-@dataclass(frozen=True, slots=True)
-class Unplug:
+class Unplug(_Scheduled):
     """The adapter is pulled out, before the drive would have answered."""
 
-    after: int = 0
-    count: int = 1
 
-
-@dataclass(frozen=True, slots=True)
-class BusOff:
+class BusOff(_Scheduled):
     """The adapter's CAN controller has counted too many errors and leaves the bus, before the drive would have
     answered.
     """
-
-    after: int = 0
-    count: int = 1
 
 
 Interruption = Reboots | Unplug | BusOff

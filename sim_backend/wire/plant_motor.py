@@ -33,15 +33,12 @@ class DemandLaw(Protocol):
 
     def beats(self, enabled: bool) -> bool:
         """Return whether time passes in steps of `BEAT`: the demand depends on what is measured."""
-        ...
 
     def demand(self, motor: PlantMotor[Any]) -> float:
         """Return the torque demanded of an enabled motor until the next beat, N m."""
-        ...
 
     def at_rest(self, motor: PlantMotor[Any]) -> Self:
         """Return the law that holds after the motor is enabled or disabled: no set-point, no integral."""
-        ...
 
 
 Law = TypeVar("Law", bound=DemandLaw)

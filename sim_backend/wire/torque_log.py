@@ -26,12 +26,10 @@ class Watched(Protocol):
     @property
     def motor(self) -> PlantMotor[Any]:
         """The motor."""
-        ...
 
     @property
     def watchdog_state(self) -> WatchdogState:
         """The state of its watchdog."""
-        ...
 
 
 class TorqueLog:

@@ -263,7 +263,7 @@ def another_feetech(model: str) -> Callable[[Rig], Any]:
 
 def refuses_above_10(address: int) -> Callable[[Rig], None]:
     def refuse(rig: Rig) -> None:
-        items = rig.device._items
+        items = rig.device.registers.items
         items[address] = replace(items[address], high=10)
 
     return refuse
@@ -271,7 +271,7 @@ def refuses_above_10(address: int) -> Callable[[Rig], None]:
 
 def refuse_current_limit(rig: Rig) -> None:
     servo_left_on(rig)
-    items = rig.device.registers._items
+    items = rig.device.registers.items
     items[38] = replace(items[38], high=10)
 
 

@@ -20,23 +20,18 @@ class CanNode(Protocol):
 
     def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Return the replies to a frame that ended at `now`; every node receives every frame."""
-        ...
 
     def due(self) -> float:
         """Return the time at which it next sends something unasked; infinity where it does not."""
-        ...
 
     def unasked(self, now: float) -> list[CanFrame]:
         """Return the frames that it sends unasked at `now`, which is the time that `due` gave."""
-        ...
 
     def advance(self, now: float) -> None:
         """Carry it to `now`."""
-        ...
 
     def reboot(self, now: float) -> None:
         """Lose power for a moment."""
-        ...
 
 
 class CanDelivery(NamedTuple):

@@ -38,23 +38,18 @@ class Served(Protocol):
 
     def __enter__(self) -> Self:
         """Answer from a thread from now on."""
-        ...
 
     def __exit__(self, *_: object) -> None:
         """Answer no more, and clean up."""
-        ...
 
     def now(self) -> float:
         """The time on the bus's clock, s."""
-        ...
 
     def serve(self) -> None:
         """Answer from this thread until `stop` is called from another or from a signal, then clean up."""
-        ...
 
     def stop(self) -> None:
         """Make `serve` return."""
-        ...
 
 
 class CanServer:

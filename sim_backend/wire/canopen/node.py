@@ -40,15 +40,12 @@ class Application(Protocol):
 
     def receive(self, index: int, sub: int, value: int, now: float) -> None:
         """Handle a mapped object that a PDO has written."""
-        ...
 
     def connection_lost(self, code: int, now: float) -> None:
         """Handle a missing heartbeat (its EMCY code), or an NMT stop or reset of the node (0)."""
-        ...
 
     def restarted(self, now: float) -> None:
         """Handle a reset of the node by NMT."""
-        ...
 
 
 class CanopenNode:

@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.dynamixel.registers import Registers
+from sim_backend.wire.dynamixel.control_table import ControlTable
 from sim_backend.wire.dynamixel.tables import BAUD, MODELS, RPM
+from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Error, Frame, Instruction
 from sim_backend.wire.packets.regulator import (
     COUNT,
@@ -54,7 +55,8 @@ class DynamixelDevice:
         now: float = 0.0,
     ) -> None:
         self.model = MODELS[model]
-        self.registers = Registers(self.model)
+        self._table = ControlTable(self.model)
+        self.registers = self._table.registers
         self.registers.put("id", ident)
         self.registers.put("baud_rate", BAUD.index(baudrate))
         if firmware is not None:
@@ -74,31 +76,17 @@ class DynamixelDevice:
         """Torque-off is acknowledged and not done."""
 
     @property
-    def id(self) -> int:
-        """The id."""
-        return self.registers.get("id")
-
-    sync_reads = True
-
-    @property
-    def shadow(self) -> int | None:
-        """A second id that it obeys without a reply."""
-        return self.registers.get("secondary_id")
-
-    @property
-    def status_return_level(self) -> int:
-        """Which instructions it answers."""
-        return self.registers.get("status_return_level")
-
-    @property
-    def baudrate(self) -> int:
-        """bit/s."""
-        return BAUD[self.registers.get("baud_rate")]
-
-    @property
-    def return_delay(self) -> float:
-        """s from the instruction to its answer."""
-        return self.registers.get("return_delay_time") * 2e-6
+    def line(self) -> LineSettings:
+        """Its part on the line."""
+        get = self.registers.get
+        return LineSettings(
+            get("id"),
+            BAUD[get("baud_rate")],
+            get("return_delay_time") * 2e-6,
+            get("status_return_level"),
+            get("secondary_id"),
+            sync_reads=True,
+        )
 
     @property
     def tripped(self) -> bool:
@@ -145,7 +133,7 @@ class DynamixelDevice:
         """Lose what is in RAM, the torque first, and answer again after the boot."""
         self._torque(on=False)
         self.motor.disable()
-        self.registers.power_up()
+        self._table.power_up()
         self.registers.put("goal_position", self._position())
         self._registered = None
         self._booted = now
@@ -156,7 +144,7 @@ class DynamixelDevice:
         if frame.instruction == Instruction.PING and frame.sound:
             identity = self.registers.get("model_number").to_bytes(2, "little")
             return self.alerted(Error.NONE), identity + bytes([self._firmware])
-        level = self.registers.get("status_return_level")
+        level = self.line.level
         if frame.instruction == Instruction.READ and frame.sound:
             p = frame.parameters
             error, data = self.read(*_words(p), now) if len(p) == 4 else (Error.DATA_LENGTH, b"")
@@ -190,15 +178,16 @@ class DynamixelDevice:
         """The error and the bytes of a read at `now`."""
         if address + size > 120:
             self._refresh(now)
-        return self.registers.read(address, size)
+        return self._table.read(address, size)
 
     def write(self, address: int, data: bytes) -> Error:
         """Write as an instruction does; the error."""
         mode = self.registers.get("operating_mode")
-        error, changes = self.registers.check(address, data, torque=self.motor.enabled, tripped=self.tripped)
+        error, changes = self._table.check(address, data, torque=self.motor.enabled, tripped=self.tripped)
         if error:
             return error
-        self.registers.store(changes)
+        for item, value in changes:
+            self.registers.store(item, value)
         names = {item.name for item, _ in changes}
         if "operating_mode" in names and self.registers.get("operating_mode") != mode:
             self._mode_changed()
@@ -217,7 +206,7 @@ class DynamixelDevice:
         address, data = int.from_bytes(frame.parameters[:2], "little"), frame.parameters[2:]
         if frame.instruction == Instruction.WRITE:
             return self.write(address, data)
-        error, _ = self.registers.check(address, data, torque=self.motor.enabled, tripped=self.tripped)
+        error, _ = self._table.check(address, data, torque=self.motor.enabled, tripped=self.tripped)
         if not error:
             self._registered = (address, data)
             self.registers.put("registered_instruction", 1)
@@ -237,10 +226,10 @@ class DynamixelDevice:
             return Error.DATA_RANGE
         kept = {"firmware_version": self._firmware}
         if option != 0xFF:
-            kept["id"] = self.id
+            kept["id"] = self.registers.get("id")
         if option == 0x02:
             kept["baud_rate"] = self.registers.get("baud_rate")
-        self.registers.erase()
+        self._table.erase()
         for name, value in kept.items():
             self.registers.put(name, value)
         self.reboot(now)
@@ -262,9 +251,9 @@ class DynamixelDevice:
         if self.motor.enabled:
             return Error.RESULT_FAIL
         if parameters[0] == 1:
-            self.registers.back_up()
+            self._table.back_up()
             return Error.NONE
-        if not self.registers.restore():
+        if not self._table.restore():
             return Error.RESULT_FAIL
         self.reboot(now)
         return Error.NONE

@@ -11,13 +11,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_EEPROM_END, MX_MODELS, MX_RPM
+from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Frame, Instruction
+from sim_backend.wire.packets.registers import Registers
 from sim_backend.wire.packets.regulator import COUNT, CURRENT, CURRENT_POSITION, SPEED, Goals, Regulator, joint_at_horn
 from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
-    from sim_backend.wire.dynamixel.tables import Item
+    from sim_backend.wire.packets.registers import Item
     from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
@@ -36,8 +38,6 @@ class MxDevice:
     rate that is not in the tables.
     """
 
-    shadow: int | None = None
-    sync_reads = False
     watchdog_state: WatchdogState = "none"
 
     def __init__(
@@ -51,9 +51,8 @@ class MxDevice:
         now: float = 0.0,
     ) -> None:
         self.model = MX_MODELS[model]
-        self._items = {item.address: item for item in self.model.items}
-        self._named = {item.name: item for item in self.model.items}
-        self._memory = bytearray(max(item.address + item.size for item in self.model.items))
+        self.registers = Registers(self.model.items)
+        self.get, self.put = self.registers.get, self.registers.put
         self.motor = PlantMotor(parameters or joint_at_horn(self.model), Regulator(self.model))
         self.errors = 0
         """Hardware errors that hold: bits of the error byte."""
@@ -61,52 +60,19 @@ class MxDevice:
         """Torque-off is acknowledged and not done."""
         self._powered = self._booted = self._ready = now
         self._registered: tuple[int, bytes] | None = None
-        for item in self.model.items:
-            self.put(item.name, item.initial)
         self.put("id", ident)
         self.put("baud_rate", next(code for code, rate in MX_BAUD.items() if rate == baudrate))
         if firmware is not None:
             self.put("firmware_version", firmware)
         self.put("goal_position", self._position())
 
-    def get(self, name: str) -> int:
-        """The value of an item, 0 where the model has none of that name."""
-        item = self._named.get(name)
-        if item is None:
-            return 0
-        return int.from_bytes(self._memory[item.address : item.address + item.size], "little", signed=item.signed)
-
-    def put(self, name: str, value: int) -> None:
-        """Set an item from inside the servo, no rule asked."""
-        item = self._named[name]
-        self._memory[item.address : item.address + item.size] = (value % (1 << 8 * item.size)).to_bytes(
-            item.size, "little"
-        )
-
-    def eeprom(self) -> bytes:
-        """The bytes that survive a loss of power."""
-        return bytes(self._memory[:MX_EEPROM_END])
-
     @property
-    def id(self) -> int:
-        """The id."""
-        return self.get("id")
-
-    @property
-    def baudrate(self) -> int:
-        """bit/s; 2 Mbit/s over the value plus one where the manual's table has no line for it."""
-        code = self.get("baud_rate")
-        return MX_BAUD.get(code, 2_000_000 // (code + 1))
-
-    @property
-    def return_delay(self) -> float:
-        """s from the instruction to its answer."""
-        return self.get("return_delay_time") * 2e-6
-
-    @property
-    def status_return_level(self) -> int:
-        """Which instructions it answers."""
-        return self.get("status_return_level")
+    def line(self) -> LineSettings:
+        """Its part on the line; a baud rate is 2 Mbit/s over the value plus one where the manual's table has none."""
+        get = self.get
+        code = get("baud_rate")
+        baudrate = MX_BAUD.get(code, 2_000_000 // (code + 1))
+        return LineSettings(get("id"), baudrate, get("return_delay_time") * 2e-6, get("status_return_level"))
 
     @property
     def torque_on(self) -> bool:
@@ -141,9 +107,7 @@ class MxDevice:
         self.motor.disable()
         self.errors = 0
         self._registered = None
-        for item in self.model.items:
-            if item.address >= MX_EEPROM_END:
-                self.put(item.name, item.initial)
+        self.registers.reset(MX_EEPROM_END)
         self.put("torque_limit", self.get("max_torque"))
         self.put("goal_position", self._position())
         self._booted, self._ready = now, now + BOOT
@@ -159,16 +123,16 @@ class MxDevice:
         if frame.instruction == Instruction.READ and frame.sound:
             p = frame.parameters
             error, data = self.read(p[0], p[1], now) if len(p) == 2 else (MX_RANGE, b"")
-            return (self.alerted(error), data) if self.status_return_level > 0 else None
+            return (self.alerted(error), data) if self.line.level > 0 else None
         error = self._done(frame, now)
-        return (self.alerted(error), b"") if self.status_return_level > 1 else None
+        return (self.alerted(error), b"") if self.line.level > 1 else None
 
     def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
         """The error and the bytes of a read at `now`."""
-        if size == 0 or address + size > len(self._memory):
+        if size == 0 or address + size > len(self.registers.memory):
             return MX_RANGE, b""
         self._refresh(now)
-        return 0, bytes(self._memory[address : address + size])
+        return 0, bytes(self.registers.memory[address : address + size])
 
     def write(self, address: int, data: bytes) -> int:
         """Write as an instruction does; the error."""
@@ -176,7 +140,7 @@ class MxDevice:
         if error:
             return error
         for item, value in changes:
-            self.put(item.name, value)
+            self.registers.store(item, value)
         if any(item.name == "torque_enable" for item, _ in changes):
             self._torque(on=bool(self.get("torque_enable")))
         self._hand_over_goals()
@@ -199,9 +163,9 @@ class MxDevice:
             self.put("registered", 0)
             return self.write(*waiting)
         if frame.instruction == Instruction.FACTORY_RESET and frame.id != BROADCAST:
-            for item in self.model.items:
-                if item.name != "firmware_version":
-                    self.put(item.name, item.initial)
+            firmware = self.get("firmware_version")
+            self.registers.reset()
+            self.put("firmware_version", firmware)
         elif frame.instruction != Instruction.REBOOT or self.get("firmware_version") < _REBOOTS:
             return MX_INSTRUCTION
         self.reboot(now)
@@ -210,19 +174,16 @@ class MxDevice:
     def _checked(self, address: int, data: bytes) -> tuple[int, list[tuple[Item, int]]]:
         """The error of a write, and where there is none the items with their new values."""
         changes: list[tuple[Item, int]] = []
-        at = 0
-        while at < len(data):
-            item = self._items.get(address + at)
+        for item, raw in self.registers.covered(address, data):
             locked = item is not None and item.address < MX_EEPROM_END and self.get("lock") == 1
-            if item is None or not item.writable or locked or at + item.size > len(data):
+            if item is None or not item.writable or locked or len(raw) < item.size:
                 return MX_RANGE, []
-            value = int.from_bytes(data[at : at + item.size], "little", signed=item.signed)
+            value = self.registers.decoded(item, raw)
             if not item.low <= value <= item.high:
                 return MX_RANGE, []
             if item.name == "goal_position" and not self._reachable(value):
                 return MX_ANGLE, []
             changes.append((item, value))
-            at += item.size
         return 0, changes
 
     def _reachable(self, goal: int) -> bool:

@@ -5,7 +5,8 @@ Sources: emanual.robotis.com/docs/en/dxl/mx/mx-64/ and .../mx-106/. Ranges are t
 
 from __future__ import annotations
 
-from sim_backend.wire.dynamixel.tables import DynamixelModel, Item
+from sim_backend.wire.dynamixel.tables import DynamixelModel
+from sim_backend.wire.packets.registers import Item
 
 MX_BAUD = {
     1: 1_000_000,
@@ -75,11 +76,7 @@ def _items(number: int, volts: int, *, dual: bool) -> tuple[Item, ...]:
 
 
 MX_MODELS = {
-    "mx-64": DynamixelModel(
-        310, 4.5e-3, (12.0, 4.1, 6.0), 63 * MX_RPM / 0.114, 41, 0, (), _items(310, 240, dual=False)
-    ),
-    "mx-106": DynamixelModel(
-        320, 4.5e-3, (12.0, 5.2, 8.4), 45 * MX_RPM / 0.114, 41, 0, (), _items(320, 160, dual=True)
-    ),
+    "mx-64": DynamixelModel(310, 4.5e-3, (12.0, 4.1, 6.0), 63 * MX_RPM / 0.114, 41, (), _items(310, 240, dual=False)),
+    "mx-106": DynamixelModel(320, 4.5e-3, (12.0, 5.2, 8.4), 45 * MX_RPM / 0.114, 41, (), _items(320, 160, dual=True)),
 }
 """By the name used in stand files. The stall point is the one at the recommended voltage."""

@@ -10,28 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from sim_backend.wire.packets.registers import Item
 from sim_backend.wire.packets.regulator import CURRENT, CURRENT_POSITION, EXTENDED, POSITION, PWM, SPEED
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """One item of the control table.
-
-    low, high: the range a write must keep to. signed: whether the value is two's complement. writable: RW.
-    """
-
-    address: int
-    size: int
-    name: str
-    initial: int = 0
-    low: int = 0
-    high: int = 0
-    writable: bool = True
-
-    @property
-    def signed(self) -> bool:
-        """Whether negative values exist."""
-        return self.low < 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +27,6 @@ class DynamixelModel:
     stall: tuple[float, float, float]
     speed: float
     firmware: int
-    baud_codes: int
     indirect: tuple[tuple[int, int, int], ...]
     items: tuple[Item, ...]
 
@@ -155,12 +134,12 @@ _PORTS = tuple(Item(56 + i, 1, f"external_port_mode_{i + 1}", 3, 0, 3) for i in 
 
 def _x430(number: int, stall: tuple[float, float, float], rpm: float, velocity: int) -> DynamixelModel:
     items = _table(_BIG, {"velocity_limit": (velocity, 0, 1023)})
-    return DynamixelModel(number, 2.69e-3, stall, rpm * RPM / 0.229, 45, 8, _BIG, items)
+    return DynamixelModel(number, 2.69e-3, stall, rpm * RPM / 0.229, 45, _BIG, items)
 
 
 def _x540(number: int, stall: tuple[float, float, float], rpm: float, velocity: int) -> DynamixelModel:
     changes = {"velocity_limit": (velocity, 0, 1023), "current_limit": (2047, 0, 2047)}
-    return DynamixelModel(number, 2.69e-3, stall, rpm * RPM / 0.229, 45, 8, _BIG, _table(_BIG, changes, extra=_PORTS))
+    return DynamixelModel(number, 2.69e-3, stall, rpm * RPM / 0.229, 45, _BIG, _table(_BIG, changes, extra=_PORTS))
 
 
 def _x330(
@@ -183,7 +162,7 @@ def _x330(
         "position_p_gain": (400, 0, 16383),
     }
     extra = (Item(62, 1, "pwm_slope", 255 if high else 140, 1, 255),)
-    return DynamixelModel(number, 1e-3, stall, rpm * RPM / 0.229, 46, 7, _SMALL, _table(_SMALL, changes, extra=extra))
+    return DynamixelModel(number, 1e-3, stall, rpm * RPM / 0.229, 46, _SMALL, _table(_SMALL, changes, extra=extra))
 
 
 def _xl430() -> DynamixelModel:
@@ -199,7 +178,7 @@ def _xl430() -> DynamixelModel:
     load = Item(126, 2, "present_load", low=-1000, writable=False)
     without = ("current_limit", "goal_current", "present_current")
     return DynamixelModel(
-        1060, 0.0, (11.1, 1.3, 1.4), 57 * RPM / 0.229, 45, 8, _BIG, _table(_BIG, changes, without, (load,))
+        1060, 0.0, (11.1, 1.3, 1.4), 57 * RPM / 0.229, 45, _BIG, _table(_BIG, changes, without, (load,))
     )
 
 

@@ -11,11 +11,13 @@ effect, nor the LED.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from sim_backend.wire.feetech.tables import BAUD, CURRENT_LSB, EEPROM_END, MODELS, Item
+from sim_backend.wire.feetech.tables import BAUD, CURRENT_LSB, EEPROM_END, MODELS
 from sim_backend.wire.loadcell.joint_torque import JointTorque
+from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Frame, Instruction
+from sim_backend.wire.packets.registers import Item, Registers
 from sim_backend.wire.packets.regulator import (
     CURRENT,
     CURRENT_POSITION,
@@ -60,9 +62,8 @@ class FeetechDevice:
         now: float = 0.0,
     ) -> None:
         self.model = MODELS[model]
-        self._items = {item.address: item for item in self.model.items}
-        self._named = {item.name: item for item in self.model.items}
-        self._memory = bytearray(max(item.address + item.size for item in self.model.items))
+        self.registers = Registers(self.model.items, big=self.model.big)
+        self.get, self.put = self.registers.get, self.registers.put
         self._flash = bytearray(EEPROM_END)
         self.joint = JointTorque()
         plant = parameters or joint_at_horn(self.model)
@@ -74,60 +75,26 @@ class FeetechDevice:
         self._powered = self._ready = now
         self._registered: tuple[int, bytes] | None = None
         self._centre = 1023 // 2 if self.model.big else 0
-        for item in self.model.items:
-            self.put(item.name, item.initial)
         major, minor = firmware or self.model.firmware
         identity = {"firmware_major": major, "firmware_minor": minor, "id": ident, "baud_rate": BAUD.index(baudrate)}
         identity |= {"main_version": self.model.number[0], "sub_version": self.model.number[1]}
         for name, value in identity.items():
             self.put(name, value)
-        self._flash[:] = self._memory[:EEPROM_END]
+        self._flash[:] = self.registers.memory[:EEPROM_END]
         self.put("goal_position", self._position())
 
     @property
-    def id(self) -> int:
-        """The id."""
-        return self.get("id")
-
-    @property
-    def shadow(self) -> int | None:
-        """A second id that it obeys without a reply: an HLS has one."""
-        return self.get("second_id") if "second_id" in self._named else None
-
-    @property
-    def sync_reads(self) -> bool:
-        """Whether it answers a Sync Read: an SCS does not."""
-        return not self.model.big
-
-    @property
-    def baudrate(self) -> int:
-        """bit/s."""
-        return BAUD[self.get("baud_rate")]
-
-    @property
-    def return_delay(self) -> float:
-        """s from the instruction to its answer."""
-        return self.get("return_delay") * 2e-6 if "return_delay" in self._named else 0.0
-
-    @property
-    def status_return_level(self) -> int:
-        """Which instructions it answers, as DYNAMIXEL counts them: pings and reads always."""
-        return 1 + self.get("response_level")
-
-    def get(self, name: str) -> int:
-        """Return the value of an item."""
-        item = self._named[name]
-        raw = int.from_bytes(self._memory[item.address : item.address + item.size], self._order)
-        if not item.sign_bit:
-            return raw
-        magnitude = raw & ((1 << item.sign_bit) - 1)
-        return -magnitude if raw >> item.sign_bit & 1 else magnitude
-
-    def put(self, name: str, value: int) -> None:
-        """Set an item from inside the servo, no rule asked."""
-        item = self._named[name]
-        raw = abs(value) | (1 << item.sign_bit if value < 0 and item.sign_bit else 0)
-        self._memory[item.address : item.address + item.size] = raw.to_bytes(item.size, self._order)
+    def line(self) -> LineSettings:
+        """Its part on the line: pings and reads are always answered, and a Sync Read but by an SCS."""
+        get = self.get
+        return LineSettings(
+            get("id"),
+            BAUD[get("baud_rate")],
+            get("return_delay") * 2e-6,
+            1 + get("response_level"),
+            get("second_id") if self.registers.has("second_id") else None,
+            sync_reads=not self.model.big,
+        )
 
     def eeprom(self) -> bytes:
         """Return the bytes that survive a loss of power."""
@@ -166,14 +133,10 @@ class FeetechDevice:
         self.motor.disable()
         self.errors = 0
         self._registered = None
-        for item in self.model.items:
-            if item.address >= EEPROM_END:
-                self.put(item.name, item.initial)
-        self._memory[:EEPROM_END] = self._flash
-        if "torque_limit" in self._named:
-            self.put("torque_limit", self.get("max_torque"))
-        if "goal_torque" in self._named:
-            self.put("goal_torque", self.get("protection_current"))
+        self.registers.reset(EEPROM_END)
+        self.registers.memory[:EEPROM_END] = self._flash
+        self.put("torque_limit", self.get("max_torque"))
+        self.put("goal_torque", self.get("protection_current"))
         self.put("goal_position", self._position())
         self._ready = now + BOOT
 
@@ -198,20 +161,15 @@ class FeetechDevice:
         """Return the error byte and the bytes of a read at `now`; what lies behind the memory reads as zero."""
         del now
         self._refresh()
-        return self.errors, bytes(self._memory[address : address + size]).ljust(size, b"\0")
+        return self.errors, bytes(self.registers.memory[address : address + size]).ljust(size, b"\0")
 
     def write(self, address: int, data: bytes) -> int:
         """Write as an instruction does; return the error byte."""
-        at = 0
         written = set()
-        while at < len(data):
-            item = self._items.get(address + at)
-            if item is None or not item.writable or at + item.size > len(data):
-                at += 1 if item is None else item.size
-                continue
-            self._take(item, bytes(data[at : at + item.size]))
-            written.add(item.name)
-            at += item.size
+        for item, raw in self.registers.covered(address, data):
+            if item is not None and item.writable and len(raw) == item.size:
+                self._take(item, raw)
+                written.add(item.name)
         if "torque_enable" in written:
             self._torque()
         if "goal_position" in written:
@@ -219,17 +177,11 @@ class FeetechDevice:
         self._hand_over_goals()
         return self.errors
 
-    @property
-    def _order(self) -> Literal["big", "little"]:
-        return "big" if self.model.big else "little"
-
     def _take(self, item: Item, data: bytes) -> None:
-        before = bytes(self._memory[item.address : item.address + item.size])
-        self._memory[item.address : item.address + item.size] = data
-        if not item.low <= self.get(item.name) <= item.high:
-            self._memory[item.address : item.address + item.size] = before
-        elif item.address < EEPROM_END and not self.get("lock"):
-            self._flash[item.address : item.address + item.size] = data
+        if item.low <= self.registers.decoded(item, data) <= item.high:
+            self.registers.memory[item.address : item.address + item.size] = data
+            if item.address < EEPROM_END and not self.get("lock"):
+                self._flash[item.address : item.address + item.size] = data
 
     def _execute(self, frame: Frame) -> None:
         if frame.instruction in {Instruction.WRITE, Instruction.REG_WRITE} and len(frame.parameters) > 1:
@@ -262,12 +214,12 @@ class FeetechDevice:
         """Give the goals to the loops; the mode is in the order of this series."""
         amperes = self.model.stall[1]
         mode = self._mode()
-        limit = "torque_limit" if "torque_limit" in self._named else "max_torque"
+        limit = "torque_limit" if self.registers.has("torque_limit") else "max_torque"
         ceiling = self.get(limit) / 1000.0 * amperes
-        if self.errors & OVERLOAD and "protective_torque" in self._named:
+        if self.errors & OVERLOAD and self.registers.has("protective_torque"):
             ceiling = min(ceiling, self.get("protective_torque") / 100.0 * amperes)
         current = 0.0
-        if "goal_torque" in self._named:
+        if self.registers.has("goal_torque"):
             most = self.get("protection_current") * CURRENT_LSB
             current = max(-most, min(most, self.get("goal_torque") * CURRENT_LSB))
             ceiling = min(ceiling, abs(current))
@@ -276,7 +228,7 @@ class FeetechDevice:
         elif mode == SPEED:
             goals = Goals(mode=SPEED, current=ceiling, velocity=self.get("goal_velocity") * self._speed_unit())
         elif mode == PWM:
-            duty = self.get("goal_torque" if "goal_torque" in self._named else "goal_time")
+            duty = self.get("goal_torque" if self.registers.has("goal_torque") else "goal_time")
             goals = Goals(mode=PWM, duty=duty / 1000.0)
         else:
             goal = (self._goal() - self._centre) * self.model.count
@@ -284,9 +236,9 @@ class FeetechDevice:
         self.motor.law.goals = goals
 
     def _mode(self) -> int:
-        if "operating_mode" not in self._named:
+        if not self.registers.has("operating_mode"):
             return PWM if self.get("min_position_limit") == self.get("max_position_limit") == 0 else CURRENT_POSITION
-        third, fourth = (CURRENT, PWM) if "goal_torque" in self._named else (PWM, CURRENT_POSITION)
+        third, fourth = (CURRENT, PWM) if self.registers.has("goal_torque") else (PWM, CURRENT_POSITION)
         return (CURRENT_POSITION, SPEED, third, fourth)[self.get("operating_mode")]
 
     def _goal(self) -> int:
@@ -300,7 +252,7 @@ class FeetechDevice:
 
     def _speed_unit(self) -> float:
         """rad/s a count of speed."""
-        single = self.model.big or ("goal_torque" not in self._named and self.get("phase") & _SINGLE_STEPS)
+        single = self.model.big or (not self.registers.has("goal_torque") and self.get("phase") & _SINGLE_STEPS)
         return self.model.count * (1 if single else 50)
 
     def _counts(self) -> int:
@@ -324,5 +276,4 @@ class FeetechDevice:
         self.put("present_temperature", round(motor.temperature))
         self.put("status", self.errors)
         self.put("moving", int(speed != 0))
-        if "present_current" in self._named:
-            self.put("present_current", round(law.current(motor) / CURRENT_LSB))
+        self.put("present_current", round(law.current(motor) / CURRENT_LSB))

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from sim_backend.parameters import SimParameters
 from sim_backend.wire.feetech.device import FeetechDevice
 from sim_backend.wire.feetech.tables import BAUD, MODELS
 from sim_backend.wire.loadcell.emulator import Pair, with_cell
 from sim_backend.wire.packets.bus import PacketBus, PacketTiming
-from sim_backend.wire.packets.regulator import joint_at_horn
+from sim_backend.wire.packets.servos import servos
 from sim_backend.wire.uart.pty_line import PtyLine
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from sim_backend.parameters import SimParameters
     from sim_backend.wire.torque_log import TorqueLog
+
 
 CELL = "+loadcell"
 """Behind a model's name: with a torque cell at the joint of the first servo."""
@@ -44,20 +43,11 @@ def serve(
     name = model.removesuffix(CELL)
     if name not in MODELS:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(MODELS)}, each also with {CELL}")
-    if baudrate not in BAUD:
-        raise ValueError(f"baud rate {baudrate}: choose one of {', '.join(map(str, sorted(BAUD)))}")
-    if len(set(idents)) < len(idents) or not all(0 <= ident <= 253 for ident in idents):
-        raise ValueError("ids must differ and lie between 0 and 253")
-    plant = joint_at_horn(MODELS[name]) if parameters is None else parameters
-    if parameters is not None:
-        volts, amperes, torque = MODELS[name].stall
-        motor = replace(parameters.motor, torque_constant=torque / amperes, winding_resistance=volts / amperes)
-        plant = replace(parameters, motor=motor)
-    now = time.monotonic()
-    servos = [FeetechDevice(name, ident, baudrate=baudrate, parameters=plant, now=now) for ident in idents]
-    for servo in servos:
+    made = servos(
+        FeetechDevice, MODELS, name, idents, highest=253, baudrate=baudrate, rates=BAUD, parameters=parameters, log=log
+    )
+    for servo in made:
         servo.write(40, b"\x80")  # mounted at the middle of its turn
-    if log is not None:
-        log.watch_all(servos, now)
-    line = PtyLine(link, PacketBus(servos, timing=timing, protocol=1))
-    return line if name == model else with_cell(line, servos[0], plant.sensors)
+    line = PtyLine(link, PacketBus(made, timing=timing, protocol=1))
+    sensors = (parameters or SimParameters()).sensors
+    return line if name == model else with_cell(line, made[0], sensors)

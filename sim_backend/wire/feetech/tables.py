@@ -10,28 +10,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from sim_backend.wire.packets.registers import Item
+
 BAUD = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 """bit/s by the value of Baud Rate(6)."""
 EEPROM_END = 40
 CURRENT_LSB = 6.5e-3
 """A a count."""
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """One item of the memory table.
-
-    low, high: the range a write must keep to. sign_bit: the bit that holds the sign, 0 without one.
-    """
-
-    address: int
-    size: int
-    name: str
-    initial: int = 0
-    low: int = 0
-    high: int = 255
-    sign_bit: int = 0
-    writable: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,6 @@ class Felt(Protocol):
 
     def mean(self, begin: float, end: float) -> float:
         """N m at the joint, the mean from `begin` to `end`, s."""
-        ...
 
 
 class AtRest:

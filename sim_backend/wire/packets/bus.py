@@ -32,70 +32,52 @@ class PacketTiming:
     usb_latency: float = 1e-3
 
 
+class LineSettings(NamedTuple):
+    """A servo's part on the line.
+
+    baudrate: bit/s. return_delay: s from the request to its reply. level: 0: it replies to a ping, 1: and to a read,
+    2: to everything. shadow: a second id that it obeys without a reply, None without one. sync_reads: whether it
+    answers a Sync Read of protocol 1.0.
+    """
+
+    id: int
+    baudrate: int
+    return_delay: float
+    level: int
+    shadow: int | None = None
+    sync_reads: bool = False
+
+
 class PacketServo(Protocol):
     """A servo as the line sees it."""
 
     @property
-    def id(self) -> int:
-        """The id."""
-        ...
-
-    @property
-    def shadow(self) -> int | None:
-        """A second id that it obeys without a reply, None without one."""
-        ...
-
-    @property
-    def sync_reads(self) -> bool:
-        """Whether it answers a Sync Read of protocol 1.0."""
-        ...
-
-    @property
-    def baudrate(self) -> int:
-        """bit/s."""
-        ...
-
-    @property
-    def return_delay(self) -> float:
-        """s from the request to its reply."""
-        ...
-
-    @property
-    def status_return_level(self) -> int:
-        """0: it replies to a ping, 1: and to a read, 2: to everything."""
-        ...
+    def line(self) -> LineSettings:
+        """Its part on the line, as its registers are now."""
 
     def listens(self, now: float) -> bool:
         """Whether it is awake at `now`, s."""
-        ...
 
     def advance(self, now: float) -> None:
         """Carry it to `now`, s."""
-        ...
 
     def feed_watchdog(self, now: float) -> None:
         """Note that a request passed on the line at `now`, s."""
-        ...
 
     def reboot(self, now: float) -> None:
         """Lose power for a moment at `now`, s."""
-        ...
 
     def alerted(self, error: int) -> int:
         """Return the error byte, with the hardware errors that hold."""
-        ...
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
         """Execute `frame`; return error and parameters, None where it does not reply."""
-        ...
 
     def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
         """Return the error and the bytes of a read."""
-        ...
 
     def write(self, address: int, data: bytes) -> int:
         """Write as an instruction does; return the error."""
-        ...
 
 
 class PacketBus:
@@ -140,12 +122,12 @@ class PacketBus:
     def _duration(self, size: int, baudrate: int | None) -> float:
         if self._timing is None:
             return 0.0
-        rate = baudrate or (self.devices[0].baudrate if self.devices else 1_000_000)
+        rate = baudrate or (self.devices[0].line.baudrate if self.devices else 1_000_000)
         return 10.0 * size / rate
 
     def _execute(self, frame: Frame, now: float, baudrate: int | None) -> list[Reply]:
         self.advance(now)
-        awake = [d for d in self.devices if d.listens(now) and baudrate in {None, d.baudrate}]
+        awake = [d for d in self.devices if d.listens(now) and baudrate in {None, d.line.baudrate}]
         for device in awake:
             device.feed_watchdog(now)
         if frame.id != BROADCAST:
@@ -154,18 +136,18 @@ class PacketBus:
             return []
         if frame.instruction >= Instruction.SYNC_READ:
             together = self._together if self._protocol == 2 else self._mx_together
-            return together(frame, {device.id: device for device in awake}, now)
-        answers = [(d, d.answer(frame, now)) for d in sorted(awake, key=lambda d: d.id)]
+            return together(frame, {device.line.id: device for device in awake}, now)
+        answers = [(d, d.answer(frame, now)) for d in sorted(awake, key=lambda d: d.line.id)]
         if frame.instruction != Instruction.PING:
             return []
-        return self._timed([(d, self._status(d.id, *a)) for d, a in answers if a is not None], now)
+        return self._timed([(d, self._status(d.line.id, *a)) for d, a in answers if a is not None], now)
 
     def _addressed(self, frame: Frame, awake: list[PacketServo], now: float) -> list[Reply]:
         """Execute an instruction to one id; a servo that has it as its shadow id obeys without a reply."""
         for device in awake:
-            if device.id != frame.id and device.shadow == frame.id:
+            if device.line.id != frame.id and device.line.shadow == frame.id:
                 device.answer(frame, now)
-        named = [device for device in awake if device.id == frame.id]
+        named = [device for device in awake if device.line.id == frame.id]
         answers = [device.answer(frame, now) for device in named]
         packets = [self._status(frame.id, *answer) for answer in answers if answer is not None]
         return self._timed([(named[0], _collided(packets))], now) if packets else []
@@ -188,7 +170,7 @@ class PacketBus:
         packets = []
         for ident, address, size in wanted:
             device = present.get(ident)
-            if device is not None and device.status_return_level > 0:
+            if device is not None and device.line.level > 0:
                 error, data = device.read(address, size, now)
                 packets.append((device, status(ident, device.alerted(error), data)))
         return self._timed(packets, now)
@@ -205,9 +187,9 @@ class PacketBus:
         packets = []
         for ident, address, size in reads_1(frame):
             device = present.get(ident)
-            if frame.instruction == Instruction.SYNC_READ and (device is None or not device.sync_reads):
+            if frame.instruction == Instruction.SYNC_READ and (device is None or not device.line.sync_reads):
                 continue
-            if device is None or device.status_return_level == 0:
+            if device is None or device.line.level == 0:
                 break
             error, data = device.read(address, size, now)
             packets.append((device, status_1(ident, device.alerted(error), data)))
@@ -220,7 +202,7 @@ class PacketBus:
         first = None
         for ident, address, size in wanted:
             device = present.get(ident)
-            if device is None or device.status_return_level == 0:
+            if device is None or device.line.level == 0:
                 break
             first = first or device
             error, data = device.read(address, size, now)
@@ -235,8 +217,8 @@ class PacketBus:
         for device, data in packets:
             byte = 0.0
             if self._timing is not None:
-                byte = 10.0 / device.baudrate
-                at += device.return_delay + byte * len(data)
+                byte = 10.0 / device.line.baudrate
+                at += device.line.return_delay + byte * len(data)
             out += self._delivered(data, at, byte)
         self._free = max(self._free, at)
         return sorted(out, key=lambda reply: reply.at)

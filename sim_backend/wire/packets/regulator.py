@@ -30,7 +30,6 @@ class Stalling(Protocol):
     @property
     def stall(self) -> tuple[float, float, float]:
         """The stall point."""
-        ...
 
 
 def joint_at_horn(model: Stalling, coupling: CouplingParameters | None = None) -> SimParameters:

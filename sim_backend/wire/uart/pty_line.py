@@ -44,19 +44,15 @@ class SerialPeer(Protocol):
     @property
     def unplugged(self) -> bool:
         """Whether the cable has been pulled out."""
-        ...
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
         """Return what it sends, and when: unasked up to `now`, and in reply to `data`, sent at `now`."""
-        ...
 
     def advance(self, now: float) -> None:
         """Carry it to `now`."""
-        ...
 
     def due(self) -> float:
         """Return when it next sends something unasked; infinite where it does not."""
-        ...
 
 
 class PtyLine:

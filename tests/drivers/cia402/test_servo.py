@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from drivers import tables
 from drivers.cia402.config import Cia402Config
-from drivers.cia402.profiles import profile_names
 from drivers.cia402.states import DriveState, state_of
 from drivers.servo import Command, DriverError, Limits, Quantity, Status
 from hil.stand.file import load
@@ -71,7 +71,7 @@ def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at
     ):
         with pytest.raises(ValidationError, match=words):
             table.validate_python(good | change)
-    assert sorted(profile_names()) == sorted(MODELS)
+    assert sorted(tables.table("cia402")["profiles"]) == sorted(MODELS)
 
 
 def test_statuswords_are_read_as_the_standard_writes_them() -> None:

@@ -272,7 +272,7 @@ def test_positions_are_followed_beyond_a_turn_from_wherever_it_stands(make_rig: 
 
 def test_the_limits_are_in_the_servo_before_current_flows_and_the_eeprom_is_put_back(make_rig: Make) -> None:
     rig = make_rig("mx-64")
-    before = rig.device.eeprom()
+    before = bytes(rig.device.registers.memory[:24])
     servo = rig.open(mode="extended-position")
     servo.arm(LIMITS)
     device = rig.device
@@ -282,7 +282,7 @@ def test_the_limits_are_in_the_servo_before_current_flows_and_the_eeprom_is_put_
     assert device.get("moving_speed") == math.floor(6.0 / (0.114 * TURN / 60.0))
     assert (device.get("cw_angle_limit"), device.get("ccw_angle_limit")) == (4095, 4095)
     servo.close()
-    assert device.eeprom() == before
+    assert bytes(device.registers.memory[:24]) == before
     assert not device.torque_on
 
 

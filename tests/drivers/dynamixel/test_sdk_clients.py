@@ -158,7 +158,7 @@ def test_a_factory_reset_restores_the_defaults_except_what_it_is_asked_to_keep(l
     registers = bus.devices[1].registers
     assert [registers.get(n) for n in ("id", "baud_rate", "current_limit", "firmware_version")] == [2, 3, 1193, 38]
     PACKETS.factoryReset(port, 1, 0xFF)
-    assert bus.devices[0].baudrate == 57600
+    assert bus.devices[0].line.baudrate == 57600
 
 
 def test_clear_takes_whole_turns_off_the_position(line: tuple[Any, PacketBus]) -> None:

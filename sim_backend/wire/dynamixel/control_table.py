@@ -7,14 +7,12 @@ read as zero, but it must begin at a defined one; the manual is silent on this.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from sim_backend.wire.dynamixel.tables import BAUD, MODES, DynamixelModel
 from sim_backend.wire.packets.frames import Error
+from sim_backend.wire.packets.registers import Item, Registers
 from sim_backend.wire.packets.regulator import POSITION
-
-if TYPE_CHECKING:
-    from sim_backend.wire.dynamixel.tables import Item
 
 EEPROM_END = 64
 _BACKED_UP = frozenset(
@@ -37,15 +35,12 @@ _RESTORES_RAM = 0x02
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 
-class Registers:
-    """One servo's control table. Values are whole counts, signed where the item is."""
+class ControlTable:
+    """The rules of one servo's control table over its `registers`."""
 
     def __init__(self, model: DynamixelModel) -> None:
+        self.registers = Registers(model.items)
         self._model = model
-        self._items = {item.address: item for item in model.items}
-        self._names = {item.name: item for item in model.items}
-        self._end = max(item.address + item.size for item in model.items)
-        self._memory = bytearray(self._end)
         self._defined = {a for item in model.items for a in range(item.address, item.address + item.size)}
         self._indirect = {
             data + slot: address + 2 * slot for address, data, slots in model.indirect for slot in range(slots)
@@ -55,55 +50,38 @@ class Registers:
 
     def erase(self) -> None:
         """Set everything to its factory value."""
-        for item in self._items.values():
-            self._store(item, item.initial)
-        self.put("model_number", self._model.number)
-        self.put("firmware_version", self._model.firmware)
+        self.registers.reset()
+        self.registers.put("model_number", self._model.number)
+        self.registers.put("firmware_version", self._model.firmware)
 
     def power_up(self) -> None:
         """Set what lies in RAM to its initial value, or to the backup's; the EEPROM and the backup keep theirs."""
-        restores = bool(self.get("startup_configuration") & _RESTORES_RAM)
-        for address, item in self._items.items():
-            if address >= EEPROM_END:
-                self._store(item, self._backup.get(address, item.initial) if restores else item.initial)
-        self.put("backup_ready", int(bool(self._backup)))
+        self.registers.reset(EEPROM_END)
+        if self.registers.get("startup_configuration") & _RESTORES_RAM:
+            self._copy_back(lambda address: address >= EEPROM_END)
+        self.registers.put("backup_ready", int(bool(self._backup)))
 
     def back_up(self) -> None:
         """Keep a copy of the EEPROM and of the settings in RAM."""
-        kept = [item for item in self._items.values() if item.address < EEPROM_END or item.name in _BACKED_UP]
-        self._backup = {item.address: self._value(item) for item in kept}
-        self.put("backup_ready", 1)
+        items = self.registers.items.values()
+        kept = [item for item in items if item.address < EEPROM_END or item.name in _BACKED_UP]
+        self._backup = {item.address: self.registers.value(item) for item in kept}
+        self.registers.put("backup_ready", 1)
 
     def restore(self) -> bool:
         """Set the EEPROM to the copy; return False where there is none."""
-        for address, value in self._backup.items():
-            if address < EEPROM_END:
-                self._store(self._items[address], value)
+        self._copy_back(lambda address: address < EEPROM_END)
         return bool(self._backup)
-
-    def has(self, name: str) -> bool:
-        """Whether this model has the item."""
-        return name in self._names
-
-    def get(self, name: str) -> int:
-        """The value of an item, 0 where the model has none of that name."""
-        item = self._names.get(name)
-        return 0 if item is None else self._value(item)
-
-    def put(self, name: str, value: int) -> None:
-        """Set an item from inside the servo, no rule asked; without effect where the model has none of that name."""
-        item = self._names.get(name)
-        if item is not None:
-            self._store(item, value)
 
     def read(self, address: int, size: int) -> tuple[Error, bytes]:
         """Return the error and the bytes of a Read."""
-        if size == 0 or address not in self._defined or address + size > self._end:
+        memory = self.registers.memory
+        if size == 0 or address not in self._defined or address + size > len(memory):
             return Error.ACCESS, b""
         first, last = min(self._indirect), max(self._indirect)
         if address > last or address + size <= first:
-            return Error.NONE, bytes(self._memory[address : address + size])
-        return Error.NONE, bytes(self._memory[self._behind(a)] for a in range(address, address + size))
+            return Error.NONE, bytes(memory[address : address + size])
+        return Error.NONE, bytes(memory[self._behind(a)] for a in range(address, address + size))
 
     def check(self, address: int, data: bytes, *, torque: bool, tripped: bool) -> tuple[Error, list[tuple[Item, int]]]:
         """Return the error of a Write of `data`, and where there is none the items with their new values.
@@ -111,43 +89,36 @@ class Registers:
         torque: whether the torque is on. tripped: whether the bus watchdog has stopped the servo.
         """
         changes: list[tuple[Item, int]] = []
-        at = 0
-        while at < len(data):
-            where = self._behind(address + at)
-            item = self._items.get(where)
+        for item, raw in self.registers.covered(address, data, self._behind):
             if item is None or not item.writable or (item.address < EEPROM_END and torque):
                 return Error.ACCESS, []
-            if at + item.size > len(data):
+            if len(raw) < item.size:
                 return Error.DATA_LENGTH, []
-            value = int.from_bytes(data[at : at + item.size], "little", signed=item.signed)
+            value = self.registers.decoded(item, raw)
             error = self._judge(item, value, tripped=tripped)
             if error:
                 return error, []
             changes.append((item, value))
-            at += item.size
         return (Error.NONE, changes) if data else (Error.DATA_LENGTH, [])
 
-    def store(self, changes: list[tuple[Item, int]]) -> None:
-        """Make what `check` allowed."""
-        for item, value in changes:
-            self._store(item, value)
-
-    def eeprom(self) -> bytes:
-        """The bytes that survive a loss of power."""
-        return bytes(self._memory[:EEPROM_END])
+    def _copy_back(self, wanted: Callable[[int], bool]) -> None:
+        """Set the items at the `wanted` addresses to what the backup holds."""
+        for address, value in self._backup.items():
+            if wanted(address):
+                self.registers.store(self.registers.items[address], value)
 
     def _behind(self, address: int) -> int:
         """Return the address behind an address: of an indirect data item the one that its address item names."""
         pointer = self._indirect.get(address)
         if pointer is None:
             return address
-        target = int.from_bytes(self._memory[pointer : pointer + 2], "little")
+        target = int.from_bytes(self.registers.memory[pointer : pointer + 2], "little")
         return address if target in self._indirect else target
 
     def _judge(self, item: Item, value: int, *, tripped: bool) -> Error:
         low, high = item.low, item.high
         if item.name == "operating_mode":
-            allowed = MODES if self.has("goal_current") else tuple(m for m in MODES if m not in {0, 5})
+            allowed = MODES if self.registers.has("goal_current") else tuple(m for m in MODES if m not in {0, 5})
             return Error.NONE if value in allowed else Error.DATA_RANGE
         if item.name == "baud_rate":
             return Error.NONE if value < min(len(BAUD), high + 1) else Error.DATA_RANGE
@@ -161,16 +132,8 @@ class Registers:
 
     def _within_limits(self, name: str, value: int) -> bool:
         if name == "goal_position":
-            if self.get("operating_mode") == POSITION:
-                return self.get("min_position_limit") <= value <= self.get("max_position_limit")
+            if self.registers.get("operating_mode") == POSITION:
+                return self.registers.get("min_position_limit") <= value <= self.registers.get("max_position_limit")
             return abs(value) <= 256 * 4096
         limit = {"goal_pwm": "pwm_limit", "goal_current": "current_limit", "goal_velocity": "velocity_limit"}.get(name)
-        return limit is None or abs(value) <= self.get(limit)
-
-    def _value(self, item: Item) -> int:
-        raw = self._memory[item.address : item.address + item.size]
-        return int.from_bytes(raw, "little", signed=item.signed)
-
-    def _store(self, item: Item, value: int) -> None:
-        raw = (value & ((1 << 8 * item.size) - 1)).to_bytes(item.size, "little")
-        self._memory[item.address : item.address + item.size] = raw
+        return limit is None or abs(value) <= self.registers.get(limit)

@@ -1,0 +1,92 @@
+"""The memory of an emulated servo: a table of named items over bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One item of a control table.
+
+    low, high: the range a write must keep to. sign_bit: the bit that holds the sign; 0: two's complement where `low` is
+    negative, else unsigned. writable: RW.
+    """
+
+    address: int
+    size: int
+    name: str
+    initial: int = 0
+    low: int = 0
+    high: int = 0
+    sign_bit: int = 0
+    writable: bool = True
+
+
+class Registers:
+    """The items of one servo, at their initial values. big: words have the high byte first.
+
+    memory: the bytes; an address without an item holds zero.
+    """
+
+    def __init__(self, items: tuple[Item, ...], *, big: bool = False) -> None:
+        self.items = {item.address: item for item in items}
+        self.memory = bytearray(max(item.address + item.size for item in items))
+        self._named = {item.name: item for item in items}
+        self._order: Literal["big", "little"] = "big" if big else "little"
+        self.reset()
+
+    def reset(self, first: int = 0) -> None:
+        """Set the items from address `first` on to their initial values."""
+        for item in self.items.values():
+            if item.address >= first:
+                self.store(item, item.initial)
+
+    def has(self, name: str) -> bool:
+        """Whether this model has the item."""
+        return name in self._named
+
+    def get(self, name: str) -> int:
+        """Return the value of an item, 0 where the model has none of that name."""
+        item = self._named.get(name)
+        return 0 if item is None else self.value(item)
+
+    def put(self, name: str, value: int) -> None:
+        """Set an item from inside the servo, no rule asked; without effect where the model has none of that name."""
+        if name in self._named:
+            self.store(self._named[name], value)
+
+    def value(self, item: Item) -> int:
+        """Return the value of `item`."""
+        return self.decoded(item, self.memory[item.address : item.address + item.size])
+
+    def decoded(self, item: Item, data: bytes | bytearray) -> int:
+        """Return the value that `data` has as `item`."""
+        if not item.sign_bit:
+            return int.from_bytes(data, self._order, signed=item.low < 0)
+        raw = int.from_bytes(data, self._order)
+        magnitude = raw & ((1 << item.sign_bit) - 1)
+        return -magnitude if raw >> item.sign_bit & 1 else magnitude
+
+    def store(self, item: Item, value: int) -> None:
+        """Set `item` to as many of the value's low bits as it has room for, no rule asked."""
+        if item.sign_bit:
+            value = abs(value) | (1 << item.sign_bit if value < 0 else 0)
+        raw = (value % (1 << 8 * item.size)).to_bytes(item.size, self._order)
+        self.memory[item.address : item.address + item.size] = raw
+
+    def covered(
+        self, address: int, data: bytes, behind: Callable[[int], int] = lambda address: address
+    ) -> Iterator[tuple[Item | None, bytes]]:
+        """Yield each item that a write of `data` to `address` covers and its bytes, too few at a torn end.
+
+        A byte without an item comes alone, with None. behind: the address that an address stands for.
+        """
+        at = 0
+        while at < len(data):
+            item = self.items.get(behind(address + at))
+            size = item.size if item is not None else 1
+            yield item, bytes(data[at : at + size])
+            at += size

@@ -1,0 +1,52 @@
+"""Several emulated servos of one model for one line."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from sim_backend.parameters import SimParameters
+from sim_backend.wire.packets.regulator import Stalling, joint_at_horn
+from sim_backend.wire.torque_log import TorqueLog, Watched
+
+Servo = TypeVar("Servo", bound=Watched)
+
+
+def servos(
+    make: Callable[..., Servo],
+    models: Mapping[str, Stalling],
+    model: str,
+    idents: Sequence[int],
+    *,
+    highest: int,
+    baudrate: int,
+    rates: Collection[int],
+    parameters: SimParameters | None,
+    log: TorqueLog | None,
+) -> list[Servo]:
+    """Return servos of one of `models`, each with a plant of its own, powered now on the monotonic clock.
+
+    make: makes one from its model and id, and baudrate, parameters and now as keywords. highest: the highest id.
+    rates: the baud rates there are, bit/s. parameters: the plant, in which the motor's constant and winding are made
+    the model's; None: the paper's joint on the horn. log: of the torque of each. Raises ValueError for a model, an id
+    or a baud rate that cannot be.
+    """
+    if model not in models:
+        raise ValueError(f"model {model!r} is not known: choose one of {', '.join(sorted(models))}")
+    if baudrate not in rates:
+        raise ValueError(f"baud rate {baudrate}: choose one of {', '.join(map(str, sorted(rates)))}")
+    if len(set(idents)) < len(idents) or not all(0 <= ident <= highest for ident in idents):
+        raise ValueError(f"ids must differ and lie between 0 and {highest}")
+    if parameters is None:
+        plant = joint_at_horn(models[model])
+    else:
+        volts, amperes, torque = models[model].stall
+        motor = replace(parameters.motor, torque_constant=torque / amperes, winding_resistance=volts / amperes)
+        plant = replace(parameters, motor=motor)
+    now = time.monotonic()
+    made = [make(model, ident, baudrate=baudrate, parameters=plant, now=now) for ident in idents]
+    if log is not None:
+        log.watch_all(made, now)
+    return made
