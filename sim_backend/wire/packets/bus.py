@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
 from sim_backend.wire.packets.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status, take_packet
 from sim_backend.wire.packets.frames_1 import reads_1, status_1, sync_writes_1, take_packet_1
+from sim_backend.wire.torque_log import Watched
 from sim_backend.wire.uart.pacing import paced
 
 
@@ -48,7 +49,7 @@ class LineSettings(NamedTuple):
     sync_reads: bool = False
 
 
-class PacketServo(Protocol):
+class PacketServo(Watched, Protocol):
     """A servo as the line sees it."""
 
     @property
