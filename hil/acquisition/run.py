@@ -115,11 +115,15 @@ def _finish(writer: RecordingWriter, outcome: Outcome, *, force: bool) -> Path:
     try:
         with writer:
             if len(writer):
-                return writer.finish(outcome.end_reason, force=force)
+                path = writer.finish(outcome.end_reason, force=force)
+                outcome.moved = writer.moved
+                return path
             writer.discard()
     except Exception as error:  # noqa: BLE001 - in any case the user must learn where the data is
-        failure = WrongUse(f"{error}\nThe run itself is safe: hil recover {writer.path} -o OTHER.h5")
+        kept = writer.path if writer.path.exists() else None
+        hint = "" if kept is None else f"\nThe run itself is safe: hil recover {kept} -o OTHER.h5"
+        failure = WrongUse(f"{error}{hint}")
         failure.__cause__ = error
         outcome.error = outcome.error or failure
-        return writer.path if writer.path.exists() else writer.final
+        return kept or writer.final
     return writer.final

@@ -124,7 +124,8 @@ def record(
         force=force,
         alarm=alarm,
     )
-    run = Run(path, outcome, (*foreseen, *lateness(outcome.late, outcome.samples)))
+    moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
+    run = Run(path, outcome, (*foreseen, *moved, *lateness(outcome.late, outcome.samples)))
     try:
         if ended is not None:
             ended(run)

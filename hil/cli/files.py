@@ -140,13 +140,14 @@ def recover(
     force: options.Force = False,
 ) -> None:
     """Turn an unfinished .part file into a recording; the .part file is kept."""
-    from hil.recording.output import check_output
+    from hil.recording.output import check_ended, check_output
     from hil.recording.writer import finalise
 
     if output is None and part.suffix != ".part":
         raise WrongUse(f"{part} does not end in .part: name the output with -o")
     target = output or part.with_suffix("")
     check_output(target, force=force, inputs=[part])
+    check_ended(part)
     done = finalise(part, target, force=force)
     out(f"{target}: {done.samples} samples recovered; {part} is still there")
     print_diagnostics(_damage(part, done.damaged, trusted=done.trusted))

@@ -70,7 +70,7 @@ def record(
     )
     if run.outcome.signal:
         raise typer.Exit(128 + run.outcome.signal)
-    print_diagnostics([one for one in run.diagnostics if one.code == "many-late"])
+    print_diagnostics([one for one in run.diagnostics if one.code in {"file-moved", "many-late"}])
     if not run.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)
 

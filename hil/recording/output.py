@@ -12,7 +12,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hil.errors import WrongUse
-from hil.recording.posix import is_at, lock, open_binary, remove, rename_new, sync_folder
+from hil.recording.posix import is_at, lock, open_binary, remove, sync_folder, take_name
+
+_TEMPORARY = re.compile(r"\.hil-[0-9a-f]{32}")
 
 
 class NameTaken(WrongUse):
@@ -53,33 +55,53 @@ def check_unfinished(path: Path) -> None:
     part = part_path(path)
     with writing(path):
         if part.exists():
+            check_ended(part)
             raise WrongUse(
                 f"{part} is a recording that never ended: keep it with `hil recover {part}`, choose another name with "
                 "-o, or remove it with `hil record --force`"
             )
 
 
+def check_ended(part: Path) -> None:
+    """Raise WrongUse where the unfinished recording `part` is being recorded, so that it may not be recovered yet."""
+    with writing(part):
+        _unlock(_locked_alone(part))
+
+
 def remove_unfinished(path: Path) -> None:
     """Remove the unfinished recording that would become `path`, if any. Raises WrongUse while it is recorded."""
     part = part_path(path)
     with writing(path):
-        try:
-            file = open_binary(part, os.O_RDWR)
-        except FileNotFoundError:
-            return
-        try:
-            lock(file, shared=False)
-        except BlockingIOError:
-            os.close(file)
-            raise WrongUse(
-                f"{part} is being recorded or read at this moment: wait for it, or choose another name with -o"
-            ) from None
-        except OSError:
-            pass  # the filesystem knows no locks, so nobody can have one
-        if is_at(file, part):
+        file = _locked_alone(part)
+        if file is not None and is_at(file, part):
             remove(file, part)
         else:
-            os.close(file)
+            _unlock(file)
+
+
+def _locked_alone(part: Path) -> int | None:
+    """Return the open file `part`, None without one. Raises WrongUse where another process has it locked."""
+    try:
+        file = open_binary(part, os.O_RDWR)
+    except FileNotFoundError:
+        return None
+    except PermissionError:
+        file = open_binary(part, os.O_RDONLY)
+    try:
+        lock(file, shared=False)
+    except BlockingIOError:
+        os.close(file)
+        raise WrongUse(
+            f"{part} is being recorded or read at this moment: wait for it, or choose another name with -o"
+        ) from None
+    except OSError:
+        pass  # the filesystem knows no locks, so nobody can have one
+    return file
+
+
+def _unlock(file: int | None) -> None:
+    if file is not None:
+        os.close(file)
 
 
 def check_space(path: Path, size: int) -> None:
@@ -95,28 +117,59 @@ def check_space(path: Path, size: int) -> None:
         )
 
 
+def new_temporary(path: Path) -> tuple[int, Path]:
+    """Return a new file beside `path`, locked while it is open, and its name, which cannot be predicted.
+
+    The name keeps the last suffixes of `path`. Those that killed processes left in the folder are removed.
+    """
+    _remove_abandoned(path.parent)
+    while True:
+        temporary = path.with_name(f".hil-{uuid.uuid4().hex}{''.join(path.suffixes[-2:])}")
+        file = open_binary(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR)
+        try:
+            lock(file, shared=True)  # as HDF5 does when it reads: watching stays possible
+        except BlockingIOError:
+            pass  # another process takes it for abandoned and removes it
+        except OSError:
+            return file, temporary  # the filesystem knows no locks, and nobody removes anything there
+        else:
+            if is_at(file, temporary):
+                return file, temporary
+        os.close(file)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove the temporary files whose process has ended: nobody holds their lock."""
+    for path in [path for path in folder.iterdir() if _TEMPORARY.match(path.name)]:
+        with suppress(OSError):  # another process may remove it too, or may be using it
+            file = open_binary(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+            try:
+                lock(file, shared=False)
+                if stat.S_ISREG(os.fstat(file).st_mode) and is_at(file, path):
+                    path.unlink()
+            finally:
+                os.close(file)
+
+
 @contextmanager
 def atomic_write(path: Path, *, force: bool) -> Iterator[Path]:
     """Yield a new file beside `path` to write to, which then takes that name: a result appears whole or not at all.
 
-    The file's own name cannot be predicted and keeps the last suffixes of `path`. force: whether a regular file at
-    `path` is replaced; nothing else ever is. Raises WrongUse where that refuses, or where `path` cannot be written.
+    It is a locked file of `new_temporary`. force: whether a regular file at `path` is replaced; nothing else ever is.
+    Raises WrongUse where that refuses, or where `path` cannot be written.
     """
-    temporary = path.with_name(f".hil-{uuid.uuid4().hex}{''.join(path.suffixes[-2:])}")
     with writing(path):
-        os.close(open_binary(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR))
+        locked, temporary = new_temporary(path)
         try:
             yield temporary
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
             _check_replaceable(path, force=force)
-            if force:
-                temporary.replace(path)
-            else:
-                rename_new(temporary, path)
+            locked = take_name(locked, temporary, path, replace=force)
         except FileExistsError:
             raise WrongUse(_exists(path)) from None
         finally:
+            os.close(locked)
             with suppress(OSError):
                 temporary.unlink()
         sync_folder(path.parent)

@@ -36,9 +36,14 @@ if sys.platform == "win32":
         os.close(file)
         path.unlink()
 
-    def rename_new(source: Path, path: Path) -> None:
-        """Rename a file. Raises FileExistsError where the new name is taken."""
-        source.rename(path)
+    def take_name(file: int, source: Path, path: Path, *, replace: bool) -> int:
+        """Rename the open file `source` and return it. Raises FileExistsError where the new name is taken."""
+        os.close(file)  # an open file keeps its name here
+        source.replace(path) if replace else source.rename(path)
+        file = os.open(path, os.O_RDWR | os.O_BINARY)
+        with suppress(OSError):
+            lock(file, shared=True)
+        return file
 
     def sync_folder(folder: Path) -> None:
         """Make a new name in `folder` durable: the system does so by itself."""
@@ -74,8 +79,15 @@ else:
         finally:
             os.close(file)
 
-    def rename_new(source: Path, path: Path) -> None:
-        """Rename a file. Raises FileExistsError where the new name is taken."""
+    def take_name(file: int, source: Path, path: Path, *, replace: bool) -> int:
+        """Rename the open file `source` and return it. Raises FileExistsError where the new name is taken."""
+        if replace:
+            source.replace(path)
+        else:
+            _rename_new(source, path)
+        return file
+
+    def _rename_new(source: Path, path: Path) -> None:
         try:
             os.link(source, path)
         except FileExistsError:

@@ -357,7 +357,12 @@ def _open(path: Path) -> h5py.File:
         except PermissionError:
             raise WrongUse(f"{path} cannot be opened (permission denied)") from None
         except OSError as error:
-            raise WrongUse(f"{path} is not HDF5, or is cut off: bring CSV data in with `hil import`") from error
+            hint = (
+                "it has no row that can be read, and `hil record --force` replaces it"
+                if path.suffix == ".part"
+                else "bring CSV data in with `hil import`"
+            )
+            raise WrongUse(f"{path} is not HDF5, or is cut off: {hint}") from error
 
 
 def _refuse_foreign_storage(file: h5py.File, path: Path) -> None:

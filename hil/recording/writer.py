@@ -26,9 +26,10 @@ import numpy as np
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import CHANNELS, END_MARK, ROW, Row, Rows
 from hil.recording.integrity import EVENT, LIVE, header_hash, packed, packed_array, packed_event, plain
-from hil.recording.output import NameTaken, atomic_write, check_space, part_path, writing
-from hil.recording.posix import is_at, lock, open_binary, remove, write_at
+from hil.recording.output import NameTaken, atomic_write, check_space, new_temporary, part_path, writing
+from hil.recording.posix import is_at, remove, sync_folder, take_name, write_at
 from hil.recording.reader import BLOCK, EVENTS, SCHEMA, Array, Event, Recording
+from hil.recording.rescue import rescue
 
 _OVERHEAD = 1 << 18  # bytes of a file that are not samples, generously
 _DURABLE = 0.25  # s between two requests that the disk keep what it was given
@@ -52,12 +53,14 @@ class RecordingWriter:
     `length` rows are reserved on disk before anything moves. Rows are handed to the operating system in batches of
     `batch` rows, so a killed process loses at most one batch; a thread makes them durable four times a second, so a
     power cut loses little more. The file is locked until it is closed, so that nobody removes it.
+    path: of the `.part`. final: of the finished file. moved: a sentence, where both had to be put elsewhere.
     Raises WrongUse where the disk cannot hold the run, NameTaken where another recording has its name.
     """
 
     def __init__(self, path: Path, header: Header, length: int, *, batch: int = 10) -> None:
         self.path = part_path(path)
         self.final = path
+        self.moved = ""
         self._pending: list[Row] = []
         self._batch = batch
         self._rows = 0
@@ -67,15 +70,29 @@ class RecordingWriter:
         self._closing = threading.Event()
         self._syncer = threading.Thread(target=self._keep_durable, daemon=True)
         with writing(self.path):
+            if os.path.lexists(self.path):
+                raise _taken(self.path)
             check_space(self.path, 2 * length * LIVE.itemsize + _OVERHEAD)  # the second stage stands beside the first
-            self._file = _locked_new(self.path)
             try:
-                self._offset, self._event_offset = _fill_part(self.path, header, length)
-                self._reserve(max(length, 1))
-                self._syncer.start()
+                self._create(header, length)
             except BaseException:
-                self.discard()
+                self.close()
                 raise
+            self._syncer.start()
+
+    def _create(self, header: Header, length: int) -> None:
+        """Make the `.part` under another name: it appears when it is whole, so that a kill leaves none that is not."""
+        self._file, temporary = new_temporary(self.path)
+        try:
+            self._offset, self._event_offset = _fill_part(temporary, header, length)
+            self._reserve(max(length, 1))
+            self._file = take_name(self._file, temporary, self.path, replace=False)
+        except FileExistsError:
+            raise _taken(self.path) from None
+        finally:
+            with suppress(FileNotFoundError):  # it has its name
+                temporary.unlink()
+        sync_folder(self.path.parent)
 
     def _keep_durable(self) -> None:
         # outside the control loop, which a slow disk must not stop
@@ -161,12 +178,25 @@ class RecordingWriter:
         """
         self.flush()
         self._stop_syncing()
-        if self._file is None or not is_at(self._file, self.path):
-            raise WrongUse(f"{self.path} is not the file of this recording any more: somebody has replaced it")
+        if self._file is None:
+            raise WrongUse(f"{self.path} is closed already")
+        if not is_at(self._file, self.path):
+            self._rescue(force=force)
         finalise(self.path, self.final, end_reason=end_reason, force=force)
         file, self._file = self._file, None
         remove(file, self.path)
         return self.final
+
+    def _rescue(self, *, force: bool) -> None:
+        """Copy the `.part`, which has lost its name, to a place of its own, and finish that one."""
+        assert self._file is not None  # noqa: S101 - the caller has looked
+        gone = self.path
+        copy, self.path = rescue(self._file, self.final)
+        os.close(self._file)
+        self._file = copy
+        if not self.final.parent.is_dir() or (os.path.lexists(self.final) and not force):
+            self.final = self.path.with_suffix("")
+        self.moved = f"{gone} was removed or replaced while it was recorded: its rows were rescued to {self.final}"
 
     def _stop_syncing(self) -> None:
         self._closing.set()
@@ -190,23 +220,8 @@ class RecordingWriter:
         self.close()
 
 
-def _locked_new(path: Path) -> int:
-    """Return a new, empty, locked file. Raises NameTaken where there is one already: it may be another recorder's."""
-    try:
-        file = open_binary(path, os.O_RDWR | os.O_CREAT | os.O_EXCL)
-    except FileExistsError:
-        raise NameTaken(f"{path} is another recording that has not ended (File exists): name another with -o") from None
-    try:
-        lock(file, shared=True)  # as HDF5 does when it reads: watching stays possible
-    except BlockingIOError:
-        pass  # somebody is removing it; it is gone from its place, or will be
-    except OSError:
-        return file  # the filesystem knows no locks: two recorders are kept apart by the name alone
-    else:
-        if is_at(file, path):
-            return file
-    os.close(file)
-    raise NameTaken(f"{path} was removed by somebody else while it was made: start again")
+def _taken(path: Path) -> NameTaken:
+    return NameTaken(f"{path} is another recording that has not ended (File exists): name another with -o")
 
 
 def _fill_part(path: Path, header: Header, length: int) -> tuple[int, int]:
@@ -295,7 +310,10 @@ def finalise(source: Path, output: Path, *, end_reason: str | None = None, force
     with Recording(source) as recording:
         done = Finalised(len(recording), recording.damaged, _is_trusted(recording))
         check_space(output, len(recording) * ROW.itemsize + _OVERHEAD)
-        with atomic_write(output, force=force) as temporary, h5py.File(temporary, "w", libver="latest") as file:
+        with (
+            atomic_write(output, force=force) as temporary,  # which has locked it already
+            h5py.File(temporary, "w", libver="latest", locking=False) as file,
+        ):
             attributes = {name: value for name, value in recording.attributes.items() if name != "sha256_header"}
             _write_attributes(file, attributes, recording.profile, recording.truth())
             file.attrs["complete"] = end_reason == "done"

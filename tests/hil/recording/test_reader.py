@@ -380,17 +380,6 @@ def test_two_recorders_never_share_a_file(tmp_path: Path) -> None:
             assert len(recording) == 5
 
 
-def test_a_file_that_replaced_the_part_is_not_finished_in_its_place(tmp_path: Path) -> None:
-    with recorded(tmp_path / "a.h5", 12) as part:
-        part.path.unlink()
-        recorded(tmp_path / "b.h5", 3).close()
-        (tmp_path / "b.h5.part").rename(part.path)
-        with pytest.raises(WrongUse, match="somebody has replaced it"):
-            part.finish("done")
-    with Recording(part.path) as recording:
-        assert len(recording) == 3
-
-
 def test_a_part_is_discarded_only_where_it_is_ours(tmp_path: Path) -> None:
     part = RecordingWriter(tmp_path / "a.h5", HEADER, 5)
     part.path.unlink()

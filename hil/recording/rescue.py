@@ -1,0 +1,72 @@
+"""Keep the rows of a recording whose file was removed, renamed or replaced while it was recorded."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+
+from hil.errors import WrongUse
+from hil.recording.output import new_temporary, part_path
+from hil.recording.posix import sync_folder, take_name
+
+_BLOCK = 1 << 20  # bytes copied at a time
+
+
+def rescue(file: int, final: Path) -> tuple[int, Path]:
+    """Copy an open `.part` that has lost its name to a new one. Return the copy, open and locked, and its path.
+
+    final: what it would have become. The copy lies in its folder, or else in the working directory, the home folder or
+    the system's for temporary files. Raises WrongUse where none of them takes it.
+    """
+    reasons = []
+    for folder in _folders(final):
+        try:
+            return _copy(file, folder / final.name)
+        except OSError as error:
+            reasons.append(f"{folder}: {error.strerror or error}")
+    raise WrongUse(
+        f"{part_path(final)} was removed or replaced while it was recorded, and its rows could not be copied to "
+        f"another place ({'; '.join(reasons)})"
+    )
+
+
+def _folders(final: Path) -> Iterator[Path]:
+    yield final.parent
+    for folder in (Path.cwd, Path.home, lambda: Path(tempfile.gettempdir())):
+        with suppress(OSError, RuntimeError):  # a working directory that is gone, an unknown home
+            yield folder()
+
+
+def _copy(file: int, final: Path) -> tuple[int, Path]:
+    copy, temporary = new_temporary(part_path(final))
+    try:
+        os.lseek(file, 0, os.SEEK_SET)
+        with open(copy, "wb", closefd=False) as target:
+            while data := os.read(file, _BLOCK):
+                target.write(data)
+        os.fsync(copy)
+        for path in _names(part_path(final)):
+            with suppress(FileExistsError):
+                copy = take_name(copy, temporary, path, replace=False)
+                sync_folder(path.parent)
+                return copy, path
+        raise AssertionError("there are names without end")
+    except BaseException:
+        os.close(copy)
+        raise
+    finally:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+
+
+def _names(part: Path) -> Iterator[Path]:
+    """Yield names for a `.part` whose final name is free: its own, a-rescued.h5.part, a-rescued2.h5.part and so on."""
+    stem, dot, rest = part.name.partition(".")
+    for number in count():
+        name = f"{stem}-rescued{number if number > 1 else ''}{dot}{rest}" if number else part.name
+        if not os.path.lexists(part.with_name(name).with_suffix("")):
+            yield part.with_name(name)

@@ -1,0 +1,215 @@
+"""What a kill, a removed folder or another recorder leaves on disk: no dead end, no stranger's rows, none lost."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Callable
+from functools import partial
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from hil.cli import app as cli
+from hil.errors import WrongUse
+from hil.recording import output
+from hil.recording import writer as writer_module
+from hil.recording.channels import ROW, Row
+from hil.recording.output import atomic_write, check_unfinished, remove_unfinished
+from hil.recording.reader import Recording
+from hil.recording.writer import Header, RecordingWriter, finalise
+
+HEADER = Header(profile={"kind": "chirp"})
+
+
+def recorded(path: Path, rows: int) -> RecordingWriter:
+    part = RecordingWriter(path, HEADER, rows + 5)
+    for seq in range(rows):
+        part.append(Row(seq, time=seq / 100.0, torque=0.5))
+    part.flush()
+    return part
+
+
+def in_killed_process(work: Callable[[], object]) -> bool:
+    """Do `work` in a copy of this process; return whether it was killed meanwhile."""
+    child = os.fork()
+    if child == 0:
+        try:
+            work()
+        finally:
+            os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+
+
+def killing(monkeypatch: pytest.MonkeyPatch, at: int, *, after: bool) -> None:
+    """Let the `at`-th of the calls that touch the disk kill the process, before it acts or after it has."""
+    calls = count(1)
+
+    def fatal(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*words: Any, **settings: Any) -> Any:
+            due = next(calls) == at
+            if due and not after:
+                os.kill(os.getpid(), signal.SIGKILL)
+            answer = function(*words, **settings)
+            if due:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return answer
+
+        return call
+
+    for name in ("open", "fsync", "link", "unlink", "close"):
+        monkeypatch.setattr(os, name, fatal(getattr(os, name)))
+    for name in ("write_at", "_write_header", "_sign", "_reserve_contiguous"):
+        monkeypatch.setattr(writer_module, name, fatal(getattr(writer_module, name)))
+
+
+@pytest.mark.parametrize("after", [False, True])
+def test_a_kill_at_any_call_of_the_start_leaves_a_whole_part_or_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, after: bool
+) -> None:
+    monkeypatch.setattr(writer_module, "_software", dict)
+    seen = set()
+    for at in count(1):
+        folder = tmp_path / str(at)
+        folder.mkdir()
+        with monkeypatch.context() as patch:
+            killing(patch, at, after=after)
+            killed = in_killed_process(partial(RecordingWriter, folder / "a.h5", HEADER, 5))
+        if not killed:
+            break
+        part = folder / "a.h5.part"
+        seen.add(part.exists())
+        if part.exists():
+            assert finalise(part, folder / "b.h5") == (0, 0, True)
+            part.unlink()
+        recorded(folder / "a.h5", 3).finish("done")
+        assert {item.name for item in folder.iterdir()} <= {"a.h5", "b.h5"}
+    assert seen == {False, True}
+
+
+def test_the_temporary_files_of_dead_processes_are_removed_and_those_of_living_ones_are_not(tmp_path: Path) -> None:
+    dead, other = tmp_path / f".hil-{'0' * 32}.csv", tmp_path / ".hil-notes"
+    dead.write_text("half a table")
+    other.write_text("somebody's")
+    (tmp_path / f".hil-{'1' * 32}").symlink_to(other)
+    with atomic_write(tmp_path / "a.csv", force=False) as living, atomic_write(tmp_path / "b.csv", force=False) as new:
+        assert not dead.exists()
+        living.write_text("1")
+        new.write_text("2")
+    assert (tmp_path / "a.csv").read_text() + (tmp_path / "b.csv").read_text() == "12"
+    assert other.read_text() == "somebody's"
+
+
+def test_nothing_is_removed_on_a_filesystem_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(file: int, *, shared: bool) -> None:
+        del file, shared
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(output, "lock", refuse)
+    (tmp_path / f".hil-{'0' * 32}.h5").write_text("perhaps in use")
+    recorded(tmp_path / "a.h5", 3).finish("done")
+    assert {item.name for item in tmp_path.iterdir()} == {"a.h5", f".hil-{'0' * 32}.h5"}
+
+
+def test_a_live_part_is_not_recovered(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    part = recorded(tmp_path / "a.h5", 3)
+    assert cli.run(["recover", str(part.path)]) == 2
+    assert "is being recorded or read at this moment" in capfd.readouterr().err
+    with pytest.raises(WrongUse, match="is being recorded"):
+        check_unfinished(tmp_path / "a.h5")
+    part.close()
+    with pytest.raises(WrongUse, match="hil recover"):
+        check_unfinished(tmp_path / "a.h5")
+    assert cli.run(["recover", str(part.path)]) == 0
+
+
+def test_a_part_of_an_older_version_that_was_cut_off_is_no_dead_end(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.h5.part").write_bytes(b"\x89HDF")
+    assert cli.run(["recover", str(tmp_path / "a.h5.part")]) == 2
+    assert "it has no row that can be read, and `hil record --force` replaces it" in capfd.readouterr().err
+    remove_unfinished(tmp_path / "a.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_rows_that_an_older_version_reserved_and_did_not_mark_are_no_rows(tmp_path: Path) -> None:
+    part = recorded(tmp_path / "a.h5", 0)
+    part.close()
+    with h5py.File(part.path, "r+") as file:
+        del file["live"]
+        file["live"] = np.zeros(5, dtype=ROW)
+    with Recording(part.path) as recording:
+        assert len(recording) == 0
+
+
+# --- a name that is lost ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory, beside the folder `run` of the recordings."""
+    (tmp_path / "run").mkdir()
+    (tmp_path / "cwd").mkdir()
+    monkeypatch.chdir(tmp_path / "cwd")
+    return tmp_path / "cwd"
+
+
+def remove_folder(part: RecordingWriter) -> None:
+    shutil.rmtree(part.path.parent)
+
+
+def remove(part: RecordingWriter) -> None:
+    part.path.unlink()
+
+
+def replace(part: RecordingWriter) -> None:
+    part.path.unlink()
+    part.path.write_text("somebody else's")
+
+
+@pytest.mark.parametrize(
+    ("lose", "place"), [(remove_folder, "cwd/a.h5"), (remove, "run/a.h5"), (replace, "run/a.h5")], ids=lambda one: one
+)
+def test_a_recording_that_lost_its_name_is_finished_all_the_same(
+    tmp_path: Path, elsewhere: Path, lose: Callable[[RecordingWriter], None], place: str
+) -> None:
+    (elsewhere / "unrelated").touch()
+    with recorded(tmp_path / "run" / "a.h5", 12) as part:
+        lose(part)
+        part.append(Row(12))
+        path = part.finish("done")
+        assert path == part.final
+        assert path.samefile(tmp_path / place)
+        assert str(path) in part.moved
+    with Recording(path) as recording:
+        assert (len(recording), recording.verify()) == (13, True)
+    if lose is replace:
+        assert (tmp_path / "run" / "a.h5.part").read_text() == "somebody else's"
+    assert not [item for item in tmp_path.rglob("*.part") if lose is not replace]
+
+
+def test_a_rescued_recording_replaces_nothing(tmp_path: Path, elsewhere: Path) -> None:
+    for name in ("a.h5", "a-rescued.h5.part"):
+        (elsewhere / name).write_text("somebody's")
+    with recorded(tmp_path / "run" / "a.h5", 12) as part:
+        remove_folder(part)
+        assert part.finish("done", force=True) == elsewhere / "a-rescued2.h5"
+    assert [(elsewhere / name).read_text() for name in ("a.h5", "a-rescued.h5.part")] == ["somebody's"] * 2
+
+
+def test_where_no_place_takes_the_rows_the_message_names_no_file_that_is_not_there(
+    tmp_path: Path, elsewhere: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "none"))
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "none"))
+    with recorded(tmp_path / "run" / "a.h5", 12) as part:
+        remove_folder(part)
+        elsewhere.rmdir()
+        with pytest.raises(WrongUse, match="could not be copied"):
+            part.finish("done")
