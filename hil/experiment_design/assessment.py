@@ -87,8 +87,8 @@ class Assessment:
 
     @property
     def relative(self) -> float:
-        """The larger relative standard error of Kc and Bc, which the search makes least."""
-        return max(self[name].error / self[name].rough for name in ("Kc", "Bc"))
+        """The larger relative root mean square error of Kc and Bc, bias included, which the search makes least."""
+        return max(self[name].relative() for name in ("Kc", "Bc"))
 
     @property
     def limited_by(self) -> str:

@@ -70,6 +70,10 @@ class Prediction:
     bias: float
     inflation: float
 
+    def relative(self, scatter: float = 1.0) -> float:
+        """Return the root mean square error over `rough`; scatter: a factor on the standard error."""
+        return math.hypot(scatter * self.error, self.bias) / self.rough
+
 
 TERMS = tuple(name for name, term in TABLE.items() if term.linear or term.delays)
 """The terms whose errors can be predicted: of the others, the torque has no derivative where they are absent."""

@@ -14,7 +14,7 @@ from hil.acquisition import excitation
 from hil.acquisition.excitation import EXCITATIONS, Profile
 from hil.errors import WrongUse
 from hil.experiment_design.assessment import Assessment, Task, assess, rounded, worst_shares
-from hil.experiment_design.fisher import covariance, sensitivities
+from hil.experiment_design.fisher import predict
 from hil.experiment_design.response import respond
 
 _SEED = 0  # of a PRBS, the default of `hil record`
@@ -24,7 +24,7 @@ _OCTAVES = 2.0  # the narrowest band searched: friction and damping look alike a
 _PERIODS = 2.0  # of the lowest frequency in the run, at least
 _TICKS = 10.0  # in a period of the highest frequency, for which the narrowest window's rate is within 0.5 %
 _FADE, _SHORTEST_FADE = 1.0, 0.1  # s, the default of `hil record` and its minimum
-_LONGEST = 5.0  # s of the runs in the search; all errors fall with the root of the duration
+_LONGEST = 5.0  # s of the runs in the search; standard errors fall with the root of the duration, a bias does not
 
 
 def best(task: Task, duration: float) -> Assessment:
@@ -41,7 +41,7 @@ def best(task: Task, duration: float) -> Assessment:
             f"{duration:g} s at {task.rate:g} Hz leave no band of {_OCTAVES:g} octaves to choose from: "
             "give a longer --duration or a higher --rate"
         )
-    search = _Search(task, (span, max(_FADE * span / duration, _SHORTEST_FADE)), (lowest, highest))
+    search = _Search(task, duration, (lowest, highest))
     ends = _octaves(lowest, highest)
     for kind, low, high in itertools.product(_KINDS, ends, ends):
         search.judge(kind, low, high)
@@ -58,15 +58,17 @@ def best(task: Task, duration: float) -> Assessment:
 
 
 class _Search:
-    """The relative errors of every kind and band tried so far, up to a factor common to all.
+    """The relative errors of every kind and band tried so far.
 
-    times: s, the duration and the fade, which is the same share of it as in the whole run.
+    duration: s, of the whole run; a run in the search lasts `_LONGEST`, its fade the same share of it.
     """
 
-    def __init__(self, task: Task, times: tuple[float, float], reach: tuple[float, float]) -> None:
+    def __init__(self, task: Task, duration: float, reach: tuple[float, float]) -> None:
         self.errors: dict[tuple[str, tuple[float, float]], float] = {}
         self._task = task
-        self._times = times
+        self._span = min(duration, _LONGEST)
+        self._fade = max(_FADE * self._span / duration, _SHORTEST_FADE)
+        self._scatter = math.sqrt(self._span / duration)  # of the whole run over that of a run in the search
         self._reach = reach
 
     def judge(self, kind: str, low: float, high: float) -> None:
@@ -75,7 +77,7 @@ class _Search:
         if EXCITATIONS[kind].from_zero:
             low = self._reach[0]
         if high >= low * 2.0**_OCTAVES and (kind, (low, high)) not in self.errors:
-            self.errors[kind, (low, high)] = _error(self._task, kind, (low, high), *self._times)
+            self.errors[kind, (low, high)] = self._error(kind, (low, high))
 
     def refine(self, kind: str) -> None:
         """Step from the best band of the kind to a local optimum, down to steps of 5 %."""
@@ -88,19 +90,18 @@ class _Search:
             if not min(error for key, error in self.errors.items() if key[0] == kind) < 0.999 * before:
                 step = math.sqrt(step)
 
+    def _error(self, kind: str, band: tuple[float, float]) -> float:
+        """Return the larger relative error of Kc and Bc over the whole run, at the largest amplitude."""
+        profile = _largest(self._task, _made(self._task, kind, band, self._span, self._fade))
+        motion, _ = respond(self._task.joint, profile, self._task.rate)
+        kc, bc = predict(self._task.terms, self._task.joint, motion, self._task.readings)[:2]
+        return max(kc.relative(self._scatter), bc.relative(self._scatter))
+
 
 def _octaves(lowest: float, highest: float) -> list[float]:
     """Return frequencies from the lowest to the highest, at most an octave apart."""
     count = math.ceil(math.log2(highest / lowest))
     return [lowest * (highest / lowest) ** (index / count) for index in range(count + 1)]
-
-
-def _error(task: Task, kind: str, band: tuple[float, float], duration: float, fade: float) -> float:
-    """Return the larger relative error of Kc and Bc, up to a common factor, at the largest amplitude."""
-    motion, _ = respond(task.joint, _largest(task, _made(task, kind, band, duration, fade)), task.rate)
-    variance = covariance(sensitivities(task.terms, task.joint, motion)).diagonal()[:2]
-    rough = (task.joint.stiffness, task.joint.damping)
-    return max(math.sqrt(value) / size for value, size in zip(variance, rough, strict=True))
 
 
 def _largest(task: Task, profile: Profile) -> Profile:

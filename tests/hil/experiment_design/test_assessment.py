@@ -20,6 +20,7 @@ from hil.cli.app import run as hil
 from hil.errors import WrongUse
 from hil.experiment_design.advice import of_profile, of_task
 from hil.experiment_design.assessment import Assessment, Task, assess, rounded, task_of
+from hil.experiment_design.fisher import Prediction
 from hil.experiment_design.response import respond
 from hil.experiment_design.search import best
 from hil.signals.prepare import Signals, prepare
@@ -81,6 +82,23 @@ def test_the_best_excitation_beats_the_usual_one_and_keeps_every_limit(quantity:
     for stiffer, thicker in itertools.product((0.8, 0.9, 1.1, 1.25), (0.67, 0.8, 1.2, 1.5)):
         other = replace(asked.joint, stiffness=0.01775 * stiffer, damping=1.9e-4 * thicker)
         assert max(asked.shares(respond(other, found.profile, asked.rate)[1])) < 1.01
+
+
+def test_the_best_excitation_is_not_one_whose_bias_exceeds_its_standard_error() -> None:
+    """Standard errors alone led to a PRBS up to 35.5 Hz: Bc 0.16 % +- 0.16, and 0.38 % of bias."""
+    asked = task("auto", rate=500.0)
+    variance_only = judged(asked, "prbs", (0.4, 35.5), 0.00672, 20.0)
+    assert variance_only["Bc"].bias > 1.5 * variance_only["Bc"].error
+    found = best(asked, 20.0)
+    for parameter in (found["Kc"], found["Bc"]):
+        assert abs(parameter.bias) < parameter.error
+    assert found.relative < variance_only.relative
+
+
+def test_a_relative_error_holds_the_bias_which_a_longer_run_does_not_reduce() -> None:
+    one = Prediction("Bc", "N*m*s/rad", rough=2.0, error=0.03, bound=0.02, bias=-0.04, inflation=1.0)
+    assert one.relative() == pytest.approx(0.025)
+    assert one.relative(1e-9) == pytest.approx(0.02)
 
 
 def test_no_chirp_or_multisine_nearby_has_smaller_errors_than_the_best() -> None:
