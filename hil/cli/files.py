@@ -74,7 +74,7 @@ def import_data(
     dtheta_dot: Annotated[str | None, typer.Option(help="Column of its rate [default: from the deflection].")] = None,
     motor_torque: Annotated[str | None, typer.Option(help="Column of the motor's torque (with --stand).")] = None,
     motor_position: Annotated[str | None, typer.Option(help="Column of the motor's position (with --stand).")] = None,
-    time_unit: Annotated[str | None, typer.Option(help="s, ms, us, ns [default: the heading's, or s].")] = None,
+    time_unit: Annotated[str | None, typer.Option(help="s, ms, us, ns [default: the heading's].")] = None,
     torque_unit: Annotated[str | None, typer.Option(help="N*m, mN*m, kgf*cm, ...; of either torque.")] = None,
     dtheta_unit: Annotated[str | None, typer.Option(help="rad, deg, rev; of deflection or motor position.")] = None,
     dtheta_dot_unit: Annotated[str | None, typer.Option(help="rad/s, deg/s, rev/s, rpm.")] = None,
@@ -105,8 +105,10 @@ def import_data(
         command_line=command_line(),
         force=force,
     )
-    units = "".join(f"; {channel} in {unit}" for channel, unit in done.units.items())
-    out(f"{output}: {done.samples} samples over {done.duration:.4g} s{units}")
+    out(f"{output}: {done.samples} samples over {done.duration:.4g} s; {done.ranges}")
+    if done.units:
+        out("read " + ", ".join(f"{channel} in {unit}" for channel, unit in done.units.items()))
+    print_diagnostics(done.diagnostics)
 
 
 def _columns(option: str, given: tuple[str | None, float], **names: str | None) -> dict[str, Column]:
@@ -165,7 +167,7 @@ def _damage(path: Path, rows: int, *, trusted: bool) -> list[Diagnostic]:
     if not trusted:
         message = (
             f"{path} is not as it was written (its SHA-256 differs), so no Kc or Bc can be identified from it: use "
-            "another copy, or look at its rows with `hil export`"
+            "another copy"
         )
         found.append(Diagnostic("changed", message, is_error=True))
     return found

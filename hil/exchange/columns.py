@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
-from hil.exchange import delimited, matlab
+from hil.exchange import delimited, headings, matlab
 from hil.exchange.row_filter import RowFilter
-from hil.exchange.units import split
 from hil.recording.input import open_input
 
 _LARGEST = 1 << 36  # bytes of a file
+_SHOWN = 40  # names in a message
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -32,16 +32,21 @@ def titles(source: Path) -> list[str]:
 
 def place(source: Path, known: Sequence[str], name: str) -> int:
     """Return the index of the column `name`; "tau" also finds "tau [mN m]". Raises WrongUse."""
-    for candidates in (list(known), [split(title)[0] for title in known]):
-        if candidates.count(name) > 1:
-            raise WrongUse(f"{source} has {candidates.count(name)} columns named {name!r}: rename all but one")
-        if name in candidates:
-            return candidates.index(name)
+    at = [index for index, title in enumerate(known) if title == name]
+    at = at or [index for index, title in enumerate(known) if name in headings.names(title)]
+    if len(at) > 1:
+        raise WrongUse(f"{source} has {len(at)} columns named {name!r}: rename all but one")
+    if at:
+        return at[0]
     near = get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    if known and all(_is_number(title) for title in known):
-        hint = "its first line holds numbers: write the column names above them; "
-    raise WrongUse(f"{source} has no column {name!r}; {hint}it has {', '.join(known)}")
+    raise WrongUse(f"{source} has no column {name!r}; {hint}it has {listed(known)}")
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names for a message, the first of many."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
 
 
 def read(source: Path, wanted: Sequence[str], where: Sequence[RowFilter]) -> tuple[Array, Rows]:
@@ -62,14 +67,6 @@ def read(source: Path, wanted: Sequence[str], where: Sequence[RowFilter]) -> tup
         what = "no row passes " + " and ".join(str(one) for one in where) if where else "it has no rows"
         raise WrongUse(f"{source}: {what}")
     return table, rows
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_whole(

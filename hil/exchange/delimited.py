@@ -12,13 +12,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from io import BufferedReader, TextIOWrapper
+from itertools import chain
 from pathlib import Path
-from typing import TextIO
+from typing import NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
+from hil.exchange.headings import is_unit
 from hil.exchange.row_filter import RowFilter
 from hil.recording.input import open_input
 
@@ -28,6 +30,8 @@ Rows = NDArray[np.int64]
 _LARGEST = 1 << 36  # bytes of a file, which is read row by row
 _LONGEST = 1 << 20  # characters of a line; what is longer is read as several, none of which has the right fields
 _SHOWN = 40  # characters of a bad cell that are quoted
+_EXAMPLE = ("time [s]", "torque [N*m]", "dtheta [rad]", "a", "b", "c", "d", "e")
+_NO_UNIT = frozenset({"", "-", "1"})
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 
@@ -35,7 +39,7 @@ _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 def titles(source: Path) -> list[str]:
     """Return the headings of the first line, in order. Raises WrongUse for a file that is no text."""
     with _text(source) as text:
-        return _header(source, text)[0]
+        return _header(source, text).names
 
 
 def read(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]) -> tuple[Array, Rows]:
@@ -46,13 +50,13 @@ def read(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFi
     kept = [array("d") for _ in wanted]
     lines = array("q")
     with _text(source) as text:
-        names, delimiter = _header(source, text)
-        reader = csv.reader(iter(partial(text.readline, _LONGEST), ""), delimiter=delimiter)
+        names, delimiter, height, rest = _header(source, text)
+        reader = csv.reader(rest, delimiter=delimiter)
         cells = _Cells(source, names)
-        for row in _rows(source, reader):
+        for row in _rows(source, reader, height):
             if not row:
                 continue
-            line = reader.line_num + 1
+            line = reader.line_num + height
             if len(row) != len(names):
                 raise WrongUse(_unequal(source, line, row, names, delimiter))
             if all(one.keeps(cells.number(line, at, row[at])) for at, one in filters):
@@ -63,11 +67,11 @@ def read(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFi
     return np.array(kept, dtype=np.float64).reshape(len(kept), len(lines)), np.array(lines, dtype=np.int64)
 
 
-def _rows(source: Path, reader: Iterator[list[str]]) -> Iterator[list[str]]:
+def _rows(source: Path, reader: Iterator[list[str]], height: int) -> Iterator[list[str]]:
     try:
         yield from reader
     except csv.Error as error:
-        line = getattr(reader, "line_num", 0) + 1
+        line = getattr(reader, "line_num", 0) + height
         raise WrongUse(f"{source}, near row {line}: {_csv_error(error)}") from None
 
 
@@ -87,14 +91,60 @@ def _unequal(source: Path, line: int, row: list[str], names: list[str], delimite
     return start + "mend the row, or delete it if the file was cut off there"
 
 
-def _header(source: Path, text: TextIO) -> tuple[list[str], str]:
+class _Header(NamedTuple):
+    """The headings, the character between them, the lines that they take, and the lines below."""
+
+    names: list[str]
+    delimiter: str
+    height: int
+    rest: Iterator[str]
+
+
+def _header(source: Path, text: TextIO) -> _Header:
+    """Read the headings, and a line of units below them, if any. Raises WrongUse for a table without headings."""
     line = text.readline(_LONGEST).rstrip("\r\n")
     delimiter = max(",;\t", key=line.count)
+    names = _split(source, line.removeprefix("#"), delimiter)  # numpy.savetxt writes a # before the headings
+    if any(names) and all(_is_number(name) for name in names if name):
+        raise WrongUse(
+            f"{source} has no headings: its first line holds numbers. Write a line above them with the names and units "
+            f"of its {len(names)} columns, such as {delimiter.join(_EXAMPLE[: len(names)])!r}"
+        )
+    second = text.readline(_LONGEST)
+    rest = iter(partial(text.readline, _LONGEST), "")
+    if second and (units := _units(source, second.rstrip("\r\n"), delimiter, len(names))):
+        pairs = zip(names, units, strict=True)
+        return _Header([f"{name} [{unit}]" if unit else name for name, unit in pairs], delimiter, 2, rest)
+    return _Header(names, delimiter, 1, chain([second] if second else [], rest))
+
+
+def _split(source: Path, line: str, delimiter: str) -> list[str]:
     try:
-        names = next(csv.reader([line], delimiter=delimiter), [])
+        return [name.strip() for name in next(csv.reader([line], delimiter=delimiter), [])]
     except csv.Error as error:
         raise WrongUse(f"{source}, row 1: {_csv_error(error)}") from None
-    return [name.strip() for name in names], delimiter
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _units(source: Path, line: str, delimiter: str, columns: int) -> list[str]:
+    """Return the units in the second line of a table, as some loggers write them, "" for a column without; [] if none.
+
+    A line with a quotation mark or a number is not one of them.
+    """
+    if '"' in line or any(map(_is_number, line.split(delimiter))):
+        return []
+    cells = [cell.strip().strip("[](){}") for cell in _split(source, line, delimiter)]
+    stated = [cell for cell in cells if cell not in _NO_UNIT]
+    if len(cells) != columns or not stated or not all(is_unit(cell) for cell in stated):
+        return []
+    return ["" if cell in _NO_UNIT else cell for cell in cells]
 
 
 @contextmanager

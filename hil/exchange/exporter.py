@@ -31,11 +31,12 @@ def export(path: Path, target: Path, *, force: bool = False) -> int:
     """Write every row and channel of a recording, in SI, and return the number of rows. A NaN is an empty CSV cell.
 
     No digit is lost: `hil import` without columns reads the same numbers back. force: replace a file of that name.
-    Raises WrongUse, Untrustworthy for a damaged recording.
+    Raises WrongUse, Untrustworthy for a recording that is damaged or was changed.
     """
     check_format(target)
     write = _write_parquet if target.suffix == ".parquet" else _write_csv
     with Recording(path) as recording, atomic_write(target, force=force) as temporary:
+        recording.check_unchanged()
         write(recording, temporary, packed=target.suffix == ".gz")
         return len(recording)
 

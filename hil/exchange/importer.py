@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +11,16 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from hil import units
+from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
-from hil.exchange import units
-from hil.exchange.columns import place, read, titles
+from hil.exchange.columns import listed, place, read, titles
 from hil.exchange.exporter import heading
+from hil.exchange.headings import bracketed_text, unit_of
 from hil.exchange.row_filter import RowFilter
 from hil.recording.channels import CHANNELS
 from hil.recording.writer import Header, write
+from hil.signals.plausibility import GROSS, Swing, excess, implausible, in_words
 from hil.stand.file import Stand
 from hil.stand.transmission import Transmission, Zero
 
@@ -34,7 +38,6 @@ DIMENSION: Mapping[str, str] = MappingProxyType(
 )
 """The channels that a column can be named for, and the dimension of each."""
 
-_SI: Mapping[str, str] = MappingProxyType({"time": "s", "torque": "N*m", "angle": "rad", "rate": "rad/s"})
 _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
 
 
@@ -42,8 +45,7 @@ _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain 
 class Column:
     """The source of a channel: a column's name, its unit, and a further factor.
 
-    unit: None takes the one that the heading names ("tau [mN m]", "tau_mNm"), SI where it names none. scale: -1 inverts
-    the sign.
+    unit: None takes the one that the heading names ("tau [mN m]", "tau_mNm", "tau/mNm"). scale: -1 inverts the sign.
     """
 
     name: str
@@ -53,11 +55,16 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """The result of an import. duration: s. units: the unit that was used for each channel."""
+    """The result of an import. duration: s. units: the unit that was used for each channel.
+
+    ranges: those of torque and deflection, in words. diagnostics: warnings about their size.
+    """
 
     samples: int
     duration: float
     units: Mapping[str, str]
+    ranges: str
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def import_table(
@@ -74,8 +81,8 @@ def import_table(
 
     columns: channel (see DIMENSION) to its column: time, torque or motor_torque, and dtheta or motor_position; motor
     channels are converted to the joint by the stand's gear. {}: the file is an export of hil. force: replace a
-    recording of that name. Raises WrongUse, with the
-    row at fault.
+    recording of that name. Raises WrongUse, with the row at fault, for a column whose unit nobody states, and for
+    readings that the stand's limits rule out.
     """
     if columns:
         _check_channels(columns, stand)
@@ -86,25 +93,70 @@ def import_table(
     }
     table, rows = read(source, list(names.values()), where)
     channels = dict(zip(names, table, strict=True))
-    for channel, unit in understood.items():
+    used = _all_stated(source, channels, columns, understood)
+    for channel, unit in used.items():
         channels[channel] = channels[channel] * (columns[channel].scale * units.factor(DIMENSION[channel], unit))
     _check_time(source, channels["time"], rows)
     if columns:
         _complete(source, channels, stand)
+    swings = _swings(channels, used)
+    diagnostics = _plausible(source, swings, stand)
     header = Header(
         profile={"kind": "imported", "source": source.name, "where": " and ".join(str(item) for item in where)},
         stand_toml="" if stand is None else stand.text,
         command_line=command_line,
     )
     write(target, header, channels, force=force)
-    return Imported(len(rows), float(channels["time"][-1] - channels["time"][0]), understood)
+    duration = float(channels["time"][-1] - channels["time"][0])
+    return Imported(len(rows), duration, used, in_words(*swings), tuple(diagnostics))
+
+
+def _all_stated(
+    source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column], stated: Mapping[str, str | None]
+) -> dict[str, str]:
+    """Return the units. Raises WrongUse with the ranges of the columns of which nobody states the unit."""
+    missing = [
+        f"{columns[channel].name!r} ({_raw_range(channels[channel])}): {_give(channel)}"
+        for channel, unit in stated.items()
+        if unit is None
+    ]
+    if missing:
+        raise WrongUse(
+            f"{source} does not say the unit of {'; of '.join(missing)}. Or write the units in the headings, as in "
+            "'torque [mN*m]': a wrong one makes Kc wrong by its factor"
+        )
+    return {channel: unit for channel, unit in stated.items() if unit is not None}
+
+
+def _raw_range(values: Array) -> str:
+    good = values[np.isfinite(values)]
+    return f"{good.min():.4g} to {good.max():.4g}" if good.size else "no number"
+
+
+def _swings(channels: Mapping[str, Array], used: Mapping[str, str]) -> tuple[Swing, Swing]:
+    """Return the swings of torque and deflection."""
+    found = []
+    for joint, motor in (("torque", "motor_torque"), ("dtheta", "motor_position")):
+        unit = used.get(joint) or used.get(motor)
+        factor = 1.0 if unit is None else units.factor(DIMENSION[joint], unit)
+        found.append(Swing.of(channels[joint], factor))
+    return found[0], found[1]
+
+
+def _plausible(source: Path, swings: tuple[Swing, Swing], stand: Stand | None) -> list[Diagnostic]:
+    """Return the warnings about the size of torque and deflection. Raises WrongUse where a unit must be wrong."""
+    limits = None if stand is None else stand.limits
+    found = implausible(*swings, limits)
+    if limits is not None and found and excess(*swings, limits) > GROSS:
+        raise WrongUse(f"{source}: {found[0].message}")
+    return found
 
 
 def _own(source: Path, known: Sequence[str]) -> dict[str, str]:
     """Return the headings in a file of `hil export`, by channel."""
     found = {name: heading(name) for name in CHANNELS if name != "seq"}  # the rows are numbered anew
     if not set(found.values()) <= set(known):
-        raise WrongUse(f"name the columns of {source} with --time, --torque and --dtheta; it has {', '.join(known)}")
+        raise WrongUse(f"name the columns of {source} with --time, --torque and --dtheta; it has {listed(known)}")
     return found
 
 
@@ -126,17 +178,19 @@ def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
             raise WrongUse(f"{channel} cannot be scaled by {column.scale:g}: give a number that is not zero")
 
 
-def _unit(channel: str, title: str, column: Column) -> str:
-    """Return a column's unit: the one given, else the heading's, else SI. Raises WrongUse where the two differ."""
+def _unit(channel: str, title: str, column: Column) -> str | None:
+    """Return a column's unit: the one given, else the heading's; None where there is neither.
+
+    Raises WrongUse where the two differ, and for an unknown unit.
+    """
     dimension = DIMENSION[channel]
-    name, inside = units.split(title)
-    named = inside or units.suffix(dimension, name)
+    named = unit_of(title, dimension)
     if column.unit is None:
-        if named and units.canonical(dimension, named) is None:
-            raise WrongUse(f"column {title!r} names an unknown unit of {dimension}: {_give(channel)}")
-        return named or _SI[dimension]
+        if named is None and (text := bracketed_text(title)):
+            raise WrongUse(f"column {title!r} names {text!r}, an unknown unit of {dimension}: {_give(channel)}")
+        return named
     factor = units.factor(dimension, column.unit)
-    if named and units.canonical(dimension, named) is not None and units.factor(dimension, named) != factor:
+    if named is not None and not math.isclose(units.factor(dimension, named), factor, rel_tol=1e-9):
         raise WrongUse(
             f"column {title!r} is in {named} by its heading and in {column.unit} by the option: correct the heading, "
             "or omit the option"
@@ -146,7 +200,7 @@ def _unit(channel: str, title: str, column: Column) -> str:
 
 def _give(channel: str) -> str:
     option = channel.replace("motor_torque", "torque").replace("motor_position", "dtheta").replace("_", "-")
-    return f"give it with --{option}-unit, one of {', '.join(units.UNITS[DIMENSION[channel]])}"
+    return f"give it with --{option}-unit, one of {', '.join(units.COMMON[DIMENSION[channel]])}"
 
 
 def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:

@@ -153,7 +153,7 @@ def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> Block:
 
 
 def _diagnostics(source: Source, stretches: list[Signals], defects: Defects) -> list[Diagnostic]:
-    return recording_diagnostics(source.recording, assess(source.recording, stretches, defects))
+    return recording_diagnostics(source.recording, assess(source.recording, stretches, defects), source.limits)
 
 
 def _uncertainty(sources: Sequence[Source]) -> float:

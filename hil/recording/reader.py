@@ -211,6 +211,14 @@ class Recording:
         events = [] if self.live else self.events()
         return self._stated("sha256_header") == header_hash(self.attributes, self.profile, self.truth(), events)
 
+    def check_unchanged(self) -> None:
+        """Raise Untrustworthy where it is not as it was written. Damaged rows of an unfinished one count as lost."""
+        if not (self.header_intact() if self.live else self.verify()):
+            raise Untrustworthy(
+                f"{self.path} is not as it was written (its SHA-256 differs), so its rows cannot be trusted: use "
+                "another copy of the file"
+            )
+
     def _stated(self, name: str) -> str:
         return str(self.attributes.get(name, ""))
 

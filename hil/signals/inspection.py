@@ -84,5 +84,5 @@ def inspect(path: Path) -> Inspection:
             band=signals.band,
             rate_window=signals.rate_window,
             torque_from=signals.torque_from,
-            diagnostics=tuple(recording_diagnostics(recording, quality)),
+            diagnostics=tuple(recording_diagnostics(recording, quality, source.limits)),
         )

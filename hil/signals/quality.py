@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from drivers.servo import Status
 from hil.diagnostics import Diagnostic, driven_by_position, lateness
 from hil.recording.reader import Recording
+from hil.signals.plausibility import Swing, implausible
 from hil.signals.prepare import Defects, Signals
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
+from hil.stand.file import LimitsTable
 
 Array = NDArray[np.float64]
 
@@ -26,9 +28,9 @@ _ROWS = 1 << 20  # rows of the status read at a time
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """samples: rows of the file. saturated, late: rows of them. torque_from: as of `Signals`. deflection: rad, peak to
-    peak; deflection_lsb: rad, the smallest step seen. torque_noise: N m, standard deviation of the torque about a local
-    polynomial. snr: dB, the torque's variance over that noise's; infinite without noise.
+    """samples: rows of the file. saturated, late: rows of them. torque_from: as of `Signals`. torque: N m, and
+    deflection: rad, peak to peak; deflection_lsb: rad, the smallest step seen. torque_noise: N m, standard deviation of
+    the torque about a local polynomial. snr: dB, the torque's variance over that noise's; infinite without noise.
     """
 
     samples: int
@@ -36,6 +38,7 @@ class Quality:
     saturated: int
     late: int
     torque_from: str
+    torque: float
     deflection: float
     deflection_lsb: float
     torque_noise: float
@@ -46,7 +49,8 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
     """Return the quality of a recording from all its signals, or from some stretches of them, and all its defects."""
     noise = float(np.median([_noise(stretch) for stretch in stretches]))
     dtheta = np.concatenate([stretch.motion.dtheta for stretch in stretches])
-    variance = float(np.var(np.concatenate([stretch.torque for stretch in stretches])))
+    torque = np.concatenate([stretch.torque for stretch in stretches])
+    variance = float(np.var(torque))
     saturated, late = _flagged(recording, Status.SATURATED, Status.LATE)
     return Quality(
         samples=len(recording),
@@ -54,6 +58,7 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
         saturated=saturated,
         late=late,
         torque_from=stretches[0].torque_from,
+        torque=float(np.ptp(torque)),
         deflection=float(np.ptp(dtheta)),
         deflection_lsb=_smallest_step(dtheta),
         torque_noise=noise,
@@ -61,16 +66,24 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
     )
 
 
-def recording_diagnostics(recording: Recording, quality: Quality) -> list[Diagnostic]:
-    """Return the warnings and errors about one recording, the same for `hil inspect` and `hil identify`."""
+def recording_diagnostics(recording: Recording, quality: Quality, limits: LimitsTable | None) -> list[Diagnostic]:
+    """Return the warnings and errors about one recording, the same for `hil inspect` and `hil identify`.
+
+    limits: of the stand that it was made on, None where they are not known.
+    """
     by_position = quality.torque_from == "motor" and recording.profile.get("mode") == "position"
     return [
         *_unfinished(recording),
         *_unused_rows(quality),
         *([driven_by_position(is_error=True)] if by_position else []),
         *_weaknesses(quality),
+        *implausible(_swing(quality.torque), _swing(quality.deflection), limits),
         *lateness(quality.late, quality.samples),
     ]
+
+
+def _swing(peak_to_peak: float) -> Swing:
+    return Swing(-peak_to_peak / 2.0, peak_to_peak / 2.0)
 
 
 def _unfinished(recording: Recording) -> list[Diagnostic]:

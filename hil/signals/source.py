@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hil.errors import Untrustworthy
 from hil.recording.reader import Recording
-from hil.stand.file import Stand, StandTable, parse
+from hil.stand.file import LimitsTable, Stand, StandTable, parse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +28,11 @@ class Source:
     def table(self) -> StandTable | None:
         """The stand file's [stand]."""
         return None if self.stand is None else self.stand.stand
+
+    @property
+    def limits(self) -> LimitsTable | None:
+        """The stand file's [limits], None where there are none."""
+        return None if self.stand is None else self.stand.limits
 
     @property
     def torque_uncertainty(self) -> float:

@@ -40,6 +40,7 @@ def replayed(path: Path) -> Stand:
     from hil.stand.file import parse
 
     with Recording(path) as recording:
+        recording.check_unchanged()
         text = recording.stand_toml
     if not text:
         raise WrongUse(f"{path} holds no stand file, whose limits a replay needs: name it in [replay] of a stand file")
@@ -55,6 +56,11 @@ class ReplayServo:
         from hil.recording.reader import Recording
 
         self._recording = Recording(Path(config.recording))
+        try:
+            self._recording.check_unchanged()
+        except BaseException:
+            self._recording.__exit__()
+            raise
         self._clock = VirtualClock()
         self._rows = self._samples()
         self._next = next(self._rows, None)

@@ -11,7 +11,8 @@ from hil.recording.reader import Recording
 
 from ..conftest import Hil, Maker
 
-NAMED = ("--time", "t", "--torque", "q", "--dtheta", "a")
+COLUMNS = ("--time", "t", "--torque", "q", "--dtheta", "a", "--time-unit", "s", "--dtheta-unit", "rad")
+NAMED = (*COLUMNS, "--torque-unit", "N*m")
 GOOD = "t,q,a,run\n" + "".join(f"{i / 100},{np.sin(i)},{np.cos(i)},{i // 50}\n" for i in range(100))
 
 
@@ -45,9 +46,10 @@ def test_a_bad_table_ends_with_one_sentence_and_status_2(
 
 def test_the_import_says_what_it_understood(hil: Hil, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("\ufeff" + GOOD.replace(",q,", ",q [mN m],"))
-    status, out, err = hil("import", "a.csv", "-o", "a.h5", *NAMED, "--where", "run==1", "--torque-scale", -2)
+    status, out, err = hil("import", "a.csv", "-o", "a.h5", *COLUMNS, "--where", "run==1", "--torque-scale", -2)
     assert (status, err) == (0, "")
-    assert out == "a.h5: 50 samples over 0.49 s; time in s; torque in mN m; dtheta in rad\n"
+    ranges = "torque -2 to 2 mN m; deflection -1 to 0.999 rad, 57 deg"
+    assert out == f"a.h5: 50 samples over 0.49 s; {ranges}\nread time in s, torque in mN m, dtheta in rad\n"
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("torque"), -2e-3 * np.sin(np.arange(50, 100)))
 
@@ -76,7 +78,20 @@ def test_an_export_to_an_unknown_format_or_of_no_recording_is_refused(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "b.csv"]
 
 
-REAL = ("--time", "TIME", "--torque", "TORQUE", "--dtheta", "POSITION", "--dtheta-unit", "rev")
+REAL = (
+    "--time",
+    "TIME",
+    "--torque",
+    "TORQUE",
+    "--dtheta",
+    "POSITION",
+    "--dtheta-unit",
+    "rev",
+    "--time-unit",
+    "s",
+    "--torque-unit",
+    "N*m",
+)
 
 
 @pytest.mark.parametrize(("name", "rows"), [("base_onyx_runin1", 9040), ("split_onyx_12pre1", 8251)])

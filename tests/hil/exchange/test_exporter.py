@@ -8,10 +8,11 @@ import math
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
-from hil.errors import WrongUse
+from hil.errors import Untrustworthy, WrongUse
 from hil.exchange.exporter import export
 from hil.exchange.importer import import_table
 from hil.exchange.row_filter import RowFilter
@@ -62,6 +63,15 @@ def test_a_recording_that_never_ended_is_exported_as_far_as_it_goes(tmp_path: Pa
         for seq in range(42):
             part.append(Row(seq))
     assert export(tmp_path / "a.h5.part", tmp_path / "a.csv") == 42
+
+
+def test_a_recording_that_was_changed_is_not_exported(tmp_path: Path) -> None:
+    source = recording(tmp_path)
+    with h5py.File(source, "r+") as file:
+        file.attrs["stand_toml"] = "[stand]\ngear_ratio = 40.0\n"
+    with pytest.raises(Untrustworthy, match=r"a\.h5 is not as it was written"):
+        export(source, tmp_path / "a.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
 
 
 def test_an_export_can_be_imported_in_part(tmp_path: Path) -> None:

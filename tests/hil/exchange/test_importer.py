@@ -93,7 +93,7 @@ def test_a_unit_in_the_heading_is_taken(tmp_path: Path, title: str) -> None:
 
 def test_what_was_understood_of_the_units_is_handed_back(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(TABLE.replace("TAU", "tau [mNm]").replace("POS", "angle_deg"))
-    columns = {"time": Column("TIME"), "torque": Column("tau"), "dtheta": Column("angle_deg")}
+    columns = {"time": Column("TIME", "s"), "torque": Column("tau"), "dtheta": Column("angle_deg")}
     done = import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [])
     assert done.units == {"time": "s", "torque": "mNm", "dtheta": "deg"}
     assert done.samples == 3
@@ -121,7 +121,7 @@ def test_motor_columns_come_to_the_joint_through_the_stands_gear(tmp_path: Path)
 def test_a_torque_cell_at_the_joint_goes_with_the_motors_position(tmp_path: Path) -> None:
     source = tmp_path / "a.csv"
     source.write_text("t,p,q\n0,8.0,0.004\n0.1,8.4,0.008\n")
-    columns = {"time": Column("t"), "torque": Column("q"), "motor_position": Column("p")}
+    columns = {"time": Column("t", "s"), "torque": Column("q", "N*m"), "motor_position": Column("p", "rad")}
     import_table(source, tmp_path / "a.h5", columns, [], stand=parse("[stand]\ngear_ratio = 4.0\n"))
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("torque"), [0.004, 0.008])
@@ -136,7 +136,7 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
     torque = (kc * angle + bc * rate) / ratio + ratio * (inertia * -(omega**2) * angle + damping * rate)
     rows = "\n".join(f"{t!r},{p!r},{q!r}" for t, p, q in zip(time, ratio * angle, torque, strict=True))
     (tmp_path / "a.csv").write_text(f"t,p,q\n{rows}\n".replace("np.float64(", "").replace(")", ""))
-    columns = {"time": Column("t"), "motor_torque": Column("q"), "motor_position": Column("p")}
+    columns = {"time": Column("t", "s"), "motor_torque": Column("q", "N*m"), "motor_position": Column("p", "rad")}
     text = f"[stand]\ngear_ratio = {ratio}\nmotor_inertia = {inertia}\nmotor_damping = {damping}\n"
     import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [], stand=parse(text))
     with Recording(tmp_path / "a.h5") as recording:
@@ -163,7 +163,11 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
         (TABLE + "1.0,2\n", (), "row 5: 2 fields, but the header names 4.*delete it if the file was cut off"),
         (TABLE + '1.0,"2,3,4\n' + "5,6,7,8\n" * 20000, (), "near row.*longer than 131072 characters.*quotation mark"),
         (f'TIME,"{"x" * 131073}\n', (), "row 1: a field is longer than 131072 characters"),
-        (TABLE.split("\n", 1)[1], (), "first line holds numbers"),
+        (
+            TABLE.split("\n", 1)[1],
+            (),
+            r"no headings: .*above them .* its 4 columns, such as 'time \[s\],torque \[N\*m\],dth",
+        ),
         (TABLE.replace("TAU", "TAUS"), (), "did you mean 'TAUS'"),
         (TABLE.replace("0.7", "0.1"), (), "row 4: the time goes backwards"),
         (TABLE.replace("0.7", ""), (), "row 4: the time is not a number"),
@@ -192,8 +196,8 @@ def test_an_unknown_unit_is_refused_with_the_nearest(tmp_path: Path) -> None:
     ("title", "unit", "said"),
     [
         ("TAU [Nm]", "mN*m", "in Nm by its heading and in mN\\*m by the option"),
-        ("TAU_Nm", "mN*m", "in N\\*m by its heading"),
-        ("TAU [V]", None, "names an unknown unit of torque: give it with --torque-unit"),
+        ("TAU_Nm", "mN*m", "in Nm by its heading"),
+        ("TAU [V]", None, "names 'V', an unknown unit of torque: give it with --torque-unit"),
         ("TAU (filtered)", None, "give it with --torque-unit"),
     ],
 )
@@ -215,7 +219,12 @@ def swing(degrees: float = 1.0, sign: float = 1.0) -> str:
     return "t,a,r,q\n" + "\n".join(",".join(f"{value:.6f}" for value in row) for row in rows)
 
 
-SWING = {"time": Column("t"), "torque": Column("q"), "dtheta": Column("a"), "dtheta_dot": Column("r")}
+SWING = {
+    "time": Column("t", "s"),
+    "torque": Column("q", "N*m"),
+    "dtheta": Column("a", "rad"),
+    "dtheta_dot": Column("r", "rad/s"),
+}
 
 
 @pytest.mark.parametrize(("degrees", "sign", "ratio"), [(57.2958, 1.0, "0.017."), (1.0, -1.0, "-1")])
@@ -239,39 +248,84 @@ def test_a_scale_that_leaves_nothing_is_refused(tmp_path: Path, scale: float) ->
 
 
 def test_a_motor_torque_for_a_stand_with_a_torque_cell_is_refused(tmp_path: Path) -> None:
-    columns = {"time": Column("TIME"), "motor_torque": Column("TAU"), "motor_position": Column("POS")}
+    columns = {
+        "time": Column("TIME", "s"),
+        "motor_torque": Column("TAU", "N*m"),
+        "motor_position": Column("POS", "rad"),
+    }
     (tmp_path / "a.csv").write_text(TABLE)
     stand = parse('[stand]\ntorque_source = "joint"\n')
     with pytest.raises(WrongUse, match="name the torque cell's column with --torque"):
         import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [], stand=stand)
 
 
+BARE = {"time": Column("TIME"), "torque": Column("TAU"), "dtheta": Column("POS")}
+
+
+def test_columns_whose_units_nobody_states_are_refused_together_with_their_ranges(tmp_path: Path) -> None:
+    with pytest.raises(WrongUse) as refusal:
+        imported(tmp_path, TABLE, (), **BARE)
+    said = str(refusal.value)
+    for part in (
+        "the unit of 'TIME' (0.5 to 0.7): give it with --time-unit, one of s, ms",
+        "'TAU' (10 to 30): give it with --torque-unit, one of N*m, mN*m",
+        "'POS' (-0.25 to 0.5): give it with --dtheta-unit, one of rad, mrad, deg",
+    ):
+        assert part in said
+    assert not (tmp_path / "a.h5").exists()
+
+
+def test_units_in_a_line_below_the_headings_are_read(tmp_path: Path) -> None:
+    text = TABLE.replace("run\n", "run\nms,deg,mN m,-\n")
+    with imported(tmp_path, text, (), **BARE) as recording:
+        np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02, 0.03])
+        np.testing.assert_allclose(recording.channel("time"), [0.0, 1e-4, 2e-4])
+    with pytest.raises(WrongUse, match=r"row 4, column TAU .mN m.: 'twenty' is not a number"):
+        imported(tmp_path, text.replace("20", "twenty"), (), **BARE)
+
+
+STAND = "[stand]\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n"
+
+
 @pytest.mark.parametrize(
-    ("unit", "dimension", "si"),
+    ("channel", "column", "unit", "said"),
     [
-        ("kgf*cm", "torque", 0.0980665),
-        ("gf*cm", "torque", 9.80665e-5),
-        ("ozf*in", "torque", 0.00706155),
-        ("deg", "angle", 0.01745329),
-        ("lbf*ft", "torque", 1.3558179),
-        ("N·m", "torque", 1.0),
-        ("N m", "torque", 1.0),
-        ("N*mm", "torque", 1e-3),
-        ("oz-in", "torque", 0.00706155),
-        ("kg*cm", "torque", 0.0980665),
-        ("°", "angle", 0.01745329),
-        ("turns", "angle", 6.28318531),
-        ("rpm", "rate", 0.10471976),
-        ("rad/sec", "rate", 1.0),
-        ("us", "time", 1e-6),
-        ("µs", "time", 1e-6),
-        ("msec", "time", 1e-3),
+        (
+            "torque",
+            "TAU",
+            "N*m",
+            r"torque swings by \+/- 10 N m, 333 times .* 0.03 N m: .*likely in mN\*m.*--torque-unit mN",
+        ),
+        (
+            "dtheta",
+            "TAU",
+            "rad",
+            r"deflection swings by \+/- 10 rad, 10 times .* 1 rad: .*likely in deg.*--dtheta-unit deg",
+        ),
     ],
 )
-def test_units_are_what_the_tables_of_physics_say(unit: str, dimension: str, si: float) -> None:
-    from hil.exchange.units import factor
+def test_readings_that_a_stand_cannot_make_are_refused_with_the_likely_unit(
+    tmp_path: Path, channel: str, column: str, unit: str, said: str
+) -> None:
+    (tmp_path / "a.csv").write_text(TABLE)
+    columns = PLAIN | {channel: Column(column, unit)}
+    with pytest.raises(WrongUse, match=said):
+        import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [], stand=parse(STAND))
+    assert not (tmp_path / "a.h5").exists()
 
-    assert factor(dimension, unit) == pytest.approx(si, rel=1e-6)
+
+def test_readings_a_little_beyond_a_limit_are_imported_with_a_warning(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(TABLE)
+    done = import_table(tmp_path / "a.csv", tmp_path / "a.h5", PLAIN, [], stand=parse(STAND))
+    assert [one.code for one in done.diagnostics] == ["beyond-limits"]  # 0.375 rev is 2.4 rad
+    assert done.ranges == "torque 10 to 30 mN m; deflection -1.57 to 3.14 rad, 1.8e+02 deg"
+
+
+def test_a_deflection_of_many_turns_is_warned_of_without_a_stand(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(TABLE)
+    done = import_table(tmp_path / "a.csv", tmp_path / "a.h5", PLAIN | {"dtheta": Column("TAU", "rad")}, [])
+    assert [one.code for one in done.diagnostics] == ["many-turns"]
+    assert done.ranges.endswith("deflection 10 to 30 rad, 4.8 turns")
 
 
 @pytest.mark.parametrize("channels", [{"torque"}, {"dtheta"}, {"motor_torque"}, {"motor_torque", "motor_position"}])
@@ -305,7 +359,7 @@ def test_vectors_of_a_matlab_file_are_columns_a_structs_too(tmp_path: Path) -> N
     time = np.array([0.5, 0.6, 0.7])
     log = {"pos": np.array([[0.25, 0.5, -0.25]]), "tau": np.array([[10.0], [20.0], [30.0]])}
     savemat(tmp_path / "a.mat", {"t": time, "run": np.array([1, 1, 2]), "log": log, "name": "a run"})
-    columns = {"time": Column("t"), "torque": Column("log.tau", "mN*m"), "dtheta": Column("log.pos", "rev")}
+    columns = {"time": Column("t", "s"), "torque": Column("log.tau", "mN*m"), "dtheta": Column("log.pos", "rev")}
     import_table(tmp_path / "a.mat", tmp_path / "a.h5", columns, [RowFilter.parse("run==1")])
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -40,6 +41,20 @@ def recorded(tmp_path: Path) -> Path:
 def replay(path: Path, recording: Path, deflection: float = 1.0) -> Path:
     path.write_text(STAND.format(recording=recording, deflection=deflection))
     return path
+
+
+def test_a_recording_that_was_changed_is_not_played_back(
+    tmp_path: Path, recorded: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Its limits are in its header."""
+    with h5py.File(recorded, "r+") as file:
+        file.attrs["stand_toml"] = str(file.attrs["stand_toml"]).replace("torque = 0.03", "torque = 30.0")
+    stand = replay(tmp_path / "stand.toml", recorded)
+    words = ["--duration", "1", "--fade", "0.2", "-o", str(tmp_path / "again.h5")]
+    for chosen in (["--backend", "replay", str(recorded)], ["--stand", str(stand)]):
+        assert run(["record", *chosen, *words]) == 1
+        assert "is not as it was written" in capfd.readouterr().err
+    assert not (tmp_path / "again.h5").exists()
 
 
 def test_a_recording_of_a_recording_holds_the_same_readings(tmp_path: Path, recorded: Path) -> None:

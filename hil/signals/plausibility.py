@@ -1,0 +1,126 @@
+"""Torque and deflection held against what a stand can do: a unit that was mistaken shows in their size."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil import units
+from hil.diagnostics import Diagnostic
+from hil.stand.file import LimitsTable
+
+GROSS = 3.0
+"""Times a limit of the stand, above which a unit must be wrong."""
+
+_TOLERANCE = 1.1  # a recorder turns the torque off a little beyond its limit
+_TURN = 2.0 * math.pi
+_ODD_STIFFNESS = 1000.0  # of what the limits suggest, in either direction
+_LEAST = 1e-3  # of a limit, below which a unit does not explain the readings
+_MISTAKEN: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "torque": ("mN*m", "N*m", "N*cm", "kgf*cm", "ozf*in", "uN*m", "gf*cm", "lbf*in"),
+        "angle": ("deg", "rad", "mrad", "arcmin"),
+    }
+)
+_PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "u"))
+
+
+class Swing(NamedTuple):
+    """The least and the largest reading of a channel, SI, and the factor to SI from the unit that it was read in."""
+
+    least: float
+    largest: float
+    factor: float = 1.0
+
+    @property
+    def half(self) -> float:
+        """Half of what lies between the two: an offset of the sensor is no swing."""
+        return (self.largest - self.least) / 2.0
+
+    @classmethod
+    def of(cls, values: NDArray[np.float64], factor: float = 1.0) -> Self:
+        """Return the swing of the readings, (n,), that are numbers; 0 to 0 without one."""
+        good = values[np.isfinite(values)]
+        return cls(float(good.min()), float(good.max()), factor) if good.size else cls(0.0, 0.0, factor)
+
+
+def in_words(torque: Swing, deflection: Swing) -> str:
+    """Return both ranges as people read them: "torque -12.1 to 11.8 N m; deflection -34 to 34 rad, 5.4 turns"."""
+    size = max(abs(deflection.least), abs(deflection.largest))
+    turned = f"{size / _TURN:.2g} turns" if size >= _TURN else f"{math.degrees(size):.2g} deg"
+    return f"torque {_range(torque, 'N m')}; deflection {_range(deflection, 'rad')}, {turned}"
+
+
+def _range(swing: Swing, unit: str) -> str:
+    size = max(abs(swing.least), abs(swing.largest))
+    scale, prefix = next(
+        (pair for pair in _PREFIXES if size >= 0.9995 * pair[0]), _PREFIXES[-1] if size else _PREFIXES[0]
+    )
+    return f"{swing.least / scale:.3g} to {swing.largest / scale:.3g} {prefix}{unit}"
+
+
+def implausible(torque: Swing, deflection: Swing, limits: LimitsTable | None) -> list[Diagnostic]:
+    """Return a warning for each channel whose size the stand cannot have made, with the unit that would explain it."""
+    found = []
+    if limits is not None:
+        found += _beyond("torque", "torque", torque, limits.torque, "N m")
+        found += _beyond("deflection", "angle", deflection, limits.deflection, "rad")
+    if not found:
+        found += _many_turns(deflection)
+    if not found and limits is not None:
+        found += _odd_stiffness(torque, deflection, limits)
+    return found
+
+
+def excess(torque: Swing, deflection: Swing, limits: LimitsTable) -> float:
+    """Return how many times its limit the torque or the deflection is, whichever is more."""
+    return max(torque.half / limits.torque, deflection.half / limits.deflection)
+
+
+def _beyond(name: str, dimension: str, swing: Swing, limit: float, unit: str) -> list[Diagnostic]:
+    if not swing.half > _TOLERANCE * limit:
+        return []
+    size, times = f"{swing.half:.3g} {unit}", swing.half / limit
+    message = f"the {name} swings by +/- {size}, {times:.3g} times the stand's limit of {limit:.3g} {unit}"
+    meaning = "if its unit is mistaken, Kc and Bc are wrong by the factor of that unit"
+    return [Diagnostic("beyond-limits", f"{message}: {meaning}; {_likely(dimension, swing, limit)}")]
+
+
+def _likely(dimension: str, swing: Swing, limit: float) -> str:
+    option = "torque" if dimension == "torque" else "dtheta"
+    for unit in _MISTAKEN[dimension]:
+        if _LEAST * limit <= swing.half / swing.factor * units.factor(dimension, unit) <= _TOLERANCE * limit:
+            return (
+                f"the readings are likely in {unit}: import them with --{option}-unit {unit}, or correct [limits] of "
+                "the stand file"
+            )
+    return f"check --{option}-unit and the sensor's scale, or correct [limits] of the stand file"
+
+
+def _many_turns(deflection: Swing) -> list[Diagnostic]:
+    if not 2.0 * deflection.half > _TURN:
+        return []
+    message = (
+        f"the deflection spans {2.0 * deflection.half / _TURN:.2g} turns, which no coupling does: if it was read in "
+        "degrees, Kc and Bc are 57 times too low; import it with --dtheta-unit deg, or check the gear ratio"
+    )
+    return [Diagnostic("many-turns", message)]
+
+
+def _odd_stiffness(torque: Swing, deflection: Swing, limits: LimitsTable) -> list[Diagnostic]:
+    expected = limits.torque / limits.deflection
+    if not (torque.half > 0.0 and deflection.half > 0.0):
+        return []
+    ratio = torque.half / deflection.half / expected
+    if 1.0 / _ODD_STIFFNESS < ratio < _ODD_STIFFNESS:
+        return []
+    message = (
+        f"torque over deflection is {ratio * expected:.3g} N m/rad, {ratio:.2g} times the ratio of the stand's limits: "
+        "Kc is off by as much if a unit is mistaken; check the units of torque and deflection, or correct [limits]"
+    )
+    return [Diagnostic("odd-stiffness", message, "Kc")]

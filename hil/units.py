@@ -1,0 +1,250 @@
+"""Units as people write them, to SI: "mNm", "N·m", "oz-in", "deg/s", "rad s^-1"; and numbers with a unit, "10 deg".
+
+The registry of `pint` has an angle as a dimension of its own: a torque is no energy, and a percentage no angle. A
+frequency counts turns in a second, so that rad/s and Hz are converted into each other correctly.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from functools import lru_cache
+from itertools import islice, product
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from hil.errors import WrongUse
+
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+SI: Mapping[str, str] = MappingProxyType(
+    {
+        "time": "s",
+        "torque": "N*m",
+        "angle": "rad",
+        "rate": "rad/s",
+        "frequency": "Hz",
+        "inertia": "kg*m^2",
+        "stiffness": "N*m/rad",
+        "damping": "N*m*s/rad",
+        "temperature": "degC",
+    }
+)
+"""The dimensions that are known, and the SI unit of each."""
+
+COMMON: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "time": ("s", "ms", "us", "ns", "min"),
+        "torque": ("N*m", "mN*m", "uN*m", "N*cm", "N*mm", "kgf*m", "kgf*cm", "gf*cm", "ozf*in", "lbf*in", "lbf*ft"),
+        "angle": ("rad", "mrad", "deg", "rev"),
+        "rate": ("rad/s", "mrad/s", "deg/s", "rev/s", "rpm"),
+        "frequency": ("Hz", "mHz", "kHz", "rad/s"),
+        "inertia": ("kg*m^2", "g*cm^2", "kg*cm^2", "g*mm^2"),
+        "stiffness": ("N*m/rad", "mN*m/rad", "mN*m/deg", "N*mm/deg"),
+        "damping": ("N*m*s/rad", "mN*m*s/rad"),
+        "temperature": ("degC", "K"),
+    }
+)
+"""The units that messages propose, by dimension."""
+
+_DEFINITIONS = """
+kilo- = 1e3 = k-
+centi- = 1e-2 = c-
+milli- = 1e-3 = m-
+micro- = 1e-6 = u- = µ- = μ-
+nano- = 1e-9 = n-
+meter = [length] = m = metre
+second = [time] = s = sec
+kilogram = [mass] = kg
+radian = [angle] = rad
+kelvin = [temperature] = K
+degree_Celsius = kelvin; offset: 273.15 = degC = °C = celsius
+gram = 1e-3 * kilogram = g
+inch = 0.0254 * meter = in
+foot = 12 * inch = ft = feet
+pound = 0.45359237 * kilogram = lb = lbs
+ounce = pound / 16 = oz
+minute = 60 * second = min
+hour = 60 * minute = h = hr
+degree = 0.017453292519943295 * radian = deg = °
+arcminute = degree / 60 = arcmin
+arcsecond = arcminute / 60 = arcsec
+turn = 6.283185307179586 * radian = rev = revolution = rotation = cycle
+hertz = turn / second = Hz
+rpm = turn / minute
+rps = turn / second
+dps = degree / second
+newton = kilogram * meter / second ** 2 = N
+kilogram_force = 9.80665 * newton = kgf = kilopond = kp
+gram_force = kilogram_force / 1000 = gf
+pound_force = 0.45359237 * kilogram_force = lbf
+ounce_force = pound_force / 16 = ozf
+"""
+_OTHER_NAMES = {"1/min": "rpm", "min-1": "rpm", "min^-1": "rpm", "r/min": "rpm", "U/min": "rpm"}
+_STANDARD_GRAVITY = 9.80665  # m/s^2, exact by definition (CGPM 1901)
+_WORD = re.compile(r"[A-Za-zµμ°]+")
+_EXPONENT = re.compile(r"(?<=[A-Za-z])\s*(?:\^|\*\*)?\s*([-+]?\d)(?![\d.])")
+_FACTOR = r"\(*[A-Za-zµμ°]+(?:\^\([-+]?\d\))?\)*"
+_EXPRESSION = re.compile(rf"{_FACTOR}(?:[*/]{_FACTOR})*")  # no numbers: "0.1 deg" would be a scale, not a unit
+_SPLIT_POWER = re.compile(r"\(([^()]*)\)\^(\([-+]?\d\))")  # the power of "kgm2" is that of its last part
+_SIGNS = str.maketrans(
+    {"⁻": "-", "⁰": "0", "¹": "1", "²": "2", "³": "3", "\u2212": "-", "º": "°", "˚": "°", "·": "*", "⋅": "*", "•": "*"}
+    | {"\u2219": "*", "\u00d7": "*"}
+)
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+_LONGEST = 40  # characters of a unit; what is longer is no unit
+_MOST_READINGS = 512  # of one text
+_SHORT = 4  # letters: what is longer is a word, such as "milliseconds", which small letters do not change
+
+
+def factor(dimension: str, unit: str) -> float:
+    """Return the factor from `unit` to SI. dimension: one of SI. Raises WrongUse for an unknown or ambiguous unit."""
+    found = known(dimension, unit)
+    if found is None:
+        near = get_close_matches(unit, COMMON[dimension], n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise WrongUse(f"unknown unit of {dimension} {unit!r}: {hint}known are {', '.join(COMMON[dimension])}")
+    return found
+
+
+@lru_cache(maxsize=1024)
+def known(dimension: str, unit: str) -> float | None:
+    """Return the factor from `unit` to SI, None where it is no unit of the dimension, or can be two different ones.
+
+    Case matters: a capital letter is another prefix. Only a text all in small letters, or all in capitals and without a
+    prefix, is read in any case: "torque_mnm" and "TIME_S" are certain, "MNM" is not. A mass stands for its weight where
+    a force is needed (kg*cm).
+    """
+    if not unit or len(unit) > _LONGEST:
+        return None
+    for expressions in (_readings(unit), _readings_in_other_case(unit)):
+        factors = [found for one in expressions if (found := _factor(dimension, one)) is not None]
+        if factors and math.isclose(min(factors), max(factors), rel_tol=1e-9):
+            return factors[0]
+        if factors:
+            return None
+    return None
+
+
+def quantity(text: str, *dimensions: str) -> tuple[float, str | None]:
+    """Return the number of "10 deg" or "10", in SI, and its dimension, one of `dimensions`; None where it has no unit.
+
+    Raises WrongUse for what is neither.
+    """
+    found = _QUANTITY.fullmatch(text)
+    if found is None:
+        raise WrongUse(f"{text!r} is not a number, nor a number with a unit such as {_example(dimensions)}")
+    if not found[2]:
+        return float(found[1]), None
+    for dimension in dimensions:
+        if dimension == "temperature" and found[2] in {"degC", "°C", "celsius"}:
+            return float(found[1]), dimension
+        if (scale := known(dimension, found[2])) is not None:
+            return float(found[1]) * scale - (273.15 if dimension == "temperature" else 0.0), dimension
+    raise WrongUse(f"{text!r}: {found[2]!r} is not a unit of {' or '.join(dimensions)}; write {_example(dimensions)}")
+
+
+def _example(dimensions: tuple[str, ...]) -> str:
+    return " or ".join(f"'{'40' if one == 'temperature' else '10'} {COMMON[one][1]}'" for one in dimensions[:2])
+
+
+@lru_cache(maxsize=1)
+def _registry() -> UnitRegistry:
+    import pint
+
+    registry: UnitRegistry = pint.UnitRegistry(None)
+    registry.load_definitions(_DEFINITIONS.strip().splitlines())
+    return registry
+
+
+def _factor(dimension: str, expression: str) -> float | None:
+    """Return the factor of an expression that the registry can parse, None where it has another dimension."""
+    import pint
+
+    registry = _registry()
+    try:
+        unit, wanted = registry.Unit(expression), registry.Unit(SI[dimension].replace("^", "**"))
+    except (pint.PintError, TypeError, ValueError, SyntaxError, AttributeError, ArithmeticError, RecursionError):
+        return None
+    weight = 1.0
+    if unit.dimensionality != wanted.dimensionality:
+        unit, weight = unit * registry.meter / registry.second**2, _STANDARD_GRAVITY
+    if unit.dimensionality != wanted.dimensionality:
+        return None
+    wanted = registry.kelvin if dimension == "temperature" else wanted
+    scales = [float(str(registry.get_base_units(one)[0])) for one in (unit, wanted)]
+    return weight * scales[0] / scales[1]
+
+
+def _readings(unit: str) -> Iterator[str]:
+    """Yield the expressions that a text can stand for: "mNm/rad" is "mN*m/rad", "rad_s" is "rad*s" or "rad/s"."""
+    text = _plain(unit)
+    joined = re.sub(r"(?<=[^\s*._/(-])[\s*._-]+(?=[^\s*._/)-])", "*", text)
+    texts = [joined]
+    if re.fullmatch(r"[^_/]+_[^_/]+", text):  # a heading cannot always have a slash: velocity_rad_s
+        texts.append("/".join(text.split("_")))
+    if compact := re.fullmatch(r"([a-z]+)p([a-z]+)", text):  # degps
+        texts.append("/".join(compact.groups()))
+    for one in texts:
+        words, gaps = _WORD.findall(one), _WORD.split(one)
+        for chosen in islice(product(*(_spellings(word) for word in words)), _MOST_READINGS):
+            expression = gaps[0] + "".join(word + gap for word, gap in zip(chosen, gaps[1:], strict=True))
+            expression = _SPLIT_POWER.sub(r"(\1^\2)", expression)
+            if _EXPRESSION.fullmatch(expression) and expression.count("(") == expression.count(")"):
+                yield expression.replace("^", "**")
+
+
+def _plain(unit: str) -> str:
+    """Return a unit in ASCII, with / for "per" and ^(-1) for a power."""
+    text = unit.strip().translate(_SIGNS)
+    text = _OTHER_NAMES.get(text, text)
+    text = re.sub(r"(?<![A-Za-z])per(?![A-Za-z])", "/", text)
+    text = _EXPONENT.sub(r"^(\1)", text)
+    return re.sub(r"[\s_]*/[\s_]*", "/", text)
+
+
+def _readings_in_other_case(unit: str) -> Iterator[str]:
+    """Yield the readings of a text that is written all in small letters, all in capitals, or "Like This"."""
+    if unit == unit.lower():
+        yield from _readings(unit.replace("hz", "Hz"))
+        for at in (match.start() for match in re.finditer("n", unit)):  # the newton of "mnm"
+            yield from _readings(f"{unit[:at]}N{unit[at + 1 :]}")
+    elif unit == unit.title() and len(unit) > _SHORT:
+        yield from _readings(unit.lower())
+    elif unit == unit.upper() or unit == unit.title():
+        for small in (unit.lower(), unit.lower().replace("n", "N")):
+            yield from (one for one in _readings(small) if not any(map(_prefixed, _WORD.findall(one))))
+
+
+@lru_cache(maxsize=1024)
+def _spellings(word: str) -> tuple[str, ...]:
+    """Return the word where it is a unit, and else its parts, joined with *, if two or three units make it: "ozin"."""
+    if _is_unit(word):
+        return (word,)
+    pairs = [
+        f"({word[:at]}*{rest})"
+        for at in range(1, len(word))
+        if _is_unit(word[:at])
+        for rest in ([word[at:]] if _is_unit(word[at:]) else _pairs(word[at:]))
+    ]
+    return tuple(pairs)
+
+
+def _pairs(word: str) -> list[str]:
+    return [f"{word[:at]}*{word[at:]}" for at in range(1, len(word)) if _is_unit(word[:at]) and _is_unit(word[at:])]
+
+
+@lru_cache(maxsize=4096)
+def _is_unit(word: str) -> bool:
+    """Return whether the registry knows the word. A plural's "s" counts for written-out names only, not for symbols."""
+    found = _registry().parse_unit_name(word)
+    return any(
+        not plural or len(word) > _SHORT or word in {"degs", "rads", "revs", "secs", "mins"} for *_, plural in found
+    )
+
+
+def _prefixed(word: str) -> bool:
+    return word in {"kg"} or all(prefix for prefix, *_ in _registry().parse_unit_name(word))

@@ -1,0 +1,127 @@
+"""Units as people write them: many forms, one meaning, and none where the meaning is not certain."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import pytest
+
+from hil.errors import WrongUse
+from hil.units import factor, known, quantity
+
+
+@pytest.mark.parametrize(
+    ("unit", "dimension", "si"),
+    [
+        ("kgf*cm", "torque", 0.0980665),
+        ("gf*cm", "torque", 9.80665e-5),
+        ("ozf*in", "torque", 0.00706155),
+        ("deg", "angle", 0.01745329),
+        ("lbf*ft", "torque", 1.3558179),
+        ("N·m", "torque", 1.0),
+        ("N m", "torque", 1.0),
+        ("N*mm", "torque", 1e-3),
+        ("oz-in", "torque", 0.00706155),
+        ("kg*cm", "torque", 0.0980665),
+        ("°", "angle", 0.01745329),
+        ("turns", "angle", 6.28318531),
+        ("rpm", "rate", 0.10471976),
+        ("rad/sec", "rate", 1.0),
+        ("us", "time", 1e-6),
+        ("µs", "time", 1e-6),
+        ("msec", "time", 1e-3),
+    ],
+)
+def test_units_are_what_the_tables_of_physics_say(unit: str, dimension: str, si: float) -> None:
+    assert factor(dimension, unit) == pytest.approx(si, rel=1e-6)
+
+
+FORMS = {
+    ("torque", 1.0): "N*m|N m|Nm|N-m|N.m|N·m|N⋅m|newton meter|newton-metres|Newton Meters|nm|NM|N_m",
+    ("torque", 1e-3): "mNm|mN m|mN*m|mN·m|N mm|Nmm|mnm|millinewton meter|mN_m",
+    ("torque", 0.0980665): "kgf cm|kgfcm|kg-cm|kgcm|kg.cm|kgf_cm",
+    ("torque", 0.1129848290276167): "in-lb|inlb|lbf·in|lb in|in-lbf",
+    ("angle", math.pi / 180.0): "deg|degree|degrees|Degrees|DEG|Deg|degs|º|°",
+    ("angle", 2.0 * math.pi): "rev|revs|revolutions|turn|cycles",
+    ("rate", 1.0): "rad/s|rad/sec|radians per second|rad s^-1|rad s-1|rad·s⁻¹|rad.s-1|rad_s|rad_per_s|RAD/S|radps",
+    ("rate", math.pi / 30.0): "rpm|RPM|rev/min|1/min|min^-1|r/min",
+    ("rate", 2.0 * math.pi): "Hz|rev/s|rps|turns/s",
+    ("time", 1e-3): "ms|msec|msecs|milliseconds|Milliseconds",
+    ("time", 1.0): "s|S|sec|secs|seconds|SEC",
+    ("stiffness", 1e-3): "mN*m/rad|mNm/rad|mN m rad^-1",
+    ("stiffness", 0.18 / math.pi): "N*mm/deg|mNm/deg",
+    ("damping", 1e-3): "mN*m*s/rad|mNms/rad|mN m s/rad|mNm/(rad/s)",
+    ("inertia", 1e-7): "g*cm^2|gcm2|g cm²|g·cm**2",
+    ("frequency", 0.5 / math.pi): "rad/s",
+}
+
+
+@pytest.mark.parametrize(
+    ("dimension", "si", "unit"),
+    [(dimension, si, unit) for (dimension, si), forms in FORMS.items() for unit in forms.split("|")],
+)
+def test_every_form_of_a_unit_has_its_one_factor(dimension: str, si: float, unit: str) -> None:
+    assert known(dimension, unit) == pytest.approx(si, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("dimension", "unit"),
+    [
+        ("torque", "MNM"),  # milli or mega?
+        ("torque", "mN*M"),
+        ("torque", "J"),
+        ("torque", "V"),
+        ("torque", "N"),
+        ("torque", "mNm/rad"),
+        ("torque", "0.1 N*m"),
+        ("angle", "%"),
+        ("angle", "1"),
+        ("angle", "counts"),
+        ("angle", "rad/s"),
+        ("angle", "grad"),  # German for degrees, and a four-hundredth of a turn
+        ("rate", "1/s"),
+        ("rate", "rad"),
+        ("time", "MS"),
+        ("time", "m"),
+        ("time", ""),
+        ("time", "s**99999999"),
+        ("time", "(" * 30),
+        ("time", "__import__('os')"),
+        ("time", "s" * 100_000),
+    ],
+)
+def test_what_is_no_certain_unit_of_the_dimension_is_none(dimension: str, unit: str) -> None:
+    assert known(dimension, unit) is None
+    with pytest.raises(WrongUse, match=f"unknown unit of {dimension}"):
+        factor(dimension, unit)
+
+
+@pytest.mark.parametrize(
+    ("text", "dimensions", "value"),
+    [
+        ("10 deg", ("torque", "angle"), (math.pi / 18.0, "angle")),
+        ("30mN*m", ("torque", "angle"), (0.03, "torque")),
+        ("0.25", ("torque", "angle"), (0.25, None)),
+        ("2 min", ("time",), (120.0, "time")),
+        ("-1e-3 N m", ("torque",), (-1e-3, "torque")),
+        ("60 degC", ("temperature",), (60.0, "temperature")),
+        ("333.15 K", ("temperature",), (60.0, "temperature")),
+    ],
+)
+def test_a_number_may_carry_its_unit(text: str, dimensions: tuple[str, ...], value: tuple[float, str | None]) -> None:
+    number, dimension = quantity(text, *dimensions)
+    assert number == pytest.approx(value[0])
+    assert dimension == value[1]
+
+
+@pytest.mark.parametrize("text", ["", "x", "10 V", "10 %", "nan", "inf", "1e", "deg", "1 2 deg"])
+def test_what_is_no_quantity_is_refused_with_an_example(text: str) -> None:
+    with pytest.raises(WrongUse, match=r"such as '10 mN\*m' or '10 mrad'|write '10 mN\*m' or '10 mrad'"):
+        quantity(text, "torque", "angle")
+
+
+def test_neither_hil_nor_its_command_line_imports_pint_where_nobody_writes_a_unit() -> None:
+    code = "import sys, hil, hil.cli.app, hil.exchange.importer; sys.exit('pint' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
