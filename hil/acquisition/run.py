@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from drivers.clock import MonotonicClock
 from drivers.servo import Servo
 from hil.acquisition.excitation import Profile
 from hil.acquisition.interrupt import StopRequest
@@ -13,6 +15,7 @@ from hil.acquisition.live_view import beside
 from hil.acquisition.phases import Phase
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
 from hil.errors import WrongUse
+from hil.recording.background import BackgroundWriter
 from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, part_path, remove_unfinished
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand.devices import check_backend
@@ -21,6 +24,9 @@ from hil.stand.opening import open_servo
 
 _FOLDER = Path("recordings")
 _HELD_BACK = 0.02  # s of rows that a killed process may lose
+_HAS_SHARED_MEMORY = sys.platform != "win32"
+
+Writer = RecordingWriter | BackgroundWriter
 
 
 def run(
@@ -62,7 +68,8 @@ def run(
                 operator_note=note,
                 command_line=command_line,
             )
-            writer = _begin(output, header, tick_count(profile, rate), max(1, int(_HELD_BACK * rate)), force=force)
+            begun = _begin(output, header, tick_count(profile, rate), max(1, int(_HELD_BACK * rate)), force=force)
+            writer = _behind(begun, servo, rate)
             try:
                 with beside(writer.path):
                     outcome = Recorder(stand, servo, profile, rate, writer, scratch=writer.path.parent).run(stop)
@@ -96,7 +103,18 @@ def _begin(output: Path | None, header: Header, length: int, batch: int, *, forc
         writer.discard()  # another recorder began and ended under this name since we looked
 
 
-def _close(writer: RecordingWriter) -> None:
+def _behind(writer: RecordingWriter, servo: Servo, rate: float) -> Writer:
+    """Let another process write the rows where time is real, so that the loop does not wait for the disk."""
+    if not (_HAS_SHARED_MEMORY and isinstance(servo.clock, MonotonicClock)):
+        return writer
+    try:
+        return BackgroundWriter(writer, rate)
+    except BaseException:
+        writer.discard()
+        raise
+
+
+def _close(writer: Writer) -> None:
     with writer:
         if not len(writer):
             writer.discard()
@@ -110,7 +128,7 @@ def _close_servo(servo: Servo, outcome: Outcome) -> None:
         outcome.error = outcome.error or error
 
 
-def _finish(writer: RecordingWriter, outcome: Outcome, *, force: bool) -> Path:
+def _finish(writer: Writer, outcome: Outcome, *, force: bool) -> Path:
     """Make the recording final and return where it is. A failure goes into the outcome: the `.part` has the rows."""
     try:
         with writer:

@@ -1,4 +1,4 @@
-"""The set-points of a run, computed before the motor is live and kept on disk: a day's run needs no more memory."""
+"""The set-points of a run, computed before the motor is live, in memory; those of a day are kept on disk."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from hil.recording.output import writing
 Array = NDArray[np.float64]
 
 _BLOCK = 512  # set-points read at a time, which takes a small part of a tick
+_IN_MEMORY = 1 << 26  # bytes: two hours at 1 kHz, in which the loop does not depend on a disk
 
 
 class SetPoints:
-    """Set-points in order, N m or rad at the joint, in an unnamed file in `folder`; gone when closed.
+    """Set-points in order, N m or rad at the joint; gone when closed.
 
-    Raises WrongUse where the disk has no room for them.
+    folder: of the unnamed file for those that do not fit into memory. Raises WrongUse where it has no room for them.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        with writing(folder):
-            self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - closed by __exit__
+        self._file = tempfile.SpooledTemporaryFile(_IN_MEMORY, buffering=0, dir=str(folder))  # noqa: SIM115 - closed by __exit__
 
     def __enter__(self) -> Self:
         return self

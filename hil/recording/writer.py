@@ -30,6 +30,7 @@ from hil.recording.output import NameTaken, atomic_write, check_space, new_tempo
 from hil.recording.posix import is_at, remove, sync_folder, take_name, write_at
 from hil.recording.reader import BLOCK, EVENTS, SCHEMA, Array, Event, Recording
 from hil.recording.rescue import rescue
+from hil.recording.ring import Ring
 
 _OVERHEAD = 1 << 18  # bytes of a file that are not samples, generously
 _DURABLE = 0.25  # s between two requests that the disk keep what it was given
@@ -45,6 +46,14 @@ class Header:
     seed: int = 0
     operator_note: str = ""
     command_line: str = ""
+
+
+class Place(NamedTuple):
+    """An open `.part`, and the byte offsets of its rows and of its events."""
+
+    file: int
+    rows_at: int
+    events_at: int
 
 
 class RecordingWriter:
@@ -78,7 +87,6 @@ class RecordingWriter:
             except BaseException:
                 self.close()
                 raise
-            self._syncer.start()
 
     def _create(self, header: Header, length: int) -> None:
         """Make the `.part` under another name: it appears when it is whole, so that a kill leaves none that is not."""
@@ -102,6 +110,22 @@ class RecordingWriter:
             except OSError as error:
                 self._failure = error  # the next row that is written raises it
                 return
+
+    @property
+    def place(self) -> Place:
+        """Where another process writes the rows, until `resume`."""
+        if self._file is None:
+            raise ValueError(f"{self.path} is closed")
+        return Place(self._file, self._offset, self._event_offset)
+
+    def resume(self, ring: Ring) -> None:
+        """Go on after what was taken from `ring`, with the rows and events that wait there. Raises Untrustworthy."""
+        self._rows, self._events = ring.taken, ring.events_taken
+        while rows := ring.waiting():
+            self._extend(rows)
+            ring.take(len(rows) // LIVE.itemsize)
+        for event in ring.events_waiting():
+            self._add_event(event)
 
     def __enter__(self) -> Self:
         return self
@@ -136,6 +160,8 @@ class RecordingWriter:
         try:
             if self._failure is not None:
                 raise self._failure
+            if self._syncer.ident is None:
+                self._syncer.start()
             self._write(data, offset)
         except OSError as error:
             raise Untrustworthy(
@@ -168,8 +194,11 @@ class RecordingWriter:
         Raises Untrustworthy where the disk fails.
         """
         if self._events < EVENTS:
-            self._add(packed_event(time, code, message), self._event_offset + self._events * EVENT.itemsize)
-            self._events += 1
+            self._add_event(packed_event(time, code, message))
+
+    def _add_event(self, event: bytes) -> None:
+        self._add(event, self._event_offset + self._events * EVENT.itemsize)
+        self._events += 1
 
     def finish(self, end_reason: str, *, force: bool = False) -> Path:
         """Write the final file, remove the `.part` and return the file's path. The `.part` stays if that fails.

@@ -1,0 +1,82 @@
+"""The process that writes the rows of a run in real time, so that the control loop never waits for the disk.
+
+It takes them from a `Ring` until its standard input ends: closed by the recorder, or because the recorder is dead. Then
+it writes what is still in the ring, and where the recorder died adds the event that says so.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import struct
+import sys
+import threading
+import zlib
+
+from hil.recording.ring import Ring
+
+_PAUSE = 5e-3  # s between two looks at the ring
+_DURABLE = 0.25  # s between two requests that the disk keep what it was given
+_DEAF_TO = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # meant for the recorder, which ramps down and closes us
+
+
+def write(ring: Ring, file: int, recorder: int) -> None:
+    """Write the rows of `ring` to the open `file`, until the pipe `recorder` ends."""
+    ended = threading.Event()
+    syncer = threading.Thread(target=_keep_durable, args=(ring, file, ended), daemon=True)
+    syncer.start()
+    try:
+        while not select.select([recorder], [], [], _PAUSE)[0]:
+            drain(ring, file)
+        drain(ring, file)
+        if not ring.closed:
+            _note_death(ring, file)
+    except OSError as error:
+        ring.failure = error.errno or 5
+    ended.set()
+    syncer.join()
+
+
+def drain(ring: Ring, file: int) -> None:
+    """Write all that waits in `ring`. Raises OSError."""
+    shape = ring.shape
+    while rows := ring.waiting():
+        _write(file, rows, shape.rows_at + ring.taken * shape.row)
+        ring.take(len(rows) // shape.row)
+    for event in ring.events_waiting():
+        _write(file, event, shape.events_at + ring.events_taken * shape.event)
+        ring.take_events(1)
+
+
+def _write(file: int, data: bytes, at: int) -> None:
+    while data:
+        written = os.pwrite(file, data, at)
+        data, at = data[written:], at + written
+
+
+def _keep_durable(ring: Ring, file: int, ended: threading.Event) -> None:
+    last = False
+    while not last:
+        last = ended.wait(_DURABLE)
+        try:
+            os.fsync(file)
+        except OSError as error:
+            ring.failure = error.errno or 5
+            return
+
+
+def _note_death(ring: Ring, file: int) -> None:
+    """Write the last event, at the time of the last row."""
+    at = ring.shape.rows_at + (ring.taken - 1) * ring.shape.row + 8
+    time = os.pread(file, 8, at) if ring.taken else struct.pack("<d", 0.0)
+    event = time + ring.event(-1)[8:-4]
+    place = ring.events_taken
+    _write(file, event + struct.pack("<I", zlib.crc32(event)), ring.shape.events_at + place * ring.shape.event)
+
+
+if __name__ == "__main__":
+    for number in _DEAF_TO:
+        signal.signal(number, signal.SIG_IGN)
+    os.write(1, b"\n")  # ready
+    write(Ring.opened(int(sys.argv[1])), int(sys.argv[2]), 0)
