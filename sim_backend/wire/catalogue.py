@@ -9,7 +9,7 @@ option it has no parameter for is refused, and one without a default must be giv
     idents: Sequence[int], baudrate: int         --id, --baudrate (bit/s)
     parameters: SimParameters | None             --stand: its plant; None: the emulator's own
     log: TorqueLog | None                        --log
-    instant: bool, or timing: object | None      --instant: no time passes; else what the line's `timing` makes
+    timing: object | None                        --instant: None, no time passes; else what the line's `timing` makes
 """
 
 from __future__ import annotations
@@ -54,34 +54,26 @@ class Emulator:
         return made
 
 
-def _on_can(noun: str, folder: str, bus: str = "CAN") -> Emulator:
-    place = f"sim_backend.wire.{folder}.emulator:serve"
+def _on_can(noun: str, family: str, bus: str = "CAN") -> Emulator:
+    place = f"sim_backend.wire.can_families:{family}"
     return Emulator(noun, f"on {bus}: --link, or --bus", place, "sim_backend.wire.canbus.bus:CanTiming")
 
 
-def _on_a_pty(noun: str, folder: str) -> Emulator:
-    return Emulator(noun, "on a pty: --link", f"sim_backend.wire.{folder}.emulator:emulate")
+def _on_a_pty(noun: str, family: str, timing: str = "") -> Emulator:
+    return Emulator(noun, "on a pty: --link", f"sim_backend.wire.{family}.emulator:serve", timing)
 
+
+_PACKETS = "sim_backend.wire.packets.bus:PacketTiming"
 
 EMULATORS: Mapping[str, Emulator] = MappingProxyType(
     {
-        "dynamixel": Emulator(
-            "a DYNAMIXEL",
-            "on a pty: --link",
-            "sim_backend.wire.dynamixel.emulator:serve",
-            "sim_backend.wire.packets.bus:PacketTiming",
-        ),
-        "feetech": Emulator(
-            "a Feetech servo",
-            "on a pty: --link",
-            "sim_backend.wire.feetech.emulator:serve",
-            "sim_backend.wire.packets.bus:PacketTiming",
-        ),
+        "dynamixel": _on_a_pty("a DYNAMIXEL", "dynamixel", _PACKETS),
+        "feetech": _on_a_pty("a Feetech servo", "feetech", _PACKETS),
         "odrive": _on_can("an ODrive", "odrive"),
         "mit": _on_can("a CubeMars AK or Damiao motor", "mit"),
         "moteus": _on_can("a moteus", "moteus", "CAN FD"),
         "cia402": _on_can("a CiA 402 drive", "cia402"),
-        "commander": _on_a_pty("a SimpleFOC board", "commander"),
+        "commander": _on_a_pty("a SimpleFOC board", "commander", "sim_backend.wire.commander.emulator:CommanderTiming"),
         "loadcell": _on_a_pty("a torque cell", "loadcell"),
     }
 )
@@ -103,7 +95,7 @@ def make(name: str, options: Mapping[str, Any]) -> Served:
     for option in options:
         if (meant := _parameter(option, takes)) != option and meant in options:
             raise ValueError(f"hil emulate {name}: --{option} means --{meant} here: give one of the two")
-    if "timing" in takes and emulator.timing and not words.pop("instant", False):
+    if "timing" in takes and not words.pop("instant", False):
         words["timing"] = _named(emulator.timing)()
     extra = [_option(word) for word in words if word not in takes]
     if extra:

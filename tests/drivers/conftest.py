@@ -45,7 +45,6 @@ from sim_backend.wire.canbus.bus import CanBus, CanNode, CanTiming
 from sim_backend.wire.canbus.loopback import CanLoopback
 from sim_backend.wire.cia402.device import Cia402Device
 from sim_backend.wire.commander.emulator import CommanderBoard, CommanderTiming, new_board
-from sim_backend.wire.commander.emulator import serve as serve_foc
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.mx_device import MxDevice
@@ -58,6 +57,7 @@ from sim_backend.wire.moteus.device import MoteusDevice
 from sim_backend.wire.odrive.device import OdriveDevice
 from sim_backend.wire.packets.bus import PacketBus, PacketTiming
 from sim_backend.wire.uart.loopback import SerialLoopback
+from sim_backend.wire.uart.pty_line import PtyLine
 
 
 @pytest.fixture(autouse=True)
@@ -367,7 +367,7 @@ def on_a_stand(path: Path) -> Iterator[tuple[Servo, Limits]]:
 
 
 def foc_on_a_pty(path: Path) -> Iterator[tuple[Servo, Limits]]:
-    with serve_foc(path / "ttyFOC", new_board(timing=CommanderTiming(), now=time.monotonic())) as line:
+    with PtyLine(path / "ttyFOC", new_board(timing=CommanderTiming(), now=time.monotonic())) as line:
         config = CommanderConfig(str(line.link), torque_constant=0.0145, watchdog=0.0, reply_timeout=0.3)
         yield from closed_after(CommanderServo(config), SIM_LIMITS)
 

@@ -143,11 +143,13 @@ def odrive_ages(rig: Rig, _servo: Any) -> Fresh:
     """Every estimate of the position is a number of its own, as for the drives below."""
     made: list[float] = []
 
-    def data() -> bytes:
-        made.append(rig.clock.now())
-        return struct.pack("<ff", float(len(made)), 0.0)
+    messages: Callable[[], dict[int, bytes]] = rig.device._messages
 
-    rig.device._encoder_data = data
+    def numbered() -> dict[int, bytes]:
+        made.append(rig.clock.now())
+        return messages() | {0x09: struct.pack("<ff", float(len(made)), 0.0)}
+
+    rig.device._messages = numbered
     return lambda sample: made[round(sample.motor_position / TURN) - 1] >= sample.t - 1e-3  # one that came unasked
 
 
@@ -329,7 +331,7 @@ def an_odrive(firmware: str, **changes: Any) -> Drive:
         deadline=0.008 + 1e-3,
         step=3,
         off=lambda rig: rig.device.state == odrive.IDLE and not rig.motor.enabled,
-        quiet=lambda rig: setattr(rig.device, "_estimates", 1e9),  # what it sends unasked would do as well
+        quiet=lambda rig: rig.device._next.update(encoder=1e9),  # what it sends unasked would do as well
         absent=(5, r"no ODrive axis 5 answers.*heartbeat"),
         twins=(another(lambda: odrive.OdriveDevice(0, firmware=firmware), _offset=1.0),),
         twice=1,

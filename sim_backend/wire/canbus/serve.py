@@ -25,35 +25,17 @@ if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
     from sim_backend.wire.canbus.bus import CanTiming
     from sim_backend.wire.torque_log import TorqueLog
+    from sim_backend.wire.uart.pty_line import PtyLine
 
 _IDLE = 0.02
 """s between two looks at whether it is to stop."""
 
 
-class Served(Protocol):
-    """An emulated bus that a client can connect to."""
-
-    lock: threading.Lock
-    """Held while the bus is at work; whoever looks at it takes it."""
-
-    def __enter__(self) -> Self:
-        """Answer from a thread from now on."""
-
-    def __exit__(self, *_: object) -> None:
-        """Answer no more, and clean up."""
-
-    def now(self) -> float:
-        """The time on the bus's clock, s."""
-
-    def serve(self) -> None:
-        """Answer from this thread until `stop` is called from another or from a signal, then clean up."""
-
-    def stop(self) -> None:
-        """Make `serve` return."""
-
-
 class CanServer:
-    """Serves `bus` on the python-can bus `channel` of `interface`. Raises can.CanError where that cannot be opened."""
+    """Serves `bus` on the python-can bus `channel` of `interface`, in a thread as long as the `with` lasts.
+
+    lock: held while the bus is at work; whoever looks at it takes it. Raises can.CanError where that cannot be opened.
+    """
 
     def __init__(self, interface: str, channel: str, bus: CanBus) -> None:
         self.lock = threading.Lock()
@@ -136,7 +118,7 @@ class CanFamily:
         parameters: SimParameters | None = None,
         timing: CanTiming | None = None,
         log: TorqueLog | None = None,
-    ) -> Served:
+    ) -> PtyLine | CanServer:
         """Return a bus of drives, to be served: `with served:` from a thread, `served.serve()` from this one.
 
         interface: "slcan" makes `channel` a symlink to a pty that speaks slcan; any other is one of python-can, with

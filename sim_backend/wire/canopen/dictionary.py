@@ -5,9 +5,13 @@ Source: CiA 301 (data types, access, abort codes) and CiA 306 (the EDS file).
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import groupby
+from typing import Any
+
+from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable
+from canopen.objectdictionary.eds import export_eds
 
 BOOL, I8, I16, I32, U8, U16, U32, STRING = 0x1, 0x2, 0x3, 0x4, 0x5, 0x6, 0x7, 0x9
 SIZES: Mapping[int, int] = {BOOL: 1, I8: 1, I16: 2, I32: 4, U8: 1, U16: 2, U32: 4}
@@ -107,64 +111,26 @@ class Dictionary:
 
 def eds(dictionary: Dictionary, *, vendor: int, product: int, revision: int, name: str) -> str:
     """The device's electronic data sheet, the text of an .eds file."""
-    lines = [
-        "[FileInfo]",
-        "FileName=emulated.eds",
-        "FileVersion=1",
-        "FileRevision=0",
-        "EDSVersion=4.0",
-        f"Description=Emulated {name}",
-        "",
-        "[DeviceInfo]",
-        "VendorName=maxon motor ag",
-        f"VendorNumber=0x{vendor:08X}",
-        f"ProductName={name}",
-        f"ProductNumber=0x{product:08X}",
-        f"RevisionNumber=0x{revision:08X}",
-        *(f"BaudRate_{rate}={int(rate != 10)}" for rate in (10, 20, 50, 125, 250, 500, 800, 1000)),
-        "SimpleBootUpMaster=0",
-        "SimpleBootUpSlave=1",
-        "Granularity=8",
-        "DynamicChannelsSupported=0",
-        "GroupMessaging=0",
-        "NrOfRXPDO=4",
-        "NrOfTXPDO=4",
-        "LSS_Supported=0",
-        "",
-    ]
-    indices = sorted({index for index, _ in dictionary.entries})
-    mandatory = [index for index in indices if index in {0x1000, 0x1001, 0x1018}]
-    manufacturer = [index for index in indices if 0x2000 <= index < 0x6000]
-    optional = [index for index in indices if index not in mandatory and index not in manufacturer]
-    for title, part in (
-        ("MandatoryObjects", mandatory),
-        ("OptionalObjects", optional),
-        ("ManufacturerObjects", manufacturer),
-    ):
-        lines += [f"[{title}]", f"SupportedObjects={len(part)}"]
-        lines += [f"{place}=0x{index:04X}" for place, index in enumerate(part, 1)] + [""]
-    for index, grouped in groupby(sorted(dictionary.entries), key=lambda key: key[0]):
-        entries = [dictionary.entries[key] for key in grouped]
-        if index in dictionary.groups:
-            lines += [f"[{index:04X}]", f"ParameterName={dictionary.groups[index]}", "ObjectType=0x9"]
-            lines += [f"SubNumber={len(entries)}", ""]
-        for entry in entries:
-            heading = f"{index:04X}sub{entry.sub:X}" if index in dictionary.groups else f"{index:04X}"
-            lines += _section(heading, entry)
-    return "\n".join(lines) + "\n"
+    od = ObjectDictionary()  # type: ignore[no-untyped-call]  # canopen is typed in parts
+    records = {index: ODRecord(title, index) for index, title in dictionary.groups.items()}
+    for (index, _), entry in sorted(dictionary.entries.items()):
+        if index in records:
+            records[index].add_member(_variable(entry))
+        od.add_object(records.get(index) or _variable(entry))
+    about: Any = od.device_information
+    about = od.device_information
+    about.vendor_name, about.vendor_number = "maxon motor ag", vendor
+    about.product_name, about.product_number, about.revision_number = name, product, revision
+    about.allowed_baudrates = {1000 * rate for rate in (20, 50, 125, 250, 500, 800, 1000)}
+    about.simple_boot_up_slave, about.granularity, about.nr_of_RXPDO, about.nr_of_TXPDO = True, 8, 4, 4
+    text = io.StringIO()
+    export_eds(od, text, {"FileName": "emulated.eds", "Description": f"Emulated {name}"})  # type: ignore[no-untyped-call]  # as above
+    return text.getvalue()
 
 
-def _section(heading: str, entry: Entry) -> list[str]:
-    access = "rww" if entry.access == "rw" and entry.mappable else entry.access
-    lines = [
-        f"[{heading}]",
-        f"ParameterName={entry.name}",
-        "ObjectType=0x7",
-        f"DataType=0x{entry.kind:04X}",
-        f"AccessType={access}",
-        f"DefaultValue={entry.default}",
-        f"PDOMapping={int(entry.mappable)}",
-    ]
-    lines += [f"LowLimit={entry.low}"] if entry.low is not None else []
-    lines += [f"HighLimit={entry.high}"] if entry.high is not None else []
-    return [*lines, ""]
+def _variable(entry: Entry) -> ODVariable:
+    variable: Any = ODVariable(entry.name, entry.index, entry.sub)
+    variable.data_type, variable.pdo_mappable = entry.kind, entry.mappable
+    variable.access_type = "rww" if entry.access == "rw" and entry.mappable else entry.access
+    variable.default, variable.min, variable.max = entry.default, entry.low, entry.high
+    return variable  # type: ignore[no-any-return]  # as above

@@ -52,15 +52,11 @@ _COMMON: list[tuple[int, int, str, int, str, int | str, bool]] = [
     *((0x1003, n, f"Error history {n}", U32, "ro", 0, False) for n in range(1, 6)),
     (0x1005, 0, "COB-ID SYNC", U32, "rw", 0x80, False),
     (0x1008, 0, "Manufacturer device name", STRING, "const", "", False),
-    (0x1010, 0, "Highest sub-index supported", U8, "ro", 1, False),
     (0x1010, 1, "Save all parameters", U32, "rw", 1, False),
-    (0x1011, 0, "Highest sub-index supported", U8, "ro", 1, False),
     (0x1011, 1, "Restore all default parameters", U32, "rw", 1, False),
-    (0x1016, 0, "Highest sub-index supported", U8, "ro", 2, False),
     (0x1016, 1, "Consumer 1 heartbeat time", U32, "rw", 0, False),
     (0x1016, 2, "Consumer 2 heartbeat time", U32, "rw", 0, False),
     (0x1017, 0, "Producer heartbeat time", U16, "rw", 0, False),
-    (0x1018, 0, "Highest sub-index supported", U8, "ro", 4, False),
     (0x1018, 1, "Vendor ID", U32, "ro", 0, False),
     (0x1018, 2, "Product code", U32, "ro", 0, False),
     (0x1018, 3, "Revision number", U32, "ro", 0, False),
@@ -76,24 +72,18 @@ _COMMON: list[tuple[int, int, str, int, str, int | str, bool]] = [
 ]
 
 _EPOS4: list[tuple[int, int, str, int, str, int | str, bool]] = [
-    (0x2200, 0, "Highest sub-index supported", U8, "ro", 2, False),
     (0x2200, 1, "Power supply voltage", U16, "ro", 240, False),
-    (0x3000, 0, "Highest sub-index supported", U8, "ro", 6, False),
     (0x3000, 5, "Main sensor resolution", U32, "ro", 4 * PULSES, False),
     (0x3000, 6, "Max system speed", U32, "ro", 50000, False),
-    (0x3001, 0, "Highest sub-index supported", U8, "ro", 5, False),
     (0x3001, 1, "Nominal current", U32, "rw", NOMINAL_CURRENT, True),
     (0x3001, 2, "Output current limit", U32, "rw", PEAK_CURRENT, True),
     (0x3001, 3, "Number of pole pairs", U8, "rw", 1, False),
     (0x3001, 4, "Thermal time constant winding", U16, "rw", 40, False),
     (0x3001, 5, "Torque constant", U32, "rw", round(TORQUE_CONSTANT * 1e6), False),
-    (0x3010, 0, "Highest sub-index supported", U8, "ro", 4, False),
     (0x3010, 1, "Digital incremental encoder 1 number of pulses", U32, "rw", PULSES, False),
     (0x30D0, 0, "Current demand value", I32, "ro", 0, True),
-    (0x30D1, 0, "Highest sub-index supported", U8, "ro", 2, False),
     (0x30D1, 1, "Current actual value averaged", I32, "ro", 0, True),
     (0x30D1, 2, "Current actual value", I32, "ro", 0, True),
-    (0x3201, 0, "Highest sub-index supported", U8, "ro", 4, False),
     (0x3201, 1, "Temperature power stage", I16, "ro", 0, False),
     (0x3201, 4, "Maximal temperature power stage", U16, "rw", 1000, False),
     (0x603F, 0, "Error code", U16, "ro", 0, True),
@@ -108,18 +98,15 @@ _EPOS4: list[tuple[int, int, str, int, str, int | str, bool]] = [
 ]
 
 _EPOS2: list[tuple[int, int, str, int, str, int | str, bool]] = [
-    (0x2003, 0, "Internal number of entries", U8, "ro", 2, False),
     (0x2003, 1, "Software version", U16, "ro", 0x2126, False),
     (0x2003, 2, "Hardware version", U16, "ro", 0x6220, False),
     (0x2027, 0, "Current actual value averaged", I16, "ro", 0, True),
     (0x2028, 0, "Velocity actual value averaged", I32, "ro", 0, True),
     (0x2030, 0, "Current mode setting value", I16, "rw", 0, True),
-    (0x2210, 0, "Internal number of entries", U8, "ro", 2, False),
     (0x2210, 1, "Encoder pulse number", U16, "rw", PULSES, False),
     (0x2210, 2, "Position sensor type", U16, "rw", 1, False),
     (0x6065, 0, "Max following error", U32, "rw", 2000, True),
     (0x6078, 0, "Current actual value", I16, "ro", 0, True),
-    (0x6410, 0, "Internal number of entries", U8, "ro", 5, False),
     (0x6410, 1, "Continuous current limit", U16, "rw", NOMINAL_CURRENT, True),
     (0x6410, 2, "Output current limit", U16, "rw", PEAK_CURRENT, True),
     (0x6410, 3, "Pole pair number", U8, "rw", 1, False),
@@ -137,7 +124,6 @@ _GENERIC: list[tuple[int, int, str, int, str, int | str, bool]] = [
     (0x6077, 0, "Torque actual value", I16, "ro", 0, True),
     (0x6079, 0, "DC link circuit voltage", U32, "ro", 24000, True),
     (0x6080, 0, "Max motor speed", U32, "rw", 30000, True),
-    (0x608F, 0, "Highest sub-index supported", U8, "ro", 2, False),
     (0x608F, 1, "Encoder increments", U32, "rw", 4 * PULSES, False),
     (0x608F, 2, "Motor revolutions", U32, "rw", 1, False),
     (0x60A9, 0, "SI unit velocity", U32, "rw", 0xFDB44700, False),
@@ -152,22 +138,27 @@ _RANGES: Mapping[tuple[int, int], tuple[int, int]] = {
     (0x6410, 2): (0, 2 * PEAK_CURRENT),
 }
 
+_RECORDS: Mapping[int, tuple[str, int]] = {
+    0x1010: ("Store parameters", 1),
+    0x1011: ("Restore default parameters", 1),
+    0x1016: ("Consumer heartbeat time", 2),
+    0x1018: ("Identity object", 4),
+    0x2003: ("Version numbers", 2),
+    0x2200: ("Power supply", 2),
+    0x2210: ("Sensor configuration", 2),
+    0x3000: ("Axis configuration", 6),
+    0x3001: ("Motor data", 5),
+    0x3010: ("Digital incremental encoder 1", 4),
+    0x30D1: ("Current actual values", 2),
+    0x3201: ("Thermal overload protection", 4),
+    0x608F: ("Position encoder resolution", 2),
+    0x6410: ("Motor data", 5),
+}
+"""Objects with sub-indices: the name, and the highest sub-index."""
+
 GROUPS: Mapping[int, str] = {
     0x1003: "Error history",
-    0x1010: "Store parameters",
-    0x1011: "Restore default parameters",
-    0x1016: "Consumer heartbeat time",
-    0x1018: "Identity object",
-    0x2003: "Version numbers",
-    0x2200: "Power supply",
-    0x2210: "Sensor configuration",
-    0x3000: "Axis configuration",
-    0x3001: "Motor data",
-    0x3010: "Digital incremental encoder 1",
-    0x30D1: "Current actual values",
-    0x3201: "Thermal overload protection",
-    0x608F: "Position encoder resolution",
-    0x6410: "Motor data",
+    **{index: name for index, (name, _) in _RECORDS.items()},
     **{0x1400 + n: f"Receive PDO {n + 1} parameter" for n in range(4)},
     **{0x1600 + n: f"Receive PDO {n + 1} mapping" for n in range(4)},
     **{0x1800 + n: f"Transmit PDO {n + 1} parameter" for n in range(4)},
@@ -181,6 +172,10 @@ def entries(model: str, ident: int) -> Iterator[Entry]:
     for index, sub, name, kind, access, default, mappable in (*_COMMON, *own):
         low, high = _RANGES.get((index, sub), (None, None))
         yield Entry(index, sub, name, kind, access, default, mappable, low, high)
+    for index in {row[0] for row in (*_COMMON, *own)} & _RECORDS.keys():
+        epos2 = model == "epos2" and index >= 0x2000
+        name = "Internal number of entries" if epos2 else "Highest sub-index supported"
+        yield Entry(index, 0, name, U8, "ro", _RECORDS[index][1])
     yield from _pdos(ident)
 
 

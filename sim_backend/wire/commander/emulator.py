@@ -189,27 +189,22 @@ def new_board(
     return CommanderBoard(device, baudrate=baudrate, timing=timing, watchdog=watchdog, now=now)
 
 
-def serve(link: Path, board: CommanderBoard) -> PtyLine:
-    """`board`, made with `now=time.monotonic()`, at `link`, a symlink to a pty: `with serve(...) as line:`."""
-    return PtyLine(link, board)
-
-
-def emulate(
+def serve(
     link: Path,
     model: str = "motor",
     firmware: str = "2.4",
     *,
     baudrate: int = 1_000_000,
     parameters: SimParameters | None = None,
-    instant: bool = False,
+    timing: CommanderTiming | None = None,
     log: TorqueLog | None = None,
 ) -> PtyLine | Pair:
-    """Return what `hil emulate commander` serves.
+    """Return a board at `link`, a symlink to a pty.
 
     model: "motor", or "motor+loadcell" for a torque cell at its joint on a second pty, named as `link` with ".cell"
     behind it. firmware: the library's version, "2.4-watchdog" for a program that disables the motor after 0.1 s of
-    silence. log: of its torque. Raises ValueError for a model, a firmware or a baud rate that cannot be,
-    FileExistsError where `link` is a file.
+    silence. timing: None answers at once. log: of its torque. Raises ValueError for a model, a firmware or a baud rate
+    that cannot be, FileExistsError where `link` is a file.
     """
     if model not in MODELS:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(MODELS)}")
@@ -218,16 +213,9 @@ def emulate(
     if baudrate <= 0:
         raise ValueError(f"baud rate {baudrate}: it must be above 0")
     parameters = parameters or SimParameters()
-    board = new_board(
-        parameters,
-        firmware=firmware,
-        baudrate=baudrate,
-        timing=None if instant else CommanderTiming(),
-        now=time.monotonic(),
-    )
+    now = time.monotonic()
+    board = new_board(parameters, firmware=firmware, baudrate=baudrate, timing=timing, now=now)
     if log is not None:
-        log.watch_all([board], board.made)
-    line = serve(link, board)
-    if model == "motor":
-        return line
-    return with_cell(line, board, parameters.sensors)
+        log.watch_all([board], now)
+    line = PtyLine(link, board)
+    return line if model == "motor" else with_cell(line, board, parameters.sensors)

@@ -141,18 +141,10 @@ def of(sensors: SensorParameters) -> LoadCellBoard:
     )
 
 
-def serve(link: Path, board: LoadCellBoard | None = None, joint: Felt | None = None) -> PtyLine:
-    """A cell at `link`, a symlink to a pty. `with serve(...):` prints from a thread, `.serve()` from this one.
-
-    joint: what it feels, on the clock of `time.monotonic`; None: a joint at rest.
-    """
-    return PtyLine(link, EmulatedLoadCell(board, joint, now=time.monotonic()))
-
-
-def emulate(
+def serve(
     link: Path, model: str = "hx711", *, baudrate: int = 115200, parameters: SimParameters | None = None
 ) -> PtyLine:
-    """Return what `hil emulate loadcell` serves: a cell at a joint at rest.
+    """Return a cell at a joint at rest, at `link`, a symlink to a pty.
 
     model: "hx711" prints `micros,raw`, "hx711-checked" ends its lines with a checksum, "value" prints counts as plain
     numbers. A cell at a joint that a motor turns comes with `hil emulate commander`. Raises ValueError for an unknown
@@ -164,8 +156,8 @@ def emulate(
     if baudrate <= 0:
         raise ValueError(f"baud rate {baudrate}: it must be above 0")
     form, checksum = kinds[model]
-    board = of((parameters or SimParameters()).sensors)
-    return serve(link, replace(board, form=form, checksum=checksum, baudrate=baudrate))
+    board = replace(of((parameters or SimParameters()).sensors), form=form, checksum=checksum, baudrate=baudrate)
+    return PtyLine(link, EmulatedLoadCell(board, now=time.monotonic()))
 
 
 class Pair:
@@ -200,4 +192,5 @@ class _Locked:
 def with_cell(line: PtyLine, joint: Felt, sensors: SensorParameters) -> Pair:
     """Return the drive on `line` with a cell of `sensors` at its `joint`, on a pty named as the line with ".cell"."""
     link = line.link.with_name(f"{line.link.name}.cell")
-    return Pair(line, serve(link, of(sensors), _Locked(joint, line.lock)))
+    cell = EmulatedLoadCell(of(sensors), _Locked(joint, line.lock), now=time.monotonic())
+    return Pair(line, PtyLine(link, cell))

@@ -45,6 +45,8 @@ ESTOP = {"0.5": 0x4000, "0.6": 0x2000000}
 DRIVER_FAULT = {"0.5": 0x40, "0.6": 0x20}
 """Bits of the error word, by the firmware's layout."""
 
+_CYCLIC = {"heartbeat": 0x01, "encoder": 0x09, "torques": 0x1C}
+"""The messages that are sent cyclically, by their names in the configuration."""
 _NODE_ID = "axis0.config.can.node_id"
 _FLOATS = struct.Struct("<ff")
 _INPUT_POS = struct.Struct("<fhh")
@@ -83,9 +85,8 @@ class OdriveDevice:
     def _start(self, now: float) -> None:
         self._ready = now
         self._fed = now
-        self._heartbeat = now + 0.01 * (1 + self.ident % 7)
-        self._estimates = now + 0.013
-        self._torques = now + 0.017
+        self._next = {"heartbeat": now + 0.01 * (1 + self.ident % 7), "encoder": now + 0.013, "torques": now + 0.017}
+        """When each cyclic message is sent next, s."""
         self._introduces = math.inf
         self._torque = self._velocity = 0.0
         self._position = self._offset = 0.0
@@ -113,26 +114,22 @@ class OdriveDevice:
 
     def due(self) -> float:
         """Return the time at which the next cyclic message is sent, s."""
-        return min(self._heartbeat, self._estimates, self._torques, self._introduces)
+        return min(*self._next.values(), self._introduces)
 
     def unasked(self, now: float) -> list[CanFrame]:
         """Return the cyclic messages that are due."""
         self.advance(now)
         out = []
-        if self._heartbeat <= now:
-            self._heartbeat += self._period("heartbeat")
-            out.append(self._frame(0x01, self._heartbeat_data()))
-        if self._estimates <= now:
-            self._estimates += self._period("encoder")
-            out.append(self._frame(0x09, self._encoder_data()))
-        if self._torques <= now:
-            self._torques += self._period("torques")
-            out += [self._frame(0x1C, self._torques_data())] if math.isfinite(self._torques) else []
+        for kind, command in _CYCLIC.items():
+            if self._next[kind] <= now:
+                self._next[kind] += self._period(kind)
+                if math.isfinite(self._next[kind]):
+                    out.append(self._frame(command, self._messages()[command]))
         if self._nameless:
             out = []
         if self._introduces <= now:
             self._introduces = math.inf
-            out.append(self._frame(_ADDRESS, self._address_data()))
+            out.append(self._frame(_ADDRESS, self._messages()[_ADDRESS]))
         return out if now >= self._ready else []
 
     @property
@@ -170,7 +167,7 @@ class OdriveDevice:
         self._start(now)
         self._offset = self.motor.position
         self._ready = now + BOOT
-        self._heartbeat = self._estimates = self._torques = self._ready
+        self._next = dict.fromkeys(self._next, self._ready)
 
     def fail(self, bits: int) -> None:
         """Latch errors; the axis disarms."""
@@ -202,7 +199,7 @@ class OdriveDevice:
         """Return the reply to a frame without data; of commands, those without parameters are obeyed."""
         if command in {_ESTOP, _REBOOT, _CLEAR}:
             self._obey(command, bytes(8), now)
-        data = self._asked(command)
+        data = self._messages().get(command) if command != _CYCLIC["heartbeat"] else None
         if data is not None and self._nameless:
             # several without an id would all answer with the same identifier
             self._introduces = now + self.serial % 997 * 5e-5 if command == _ADDRESS else self._introduces
@@ -223,77 +220,40 @@ class OdriveDevice:
 
     # -- what it is asked -------------------------------------------------------------------------------------------
 
-    def _asked(self, command: int) -> bytes | None:
-        """The data of a message that a remote frame asks for; None where there is none."""
+    def _messages(self) -> dict[int, bytes]:
+        """Return the data of the messages that it sends, by their command."""
+        floats, motor = _FLOATS.pack, self.motor
+        counts, volts = round(self._turns() * COUNTS), self.endpoints.get("vbus_voltage")
+        current = round(motor.torque / TORQUE_CONSTANT / CURRENT_LSB) * CURRENT_LSB
+        power = 0.06 * current**2 + motor.torque * motor.velocity
         modern = self.layout == "0.6"
-        answers = {0x03: self._error_data, 0x09: self._encoder_data, 0x14: self._iq_data, 0x17: self._bus_data}
-        if modern:
-            answers |= {0x00: self._version_data, 0x06: self._address_data, 0x15: self._temperature_data}
-            answers |= {0x1C: self._torques_data, 0x1D: self._powers_data}
-        else:
-            answers |= {0x04: lambda: bytes(8), 0x05: lambda: bytes(8), 0x1D: lambda: bytes(8)}  # no such errors
-            answers |= {0x0A: self._count_data, 0x15: lambda: bytes(8)}  # the sensorless estimator does not run
-        return answers[command]() if command in answers else None
-
-    def _version_data(self) -> bytes:
-        return bytes([2, 5, 2, 0, *(int(part) for part in self.firmware.split(".")), 0])
-
-    def _error_data(self) -> bytes:
-        return struct.pack("<II", self.errors, self.disarm_reason if self.layout == "0.6" else 0)
-
-    def _address_data(self) -> bytes:
-        return bytes([self.ident]) + self.serial.to_bytes(6, "little") + b"\0"
-
-    def _count_data(self) -> bytes:
-        counts = round(self._turns() * COUNTS)
-        return struct.pack("<ii", counts, counts % COUNTS)
-
-    def _iq_data(self) -> bytes:
-        return _FLOATS.pack(self.motor.demand / TORQUE_CONSTANT, self._current())
-
-    def _temperature_data(self) -> bytes:
-        return _FLOATS.pack(self.motor.temperature, self.motor.temperature)
-
-    def _bus_data(self) -> bytes:
-        volts = self.endpoints.get("vbus_voltage")
-        return _FLOATS.pack(volts, self._power() / volts)
-
-    def _torques_data(self) -> bytes:
-        return _FLOATS.pack(self.motor.demand, self._current() * TORQUE_CONSTANT)
-
-    def _powers_data(self) -> bytes:
-        return _FLOATS.pack(self._power(), self.motor.torque * self.motor.velocity)
-
-    def _heartbeat_data(self) -> bytes:
-        if self.layout == "0.6":
-            return struct.pack("<IBBBB", self.errors, self.state, self._result, 1, 0)
-        motor, controller = bool(self.errors & 0x40), bool(self.errors & 0x200)
-        return struct.pack("<IBBBB", self.errors, self.state, motor, 0, controller | 0x80)
-
-    def _encoder_data(self) -> bytes:
-        turns = round(self._turns() * COUNTS) / COUNTS
-        return _FLOATS.pack(turns, self.motor.velocity / TURN)
+        shared = {
+            0x03: struct.pack("<II", self.errors, self.disarm_reason if modern else 0),
+            0x09: floats(counts / COUNTS, motor.velocity / TURN),
+            0x14: floats(motor.demand / TORQUE_CONSTANT, current),
+            0x17: floats(volts, power / volts),
+        }
+        if not modern:
+            silent = dict.fromkeys((0x04, 0x05, 0x15, 0x1D), bytes(8))  # errors that it has no words for; no estimator
+            faults = bool(self.errors & 0x40), 0, 0x80 | bool(self.errors & 0x200)  # of motor, encoder, controller
+            own = {0x01: struct.pack("<IBBBB", self.errors, self.state, *faults)}
+            return shared | silent | own | {0x0A: struct.pack("<ii", counts, counts % COUNTS)}
+        return shared | {
+            0x01: struct.pack("<IBBBB", self.errors, self.state, self._result, 1, 0),
+            0x00: bytes([2, 5, 2, 0, *(int(part) for part in self.firmware.split(".")), 0]),
+            _ADDRESS: bytes([self.ident]) + self.serial.to_bytes(6, "little") + b"\0",
+            0x15: floats(motor.temperature, motor.temperature),
+            0x1C: floats(motor.demand, current * TORQUE_CONSTANT),
+            0x1D: floats(power, motor.torque * motor.velocity),
+        }
 
     def _turns(self) -> float:
         return (self.motor.position - self._offset) / TURN
 
-    def _current(self) -> float:
-        return round(self.motor.torque / TORQUE_CONSTANT / CURRENT_LSB) * CURRENT_LSB
-
-    def _power(self) -> float:
-        return 0.06 * self._current() ** 2 + self.motor.torque * self.motor.velocity
-
     def _parameter(self, data: bytes) -> list[CanFrame]:
         """RxSdo: read or write an endpoint. 0.6.11 and later confirm a write."""
-        if len(data) < 4:
-            return []
-        opcode, number, _ = struct.unpack_from("<BHB", data)
-        if opcode == 1:
-            done = self.endpoints.write(number, data[4:].ljust(4, b"\0"))
-            confirms = int(self.firmware.split(".")[2]) >= 11
-            return [self._frame(0x05, struct.pack("<BHB4x", 1, number, 0))] if done and confirms else []
-        value = self.endpoints.read(number)
-        return [] if value is None else [self._frame(0x05, struct.pack("<BHB", 0, number, 0) + value)]
+        reply = self.endpoints.sdo(data, confirms=int(self.firmware.split(".")[2]) >= 11)
+        return [] if reply is None else [self._frame(0x05, reply)]
 
     # -- commands ------------------------------------------------------------------------------------------------------
 

@@ -64,6 +64,17 @@ class Endpoints:
         """Set a value from inside."""
         self._values[name] = value
 
+    def sdo(self, data: bytes, *, confirms: bool) -> bytes | None:
+        """Return the reply to a request, None where there is none. confirms: a write is replied to."""
+        if len(data) < 4:
+            return None
+        writes, number, _ = struct.unpack_from("<BHB", data)
+        if writes == 1:
+            done = self.write(number, data[4:].ljust(4, b"\0"))
+            return struct.pack("<BHB4x", 1, number, 0) if done and confirms else None
+        value = self.read(number)
+        return None if value is None else struct.pack("<BHB", 0, number, 0) + value
+
     def read(self, number: int) -> bytes | None:
         """The four bytes of an answer to a read; None where there is no such endpoint."""
         row = self._row(number)

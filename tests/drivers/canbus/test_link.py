@@ -15,10 +15,10 @@ from drivers.clock import VirtualClock
 from drivers.odrive.config import OdriveConfig
 from drivers.odrive.servo import OdriveServo
 from drivers.servo import BadReply, Command, DriverError, LinkLost, NoReply
+from sim_backend.wire.can_families import odrive as serve
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame, duration
 from sim_backend.wire.canbus.loopback import CanLoopback
-from sim_backend.wire.odrive.emulator import serve
 
 
 class Scripted(can.BusABC):

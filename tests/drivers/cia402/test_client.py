@@ -15,10 +15,10 @@ import pytest
 from canopen.objectdictionary import export_od, import_od
 from canopen.profiles.p402 import BaseNode402
 
+from sim_backend.wire.can_families import cia402 as serve
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.serve import CanServer
 from sim_backend.wire.cia402.device import FOLLOWING_ERROR, Cia402Device
-from sim_backend.wire.cia402.emulator import serve
 from sim_backend.wire.cia402.machine import Cia402State
 
 MODELS = ["epos4", "epos2", "generic"]

@@ -27,7 +27,7 @@ from drivers.servo import (
     Quantity,
 )
 from sim_backend.wire.commander.device import number
-from sim_backend.wire.commander.emulator import CommanderTiming, new_board, serve
+from sim_backend.wire.commander.emulator import CommanderTiming, new_board
 from sim_backend.wire.faults import (
     CorruptReplies,
     DelayReplies,
@@ -39,6 +39,7 @@ from sim_backend.wire.faults import (
 )
 from sim_backend.wire.loadcell.emulator import EmulatedLoadCell
 from sim_backend.wire.uart.loopback import SerialLoopback
+from sim_backend.wire.uart.pty_line import PtyLine
 
 Rig = Any
 Make = Callable[..., Rig]
@@ -349,7 +350,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 def test_a_killed_program_leaves_no_current_once_the_boards_watchdog_has_run_out(tmp_path: Path) -> None:
     board = new_board(firmware="2.4-watchdog", timing=CommanderTiming(), now=time.monotonic())
     board.watchdog = 1.0
-    with serve(tmp_path / "tty", board) as line:
+    with PtyLine(tmp_path / "tty", board) as line:
         root = Path(__file__).parents[3]
         done = subprocess.run([sys.executable, "-c", CRASHES, str(line.link)], cwd=root, check=False, timeout=60)
         assert done.returncode == -signal.SIGKILL

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -29,8 +30,9 @@ from sim_backend.wire.faults import (
     TruncateReplies,
     Unplug,
 )
-from sim_backend.wire.loadcell.emulator import SCALE, SETTLING, EmulatedLoadCell, LoadCellBoard, serve
+from sim_backend.wire.loadcell.emulator import SCALE, SETTLING, EmulatedLoadCell, LoadCellBoard
 from sim_backend.wire.uart.loopback import SerialLoopback
+from sim_backend.wire.uart.pty_line import PtyLine
 
 SIGNS: tuple[Literal[1, -1], ...] = (1, -1)
 CONFIG = LoadCellConfig(port="loopback", scale=SCALE)
@@ -258,7 +260,7 @@ def test_a_port_that_cannot_be_opened_says_what_to_do(tmp_path: Path, monkeypatc
 
 
 def test_a_cell_on_a_pty_is_read_and_a_second_program_is_kept_off(tmp_path: Path) -> None:
-    with serve(tmp_path / "ttyCELL", LoadCellBoard(rate=500.0)) as line:
+    with PtyLine(tmp_path / "ttyCELL", EmulatedLoadCell(LoadCellBoard(rate=500.0), now=time.monotonic())) as line:
         config = replace(CONFIG, port=str(line.link))
         cell = LoadCell(config, clock=MonotonicClock())
         with pytest.raises(DriverError, match="another program has it open"):

@@ -14,10 +14,10 @@ from pydantic import TypeAdapter, ValidationError
 from drivers.mit.config import MitConfig
 from drivers.mit.frames import Codec, models
 from drivers.servo import Command, DriverError, Limits, Quantity
+from sim_backend.wire.can_families import mit as serve
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.mit.device import MitDevice
-from sim_backend.wire.mit.emulator import serve
 from sim_backend.wire.mit.tables import MODELS
 
 Make = Callable[..., Any]

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sim_backend.wire.moteus.emulator import serve
+from sim_backend.wire.can_families import moteus as serve
 
 moteus: Any = pytest.importorskip("moteus")
 

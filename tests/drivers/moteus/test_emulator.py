@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from sim_backend.wire.can_families import moteus as serve
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.moteus.command import (
     BRAKE,
@@ -26,7 +27,6 @@ from sim_backend.wire.moteus.command import (
     ZERO_VELOCITY,
 )
 from sim_backend.wire.moteus.device import FAULT, NOT_CONFIGURED, STOPPED, MoteusDevice
-from sim_backend.wire.moteus.emulator import serve
 from sim_backend.wire.uart.pty_line import PtyLine
 
 moteus: Any = pytest.importorskip("moteus")

@@ -13,10 +13,10 @@ from pydantic import TypeAdapter, ValidationError
 from drivers.moteus.config import MoteusConfig
 from drivers.moteus.frames import FLOAT, INT8, INT16, INT32, answers, filled, read, registers, write
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Status, UnsafeCommand
+from sim_backend.wire.can_families import moteus as serve
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.moteus.command import POSITION
 from sim_backend.wire.moteus.device import COUNTS, STOPPED, TORQUE_LSB, MoteusDevice
-from sim_backend.wire.moteus.emulator import serve
 from sim_backend.wire.moteus.frames import Read, Reader, Write
 from sim_backend.wire.moteus.registers import UNITS
 
