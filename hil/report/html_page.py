@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.recording.output import atomic_write
+from hil.report.chart import Chart, library
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,18 +41,23 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture with the sentence that replaces it where it cannot be seen, with its numbers."""
+    """A picture with the sentence that replaces it where it cannot be seen, with its numbers.
+
+    chart: takes its place where the page's script runs, on a screen.
+    """
 
     name: str
     heading: str
     alt: str
     draw: Callable[[], Figure]
+    chart: Chart | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page, its parts in order. title: names recording and result. verdict: the answer, in lines. failed: whether
-    there is none. provenance: pairs of a name and a text. table: the command's JSON object.
+    """A page. title: names recording and result. verdict: the answer, in lines. failed: whether there is none.
+    sections: the first stands above the pictures, the others below them. provenance: pairs of a name and a text.
+    table: the command's JSON object.
     """
 
     title: str
@@ -89,7 +95,9 @@ def write(page: Page, path: Path, *, force: bool) -> Path:
     template = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     drawn = [(one, Markup(svg(one))) for one in page.pictures]  # noqa: S704 - our own drawing, which escapes its texts
     embedded = Markup(_embedded(page.table))  # noqa: S704 - escaped for a script element
-    text = template.from_string(source).render(page=page, pictures=drawn, json=embedded)
+    charts = {one.name: Markup(one.chart.as_json()) for one in page.pictures if one.chart}  # noqa: S704 - escaped too
+    parts = {name: Markup(part) for name, part in library().items()} if charts else {}  # noqa: S704 - of this package
+    text = template.from_string(source).render(page=page, pictures=drawn, json=embedded, charts=charts, library=parts)
     with atomic_write(path, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path

@@ -185,8 +185,13 @@ def _upgraded_step(old: dict[str, Any]) -> dict[str, Any]:
 
 def headline(found: Identification) -> str:
     """Return Kc and Bc with half of their 95 % intervals and whether they may be trusted, in one line."""
-    verdicts = [_verdict(found, estimate) for estimate in found.estimates[:2]]
-    return ",  ".join(verdicts) + ("  (95 %)" if all("±" in verdict for verdict in verdicts) else "")
+    lines = verdicts(found)
+    return ",  ".join(lines) + ("  (95 %)" if all("±" in line for line in lines) else "")
+
+
+def verdicts(found: Identification) -> list[str]:
+    """Return a line for Kc and one for Bc: the value, half of its 95 % interval, and whether it may be trusted."""
+    return [_verdict(found, estimate) for estimate in found.estimates[:2]]
 
 
 def _verdict(found: Identification, estimate: Estimate) -> str:

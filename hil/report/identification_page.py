@@ -19,6 +19,7 @@ from hil.report.identification import (
     identification_lines,
     model_selection_table,
     repeatability_table,
+    verdicts,
 )
 from hil.report.pictures import pictures, recording_figure
 from hil.report.provenance import provenance
@@ -36,7 +37,7 @@ def write_page(found: Identification, path: Path, command: str = "", *, force: b
     page = Page(
         title=f"{', '.join(recording.name for recording in found.recordings)}: {answer}",
         subject=f"Identification of {names}",
-        verdict=(answer,),
+        verdict=verdicts(found),
         diagnostics=found.diagnostics,
         sections=_sections(found),
         pictures=pictures(found),

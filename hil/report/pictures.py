@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hil.errors import WrongUse
 from hil.recording.output import atomic_write, check_output, writing
+from hil.report.chart import Chart, Line, Panel
 from hil.report.formatting import people_unit
 from hil.report.html_page import Picture
 from hil.report.identification import headline, milli, printed
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_SHOWN: Final = 400  # stretches of a recording in the pictures of a page
-_LOOP: Final = 1800  # samples of the loop in the pictures of a page
+_SHOWN: Final = 300  # stretches of a recording in the pictures of a page
+_CHARTED: Final = 1200  # stretches of it in the charts, which can be zoomed
+_LOOP: Final = 1200  # samples of the loop in the pictures of a page
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +43,12 @@ class _Shown:
     unit: str
     model: str
 
-    def thinned(self) -> _Shown:
-        """The highest and the lowest residual of each of `_SHOWN` stretches, so that a page is light to load."""
+    def thinned(self, number: int) -> _Shown:
+        """The highest and the lowest residual of each of `number` stretches, so that a page is light to load."""
         count = len(self.time)
-        if count <= 2 * _SHOWN:
+        if count <= 2 * number:
             return self
-        stretches = np.array_split(np.arange(count), _SHOWN)
+        stretches = np.array_split(np.arange(count), number)
         residuals = np.nan_to_num(self.residuals)
         ends = [(one[residuals[one].argmin()], one[residuals[one].argmax()]) for one in stretches]
         return self._of(np.unique(np.concatenate([np.ravel(ends), np.flatnonzero(np.isnan(self.time))])))
@@ -103,7 +105,7 @@ def figure(found: Identification) -> Figure:
 def pictures(found: Identification) -> list[Picture]:
     """Return the pictures of a result one by one, each with its numbers in words."""
     shown = _shown(found)
-    light = shown.thinned()
+    light = shown.thinned(_SHOWN)
     answer, size = headline(found), f"{float(np.nanmean(np.abs(shown.residuals))):.3g} {shown.unit}"
     low, high = found.signals.band
     drawn = [
@@ -112,6 +114,7 @@ def pictures(found: Identification) -> list[Picture]:
             "Torque, measured and modelled",
             f"Torque at the joint over time with the model {found.model.name}; they differ by {size} on average.",
             lambda: _traces(light),
+            _chart(shown),
         ),
         Picture(
             "loop",
@@ -150,6 +153,19 @@ def _traces(shown: _Shown) -> Figure:
     drawn, panels = _panels(2, 1, (9, 5), sharex=True, height_ratios=[2, 1])
     _draw_traces(shown, *panels)
     return drawn
+
+
+def _chart(shown: _Shown) -> Chart | None:
+    """The traces to zoom; None for pooled recordings, which share their times."""
+    if not (np.diff(shown.time[np.isfinite(shown.time)]) > 0.0).all():
+        return None
+    light, unit = shown.thinned(_CHARTED), shown.unit
+    lines = [Line("measured", light.measured, "soft"), Line("model", light.modelled, "first")]
+    panels = [
+        Panel(f"torque [{unit}]", lines),
+        Panel(f"error [{unit}]", [Line("error", light.residuals, "error")]),
+    ]
+    return Chart("time [s]", light.time, panels)
 
 
 def _loop(shown: _Shown) -> Figure:
