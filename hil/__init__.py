@@ -18,7 +18,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hil.api.analysis import ComparisonResult, IdentificationResult, NoResult, compare, identify
+    from hil.api.analysis import ComparisonResult, IdentificationResult, NoResult, compare, identify, identify_each
     from hil.api.planning import DesignResult, design
     from hil.api.recordings import LoadedRecording, load
     from hil.api.runs import Run, record, simulate
@@ -36,13 +36,21 @@ __all__ = [
     "compare",
     "design",
     "identify",
+    "identify_each",
     "load",
     "record",
     "simulate",
 ]
 
 _PLACES = {
-    "hil.api.analysis": ("ComparisonResult", "IdentificationResult", "NoResult", "compare", "identify"),
+    "hil.api.analysis": (
+        "ComparisonResult",
+        "IdentificationResult",
+        "NoResult",
+        "compare",
+        "identify",
+        "identify_each",
+    ),
     "hil.api.planning": ("DesignResult", "design"),
     "hil.api.recordings": ("LoadedRecording", "load"),
     "hil.api.runs": ("Run", "record", "simulate"),

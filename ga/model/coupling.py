@@ -55,6 +55,10 @@ class CouplingModel:
     slowest: float | None = None
     smoothing: float | None = None
 
+    def __reduce__(self) -> tuple[type[CouplingModel], tuple[str | float | None, ...]]:
+        """Return what another process makes the model from: the records of its terms have functions without a name."""
+        return CouplingModel, (self.name, self.origin, self.middle, self.slowest, self.smoothing)
+
     @cached_property
     def terms(self) -> tuple[Term, ...]:
         """The records of its terms."""

@@ -16,9 +16,9 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification import compare as comparison
 from hil.identification import user_model
 from hil.identification.compare import Comparison, Repeated
-from hil.identification.fixture import identify_without_fixture
+from hil.identification.each import Task, identified
+from hil.identification.each import identify_each as identify_spread
 from hil.identification.identify import Search
-from hil.identification.identify import identify as identify_recordings
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Identification
 from hil.report import comparison as comparison_report
@@ -183,6 +183,7 @@ def identify(
     workers: int | None = None,
     checkpoint: AnyPath | None = None,
     fixture: AnyPath | None = None,
+    cluster: str | None = None,
     progress: Progress | None = None,
 ) -> IdentificationResult:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings, pooled.
@@ -191,33 +192,88 @@ def identify(
     "linear" where preset, bounds, checkpoint or fixture belong to one model. preset: "default" or "paper". trials:
     independent searches. generations to replacement: of the genetic algorithm, None: the preset's (docs/paper.md).
     bounds: SI, by parameter. workers: threads, None: all cores. checkpoint: a file that keeps the state of the search;
-    where it exists, the search continues. fixture: a recording of the empty rig, whose compliance is removed.
+    where it exists, the search continues. fixture: a recording of the empty rig, whose compliance is removed. cluster:
+    the address of a Dask scheduler that has the work done, or "local".
 
     Ctrl-C ends the search, and what it found so far is returned. Raises WrongUse, and NoResult where the recordings
     cannot be used at all; lesser doubts are in the diagnostics.
     """
-    # bounds and checkpoints belong to one model, and a fixture is subtracted from apparent stiffness and damping
-    fixed = preset == "paper" or bool(bounds) or checkpoint is not None or fixture is not None
-    chosen = coupling_of(model or ("linear" if fixed else "auto"))
-    readings = {"selection": selection, "weights": weights, "replacement": replacement}
-    sizes = {"generations": generations, "population": population, "mutation": mutation}
-    search = Search(
+    options: dict[str, Any] = {"generations": generations, "population": population, "mutation": mutation}
+    options |= {"selection": selection, "weights": weights, "replacement": replacement}
+    search = _search(preset, options, trials=trials, bounds=bounds, seed=seed, workers=workers, checkpoint=checkpoint)
+    [task] = _tasks([_paths(recordings)], model, search, fixture)
+    [found] = [identified(task, progress)] if cluster is None else identify_spread([task], cluster, progress)
+    return _result(task, found)
+
+
+def identify_each(
+    recordings: Sequence[AnyPath],
+    model: str | Coupling | None = None,
+    *,
+    preset: str = "default",
+    trials: int | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    fixture: AnyPath | None = None,
+    cluster: str | None = None,
+    progress: Progress | None = None,
+) -> list[IdentificationResult | NoResult]:
+    """Identify each recording on its own, several at a time, and return the results in their order.
+
+    workers: processes of this computer, None: one a core; they are started where the first recording takes longer than
+    a few seconds. The numbers do not depend on them, nor on the cluster. The other arguments: as `identify`. A
+    recording that cannot be used has a NoResult in its place. Raises WrongUse.
+    """
+    search = _search(preset, {}, trials=trials, bounds=bounds, seed=seed, workers=workers, checkpoint=None)
+    tasks = _tasks([[path] for path in _paths(recordings)], model, search, fixture)
+    found = identify_spread(tasks, cluster, progress)
+    return [
+        _no_result(task, one) if isinstance(one, Untrustworthy) else IdentificationResult(one)
+        for task, one in zip(tasks, found, strict=True)
+    ]
+
+
+def _search(
+    preset: str,
+    options: dict[str, Any],
+    *,
+    trials: int | None,
+    bounds: Mapping[str, tuple[float, float]] | None,
+    seed: int,
+    workers: int | None,
+    checkpoint: AnyPath | None,
+) -> Search:
+    return Search(
         preset=preset,
-        settings=_settings(preset, {name: value for name, value in (readings | sizes).items() if value is not None}),
+        settings=_settings(preset, {name: value for name, value in options.items() if value is not None}),
         trials=trials,
         seed=seed,
         workers=workers or os.cpu_count() or 1,
         bounds=bounds or {},
         checkpoint=None if checkpoint is None else Path(checkpoint),
     )
-    paths = _paths(recordings)
-    try:
-        if fixture is None:
-            return IdentificationResult(identify_recordings(paths, chosen, search, progress))
-        return IdentificationResult(identify_without_fixture(paths, Path(fixture), chosen, search, progress))
-    except Untrustworthy as error:
-        name = "auto" if chosen is None else chosen.name
-        raise NoResult(str(error), paths, name, preset, seed) from error
+
+
+def _tasks(
+    recordings: Sequence[Sequence[Path]], model: str | Coupling | None, search: Search, fixture: AnyPath | None
+) -> list[Task]:
+    # bounds and checkpoints belong to one model, and a fixture is subtracted from apparent stiffness and damping
+    fixed = search.preset == "paper" or bool(search.bounds) or search.checkpoint is not None or fixture is not None
+    chosen = coupling_of(model or ("linear" if fixed else "auto"))
+    rig = None if fixture is None else Path(fixture)
+    return [Task(tuple(paths), chosen, search, rig) for paths in recordings]
+
+
+def _result(task: Task, found: Identification | Untrustworthy) -> IdentificationResult:
+    if isinstance(found, Untrustworthy):
+        raise _no_result(task, found) from found
+    return IdentificationResult(found)
+
+
+def _no_result(task: Task, reason: Untrustworthy) -> NoResult:
+    name = "auto" if task.model is None else task.model.name
+    return NoResult(str(reason), task.recordings, name, task.search.preset, task.search.seed)
 
 
 def compare(
@@ -227,15 +283,16 @@ def compare(
     trials: int | None = None,
     seed: int = 0,
     workers: int | None = None,
+    cluster: str | None = None,
     progress: Progress | None = None,
 ) -> ComparisonResult:
     """Identify each recording on its own, and test whether Kc and Bc repeat and whether they drift.
 
-    The arguments: as `identify`. A recording that cannot be used is left out with a warning. Raises WrongUse for fewer
-    than two recordings, for different stands and for the same run twice.
+    The arguments: as `identify_each`. A recording that cannot be used is left out with a warning. Raises WrongUse for
+    fewer than two recordings, for different stands and for the same run twice.
     """
     search = Search(trials=trials, seed=seed, workers=workers or os.cpu_count() or 1)
-    return ComparisonResult(comparison.compare(_paths(recordings), coupling_of(model), search, progress))
+    return ComparisonResult(comparison.compare(_paths(recordings), coupling_of(model), search, progress, cluster))
 
 
 def coupling_of(model: str | Coupling) -> Coupling | None:

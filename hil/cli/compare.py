@@ -19,6 +19,7 @@ def compare(
     trials: Annotated[int | None, typer.Option(min=1, help="Independent searches of each, as in hil identify.")] = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
+    cluster: options.Cluster = None,
     report: Annotated[Path | None, typer.Option(help="Also write a report (HTML).")] = None,
     force: options.Force = False,
     as_json: options.Json = False,
@@ -29,7 +30,9 @@ def compare(
 
     check_report(report, recordings, force=force)
     with progress() as show:
-        found = analysis.compare(recordings, model, trials=trials, seed=seed, workers=workers, progress=show)
+        found = analysis.compare(
+            recordings, model, trials=trials, seed=seed, workers=workers, cluster=cluster, progress=show
+        )
     if as_json:
         print_json(found.as_json())
     else:

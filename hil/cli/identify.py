@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ga.model.terms import MEANINGS, SYNTAX
 from hil.cli import options
+from hil.cli.many.each import identify_each, refuse_with_each
 from hil.cli.progress import progress
 from hil.cli.report import check_report
 from hil.cli.terminal import (
@@ -52,6 +53,10 @@ def identify(
     bounds: Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI; repeat for several.")] = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
+    cluster: options.Cluster = None,
+    each: Annotated[
+        bool, typer.Option("--each", help="Identify each recording on its own, several at a time, instead of pooling.")
+    ] = False,
     checkpoint: options.Checkpoint = None,
     fixture: Annotated[
         Path | None, typer.Option(help="A recording of the empty rig, to subtract the fixture's compliance.")
@@ -72,26 +77,22 @@ def identify(
     from hil.api.analysis import identify as identify_recordings
 
     required = _required(require)
+    common: dict[str, Any] = {"preset": preset, "trials": trials, "seed": seed, "workers": workers, "cluster": cluster}
+    common |= {"bounds": dict(_bounds(text) for text in bounds or ()), "fixture": fixture}
+    alone: dict[str, Any] = {
+        "generations": generations,
+        "population": population,
+        "mutation": mutation,
+        "checkpoint": checkpoint,
+    }
+    alone |= {"selection": selection, "weights": weights, "replacement": replacement}
+    if each:
+        refuse_with_each(alone | {"report": report, "plot": plot})
+        identify_each(recordings, model, common, required, as_json=as_json)
+        return
     check_report(report, recordings, force=force)
     with _failure_published(report, force=force, as_json=as_json), progress() as show:
-        found = identify_recordings(
-            recordings,
-            model,
-            preset=preset,
-            trials=trials,
-            generations=generations,
-            population=population,
-            mutation=mutation,
-            selection=selection,
-            weights=weights,
-            replacement=replacement,
-            bounds=dict(_bounds(text) for text in bounds or ()),
-            seed=seed,
-            workers=workers,
-            checkpoint=checkpoint,
-            fixture=fixture,
-            progress=show,
-        )
+        found = identify_recordings(recordings, model, progress=show, **(common | alone))
     publish(found, report, plot, as_json=as_json, verbose=verbose, force=force)
     _end(found, checkpoint, required)
 

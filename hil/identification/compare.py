@@ -13,9 +13,10 @@ import numpy as np
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification.disk_table import Progress
-from hil.identification.identify import Search, identify_sources
+from hil.identification.each import Result, Task, identify_each
+from hil.identification.identify import Search
 from hil.identification.model_choice import Coupling
-from hil.identification.result import Estimate, Identification
+from hil.identification.result import Estimate, Identification, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
@@ -23,10 +24,8 @@ from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 COMPARED = ("Kc", "Bc")
 """The parameters that are compared: the coupling's; other terms belong to the stand."""
 
-_NORMAL = 1.959964  # half a 95 % interval in standard errors
 _CHANCE = 0.05
 _SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_torque_uncertainty` has it
-_ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
 _HOUR = 3600.0
 
 
@@ -83,13 +82,17 @@ class Comparison:
 
 
 def compare(
-    paths: Sequence[Path], model: Coupling | None, search: Search, progress: Progress | None = None
+    paths: Sequence[Path],
+    model: Coupling | None,
+    search: Search,
+    progress: Progress | None = None,
+    cluster: str | None = None,
 ) -> Comparison:
     """Identify `model` in each recording on its own, and separate the variance within recordings from that between.
 
-    progress is called with the fraction that is done. Raises WrongUse for fewer than two recordings, for different
-    stands, for the same run twice and for a model without Kc and Bc. A recording that cannot be used is left out, with
-    a warning.
+    progress is called with the fraction that is done; cluster: as `identify_each`. Raises WrongUse for fewer than two
+    recordings, for different stands, for the same run twice and for a model without Kc and Bc. A recording that cannot
+    be used is left out, with a warning.
     """
     if len(paths) < 2:
         raise WrongUse("a comparison needs at least two recordings")
@@ -102,11 +105,11 @@ def compare(
             text = "an imported recording does not say when it was made: no drift is estimated with it"
             diagnostics.append(Diagnostic("time-unknown", text))
         first = min((moment for moment in created if moment is not None), default=None)
+        all_found = identify_each([Task((path,), model, search) for path in paths], cluster, progress)
         measured = []
-        for index, source in enumerate(sources):
-            found = _identified(source, model, search, diagnostics, _share(progress, index, len(paths)))
-            hours = (created[index] - first).total_seconds() / _HOUR if created[index] and first else math.nan
-            measured.append(_measured(source, created[index], hours, model, found))
+        for source, moment, found in zip(sources, created, all_found, strict=True):
+            hours = (moment - first).total_seconds() / _HOUR if moment and first else math.nan
+            measured.append(_measured(source, moment, hours, model, _usable(source.path, found, diagnostics)))
     models = sorted({one.model for one in measured if one.estimates})
     repeated = tuple(_repeated(name, measured) for name in COMPARED)
     diagnostics += _common_scale(measured)
@@ -156,23 +159,12 @@ def _common_scale(measured: Sequence[Measured]) -> list[Diagnostic]:
     ]
 
 
-def _share(progress: Progress | None, index: int, count: int) -> Progress | None:
-    if progress is None:
-        return None
-    report = progress
-    return lambda what, done: report(what, (index + done) / count)
-
-
-def _identified(
-    source: Source, model: Coupling | None, search: Search, diagnostics: list[Diagnostic], progress: Progress | None
-) -> Identification | None:
-    try:
-        found = identify_sources([source], model, search, progress)
-    except Untrustworthy as error:
-        diagnostics.append(Diagnostic("left-out", f"{error}; it is left out"))
+def _usable(path: Path, found: Result, diagnostics: list[Diagnostic]) -> Identification | None:
+    if isinstance(found, Untrustworthy):
+        diagnostics.append(Diagnostic("left-out", f"{found}; it is left out"))
         return None
     # only warnings here: the comparison has its own errors, by the recordings that remain
-    diagnostics += [Diagnostic(one.code, f"{source.path}: {one.message}", one.parameter) for one in found.diagnostics]
+    diagnostics += [Diagnostic(one.code, f"{path}: {one.message}", one.parameter) for one in found.diagnostics]
     return found
 
 
@@ -215,13 +207,6 @@ def _with_scale(pooled: Pooled, uncertainty: float) -> Pooled:
     half = math.hypot(0.5 * (pooled.ci95[1] - pooled.ci95[0]), _SCALE_NORMAL * scale)
     error = math.hypot(pooled.standard_error, scale)
     return replace(pooled, standard_error=error, ci95=(pooled.value - half, pooled.value + half))
-
-
-def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
-    """An estimate's own standard error, in its unit, from its 95 % interval without the torque's uncertainty."""
-    half = 0.5 * (estimate.ci95[1] - estimate.ci95[0])
-    half = math.sqrt(max(half**2 - (_SCALE_NORMAL * uncertainty * estimate.value) ** 2, 0.0))
-    return float(max(half / _NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))
 
 
 def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.evolution.evolution import PRESETS, Settings
@@ -98,7 +99,18 @@ def identify(
 def identify_sources(
     sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
-    """Do what `identify` does with recordings that are open already."""
+    """Do what `identify` does with recordings that are open already.
+
+    The linear algebra runs on one core: on several, sums are rounded otherwise, and the last digit would be the
+    computer's.
+    """
+    with ThreadpoolController().limit(limits=1, user_api="blas"):
+        return _identified(sources, model, search, progress)
+
+
+def _identified(
+    sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None
+) -> Identification:
     began = time.perf_counter()
     stands = same_stand_diagnostics(sources)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,10 @@ from hil.signals.prepare import Signals
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.lack_of_fit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
+
+_NORMAL = 1.959964  # half a 95 % interval in standard errors
+_SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_torque_uncertainty` has it
+_ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,3 +142,10 @@ class Identification:
     def trustworthy(self) -> bool:
         """Whether there is no error among the diagnostics."""
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
+
+
+def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
+    """An estimate's own standard error, in its unit, from its 95 % interval without the torque's uncertainty."""
+    half = 0.5 * (estimate.ci95[1] - estimate.ci95[0])
+    half = math.sqrt(max(half**2 - (_SCALE_NORMAL * uncertainty * estimate.value) ** 2, 0.0))
+    return float(max(half / _NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))

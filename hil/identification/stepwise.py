@@ -11,6 +11,7 @@ those of the richest model's residuals, because a missing term must not be taken
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -257,7 +258,7 @@ class _Selector:
         count, ratio = len(self._torque), self.ratio(smaller, larger)
         alike = self._correlation(larger, term)
         chosen_from = np.log(len(self._candidates))  # their gamma of 1/2
-        return float(ratio / alike - len(_own(term)) * np.log(max(count / alike, np.e)) - chosen_from)
+        return float(ratio / alike - len(_own(term)) * np.log(max(count / alike, math.e)) - chosen_from)
 
     def ratio(self, one: _Candidate, other: _Candidate) -> float:
         """Return twice by how much the other model's logarithmic likelihood is higher, for independent residuals."""

@@ -51,6 +51,10 @@ class UserModel:
     needs_ratio: bool = False
     sticks: bool = False
 
+    def __reduce__(self) -> tuple[Callable[[str], UserModel], tuple[str]]:
+        """Return what another process loads the model by: its file is no module."""
+        return load, (self.name,)
+
     def anchored(self, motion: Motion) -> UserModel:
         """Return the model itself. Raises WrongUse where the function cannot be used on these data."""
         self._torque(motion, 0.5 * (self.low + self.high))

@@ -142,6 +142,10 @@ class Effect:
     signature: Signature
     in_deflection: bool = False
 
+    def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
+        """Return what another process finds the effect by: its signature may be a function without a name."""
+        return effect_of, (self.code,)
+
 
 def _columns(*columns: Array) -> Array:
     return np.stack(columns, axis=1)
@@ -325,3 +329,8 @@ EFFECTS: Final = (
         in_deflection=True,
     ),
 )
+
+
+def effect_of(code: str) -> Effect:
+    """Return the effect of that code."""
+    return next(effect for effect in EFFECTS if effect.code == code)

@@ -1,0 +1,43 @@
+"""`hil identify --each`: recordings identified one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from hil.cli.progress import progress
+from hil.cli.terminal import UNTRUSTWORTHY, out, print_diagnostics, print_json, say
+from hil.errors import WrongUse
+
+
+def refuse_with_each(given: Mapping[str, Any]) -> None:
+    """Raise WrongUse for an option that belongs to one identification. given: by name, None where it was not given."""
+    for name, value in given.items():
+        if value is not None:
+            raise WrongUse(f"--{name} belongs to one identification: leave it out, or --each")
+
+
+def identify_each(
+    recordings: Sequence[Path], model: str | None, options: dict[str, Any], required: tuple[str, ...], *, as_json: bool
+) -> None:
+    """Print the result of each recording, and end with the status that the worst of them asks for."""
+    from hil.api.analysis import NoResult
+    from hil.api.analysis import identify_each as identify
+
+    with progress() as show:
+        found = identify(recordings, model, progress=show, **options)
+    if as_json:
+        print_json({"schema": "hil-identifications/1", "results": [one.as_json() for one in found]})
+    for path, one in zip(recordings, found, strict=True):
+        if isinstance(one, NoResult):
+            say(f"error [unusable]: {path}: {one}")
+            continue
+        if not as_json:
+            out(f"{path}: {one}")
+        print_diagnostics([replace(other, message=f"{path}: {other.message}") for other in one.diagnostics])
+    if not all(not isinstance(one, NoResult) and all(map(one.trusted, required)) for one in found):
+        raise typer.Exit(UNTRUSTWORTHY)

@@ -1,0 +1,93 @@
+"""Tasks on a Dask cluster (extra `cluster`): its scheduler gives the tasks of a worker that dies to another one."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from hil.errors import WrongUse
+
+_PATIENCE = 3.0  # s for a scheduler to answer; with the time to load Dask it stays below 5 s
+
+
+@contextmanager
+def dask_executor(address: str, count: int) -> Iterator[Any]:
+    """Yield the executor of the scheduler at `address`, or of one with `count` worker processes for "local".
+
+    Raises WrongUse where Dask is not installed, no scheduler answers, or it has no workers.
+    """
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError:
+        raise WrongUse("--cluster needs Dask: pip install 'hil[cluster]'") from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a worker that dies is no news for the user
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if address == "local":
+            with (
+                distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as cluster,
+                distributed.Client(cluster, set_as_default=False) as client,
+                _said(address),
+            ):
+                yield client.get_executor(pure=False)
+            return
+        with _connected(distributed.Client, address) as client, _said(address):
+            _check_versions(client, address)
+            yield client.get_executor(pure=False)
+
+
+def _connected(make: Any, address: str) -> Any:
+    try:
+        client = make(address, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise WrongUse(
+            f"--cluster {address}: no Dask scheduler answers there ({_first_line(error)}): start one with "
+            "`dask scheduler`, and workers with `dask worker ADDRESS`"
+        ) from None
+    if not client.scheduler_info()["workers"]:
+        client.close()
+        raise WrongUse(f"--cluster {address}: the scheduler has no workers: start one with `dask worker {address}`")
+    return client
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
+def _check_versions(client: Any, address: str) -> None:
+    """Raise WrongUse where a worker has another version of hil, or none: its numbers might be others."""
+    own = installed()
+    seen = client.run(installed, on_error="return").values()
+    others = sorted({one if isinstance(one, str) else "none" for one in seen} - {own})
+    if others:
+        raise WrongUse(
+            f"--cluster {address}: its workers have hil {', '.join(others)}, and this is hil {own}: install the same "
+            "version there"
+        )
+
+
+@contextmanager
+def _said(address: str) -> Iterator[None]:
+    """Raise what goes wrong in the cluster as a sentence."""
+    from distributed import KilledWorker
+
+    try:
+        yield
+    except KilledWorker:
+        raise WrongUse(f"--cluster {address}: several workers died at the same task: is memory short there?") from None
+    except CancelledError:
+        raise WrongUse(f"--cluster {address}: the scheduler is gone: start it, and run the command again") from None
+
+
+def installed() -> str:
+    """Return the version of hil, "not installed" for a checkout that is run as it is."""
+    try:
+        return version("hil")
+    except PackageNotFoundError:
+        return "not installed"

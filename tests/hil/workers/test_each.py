@@ -1,0 +1,133 @@
+"""Recordings identified one by one: the same numbers in this process, in others and on a Dask cluster."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.child import command
+from hil.identification import each
+
+from ..conftest import Hil, Maker
+
+MODEL = """
+import os, pathlib, signal
+from typing import Annotated
+
+MARK = pathlib.Path({mark!r})
+PARENT = {parent}
+
+def dying(time, dtheta, dtheta_dot, *,
+          Kc: Annotated[float, "N*m/rad", 0.0, 1.0], Bc: Annotated[float, "N*m*s/rad", 0.0, 0.01]):
+    if PARENT != os.getpid() and not MARK.exists():
+        MARK.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return Kc * dtheta + Bc * dtheta_dot
+"""
+
+
+def without_time(text: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(text)
+    for one in found["results"]:
+        one.pop("seconds", None)
+    return found
+
+
+def files(make: Maker) -> list[Path]:
+    return [make(f"r{i}.h5", samples=600, kc=0.02 + 0.001 * i, noise=1e-5, seed=i) for i in range(4)]
+
+
+@contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[str]:
+    """A scheduler and workers of Dask in processes of their own, on the loopback; yields the scheduler's address."""
+    pytest.importorskip("distributed", reason="DASK NOT TESTED: it is not installed")
+    place = folder / "scheduler.json"
+    scheduler = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(place)]
+    worker = [
+        "--scheduler-file",
+        str(place),
+        "--no-nanny",
+        "--no-dashboard",
+        "--nthreads",
+        "1",
+        "--death-timeout",
+        "60",
+    ]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with ExitStack() as stack:
+
+        def start(module: str, words: list[str]) -> None:
+            started = subprocess.Popen(command(module, *words), cwd=folder, **quiet)  # type: ignore[call-overload]
+            stack.callback(started.wait)
+            stack.callback(started.kill)
+
+        start("distributed.cli.dask_scheduler", scheduler)
+        for _ in range(workers):
+            start("distributed.cli.dask_worker", worker)
+        deadline = time.monotonic() + 60.0
+        while not place.exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        yield str(json.loads(place.read_text())["address"])
+
+
+def test_each_recording_has_a_line_and_one_that_cannot_be_used_costs_the_others_nothing(
+    hil: Hil, make_recording: Maker
+) -> None:
+    still = make_recording("still.h5", change=lambda channels: channels.update(dtheta=0.0 * channels["dtheta"]))
+    ended = hil("identify", "--each", *files(make_recording)[:2], still, "--model", "linear", "--trials", 2)
+    assert ended.status == 1
+    assert [line.split(": Kc = ")[0][-5:] for line in ended.out.splitlines()] == ["r0.h5", "r1.h5"]
+    assert f"error [unusable]: {still}" in ended.err
+
+
+def test_other_processes_find_the_same_numbers(
+    hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["identify", "--each", *files(make_recording)[:3], "--model", "linear+offset", "--trials", 2, "--json"]
+    here = hil(*words, "--workers", 1)
+    monkeypatch.setattr(each, "_WORTH", 0.0)
+    assert without_time(hil(*words, "--workers", 2).out) == without_time(here.out)
+
+
+def test_an_option_of_one_identification_is_refused_with_each(hil: Hil, make_recording: Maker) -> None:
+    ended = hil("identify", "--each", *files(make_recording)[:2], "--checkpoint", "a.npz")
+    assert (ended.status, "--checkpoint" in ended.err) == (2, True)
+
+
+def test_a_scheduler_that_is_not_there_is_one_sentence(make_recording: Maker) -> None:
+    pytest.importorskip("distributed", reason="DASK NOT TESTED: it is not installed")
+    words = ["identify", *files(make_recording)[:1], "--cluster", "tcp://127.0.0.1:9"]
+    ended = subprocess.run([sys.executable, "-m", "hil", *map(str, words)], check=False, capture_output=True, text=True)
+    assert ended.returncode == 2
+    assert len(ended.stderr.splitlines()) == 1
+    assert "no Dask scheduler answers there" in ended.stderr
+
+
+def test_a_cluster_finds_the_same_numbers_although_one_of_its_workers_is_killed_at_work(
+    hil: Hil, make_recording: Maker, tmp_path: Path
+) -> None:
+    mark = tmp_path / "killed"
+    (tmp_path / "model.py").write_text(MODEL.format(mark=str(mark), parent=os.getpid()))
+    words = ["identify", "--each", *files(make_recording), "--model", "model.py:dying", "--trials", 2, "--json"]
+    here = hil(*words, "--workers", 1)
+    with cluster(tmp_path, workers=2) as address:
+        ended = subprocess.run(
+            [sys.executable, "-m", "hil", *map(str, words), "--cluster", address],
+            check=False,
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+        )
+    assert mark.exists()
+    assert without_time(ended.stdout) == without_time(here.out)
+    assert (ended.returncode, len(without_time(here.out)["results"])) == (here.status, 4)
