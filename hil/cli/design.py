@@ -14,10 +14,17 @@ from hil.cli.terminal import out, out_table, print_diagnostics, print_json
 def design(
     backend: options.Backend = None,
     stand: options.StandFile = None,
-    kc: Annotated[float | None, typer.Option(help="Rough stiffness, N m/rad [default: [sim.coupling]'s].")] = None,
-    bc: Annotated[float | None, typer.Option(help="Rough damping, N m s/rad [default: [sim.coupling]'s].")] = None,
+    kc: Annotated[
+        float | None, options.measured("--kc", "stiffness", "Rough, N m/rad [default: [sim.coupling]'s].")
+    ] = None,
+    bc: Annotated[
+        float | None, options.measured("--bc", "damping", "Rough, N m s/rad [default: [sim.coupling]'s].")
+    ] = None,
     torque_noise: Annotated[
-        float | None, typer.Option(help="Standard deviation, N m at the joint [default: [sim.sensors]'s].")
+        float | None,
+        options.measured(
+            "--torque-noise", "torque", "Standard deviation, N m at the joint [default: [sim.sensors]'s]."
+        ),
     ] = None,
     profile: options.Kind = "chirp",
     amplitude: options.Amplitude = None,
@@ -45,7 +52,7 @@ def design(
         kc=kc,
         bc=bc,
         torque_noise=torque_noise,
-        amplitude=amplitude,
+        amplitude=options.amplitude_of(amplitude, mode),
         band=options.band_of(band),
         duration=duration,
         rate=rate,

@@ -22,7 +22,8 @@ def doctor(
     stand: Annotated[Path | None, typer.Argument(help="The stand file; without it: ports and interfaces.")] = None,
     move: Annotated[bool, typer.Option("--move", help="Jog the motor to check the signs and the lock.")] = False,
     amplitude: Annotated[
-        float | None, typer.Option(help="Of --move, N m or rad at the joint [default: limit/20].")
+        str | None,
+        typer.Option(metavar="NUMBER", help="Of --move, N m or rad at the joint, or with a unit [default: limit/20]."),
     ] = None,
     mode: options.Mode = Quantity.TORQUE,
     rate: Annotated[float, typer.Option(min=1.0, max=10_000.0, help="Hz to reach.")] = options.DEFAULT_RATE,
@@ -37,8 +38,9 @@ def doctor(
     from hil.doctor.examine import examine
     from hil.stand.file import load
 
-    if amplitude is not None and not amplitude > 0.0:
-        raise WrongUse(f"--amplitude {amplitude:g}: it must be above 0")
+    jog = options.amplitude_of(amplitude, mode)
+    if jog is not None and not jog > 0.0:
+        raise WrongUse(f"--amplitude {jog:g}: it must be above 0")
     opened = None if stand is None else load(stand)
     ports, interfaces = serial_ports(), can_interfaces()
     checks = CheckList()
@@ -47,7 +49,7 @@ def doctor(
         _print_ports("CAN interface", interfaces)
         checks.on_check = _print_check
     if opened is not None:
-        examine(checks, opened, mode, rate=rate, move=move, amplitude=amplitude)
+        examine(checks, opened, mode, rate=rate, move=move, amplitude=jog)
     if as_json:
         print_json(_as_json(checks, {"serial": ports, "can": interfaces}))
     if checks.signal:

@@ -25,10 +25,14 @@ from hil.cli.terminal import (
     say,
 )
 from hil.errors import WrongUse
+from hil.units import SI
 
 if TYPE_CHECKING:
     from hil.api.analysis import IdentificationResult
     from hil.identification.result import Identification
+
+
+_DIMENSIONS = {"Kc": ("stiffness",), "Bc": ("damping",)}  # of --bounds; others have units of their own
 
 
 def identify(
@@ -41,16 +45,14 @@ def identify(
         ),
     ] = None,
     preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",
-    trials: Annotated[
-        int | None, typer.Option(min=1, help="Independent searches [default: 30; 5 with nonlinear parameters].")
-    ] = None,
+    trials: options.Trials = None,
     generations: Annotated[int | None, typer.Option(min=1, help="Of each trial [default: the preset's].")] = None,
     population: Annotated[int | None, typer.Option(min=3, help="Chromosomes [default: the preset's].")] = None,
     mutation: Annotated[float | None, typer.Option(min=0.0, max=1.0, help="Probability (0.1: Algorithm 1).")] = None,
     selection: Annotated[str | None, typer.Option(help="A reading of the paper; see docs/paper.md.")] = None,
     weights: Annotated[str | None, typer.Option(help="Of equation 6; see docs/paper.md.")] = None,
     replacement: Annotated[str | None, typer.Option(help="Which individual is replaced; see docs/paper.md.")] = None,
-    bounds: Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI; repeat for several.")] = None,
+    bounds: options.Bounds = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
     cluster: options.Cluster = None,
@@ -58,9 +60,7 @@ def identify(
         bool, typer.Option("--each", help="Identify each recording on its own, several at a time, instead of pooling.")
     ] = False,
     checkpoint: options.Checkpoint = None,
-    fixture: Annotated[
-        Path | None, typer.Option(help="A recording of the empty rig, to subtract the fixture's compliance.")
-    ] = None,
+    fixture: options.Fixture = None,
     report: Annotated[Path | None, typer.Option(help="Also write a report (HTML).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Also write its pictures (PNG) into this folder.")] = None,
     force: options.Force = False,
@@ -191,8 +191,10 @@ def _show_dynamic_stiffness(found: Identification) -> None:
 
 def _bounds(text: str) -> tuple[str, tuple[float, float]]:
     name, _, span = text.partition("=")
+    dimensions = _DIMENSIONS.get(name.strip(), tuple(SI))
     try:
-        low, high = (float(part) for part in span.split(":"))
-    except ValueError:
-        raise WrongUse(f"--bounds {text!r}: write NAME=LOW:HIGH in SI, such as Kc=0.01:5") from None
+        low, high = options.span_of(span, *dimensions)
+    except WrongUse:
+        example = "such as Kc=0.01:5, or with a unit as in Kc=10:30mN*m/rad"
+        raise WrongUse(f"--bounds {text!r}: write NAME=LOW:HIGH in SI, {example}") from None
     return name.strip(), (low, high)

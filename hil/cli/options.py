@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from drivers.servo import Quantity
 from hil.errors import WrongUse
+from hil.units import quantity
 
 DEFAULT_SEED = 0
 """The seed of every command that is given none."""
@@ -19,14 +20,43 @@ DEFAULT_RATE = 500.0
 """Hz."""
 ALL_CORES = os.cpu_count() or 1
 
+
+def measured(option: str, dimension: str, text: str) -> Any:
+    """Return an option whose number may carry a unit; its value is in SI. text: the help. It raises WrongUse."""
+
+    def parsed(given: str) -> float:
+        try:
+            return quantity(str(given), dimension)[0]
+        except WrongUse as error:
+            raise WrongUse(f"{option} {error}") from None
+
+    return typer.Option(option, parser=parsed, metavar="NUMBER", help=text)
+
+
 Backend = Annotated[str | None, typer.Option(help="A stand that needs no stand file: sim, or replay FILE.")]
 StandFile = Annotated[Path | None, typer.Option(help="The stand file (stand.toml).")]
 Kind = Annotated[str, typer.Option("--profile", help="The excitation; hil record --list-profiles explains them.")]
 Mode = Annotated[Quantity, typer.Option(help="Command torque or position.")]
-Amplitude = Annotated[float | None, typer.Option(help="N m or rad at the joint [default: a fifth of the limit].")]
+Amplitude = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NUMBER", help="N m or rad at the joint, or with a unit: '5 deg' [default: a fifth of the limit]."
+    ),
+]
 Band = Annotated[str | None, typer.Option(help="Hz, LOW:HIGH or one frequency.")]
-Duration = Annotated[float | None, typer.Option(help="s [default: 20, or the length of the set-point file].")]
-Rate = Annotated[float, typer.Option(help="Samples per second.")]
+Duration = Annotated[
+    float | None,
+    measured("--duration", "time", "s, or with a unit: '2 min' [default: 20, or the length of the set-point file]."),
+]
+Rate = Annotated[float, measured("--rate", "frequency", "Samples per second, Hz.")]
+Fade = Annotated[float, measured("--fade", "time", "s over which the excitation fades in and out.")]
+Trials = Annotated[
+    int | None, typer.Option(min=1, help="Independent searches [default: 30; 5 with nonlinear parameters].")
+]
+Fixture = Annotated[
+    Path | None, typer.Option(help="A recording of the empty rig, to subtract the fixture's compliance.")
+]
+Bounds = Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI, or Kc=10:30mN*m/rad; repeat for several.")]
 Setpoints = Annotated[Path | None, typer.Option(help="CSV of time (s) and set-point, for --profile file.")]
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything random.")]
 Model = Annotated[str, typer.Option(help="auto: model selection; or terms, as in linear+offset; or FILE.py:NAME.")]
@@ -62,14 +92,38 @@ def stand_of(backend: str | None, path: Path | None) -> str | Path:
     return backend
 
 
+def amplitude_of(text: str | None, mode: Quantity) -> float | None:
+    """Return the amplitude, N m or rad as the mode needs it; None without one. Raises WrongUse for another unit."""
+    wanted = "torque" if mode is Quantity.TORQUE else "angle"
+    if text is None:
+        return None
+    try:
+        value, dimension = quantity(text, "torque", "angle")
+    except WrongUse as error:
+        raise WrongUse(f"--amplitude {error}") from None
+    if dimension not in {None, wanted}:
+        other = "position" if mode is Quantity.TORQUE else "torque"
+        raise WrongUse(f"--amplitude {text!r}: --mode {mode.value} takes {wanted}s; or record with --mode {other}")
+    return value
+
+
 def band_of(text: str | None) -> tuple[float, float] | None:
     """Return the two ends, Hz, that --band names; None without one. Raises WrongUse."""
     if text is None:
         return None
     try:
-        parts = [float(part) for part in text.split(":")]
-    except ValueError:
-        parts = []
-    if len(parts) not in {1, 2}:
-        raise WrongUse(f"--band {text!r}: write LOW:HIGH in Hz, such as 0.1:15, or one frequency")
-    return parts[0], parts[-1]
+        parts = span_of(text, "frequency") if ":" in text else 2 * [quantity(text, "frequency")[0]]
+    except WrongUse:
+        raise WrongUse(f"--band {text!r}: write LOW:HIGH in Hz, such as 0.1:15, or one frequency") from None
+    return parts[0], parts[1]
+
+
+def span_of(text: str, *dimensions: str) -> list[float]:
+    """Return the two ends of LOW:HIGH, SI; a unit behind the second is that of a bare first too. Raises WrongUse."""
+    low, colon, high = text.partition(":")
+    (first, stated), (second, dimension) = quantity(low, *dimensions), quantity(high, *dimensions)
+    if not colon or (stated and dimension and stated != dimension):
+        raise WrongUse(f"{text!r}: write LOW:HIGH")
+    if stated is None and dimension is not None:
+        first = quantity(low + high.lstrip("+-0123456789.eE "), dimension)[0]
+    return [first, second]

@@ -27,7 +27,7 @@ def record(
     duration: options.Duration = None,
     rate: options.Rate = options.DEFAULT_RATE,
     mode: options.Mode = Quantity.TORQUE,
-    fade: Annotated[float, typer.Option(help="s over which the excitation fades in and out.")] = 1.0,
+    fade: options.Fade = 1.0,
     setpoints: options.Setpoints = None,
     seed: options.Seed = options.DEFAULT_SEED,
     realtime: Annotated[bool, typer.Option("--realtime", help="Simulate in real time.")] = False,
@@ -51,7 +51,7 @@ def record(
     run = runs.record(
         chosen,
         profile,
-        amplitude=amplitude,
+        amplitude=options.amplitude_of(amplitude, mode),
         band=options.band_of(band),
         duration=duration,
         rate=rate,

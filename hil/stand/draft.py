@@ -15,6 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from hil.stand.devices import BACKENDS, SENSORS
 from hil.stand.file import LimitsTable, StandTable
+from hil.stand.sentences import sentence
 
 _UNKNOWN = object()
 
@@ -79,7 +80,7 @@ class Draft:
         except ValidationError as error:
             for item in error.errors():
                 if item["loc"][:1] == (question.name,):
-                    return str(item["msg"])
+                    return sentence(item)
         return ""
 
     def value(self, question: Question, text: str) -> Any:

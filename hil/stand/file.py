@@ -12,17 +12,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, create_model
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, create_model
 
 from hil.errors import WrongUse
 from hil.recording.input import read_text
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
+from hil.stand.sentences import names_the_value, sentence
+from hil.units import quantity
 from sim_backend.parameters import SimParameters
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 _LARGEST = 1 << 20  # bytes of a stand file
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _with_unit(dimension: str) -> BeforeValidator:
+    """Return the reader of a value that may be a text with its unit, such as "30 mN*m"."""
+
+    def read(value: object) -> object:
+        if not isinstance(value, str):
+            return value
+        try:
+            return quantity(value, dimension)[0]
+        except WrongUse as error:
+            raise ValueError(str(error)) from None
+
+    return BeforeValidator(read, json_schema_input_type=float | str)
 
 
 class _Table(BaseModel):
@@ -42,21 +58,24 @@ class StandTable(_Table):
     name: str = "unnamed stand"
     backend: str | None = None
     gear_ratio: Annotated[float, Field(ge=1e-3, le=1e5)] = 1.0
-    motor_inertia: NotNegative = 0.0
-    motor_damping: NotNegative = 0.0
+    motor_inertia: Annotated[NotNegative, _with_unit("inertia")] = 0.0
+    motor_damping: Annotated[NotNegative, _with_unit("damping")] = 0.0
     torque_source: Literal["motor", "joint"] = "motor"
     torque_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    zero: Finite = 0.0
+    zero: Annotated[Finite, _with_unit("angle")] = 0.0
     torque_stays_on_if_host_dies: bool = False
 
 
 class LimitsTable(_Table):
-    """[limits], all at the joint: torque N m, deflection rad, velocity rad/s; temperature of the winding degC."""
+    """[limits], all at the joint: torque N m, deflection rad, velocity rad/s; temperature of the winding degC.
 
-    torque: Positive
-    deflection: Positive
-    velocity: Positive
-    temperature: Positive = 70.0
+    A value may be a text with its unit: deflection = "60 deg".
+    """
+
+    torque: Annotated[Positive, _with_unit("torque")]
+    deflection: Annotated[Positive, _with_unit("angle")]
+    velocity: Annotated[Positive, _with_unit("rate")]
+    temperature: Annotated[Positive, _with_unit("temperature")] = 70.0
 
 
 class File(_Table):
@@ -189,10 +208,5 @@ def _file_model(backends: frozenset[str], sensor: str | None) -> type[File]:
 
 def _message(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"])
-    if item["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
-        return f"{key}: no such key"
-    if item["type"] in {"missing", "missing_argument"}:
-        return f"{key}: must be given"
-    if item["type"] == "value_error":  # several keys that do not fit each other; the message names them
-        return f"{key}: {item['ctx']['error']}"
-    return f"{key} = {reprlib.repr(item['input'])}: {item['msg']}"
+    value = f" = {reprlib.repr(item['input'])}" if names_the_value(item) else ""
+    return f"{key}{value}: {sentence(item)}"

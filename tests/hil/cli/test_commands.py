@@ -406,7 +406,7 @@ def test_an_unusable_recording_is_reported_in_the_json_too(
         (("record", "--backend", "sim", "--mode", "speed"), "'speed' is not one of 'torque', 'position'"),
         (("record", "--backend", "sim", "--amplitude", "1"), "beyond the stand's limit of 0.03 N m"),
         (("record", "--backend", "sim", "--mode", "position", "--amplitude", "9"), "limit of 1 rad"),
-        (("record", "--backend", "sim", "--amplitude", "nan"), "--amplitude nan"),
+        (("record", "--backend", "sim", "--amplitude", "nan"), "--amplitude 'nan' is not a number"),
         (("record", "--backend", "sim", "--band", "15:0.1"), "reversed"),
         (("record", "--backend", "sim", "--band", "low:high"), "LOW:HIGH"),
         (("record", "--backend", "sim", "--rate", "0"), "--rate 0"),

@@ -52,9 +52,9 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     shown = capfd.readouterr()
     assert shown.out.strip() == ""
     for message in (
-        "-3: Input should be greater than or equal to 0.001",
-        "elbow: Input should be",
-        "xl1: Input should be 'mx-106'",
+        "-3: must be at least 0.001",
+        "elbow: must be '",
+        "xl1: must be 'mx-106'",
     ):
         assert message in shown.err
     stand = load(path)
@@ -68,7 +68,7 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
         (["--backend", "dinamixel"], "did you mean 'dynamixel'"),
         (["--backend", "dynamixel", "--set", "dynamixel.prt=x"], "did you mean dynamixel.port"),
         (["--set", "limits.torque"], "write KEY=VALUE"),
-        (["--set", "limits.torque=-1"], "greater than 0"),
+        (["--set", "limits.torque=-1"], "must be above 0"),
         (["--backend", "dynamixel", *ANSWERS, "--set", "dynamixel.watchdog=0.01"], "one lost reply would stop"),
         (["--sensor", "elbow"], "unknown joint sensor 'elbow'"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from importlib import import_module
@@ -85,6 +86,51 @@ def test_every_error_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path) 
     ):
         assert key in message
     assert "10 error(s)" in message
+
+
+def test_a_value_may_carry_its_unit() -> None:
+    limits = 'torque = "30 mN*m"\ndeflection = "60 deg"\nvelocity = "100 rpm"\ntemperature = "80 degC"\n'
+    stand = parse(f'[stand]\nmotor_inertia = "2 g*cm^2"\nzero = "90 deg"\n[limits]\n{limits}')
+    assert stand.stand.motor_inertia == pytest.approx(2e-7)
+    assert stand.stand.zero == pytest.approx(math.pi / 2.0)
+    found = stand.checked_limits()
+    assert (found.torque, found.temperature) == pytest.approx((0.03, 80.0))
+    assert (found.deflection, found.velocity) == pytest.approx((math.pi / 3.0, math.pi * 10.0 / 3.0))
+
+
+def test_every_error_is_a_sentence_of_our_own() -> None:
+    text = """
+        [stand]
+        gear_ratio = "four"
+        name = 3
+        torque_stays_on_if_host_dies = "perhaps"
+        torque_source = "elbow"
+        motor_inertia = "2 g"
+        [limits]
+        torque = -1
+        deflection = inf
+        velocity = [1]
+        [sim]
+        coupling = 3
+        [sim.sensors]
+        motor_counts = 2.5
+    """
+    with pytest.raises(WrongUse) as refusal:
+        parse(text)
+    for said in (
+        "stand.gear_ratio = 'four': must be a number",
+        "stand.name = 3: must be a text in quotation marks",
+        "stand.torque_stays_on_if_host_dies = 'perhaps': must be true or false",
+        "stand.torque_source = 'elbow': must be 'motor' or 'joint'",
+        "stand.motor_inertia: '2 g': 'g' is not a unit of inertia",
+        "limits.torque = -1: must be above 0",
+        "limits.deflection = inf: must be a finite number",
+        "limits.velocity = [1]: must be a number",
+        "sim.coupling = 3: must be a table",
+        "sim.sensors.motor_counts = 2.5: must be a whole number",
+    ):
+        assert said in str(refusal.value)
+    assert "Input should" not in str(refusal.value)
 
 
 def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:

@@ -1,0 +1,52 @@
+"""Sentences for the values that a stand file cannot have, in place of pydantic's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+_SENTENCES: Mapping[str, str] = MappingProxyType(
+    {
+        "missing": "must be given",
+        "missing_argument": "must be given",
+        "extra_forbidden": "no such key",
+        "unexpected_keyword_argument": "no such key",
+        "value_error": "{error}",  # several keys that do not fit each other, or a unit; it names them
+        "greater_than": "must be above {gt}",
+        "greater_than_equal": "must be at least {ge}",
+        "less_than": "must be below {lt}",
+        "less_than_equal": "must be at most {le}",
+        "finite_number": "must be a finite number",
+        "literal_error": "must be {expected}",
+        "enum": "must be {expected}",
+        "float_type": "must be a number",
+        "float_parsing": "must be a number",
+        "int_type": "must be a whole number",
+        "int_parsing": "must be a whole number",
+        "int_from_float": "must be a whole number",
+        "bool_type": "must be true or false",
+        "bool_parsing": "must be true or false",
+        "string_type": "must be a text in quotation marks",
+        "model_type": "must be a table",
+        "model_attributes_type": "must be a table",
+        "dataclass_type": "must be a table",
+        "dict_type": "must be a table",
+        "list_type": "must be a list",
+        "tuple_type": "must be a list",
+    }
+)
+_ABOUT_THE_KEY = frozenset(
+    {"missing", "missing_argument", "extra_forbidden", "unexpected_keyword_argument", "value_error"}
+)
+
+
+def sentence(item: Any) -> str:
+    """Return what is wrong with a value, in one of the entries of a ValidationError's `errors()`."""
+    text = _SENTENCES.get(item["type"], "is not a value that this key can have")
+    return text.format(**item.get("ctx", {}))
+
+
+def names_the_value(item: Any) -> bool:
+    """Return whether the sentence needs the value before it."""
+    return item["type"] not in _ABOUT_THE_KEY
