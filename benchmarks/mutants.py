@@ -21,8 +21,9 @@ import numpy as np
 
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import Row
+from hil.recording.final import finalise
 from hil.recording.reader import Recording
-from hil.recording.writer import Header, RecordingWriter, finalise
+from hil.recording.writer import Header, RecordingWriter
 from hil.signals.source import open_sources
 from hil.stand.file import SIMULATED
 

@@ -16,6 +16,9 @@ class Clock(Protocol):
         """Return at `t` s or later; at once where `t` has passed."""
 
 
+_SPIN = 100e-6  # s before its time at which a sleep ends: the system wakes a process up late by about as much
+
+
 class MonotonicClock:
     """The machine's own monotonic time: a step of the wall clock does not change it."""
 
@@ -24,10 +27,12 @@ class MonotonicClock:
         return time.monotonic()
 
     def sleep_until(self, t: float) -> None:
-        """Return at `t` s or later; at once where `t` has passed."""
-        remaining = t - time.monotonic()
+        """Return at `t` s or a few microseconds later; at once where `t` has passed."""
+        remaining = t - _SPIN - time.monotonic()
         if remaining > 0.0:
             time.sleep(remaining)
+        while time.monotonic() < t:
+            pass
 
 
 class VirtualClock:

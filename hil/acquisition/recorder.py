@@ -24,6 +24,7 @@ from hil.acquisition.guard import Guard
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.limits import AtJoint, LimitReached
 from hil.acquisition.phases import Phase, Phases
+from hil.acquisition.real_time import real_time
 from hil.acquisition.setpoints import SetPoints
 from hil.acquisition.sink import Sink
 from hil.errors import WrongUse
@@ -129,7 +130,7 @@ class Recorder:
                 set_points.extend(self._profile.at(times))
             zero = self._find_zero(stop)
             limits = self._transmission.motor_limits(self._limits, zero.motor)
-            with _quiet_collector():
+            with _quiet_collector(), real_time(self._servo.clock):
                 _check_stop(stop)
                 try:
                     self._enter(Phase.ARMING)

@@ -142,8 +142,8 @@ def recover(
     force: options.Force = False,
 ) -> None:
     """Turn an unfinished .part file into a recording; the .part file is kept."""
+    from hil.recording.final import finalise
     from hil.recording.output import check_ended, check_output
-    from hil.recording.writer import finalise
 
     if output is None and part.suffix != ".part":
         raise WrongUse(f"{part} does not end in .part: name the output with -o")

@@ -7,6 +7,7 @@ limits.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from drivers.gate import confirm_torque_off
 from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
 from hil.acquisition.interrupt import StopRequest
+from hil.acquisition.real_time import PERMISSION, missing_permissions
 from hil.doctor.checks import CheckList, Verdict
 from hil.doctor.jog import Jog, run_jog
 from hil.doctor.link_test import check_link, check_readings, reachable
@@ -39,6 +41,7 @@ def examine(
     stand.checked_limits()
     check_backend(stand.stand.backend)
     _check_port(checks, stand)
+    _check_real_time(checks)
     for text in restrictions(stand.devices.get(str(stand.stand.backend)), stand.stand.torque_source):
         checks.add("drive", Verdict.WARNING, text)
     with StopRequest().listening() as stop:
@@ -71,6 +74,18 @@ def _check_port(checks: CheckList, stand: Stand) -> None:
     else:
         return
     checks.add("port", Verdict.ERROR if problem else Verdict.OK, problem or f"{name} can be used")
+
+
+def _check_real_time(checks: CheckList) -> None:
+    """Check that the control loop may run before other programs."""
+    if sys.platform != "linux":
+        return
+    missing = missing_permissions()
+    if missing:
+        message = f"{' and '.join(missing)} not permitted, so ticks come later on a busy computer: {PERMISSION}"
+        checks.add("real time", Verdict.WARNING, message)
+    else:
+        checks.passed("real time", "the control loop runs before other programs, with its memory locked")
 
 
 @contextmanager

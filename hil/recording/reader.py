@@ -4,7 +4,8 @@ Layout of a finished file (all numbers little-endian, SI)::
 
     /                attrs: schema, uid, created (ISO 8601 UTC), complete (bool), end_reason, software (JSON), host,
                      command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples),
-                     sha256_header (of the rest)
+                     sha256_header (of the rest), lateness_p50, lateness_p99, lateness_max (s, of the set-points; NaN
+                     for other data), missed (ticks that were skipped)
     /samples/        one 1-D dataset a channel, equal length, attrs unit and description: see hil.recording.channels
     /profile/        attrs: kind, mode ("torque" or "position"), amplitude (N m or rad at the joint), duration (s),
                      band_low, band_high (Hz), fade (s, at each end), seed, setpoints (the CSV of kind "file"), rate

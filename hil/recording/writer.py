@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import math
 import os
@@ -24,15 +23,15 @@ import h5py
 import numpy as np
 
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.channels import CHANNELS, END_MARK, ROW, Row, Rows
-from hil.recording.integrity import EVENT, LIVE, header_hash, packed, packed_array, packed_event, plain
-from hil.recording.output import NameTaken, atomic_write, check_space, new_temporary, part_path, writing
+from hil.recording.channels import END_MARK, ROW, Row, Rows
+from hil.recording.final import OVERHEAD, finalise, sign, write_attributes
+from hil.recording.integrity import EVENT, LIVE, packed, packed_array, packed_event
+from hil.recording.output import NameTaken, check_space, new_temporary, part_path, writing
 from hil.recording.posix import is_at, remove, sync_folder, take_name, write_at
-from hil.recording.reader import BLOCK, EVENTS, SCHEMA, Array, Event, Recording
+from hil.recording.reader import BLOCK, EVENTS, Array
 from hil.recording.rescue import rescue
 from hil.recording.ring import Ring
 
-_OVERHEAD = 1 << 18  # bytes of a file that are not samples, generously
 _DURABLE = 0.25  # s between two requests that the disk keep what it was given
 
 
@@ -81,7 +80,7 @@ class RecordingWriter:
         with writing(self.path):
             if os.path.lexists(self.path):
                 raise _taken(self.path)
-            check_space(self.path, 2 * length * LIVE.itemsize + _OVERHEAD)  # the second stage stands beside the first
+            check_space(self.path, 2 * length * LIVE.itemsize + OVERHEAD)  # the second stage stands beside the first
             try:
                 self._create(header, length)
             except BaseException:
@@ -258,7 +257,7 @@ def _fill_part(path: Path, header: Header, length: int) -> tuple[int, int]:
     with h5py.File(path, "w", libver="latest", locking=False) as file:  # we have locked it already
         _write_header(file, header)
         file.attrs.update(complete=False, end_reason="")
-        _sign(file, header.truth, [])
+        sign(file, header.truth, [])
         return _reserve_contiguous(file, "live", length, LIVE), _reserve_contiguous(file, "live_events", EVENTS, EVENT)
 
 
@@ -286,23 +285,7 @@ def _write_header(file: h5py.File, header: Header) -> None:
         "stand_toml": header.stand_toml,
         "operator_note": header.operator_note,
     }
-    _write_attributes(file, attributes, header.profile, header.truth)
-
-
-def _write_attributes(
-    file: h5py.File, attributes: Mapping[str, Any], profile: Mapping[str, Any], truth: Mapping[str, float]
-) -> None:
-    file.attrs.update({**attributes, "schema": SCHEMA})
-    file.create_group("profile").attrs.update(profile)
-    if truth:
-        file.create_group("truth").attrs.update(truth)
-
-
-def _sign(file: h5py.File, truth: Mapping[str, float], events: list[Event]) -> None:
-    """Add the hash of the header, which must be whole."""
-    attributes, profile = plain(file.attrs), plain(file["profile"].attrs)
-    truth = {name: float(value) for name, value in truth.items()}
-    file.attrs["sha256_header"] = header_hash(attributes, profile, truth, events)
+    write_attributes(file, attributes, header.profile, header.truth)
 
 
 def _software() -> dict[str, str]:
@@ -317,53 +300,6 @@ def _software() -> dict[str, str]:
             answer = subprocess.run(command, capture_output=True, text=True, timeout=2, check=True)  # noqa: S603 - fixed words
             versions["revision"] = answer.stdout.strip()
     return versions
-
-
-class Finalised(NamedTuple):
-    """The rows of a final file, those that were damaged and count as lost, and whether it can be trusted.
-
-    trusted: whether the source still had the hash that it was written with; otherwise the file has none.
-    """
-
-    samples: int
-    damaged: int
-    trusted: bool
-
-
-def finalise(source: Path, output: Path, *, end_reason: str | None = None, force: bool = False) -> Finalised:
-    """Write the recording `source` (either layout, any schema that is read) to `output` in the final layout.
-
-    The output appears whole or not at all, and `source` is not touched. end_reason: None marks it as recovered. force:
-    replace a file of that name. Raises WrongUse where the output cannot be written.
-    """
-    with Recording(source) as recording:
-        done = Finalised(len(recording), recording.damaged, _is_trusted(recording))
-        check_space(output, len(recording) * ROW.itemsize + _OVERHEAD)
-        with (
-            atomic_write(output, force=force) as temporary,  # which has locked it already
-            h5py.File(temporary, "w", libver="latest", locking=False) as file,
-        ):
-            attributes = {name: value for name, value in recording.attributes.items() if name != "sha256_header"}
-            _write_attributes(file, attributes, recording.profile, recording.truth())
-            file.attrs["complete"] = end_reason == "done"
-            file.attrs["end_reason"] = "recovered" if end_reason is None else end_reason
-            file.attrs["sha256"] = _write_samples(file, recording)
-            events = [*recording.events(), *_damage(recording)]
-            _write_events(file, events)
-            if done.trusted:
-                _sign(file, recording.truth(), events)
-            else:
-                file.attrs["sha256_header"] = ""
-        return done
-
-
-def _is_trusted(recording: Recording) -> bool:
-    return recording.header_intact() if recording.live else recording.verify()
-
-
-def _damage(recording: Recording) -> list[Event]:
-    message = f"{recording.damaged} rows were damaged on the disk and count as lost"
-    return [Event(0.0, "damaged-rows", message)] if recording.damaged else []
 
 
 def write(path: Path, header: Header, channels: Mapping[str, Array], *, force: bool = False) -> None:
@@ -384,33 +320,3 @@ def write(path: Path, header: Header, channels: Mapping[str, Array], *, force: b
         except BaseException:
             writer.discard()
             raise
-
-
-def _write_samples(file: h5py.File, recording: Recording) -> str:
-    group = file.create_group("samples")
-    length = len(recording)
-    for name, (unit, description) in CHANNELS.items():
-        dataset = group.create_dataset(
-            name,
-            shape=(length,),
-            maxshape=(length or None,),  # HDF5 has no chunks for what is empty and must stay so
-            dtype=ROW[name],
-            chunks=(min(4096, max(length, 1)),),
-            shuffle=True,
-            compression="gzip",
-            compression_opts=4,
-            fletcher32=True,
-        )
-        dataset.attrs.update(unit=unit, description=description)
-    digest = hashlib.sha256()
-    for start, rows in recording.rows():
-        for name in CHANNELS:
-            group[name][start : start + len(rows)] = rows[name]
-        digest.update(rows.tobytes())
-    return digest.hexdigest()
-
-
-def _write_events(file: h5py.File, events: list[Event]) -> None:
-    group = file.create_group("events")
-    for name, dtype in (("time", "<f8"), ("code", h5py.string_dtype()), ("message", h5py.string_dtype())):
-        group.create_dataset(name, data=[getattr(event, name) for event in events], dtype=dtype)

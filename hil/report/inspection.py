@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from hil.signals.inspection import Inspection
 
+_SEEN = 1e-6  # s; nothing is late in virtual time but for rounding
 SCHEMA = "hil-inspection/2"
 """Version 1 had the errors among the warnings."""
 
@@ -36,6 +37,9 @@ def inspection_table(seen: Inspection) -> Table:
         if seen.rate_window
         else "the file",
     }
+    if seen.lateness[2] > _SEEN:
+        median, most, largest = (engineering(value, "s", 2) for value in seen.lateness)
+        rows["lateness"] = f"median {median}, 99 % within {most}, largest {largest}; {seen.missed} ticks missed"
     for name, text in rows.items():
         table.add_row(name, Text(text))
     return table
@@ -45,6 +49,7 @@ def as_json(seen: Inspection) -> dict[str, Any]:
     """Return the JSON object of `hil inspect --json`, SI units."""
     plain = {name: getattr(seen, name) for name in seen.__slots__ if name not in {"path", "diagnostics"}}
     plain["snr"] = json_number(seen.snr)
+    plain["lateness"] = [json_number(value) for value in seen.lateness]
     return {
         "schema": SCHEMA,
         "recording": str(seen.path),

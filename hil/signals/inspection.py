@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.diagnostics import Diagnostic
+from hil.recording.reader import Recording
 from hil.signals.prepare import prepare
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import open_sources
@@ -16,6 +17,8 @@ from hil.signals.source import open_sources
 @dataclass(frozen=True, slots=True)
 class Inspection:
     """The summary of a recording.
+
+    lateness: of the set-points, s: median, 99 % and largest, NaN where they are not stored. missed: skipped ticks.
 
     rate Hz (median), jitter s (99 % of the intervals are within it of the median), longest_gap s, deflection rad and
     torque N m (peak to peak), deflection_lsb rad (smallest step seen), torque_noise N m (standard deviation of the
@@ -35,6 +38,8 @@ class Inspection:
     longest_gap: float
     saturated: int
     late: int
+    lateness: tuple[float, float, float]
+    missed: int
     deflection: float
     deflection_lsb: float
     torque: float
@@ -76,6 +81,8 @@ def inspect(path: Path) -> Inspection:
             longest_gap=float(intervals.max()),
             saturated=quality.saturated,
             late=quality.late,
+            lateness=(_stored(recording, "p50"), _stored(recording, "p99"), _stored(recording, "max")),
+            missed=int(recording.attributes.get("missed", 0)),
             deflection=quality.deflection,
             deflection_lsb=quality.deflection_lsb,
             torque=float(np.ptp(signals.torque)),
@@ -86,3 +93,7 @@ def inspect(path: Path) -> Inspection:
             torque_from=signals.torque_from,
             diagnostics=tuple(recording_diagnostics(recording, quality, source.limits)),
         )
+
+
+def _stored(recording: Recording, which: str) -> float:
+    return float(recording.attributes.get(f"lateness_{which}", np.nan))

@@ -74,7 +74,8 @@ def examine_rig(monkeypatch: pytest.MonkeyPatch) -> Examine:
 
 
 def verdicts(checks: CheckList) -> dict[str, str]:
-    return {check.name: check.verdict.value for check in checks.checks}
+    """All but what depends on the machine that runs the tests."""
+    return {check.name: check.verdict.value for check in checks.checks if check.name != "real time"}
 
 
 def message(checks: CheckList, name: str) -> str:

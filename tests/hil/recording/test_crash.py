@@ -20,9 +20,10 @@ from hil.errors import WrongUse
 from hil.recording import output
 from hil.recording import writer as writer_module
 from hil.recording.channels import ROW, Row
+from hil.recording.final import finalise
 from hil.recording.output import atomic_write, check_unfinished, remove_unfinished
 from hil.recording.reader import Recording
-from hil.recording.writer import Header, RecordingWriter, finalise
+from hil.recording.writer import Header, RecordingWriter
 
 HEADER = Header(profile={"kind": "chirp"})
 

@@ -26,10 +26,11 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.recording import reader
 from hil.recording import writer as writer_module
 from hil.recording.channels import CHANNELS, ROW, Row
+from hil.recording.final import finalise
 from hil.recording.integrity import LIVE, packed
 from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, remove_unfinished
 from hil.recording.reader import SCHEMA, Recording
-from hil.recording.writer import Header, RecordingWriter, finalise, write
+from hil.recording.writer import Header, RecordingWriter, write
 
 from ..conftest import Maker
 

@@ -1,0 +1,121 @@
+"""The final file of a recording: its samples compressed, a channel each, with hashes of all that decides a result."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+
+from hil.recording.channels import CHANNELS, ROW
+from hil.recording.integrity import header_hash, plain
+from hil.recording.lateness import Lateness
+from hil.recording.output import atomic_write, check_space
+from hil.recording.reader import SCHEMA, Event, Recording
+
+OVERHEAD = 1 << 18
+"""Bytes of a file that are not samples, generously."""
+
+
+class Finalised(NamedTuple):
+    """The rows of a final file, those that were damaged and count as lost, and whether it can be trusted.
+
+    trusted: whether the source still had the hash that it was written with; otherwise the file has none.
+    """
+
+    samples: int
+    damaged: int
+    trusted: bool
+
+
+def finalise(source: Path, output: Path, *, end_reason: str | None = None, force: bool = False) -> Finalised:
+    """Write the recording `source` (either layout, any schema that is read) to `output` in the final layout.
+
+    The output appears whole or not at all, and `source` is not touched. end_reason: None marks it as recovered. force:
+    replace a file of that name. Raises WrongUse where the output cannot be written.
+    """
+    with Recording(source) as recording:
+        done = Finalised(len(recording), recording.damaged, _is_trusted(recording))
+        check_space(output, len(recording) * ROW.itemsize + OVERHEAD)
+        with (
+            atomic_write(output, force=force) as temporary,  # which has locked it already
+            h5py.File(temporary, "w", libver="latest", locking=False) as file,
+        ):
+            attributes = {name: value for name, value in recording.attributes.items() if name != "sha256_header"}
+            write_attributes(file, attributes, recording.profile, recording.truth())
+            file.attrs["complete"] = end_reason == "done"
+            file.attrs["end_reason"] = "recovered" if end_reason is None else end_reason
+            file.attrs.update(_write_samples(file, recording))
+            events = [*recording.events(), *_damage(recording)]
+            _write_events(file, events)
+            if done.trusted:
+                sign(file, recording.truth(), events)
+            else:
+                file.attrs["sha256_header"] = ""
+        return done
+
+
+def _is_trusted(recording: Recording) -> bool:
+    return recording.header_intact() if recording.live else recording.verify()
+
+
+def _damage(recording: Recording) -> list[Event]:
+    message = f"{recording.damaged} rows were damaged on the disk and count as lost"
+    return [Event(0.0, "damaged-rows", message)] if recording.damaged else []
+
+
+def write_attributes(
+    file: h5py.File, attributes: Mapping[str, Any], profile: Mapping[str, Any], truth: Mapping[str, float]
+) -> None:
+    """Write attributes, profile and truth into an empty file."""
+    file.attrs.update({**attributes, "schema": SCHEMA})
+    file.create_group("profile").attrs.update(profile)
+    if truth:
+        file.create_group("truth").attrs.update(truth)
+
+
+def sign(file: h5py.File, truth: Mapping[str, float], events: list[Event]) -> None:
+    """Add the hash of the header, which must be whole."""
+    attributes, profile = plain(file.attrs), plain(file["profile"].attrs)
+    truth = {name: float(value) for name, value in truth.items()}
+    file.attrs["sha256_header"] = header_hash(attributes, profile, truth, events)
+
+
+def _write_samples(file: h5py.File, recording: Recording) -> dict[str, str | float]:
+    """Write the rows; return the attributes that follow from them."""
+    group = file.create_group("samples")
+    length = len(recording)
+    for name, (unit, description) in CHANNELS.items():
+        dataset = group.create_dataset(
+            name,
+            shape=(length,),
+            maxshape=(length or None,),  # HDF5 has no chunks for what is empty and must stay so
+            dtype=ROW[name],
+            chunks=(min(4096, max(length, 1)),),
+            shuffle=True,
+            compression="gzip",
+            compression_opts=4,
+            fletcher32=True,
+        )
+        dataset.attrs.update(unit=unit, description=description)
+    digest, lateness = hashlib.sha256(), Lateness(_rate(recording))
+    for start, rows in recording.rows():
+        for name in CHANNELS:
+            group[name][start : start + len(rows)] = rows[name]
+        digest.update(rows.tobytes())
+        lateness.add(rows)
+    return {"sha256": digest.hexdigest(), **lateness.attributes()}
+
+
+def _rate(recording: Recording) -> float:
+    """Return the rate of the ticks, Hz; NaN for data that was not recorded here."""
+    return float(recording.profile.get("rate", np.nan)) if recording.profile.get("kind") != "import" else np.nan
+
+
+def _write_events(file: h5py.File, events: list[Event]) -> None:
+    group = file.create_group("events")
+    for name, dtype in (("time", "<f8"), ("code", h5py.string_dtype()), ("message", h5py.string_dtype())):
+        group.create_dataset(name, data=[getattr(event, name) for event in events], dtype=dtype)

@@ -1,0 +1,45 @@
+"""How late the ticks of a run were sent: quantiles in bounded memory, whatever the length of the run."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.servo import Status
+from hil.recording.channels import Rows
+
+_EDGES: NDArray[np.float64] = np.geomspace(1e-7, 100.0, 4000)  # s, 0.5 % apart
+_UPPER: NDArray[np.float64] = np.array([0.0, *_EDGES[1:], np.inf])
+_MISSED = np.uint64(int(Status.MISSED))
+
+
+class Lateness:
+    """The lateness of set-points sent at `rate` Hz, s: when each was sent less when it was due. NaN without a rate."""
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._counts = np.zeros(len(_EDGES) + 1, dtype=np.int64)
+        self._most = 0.0
+        self._missed = 0
+
+    def add(self, rows: Rows) -> None:
+        """Take rows, (n,) of ROW. Ticks that were missed are counted; those without a time are left out."""
+        missed = (rows["status"] & _MISSED) != 0
+        late = (rows["time"] - rows["seq"] / self._rate)[~missed]
+        late = late[np.isfinite(late)]
+        self._missed += int(missed.sum())
+        self._counts += np.bincount(np.searchsorted(_EDGES, late), minlength=len(self._counts))
+        self._most = max(self._most, float(late.max(initial=0.0)))
+
+    def attributes(self) -> dict[str, float | int]:
+        """Return what a recording stores of it: two quantiles within 0.5 %, the largest (s), and the missed ticks."""
+        quantiles = {f"lateness_p{percent}": self._quantile(percent / 100) for percent in (50, 99)}
+        most = self._most if self._counts.any() else np.nan
+        return quantiles | {"lateness_max": most, "missed": self._missed}
+
+    def _quantile(self, share: float) -> float:
+        """Return the upper edge of the bin in which the quantile lies, 0 below the first one, NaN without any."""
+        if not self._counts.any():
+            return np.nan
+        place = int(np.searchsorted(np.cumsum(self._counts), share * self._counts.sum()))
+        return min(float(_UPPER[place]), self._most)
