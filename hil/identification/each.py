@@ -69,13 +69,13 @@ def identify_each(tasks: Sequence[Task], cluster: str | None = None, progress: P
     alone = [replace(task, search=replace(task.search, workers=1), folder=str(Path.cwd())) for task in tasks]
     done, count = len(found), len(found) + len(tasks)
 
-    def told(more: int) -> None:
+    def on_done(more: int) -> None:
         if progress is not None:
             progress(f"identified {done + more} of {count}", (done + more) / count)
 
     with executor(min(workers, len(alone)), cluster) as on:
-        told(0)
-        return [*found, *results(on, identified, alone, told)]
+        on_done(0)
+        return [*found, *results(on, identified, alone, on_done)]
 
 
 def _here(tasks: Sequence[Task], workers: int, progress: Progress | None) -> tuple[list[Result], Sequence[Task]]:

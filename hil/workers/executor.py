@@ -34,9 +34,9 @@ def results(
     on: Executor,
     function: Callable[..., Any],
     tasks: Sequence[Any],
-    told: Callable[[int], object] = lambda _done: None,
+    on_done: Callable[[int], object] = lambda _done: None,
 ) -> list[Any]:
-    """Return the results of a function of each task, in the order of the tasks; told: is called with how many are done.
+    """Return the results of a function of each task, in their order; on_done: is called with how many are done.
 
     Raises what a task raises; the others are then cancelled.
     """
@@ -47,7 +47,7 @@ def results(
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
                 future.result()
-            told(len(futures) - len(pending))
+            on_done(len(futures) - len(pending))
         return [future.result() for future in futures]
 
 

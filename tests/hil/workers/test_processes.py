@@ -17,11 +17,11 @@ from hil.workers.processes import processes
 
 
 def test_results_come_in_the_order_of_the_tasks_from_other_processes() -> None:
-    told: list[int] = []
+    on_done: list[int] = []
     with processes(2) as on:
-        assert results(on, math.factorial, [3, 1, 5], told.append) == [6, 1, 120]
+        assert results(on, math.factorial, [3, 1, 5], on_done.append) == [6, 1, 120]
         assert on.submit(os.getpid).result() != os.getpid()
-    assert told[-1] == 3
+    assert on_done[-1] == 3
 
 
 def test_a_task_raises_what_its_function_raises() -> None:
