@@ -55,11 +55,15 @@ class LinkLost(DriverError, ConnectionError):
     """The port or the bus is gone. The run ends; the motor may be live."""
 
 
+def reason_of(error: object) -> str:
+    """Return an error in words, without the system's number."""
+    return (isinstance(error, OSError) and error.strerror) or str(error)
+
+
 def link_lost(name: str, reason: object) -> LinkLost:
     """Return the error for the link `name` that is gone for `reason`."""
-    return LinkLost(
-        f"{name} is gone ({reason}): whether the motor is live is not known; cut the power before touching it"
-    )
+    why = reason_of(reason)
+    return LinkLost(f"{name} is gone ({why}): whether the motor is live is not known; cut the power before touching it")
 
 
 class NoReply(DriverError, TimeoutError):

@@ -35,6 +35,9 @@ SI: Mapping[str, str] = MappingProxyType(
 )
 """The dimensions that are known, and the SI unit of each."""
 
+LEVER: Mapping[str, str] = MappingProxyType({"mass": "kg", "length": "m"})
+"""The dimensions of a known load on a lever, which no channel of a recording has."""
+
 COMMON: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "time": ("s", "ms", "us", "ns", "min"),
@@ -46,6 +49,8 @@ COMMON: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "stiffness": ("N*m/rad", "mN*m/rad", "mN*m/deg", "N*mm/deg"),
         "damping": ("N*m*s/rad", "mN*m*s/rad"),
         "temperature": ("degC", "K"),
+        "mass": ("kg", "g", "mg", "lb", "oz"),
+        "length": ("m", "mm", "cm", "in"),
     }
 )
 """The units that messages propose, by dimension."""
@@ -101,7 +106,10 @@ _SHORT = 4  # letters: what is longer is a word, such as "milliseconds", which s
 
 
 def factor(dimension: str, unit: str) -> float:
-    """Return the factor from `unit` to SI. dimension: one of SI. Raises WrongUse for an unknown or ambiguous unit."""
+    """Return the factor from `unit` to SI. Raises WrongUse for an unknown or ambiguous unit.
+
+    dimension: one of SI or LEVER.
+    """
     found = known(dimension, unit)
     if found is None:
         near = get_close_matches(unit, COMMON[dimension], n=1)
@@ -166,7 +174,7 @@ def _factor(dimension: str, expression: str) -> float | None:
 
     registry = _registry()
     try:
-        unit, wanted = registry.Unit(expression), registry.Unit(SI[dimension].replace("^", "**"))
+        unit, wanted = registry.Unit(expression), registry.Unit({**SI, **LEVER}[dimension].replace("^", "**"))
     except (pint.PintError, TypeError, ValueError, SyntaxError, AttributeError, ArithmeticError, RecursionError):
         return None
     weight = 1.0

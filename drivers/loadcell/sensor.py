@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from drivers.loadcell.clock import BoardClock
 from drivers.loadcell.lines import Reading, parsed
-from drivers.servo import BadReply, DriverError, LinkLost, NoReply
+from drivers.servo import BadReply, DriverError, LinkLost, NoReply, reason_of
 from drivers.uart.lines import TextLines
 from drivers.uart.port import GONE, OpenPort, open_port
 
@@ -66,6 +66,20 @@ class LoadCell:
             raise trouble
         return self._newest
 
+    def readings(self) -> list[tuple[float, float]]:
+        """Return times, s, and joint torques, N m, of all readings since the last one returned, oldest first.
+
+        Raises as `read`.
+        """
+        readings, trouble = self._take()
+        if trouble is not None and not readings:
+            raise trouble
+        out = []
+        for reading in readings:
+            self._keep(*reading)
+            out.append(self._newest)
+        return out
+
     def close(self) -> None:
         """Close the port. Harmless when closed."""
         self._closed = True
@@ -86,7 +100,7 @@ class LoadCell:
             wanted = max(self._port.in_waiting, least)
             data = self._port.read(min(wanted, _AT_ONCE)) if wanted else b""
         except GONE as error:
-            raise LinkLost(f"the torque cell on {self._config.port} is gone ({error})") from None
+            raise LinkLost(f"the torque cell on {self._config.port} is gone ({reason_of(error)})") from None
         now = self._clock.now()
         lines = self._lines.feed(data)
         if lines and not self._in_step:

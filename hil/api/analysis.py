@@ -192,8 +192,9 @@ def identify(
     "linear" where preset, bounds, checkpoint or fixture belong to one model. preset: "default" or "paper". trials:
     independent searches. generations to replacement: of the genetic algorithm, None: the preset's (docs/paper.md).
     bounds: SI, by parameter. workers: threads, None: all cores. checkpoint: a file that keeps the state of the search;
-    where it exists, the search continues. fixture: a recording of the empty rig, whose compliance is removed. cluster:
-    the address of a Dask scheduler that has the work done, or "local".
+    where it exists, the search continues. fixture: a recording of the empty rig, whose compliance is removed, or the
+    stand file into which `hil calibrate fixture` wrote it. cluster: the address of a Dask scheduler that has the work
+    done, or "local".
 
     Ctrl-C ends the search, and what it found so far is returned. Raises WrongUse, and NoResult where the recordings
     cannot be used at all; lesser doubts are in the diagnostics.

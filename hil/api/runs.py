@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -250,6 +251,7 @@ def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
     found = []
     if stand.stand.torque_source == "motor" and profile.mode is Quantity.POSITION:
         found.append(driven_by_position(is_error=False))
+    found += stand.calibration_diagnostics(datetime.now(UTC))
     table = stand.devices.get(str(stand.stand.backend))
     found += [Diagnostic("restricted-drive", text) for text in restrictions(table, stand.stand.torque_source)]
     if stand.stand.backend != "sim":

@@ -11,6 +11,7 @@ from typing import Any, NoReturn, cast
 import typer
 
 from hil.acquisition.interrupt import StopRequest
+from hil.cli.calibrate import calibrate
 from hil.cli.compare import compare
 from hil.cli.demo import demo
 from hil.cli.design import design
@@ -52,6 +53,7 @@ app.command()(design)
 app.command()(emulate)
 app.command()(doctor)
 app.add_typer(stand, name="stand")
+app.add_typer(calibrate, name="calibrate")
 
 
 def main() -> NoReturn:

@@ -9,7 +9,6 @@ import typer
 
 from hil.cli import options
 from hil.cli.progress import progress
-from hil.cli.report import check_report
 from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json, say
 
 
@@ -28,7 +27,7 @@ def compare(
     from hil.api import analysis
     from hil.report.comparison import comparison_table
 
-    check_report(report, recordings, force=force)
+    options.check_report(report, recordings, force=force)
     with progress() as show:
         found = analysis.compare(
             recordings, model, trials=trials, seed=seed, workers=workers, cluster=cluster, progress=show

@@ -13,7 +13,6 @@ from ga.model.terms import MEANINGS, SYNTAX
 from hil.cli import options
 from hil.cli.many.each import identify_each, refuse_with_each
 from hil.cli.progress import progress
-from hil.cli.report import check_report
 from hil.cli.terminal import (
     UNTRUSTWORTHY,
     command_line,
@@ -90,7 +89,7 @@ def identify(
         refuse_with_each(alone | {"report": report, "plot": plot})
         identify_each(recordings, model, common, required, as_json=as_json)
         return
-    check_report(report, recordings, force=force)
+    options.check_report(report, recordings, force=force)
     with _failure_published(report, force=force, as_json=as_json), progress() as show:
         found = identify_recordings(recordings, model, progress=show, **(common | alone))
     publish(found, report, plot, as_json=as_json, verbose=verbose, force=force)

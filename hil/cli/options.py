@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -54,7 +55,8 @@ Trials = Annotated[
     int | None, typer.Option(min=1, help="Independent searches [default: 30; 5 with nonlinear parameters].")
 ]
 Fixture = Annotated[
-    Path | None, typer.Option(help="A recording of the empty rig, to subtract the fixture's compliance.")
+    Path | None,
+    typer.Option(help="Subtract the compliance of the fixture: a recording of the empty rig, or a stand file."),
 ]
 Bounds = Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI, or Kc=10:30mN*m/rad; repeat for several.")]
 Setpoints = Annotated[Path | None, typer.Option(help="CSV of time (s) and set-point, for --profile file.")]
@@ -105,6 +107,15 @@ def amplitude_of(text: str | None, mode: Quantity) -> float | None:
         other = "position" if mode is Quantity.TORQUE else "torque"
         raise WrongUse(f"--amplitude {text!r}: --mode {mode.value} takes {wanted}s; or record with --mode {other}")
     return value
+
+
+def check_report(report: Path | None, inputs: Sequence[Path], *, force: bool) -> None:
+    """Raise WrongUse, before any work is done, where --report would overwrite a file or has another's suffix."""
+    from hil.recording.output import check_output
+    from hil.report.html_page import check_page_name
+
+    if report is not None:
+        check_output(check_page_name(report), force=force, inputs=inputs)
 
 
 def band_of(text: str | None) -> tuple[float, float] | None:

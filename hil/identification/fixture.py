@@ -14,7 +14,9 @@ from hil.identification.identify import Search, identify_sources
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Fixture, Identification, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
+from hil.recording.reader import Recording
 from hil.signals.source import open_sources
+from hil.stand.file import load
 from hil.uncertainty.criteria import narrow
 from hil.uncertainty.series_compliance import Element, Excitation, corrected
 
@@ -23,19 +25,40 @@ _CORRECTED = ("Kc", "Bc")
 
 
 def identify_without_fixture(
-    paths: Sequence[Path], empty_rig: Path, model: Coupling | None, search: Search, progress: Progress | None = None
+    paths: Sequence[Path], fixture: Path, model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
     """Fit a model to the recordings of the joint and to the empty-rig recording, and remove the fixture's compliance.
 
-    Raises as `hil.identification.identify.identify`, WrongUse where the empty rig is another stand or one of the
-    recordings, and for a model without Kc and Bc; Untrustworthy as `without_fixture`.
+    fixture: that recording, or a stand file that names it. Raises as `hil.identification.identify.identify`, WrongUse
+    where the empty rig is another stand or one of the recordings, and for a model without Kc and Bc; Untrustworthy as
+    `without_fixture`.
     """
     _check_names(model)
-    with open_sources([*paths, empty_rig]) as (*sources, rig):
+    with open_sources([*paths, empty_rig(fixture)]) as (*sources, rig):
         stands = same_stand_diagnostics([sources[0], rig])
         found = identify_sources(sources, model, search, progress)
-        fixture = identify_sources([rig], model, replace(search, checkpoint=None), progress)
-    return without_fixture(replace(found, diagnostics=(*found.diagnostics, *stands)), fixture)
+        held = identify_sources([rig], model, replace(search, checkpoint=None), progress)
+    return without_fixture(replace(found, diagnostics=(*found.diagnostics, *stands)), held)
+
+
+def empty_rig(path: Path) -> Path:
+    """Return the empty-rig recording: the file itself, or the one that `hil calibrate fixture` wrote into a stand file.
+
+    Raises WrongUse where the stand file names none, or where its recording has been replaced.
+    """
+    if path.suffix != ".toml":
+        return path
+    fixture = load(path).calibration.fixture
+    if fixture is None:
+        raise WrongUse(f"{path} has no [calibration.fixture]: record the empty rig with hil calibrate fixture {path}")
+    recording = path.parent / fixture.recording
+    with Recording(recording) as opened:
+        if str(opened.attributes.get("uid", "")) != fixture.uid:
+            raise WrongUse(
+                f"{recording} is not the recording that [calibration.fixture] of {path} was made from: calibrate again "
+                f"with hil calibrate fixture {path}"
+            )
+    return recording
 
 
 def _check_names(model: Coupling | None) -> None:

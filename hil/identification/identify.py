@@ -31,7 +31,7 @@ from hil.identification.identifiability import Evidence, estimates, judge, rival
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification, Validation
-from hil.identification.same_stand import same_stand_diagnostics
+from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
 from hil.identification.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources
@@ -112,7 +112,7 @@ def _identified(
     sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None
 ) -> Identification:
     began = time.perf_counter()
-    stands = same_stand_diagnostics(sources)
+    stands = [*same_stand_diagnostics(sources), *calibration_diagnostics(sources)]
 
     def chosen(signals: Signals, whole: bool) -> Choice:
         if progress is not None and model is None:

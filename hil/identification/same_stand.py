@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,19 @@ def same_stand_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
             )
         )
     return found
+
+
+def calibration_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
+    """Return a warning for each calibration that was old when a recording was made, or is not the one that was used."""
+    found: dict[str, Diagnostic] = {}
+    for source in sources:
+        created = str(source.recording.attributes.get("created", ""))
+        if source.stand is not None and created:
+            with suppress(ValueError):  # a date of another program's making
+                at = datetime.fromisoformat(created)
+                at = at if at.tzinfo else at.replace(tzinfo=UTC)
+                found |= {one.message: one for one in source.stand.calibration_diagnostics(at)}
+    return list(found.values())
 
 
 def _facts(stand: Stand) -> dict[str, Any]:

@@ -40,6 +40,8 @@ def inspection_table(seen: Inspection) -> Table:
     if seen.lateness[2] > _SEEN:
         median, most, largest = (engineering(value, "s", 2) for value in seen.lateness)
         rows["lateness"] = f"median {median}, 99 % within {most}, largest {largest}; {seen.missed} ticks missed"
+    if seen.calibrated:
+        rows["calibrated"] = ", ".join(f"{name} {date[:10]}" for name, date in seen.calibrated.items())
     for name, text in rows.items():
         table.add_row(name, Text(text))
     return table

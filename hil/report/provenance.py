@@ -12,6 +12,7 @@ from pathlib import Path
 
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.reader import Recording
+from hil.stand.file import parse
 
 
 def provenance(recordings: Sequence[Path], command: str) -> list[tuple[str, str]]:
@@ -43,6 +44,7 @@ def _of_recording(path: Path) -> list[tuple[str, str]]:
         "recorded": str(said.get("created", "")),
         "excitation": f"{profile.get('kind', 'unknown')}, {samples} samples",
         "stand": _stand(text),
+        "calibrated": _calibrations(text),
         "recorded by": _software(str(said.get("software", ""))),
         "recorded with": str(said.get("command_line", "")),
         "note": str(said.get("operator_note", "")),
@@ -55,6 +57,14 @@ def _stand(text: str) -> str:
     with suppress(tomllib.TOMLDecodeError):
         table = tomllib.loads(text).get("stand", {})
         return ", ".join(f"{table[key]}" for key in ("name", "backend") if key in table)
+    return ""
+
+
+def _calibrations(text: str) -> str:
+    """Return the calibrations that the recording was made with, each with its date."""
+    with suppress(WrongUse):
+        made = parse(text).calibration.made() if text else {}
+        return ", ".join(f"{name} {date:%Y-%m-%d}" for name, date in made.items())
     return ""
 
 

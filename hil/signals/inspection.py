@@ -23,6 +23,7 @@ class Inspection:
     rate Hz (median), jitter s (99 % of the intervals are within it of the median), longest_gap s, deflection rad and
     torque N m (peak to peak), deflection_lsb rad (smallest step seen), torque_noise N m (standard deviation of the
     torque about a local polynomial), snr dB (torque's variance over that noise's), band Hz, rate_window s.
+    calibrated: the dates of the calibrations it was made with, ISO 8601, by name.
     """
 
     path: Path
@@ -48,6 +49,7 @@ class Inspection:
     band: tuple[float, float]
     rate_window: float
     torque_from: str
+    calibrated: dict[str, str]
     diagnostics: tuple[Diagnostic, ...]
 
     @property
@@ -91,6 +93,7 @@ def inspect(path: Path) -> Inspection:
             band=signals.band,
             rate_window=signals.rate_window,
             torque_from=signals.torque_from,
+            calibrated={} if source.stand is None else source.stand.calibration.dates(),
             diagnostics=tuple(recording_diagnostics(recording, quality, source.limits)),
         )
 

@@ -8,14 +8,17 @@ from __future__ import annotations
 import reprlib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, create_model
 
+from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.recording.input import read_text
+from hil.stand.calibration import CalibrationTable
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
 from hil.stand.sentences import names_the_value, sentence
 from hil.units import quantity
@@ -23,7 +26,8 @@ from sim_backend.parameters import SimParameters
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-_LARGEST = 1 << 20  # bytes of a stand file
+LARGEST = 1 << 20
+"""Bytes of a stand file."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -83,6 +87,7 @@ class File(_Table):
 
     stand: StandTable
     limits: LimitsTable | None = None
+    calibration: CalibrationTable = CalibrationTable()
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +95,7 @@ class Stand:
     """A checked stand file. `text` is the file as written; `limits` is None where the file sets none.
 
     devices: the backends' own tables, those the file has. sensor: the joint sensor's kind and table, None without one.
+    calibration: what `hil calibrate` wrote.
     """
 
     stand: StandTable
@@ -97,6 +103,7 @@ class Stand:
     devices: Mapping[str, Any]
     sensor: tuple[str, Any] | None
     text: str
+    calibration: CalibrationTable = field(default_factory=CalibrationTable)
 
     @property
     def sim(self) -> SimParameters:
@@ -121,6 +128,20 @@ class Stand:
         tables = [*self.devices.values(), *([] if self.sensor is None else [self.sensor[1]])]
         values = [value for table in tables for value in TypeAdapter(type(table)).dump_python(table).values()]
         return [Path(value) for value in values if isinstance(value, str) and _is_file(value)]
+
+    def calibration_diagnostics(self, at: datetime) -> list[Diagnostic]:
+        """Return a warning for each calibration that is old at a time, or whose result the file no longer uses."""
+        found, torque = self.calibration.old(at), self.calibration.torque
+        used = None if self.sensor is None else getattr(self.sensor[1], "scale", None)
+        if torque is not None and used != torque.scale:
+            found.append(
+                Diagnostic(
+                    "calibration-changed",
+                    f"joint_sensor.scale = {used} is not the calibrated {torque.scale:g} of {torque.date:%Y-%m-%d}: Kc "
+                    "and Bc follow the scale that stands there; repeat hil calibrate torque, or set it",
+                )
+            )
+        return found
 
     def checked_limits(self) -> LimitsTable:
         """The limits, without which nothing is driven. Raises WrongUse where the file has none."""
@@ -156,7 +177,7 @@ def _is_file(name: str) -> bool:
 
 def load(path: Path) -> Stand:
     """Return the stand in a TOML file. Raises WrongUse with every error of the file at once, each with its key."""
-    text = read_text(path, largest=_LARGEST)
+    text = read_text(path, largest=LARGEST)
     return parse(text, str(path))
 
 
@@ -183,7 +204,7 @@ def _parsed(text: str, name: str) -> Stand:
         raise WrongUse(f"{name} has {len(errors)} error(s):\n" + "\n".join(f"  {text}" for text in errors))
     devices = {backend: getattr(file, backend) for backend in BACKENDS if backend in table}
     sensor = None if kind is None else (kind, file.joint_sensor)
-    return Stand(file.stand, file.limits, devices, sensor, text)
+    return Stand(file.stand, file.limits, devices, sensor, text, file.calibration)
 
 
 def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[str]]:

@@ -119,6 +119,7 @@ def make_recording(tmp_path: Path) -> Maker:
         noise: float = 0.0,
         seed: int = 0,
         change: Callable[[dict[str, Array]], object] | None = None,
+        stand: str = "",
     ) -> Path:
         time = np.arange(samples) / rate
         slow, fast = 2.0 * math.pi * 1.3, 2.0 * math.pi * 7.1
@@ -129,7 +130,7 @@ def make_recording(tmp_path: Path) -> Maker:
         if change is not None:
             change(channels)
         path = tmp_path / name
-        write(path, Header(profile={"kind": "imported"}), channels, force=True)
+        write(path, Header(profile={"kind": "imported"}, stand_toml=stand), channels, force=True)
         return path
 
     return make

@@ -1,0 +1,191 @@
+"""Calibrations of a stand, measured and stored in its file: the torque cell, its delay, the fixture and the zero."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from drivers.clock import Clock
+from hil.api.analysis import IdentificationResult, identify
+from hil.calibration.points import Load
+from hil.calibration.session import TorqueCell, motor_at_rest, released, steady
+from hil.calibration.step import StepResponse, step_response
+from hil.calibration.torque import GRAVITY_UNCERTAINTY, Point, Scale, fit, implausible
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording.reader import Recording
+from hil.stand.edit import update
+from hil.stand.file import Stand, load
+
+_NORMAL = 1.96
+
+
+@dataclass(frozen=True, slots=True)
+class Zero:
+    """The motor's angle at rest and its standard uncertainty, rad."""
+
+    value: float
+    uncertainty: float
+
+
+def read_loads(
+    stand: Stand, loads: Iterable[Load], cell: TorqueCell | None, clock: Clock, ready: Callable[[Load], bool]
+) -> list[Point]:
+    """Return the points of known loads, those without a value read from `cell`.
+
+    ready: is called before a load is read, and returns whether it hangs; the others are left out. Raises WrongUse for a
+    load that cannot be right, DriverError where the cell is gone.
+    """
+    sign = stand.sensor[1].sign if stand.sensor is not None else 1
+    limit = None if stand.limits is None else stand.limits.torque
+    points: list[Point] = []
+    for one in loads:
+        value = one.value
+        if value is None and cell is not None:
+            if not ready(one):
+                continue
+            value = steady(cell, clock).mean
+        if value is None:
+            raise WrongUse(f"{one.name} has no value, and there is no cell to read it from")
+        points.append(Point(one.torque, sign * value, one.name))
+        if problem := implausible(points, limit):
+            raise WrongUse(problem)
+    return points
+
+
+def store_torque(
+    path: Path, points: Sequence[Point], *, tare: float, arm: tuple[float, float] | None
+) -> tuple[Scale, list[str]]:
+    """Return the scale of the points, stored in the stand file at `path`, and the keys that were set.
+
+    tare: what the cell showed before the loads, in counts or as printed. arm: of the lever, and its standard
+    uncertainty, m; None where torques were given. Raises as `hil.calibration.torque.fit`; the file is changed only on
+    success.
+    """
+    stand = load(path)
+    lever = 0.0 if arm is None else math.hypot(arm[1] / arm[0], GRAVITY_UNCERTAINTY)
+    found = fit(points, lever)
+    measured: dict[str, Any] = {
+        "date": _now(),
+        "scale": _digits(found.scale, 9),
+        "uncertainty": _digits(found.uncertainty),
+        "offset": _digits(tare + found.offset, 9),
+        "residual": _digits(found.residual),
+        "points": found.points,
+    }
+    if math.isfinite(found.hysteresis):
+        measured["hysteresis"] = _digits(found.hysteresis)
+    changes: dict[str, dict[str, Any]] = {
+        "joint_sensor": {"scale": measured["scale"]},
+        "calibration.torque": measured,
+    }
+    if stand.stand.torque_source == "joint":
+        changes["stand"] = {"torque_uncertainty": measured["uncertainty"]}
+    update(path, changes)
+    return found, [f"{table}.{key}" for table, keys in changes.items() if "." not in table for key in keys]
+
+
+def store_step(path: Path, cell: TorqueCell, clock: Clock) -> StepResponse:
+    """Return the cell's answer to a load that is taken off within ten seconds, stored in the stand file at `path`.
+
+    Raises Untrustworthy where no clear step is seen, DriverError where the cell is gone.
+    """
+    rows = released(cell, clock)
+    found = step_response(*rows.T)
+    delay = _digits(found.delay)
+    update(
+        path,
+        {
+            "joint_sensor": {"delay": delay},
+            "calibration.step": {
+                "date": _now(),
+                "delay": delay,
+                "uncertainty": _digits(found.uncertainty),
+                "bandwidth": _digits(found.bandwidth),
+            },
+        },
+    )
+    return found
+
+
+def store_zero(path: Path, ready: Callable[[str], object]) -> Zero:
+    """Return the motor's angle at rest, stored as `stand.zero` in the file at `path`, with its uncertainty.
+
+    ready: is called with what to do before each of two readings, which come from both sides, because friction holds a
+    joint where it stops. Raises DriverError, Untrustworthy where the motor moves.
+    """
+    stand = load(path)
+    angles, counts = [], []
+    for side in ("one way", "the other way"):
+        ready(f"turn the motor a little {side} by hand, let it return, and take the hand off")
+        reading, count = motor_at_rest(stand)
+        angles.append(reading)
+        counts.append(0.0 if math.isnan(count) else count)
+    value = 0.5 * (angles[0].mean + angles[1].mean)
+    between = 0.5 * abs(angles[1].mean - angles[0].mean)
+    uncertainty = math.hypot(
+        between, counts[0] / math.sqrt(12.0), *(one.std / math.sqrt(one.readings) for one in angles)
+    )
+    zero = Zero(value, uncertainty)
+    stored = _digits(zero.value, 9)
+    update(
+        path,
+        {
+            "stand": {"zero": stored},
+            "calibration.zero": {"date": _now(), "zero": stored, "uncertainty": _digits(zero.uncertainty)},
+        },
+    )
+    return zero
+
+
+def store_fixture(path: Path, recording: Path, **search: Any) -> IdentificationResult:
+    """Return Kc and Bc of the empty rig in `recording`, stored in the stand file at `path`.
+
+    search: as `hil.api.analysis.identify`. Raises WrongUse, Untrustworthy where the recording does not give the
+    fixture's stiffness.
+    """
+    load(path)
+    result = identify([recording], "linear", **search)
+    found = result.identification
+    kc, bc = found["Kc"], found["Bc"]
+    if not (found.trusted("Kc") and kc.value > 0.0):
+        why = next((one.message for one in found.diagnostics if one.is_error), "it is as small as its noise")
+        raise Untrustworthy(f"{recording} does not give the stiffness of the fixture, and nothing was stored: {why}")
+    with Recording(recording) as opened:
+        uid = str(opened.attributes.get("uid", ""))
+    update(
+        path,
+        {
+            "calibration.fixture": {
+                "date": _now(),
+                "recording": _beside(recording, path),
+                "uid": uid,
+                "stiffness": _digits(kc.value, 6),
+                "stiffness_uncertainty": _digits(_error(kc.ci95)),
+                "damping": _digits(bc.value, 6),
+                "damping_uncertainty": _digits(_error(bc.ci95)),
+            }
+        },
+    )
+    return result
+
+
+def _beside(recording: Path, stand: Path) -> str:
+    """Return the recording's name as the stand file's folder sees it."""
+    recording, folder = recording.resolve(), stand.resolve().parent
+    return str(recording.relative_to(folder)) if recording.is_relative_to(folder) else str(recording)
+
+
+def _error(ci95: tuple[float, float]) -> float:
+    return (ci95[1] - ci95[0]) / 2.0 / _NORMAL
+
+
+def _digits(value: float, digits: int = 4) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+def _now() -> datetime:
+    return datetime.now(UTC).replace(microsecond=0)

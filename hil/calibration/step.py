@@ -1,0 +1,104 @@
+"""The delay and the bandwidth of a torque cell from its answer to a load that is taken off at once.
+
+Two answers are fitted by least squares, and the better one is taken. A converter that averages over T s (an HX711, a
+sigma-delta converter) answers with a ramp of length T: what it shows is T/2 old, and a sine at 0.443/T keeps 71 % of
+its swing. A low-pass of first order with time constant tau is late by tau at low frequencies, with a bandwidth of
+1/(2 pi tau). A delay on the way to the computer that is the same for all readings cannot be seen in this way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from hil.errors import Untrustworthy
+
+Array = NDArray[np.float64]
+Shape = Callable[[Array, float], Array]
+
+_CLEAR = 10.0  # times the noise that a step must have
+_FEW = 8  # readings on each side
+
+
+class StepResponse(NamedTuple):
+    """delay and its standard uncertainty, s; bandwidth, Hz; shape: "average" or "low-pass"."""
+
+    delay: float
+    uncertainty: float
+    bandwidth: float
+    shape: str
+
+
+def _ramp(t: Array, length: float) -> Array:
+    return np.clip(t / length, 0.0, 1.0)
+
+
+def _decay(t: Array, tau: float) -> Array:
+    return -np.expm1(-np.maximum(t, 0.0) / tau)
+
+
+_SHAPES: dict[str, tuple[Shape, float, float]] = {
+    "average": (_ramp, 0.5, 0.443),
+    "low-pass": (_decay, 1.0, 1.0 / (2.0 * math.pi)),
+}
+"""The answer to a step at 0, by its length; the delay and the bandwidth for a length of 1 s."""
+
+
+def step_response(time: Array, value: Array) -> StepResponse:
+    """Return the answer of a cell in readings (n,) at times (n,), s, with one step among them.
+
+    Raises Untrustworthy where there is no clear step, or too little before or behind it.
+    """
+    time, step = _normalised(time, value)
+    period = float(np.median(np.diff(time)))
+    middle = float(time[np.argmax(step >= 0.5)])
+    near = np.abs(time - middle) < max(40.0 * period, 0.2)
+    found = {name: _fitted(time[near] - middle, step[near], shape, period) for name, (shape, _, _) in _SHAPES.items()}
+    name = min(found, key=lambda one: found[one][0])
+    squares, length = found[name]
+    _, late, wide = _SHAPES[name]
+    if length < period:  # shorter than readings can show: somewhere between none and a period
+        return StepResponse(0.25 * period, 0.25 * period / math.sqrt(3.0), wide / period, name)
+    unsure = late * length * math.sqrt(squares / np.count_nonzero(near))
+    return StepResponse(late * length, math.hypot(unsure, 0.05 * period), wide / length, name)
+
+
+def _normalised(time: Array, value: Array) -> tuple[Array, Array]:
+    """Return times (n,) and readings that go from 0 to 1."""
+    if len(value) < 2 * _FEW:
+        raise Untrustworthy(f"{len(value)} readings are too few for a step: measure for longer")
+    before, after = float(np.median(value[:_FEW])), float(np.median(value[-_FEW:]))
+    noise = max(float(np.std(value[:_FEW])), float(np.std(value[-_FEW:])))
+    if abs(after - before) <= _CLEAR * noise or after == before:
+        raise Untrustworthy(
+            f"no step is seen: the readings go from {before:.6g} to {after:.6g} with a noise of {noise:.3g}; hang a "
+            "heavier weight, wait until it is still, and take it off at once, as with scissors"
+        )
+    step = (value - before) / (after - before)
+    crossed = int(np.argmax(step >= 0.5))
+    if not _FEW <= crossed <= len(step) - _FEW:
+        raise Untrustworthy("the load came off too early or too late: leave a second before and behind it")
+    return time, step
+
+
+def _fitted(time: Array, step: Array, shape: Shape, period: float) -> tuple[float, float]:
+    """Return the squared error and the length of the best answer of a shape."""
+
+    def error(begin_and_length: Array) -> float:
+        begin, length = float(begin_and_length[0]), math.exp(float(begin_and_length[1]))
+        return float(np.sum((step - shape(time - begin, length)) ** 2))
+
+    lengths = np.geomspace(0.5 * period, float(np.ptp(time)), 12)
+    tried = [
+        minimize(
+            error, [-0.5 * length, math.log(length)], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-12}
+        )
+        for length in lengths
+    ]
+    best = min(tried, key=lambda one: float(one.fun))
+    return float(best.fun), math.exp(float(best.x[1]))
