@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -33,10 +34,13 @@ _RECORDS: Final = (
     sensors.LAG,
 )
 
-TERMS: Final[Mapping[str, Term]] = MappingProxyType({term.name: term for term in _RECORDS})
+_terms: Final = {term.name: term for term in _RECORDS}
+_parameters: Final = {p.name: p for t in _RECORDS for p in t.parameters}
+
+TERMS: Final[Mapping[str, Term]] = MappingProxyType(_terms)
 """Every term by its name, in the order in which a model names them."""
 
-PARAMETERS: Final[Mapping[str, Parameter]] = MappingProxyType({p.name: p for t in _RECORDS for p in t.parameters})
+PARAMETERS: Final[Mapping[str, Parameter]] = MappingProxyType(_parameters)
 """Every parameter by its name."""
 
 CONSIDERED: Final = tuple(
@@ -56,6 +60,22 @@ MEANINGS: Final = "; ".join(f"{term.name}: {term.meaning}" for term in _RECORDS)
 
 class UnknownTerm(ValueError):
     """A model names a term that there is none of; the message lists those there are."""
+
+
+def add(term: Term) -> None:
+    """Add a term of another package: it can be named in a model; model selection does not consider it.
+
+    Raises ValueError where a term or a parameter has its name already.
+    """
+    if TERMS.get(term.name) == (named := replace(term, selection="named")):
+        return
+    names = {parameter.name for parameter in term.parameters}
+    if term.name in TERMS or names.intersection(PARAMETERS):
+        raise ValueError(
+            f"there is a term or a parameter of the name {term.name} or {', '.join(sorted(names))} already"
+        )
+    _terms[term.name] = named
+    _parameters.update({parameter.name: parameter for parameter in term.parameters})
 
 
 def canonical(name: str) -> str:

@@ -304,6 +304,8 @@ def coupling_of(model: str | Coupling) -> Coupling | None:
         return None
     if ".py:" in model:
         return user_model.load(model)
+    if (found := user_model.of_package(model)) is not None:
+        return found
     try:
         return parse(model)
     except ValueError as error:

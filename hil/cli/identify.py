@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from hil.api.analysis import IdentificationResult
     from hil.identification.result import Identification
 
+Verbose = Annotated[
+    bool, typer.Option("--verbose", help="Also show every parameter, model selection, repeatability and K'(f), B'(f).")
+]
+
 
 _DIMENSIONS = {"Kc": ("stiffness",), "Bc": ("damping",)}  # of --bounds; others have units of their own
 
@@ -65,26 +69,18 @@ def identify(
     force: options.Force = False,
     require: Annotated[str, typer.Option(help="Kc, Bc or both: what must be trusted for exit status 0.")] = "both",
     as_json: options.Json = False,
-    verbose: Annotated[
-        bool,
-        typer.Option(
-            "--verbose", help="Also show every parameter, model selection, repeatability and dynamic stiffness."
-        ),
-    ] = False,
+    verbose: Verbose = False,
+    list_models: options.ListModels = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
     from hil.api.analysis import identify as identify_recordings
 
+    del list_models  # is done before anything else is asked for
     required = _required(require)
     common: dict[str, Any] = {"preset": preset, "trials": trials, "seed": seed, "workers": workers, "cluster": cluster}
     common |= {"bounds": dict(_bounds(text) for text in bounds or ()), "fixture": fixture}
-    alone: dict[str, Any] = {
-        "generations": generations,
-        "population": population,
-        "mutation": mutation,
-        "checkpoint": checkpoint,
-    }
-    alone |= {"selection": selection, "weights": weights, "replacement": replacement}
+    alone: dict[str, Any] = {"generations": generations, "population": population, "mutation": mutation}
+    alone |= {"selection": selection, "weights": weights, "replacement": replacement, "checkpoint": checkpoint}
     if each:
         refuse_with_each(alone | {"report": report, "plot": plot})
         identify_each(recordings, model, common, required, as_json=as_json)

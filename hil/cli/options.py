@@ -77,6 +77,22 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite existing files."
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, the rest on standard error.")]
 
 
+def _list_models(wanted: bool) -> None:
+    from hil.cli.terminal import out
+    from hil.identification.user_model import listed
+
+    if wanted:
+        for name, meaning in listed():
+            out(f"{name:10} {meaning}")
+        raise typer.Exit
+
+
+ListModels = Annotated[
+    bool,
+    typer.Option("--list-models", callback=_list_models, is_eager=True, help="List the terms and models, and end."),
+]
+
+
 def stand_of(backend: str | None, path: Path | None) -> str | Path:
     """Return the stand file, or "sim", as --backend or --stand names it. Raises WrongUse."""
     from hil.stand.devices import check_backend

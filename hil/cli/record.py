@@ -98,7 +98,7 @@ def _print_line(run: Run) -> None:
 
 def _list_kinds(*, profiles: bool) -> None:
     from hil.acquisition.excitation import EXCITATIONS
-    from hil.stand.devices import BACKENDS
+    from hil.stand.devices import listed
 
-    for name, kind in (EXCITATIONS if profiles else BACKENDS).items():
-        out(f"{name:10} {kind.explanation}")
+    for name, explanation in ((n, k.explanation) for n, k in EXCITATIONS.items()) if profiles else listed():
+        out(f"{name:10} {explanation}")

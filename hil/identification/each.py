@@ -14,6 +14,7 @@ from hil.identification.fixture import identify_without_fixture
 from hil.identification.identify import Search, identify
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Identification
+from hil.identification.user_model import of_package
 from hil.workers.executor import executor, results
 
 _WORTH = 3.0  # s that one recording must take, for processes to be started for the others
@@ -46,6 +47,8 @@ def identified(task: Task, progress: Progress | None = None) -> Result:
             raise WrongUse(
                 f"a worker of the cluster has no folder {task.folder}: recordings must have the same path there"
             ) from None
+    if task.model is not None:
+        of_package(task.model.name)  # another process has to load the terms of other packages too
     try:
         if task.fixture is None:
             return identify(task.recordings, task.model, task.search, progress)

@@ -20,15 +20,17 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import FunctionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.record import Parameter
-from ga.model.terms import PARAMETERS
+from ga.model.record import Parameter, Term
+from ga.model.terms import PARAMETERS, TERMS, add
 from ga.model.trajectory import Motion
 from hil.errors import WrongUse
+from hil.plugins import MODELS, plugins
 
 Array = NDArray[np.float64]
 
@@ -116,8 +118,44 @@ def _read_only(values: Array) -> Array:
     return view
 
 
+def of_package(name: str) -> UserModel | None:
+    """Return the model of an entry point of group `hil.models`, a function; None where it is none.
+
+    Where entry points name coupling terms (`ga.model.record.Term`) of the model, these are added to the table of terms.
+    Raises WrongUse.
+    """
+    known = plugins(MODELS)
+    found = {word: known[word].load(Term, FunctionType) for word in name.split("+") if word in known}
+    for word, one in found.items():
+        if isinstance(one, Term):
+            try:
+                add(one)
+            except ValueError as error:
+                raise WrongUse(f"--model {name}: {word} of {known[word].package}: {error}") from None
+    whole = found.get(name)
+    return None if whole is None or isinstance(whole, Term) else _of(name, whole)
+
+
+def listed() -> list[tuple[str, str]]:
+    """Return name and meaning of every term and of the models of other packages, these with their package.
+
+    One that cannot be loaded is among them, with the reason.
+    """
+    lines = [(term.name, term.meaning) for term in TERMS.values() if term.name not in plugins(MODELS)]
+    for name, plugin in plugins(MODELS).items():
+        try:
+            found = plugin.load(Term, FunctionType)
+            meaning = found.meaning if isinstance(found, Term) else (found.__doc__ or "a model").strip().splitlines()[0]
+            lines.append((name, f"{meaning} ({plugin.package})"))
+        except WrongUse as error:
+            lines.append((name, f"skipped: {error}"))
+    return lines
+
+
 def load(name: str) -> UserModel:
-    """Return the model of `path/to/model.py:name`. Raises WrongUse for a file or function that is none."""
+    """Return the model of `path/to/model.py:name`, or of an entry point. Raises WrongUse for what is none."""
+    if ".py:" not in name and (found := of_package(name)) is not None:
+        return found
     path, _, function = name.rpartition(":")
     file = Path(path)
     if not file.is_file():

@@ -1,5 +1,7 @@
 """The servos and joint sensors there are: one line each, from which all else follows.
 
+Another package adds a servo with an entry point of group `hil.backends` whose object is a `Device`.
+
 A line names the class of the device's own table in the stand file and its opener, as "module:name", so that a device's
 SDK is loaded only where that device is used. The contract behind a line:
 
@@ -12,7 +14,8 @@ SDK is loaded only where that device is used. The contract behind a line:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import import_module
@@ -21,7 +24,9 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 from drivers.clock import Clock
 from drivers.servo import JointSensor, Quantity, Servo
+from hil import plugins as plugins_of
 from hil.errors import WrongUse
+from hil.plugins import plugins
 
 
 @runtime_checkable
@@ -58,7 +63,36 @@ class Device:
         return _named(self.table)
 
 
-BACKENDS: Mapping[str, Device] = MappingProxyType(
+class _Devices(Mapping[str, Device]):
+    """Our own devices, and those of other packages, which are loaded where one of them is used or all are listed.
+
+    One that cannot be loaded is left out of the list, and `devices[name]` raises WrongUse.
+    """
+
+    def __init__(self, own: Mapping[str, Device], group: str) -> None:
+        self._own, self._group = own, group
+
+    def __getitem__(self, name: str) -> Device:
+        if name in self._own:
+            return self._own[name]
+        found: Device = plugins(self._group)[name].load(Device)
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._own or name in plugins(self._group)
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._own
+        for name in plugins(self._group):
+            with suppress(WrongUse):
+                if name not in self._own and self[name]:
+                    yield name
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+
+BACKENDS: Mapping[str, Device] = _Devices(
     {
         "sim": Device("the simulated servo: no hardware, virtual time", "sim_backend.parameters:SimParameters", ""),
         "dynamixel": Device(
@@ -94,7 +128,8 @@ BACKENDS: Mapping[str, Device] = MappingProxyType(
         "replay": Device(
             "a recording played back: nothing turns", "hil.stand.replay:ReplayConfig", "hil.stand.replay:ReplayServo"
         ),
-    }
+    },
+    plugins_of.BACKENDS,
 )
 """The servos, by the name that `stand.backend` and their table have."""
 
@@ -164,6 +199,22 @@ def open_sensor(name: str, table: Any, clock: Clock) -> JointSensor:
     """Open the joint sensor of kind `name` from its checked table. Raises DriverError."""
     sensor: JointSensor = _named(SENSORS[name].opener)(table, clock=clock)
     return sensor
+
+
+def listed() -> list[tuple[str, str]]:
+    """Return name and explanation of every servo and joint sensor, those of other packages with their package.
+
+    One that cannot be loaded is among them, with the reason.
+    """
+    found = [(name, device.explanation) for name, device in (*BACKENDS.items(), *SENSORS.items())]
+    foreign = plugins(plugins_of.BACKENDS)
+    lines = [(name, f"{text} ({foreign[name].package})" if name in foreign else text) for name, text in found]
+    for name, plugin in foreign.items():
+        try:
+            plugin.load(Device)
+        except WrongUse as error:
+            lines.append((name, f"skipped: {error}"))
+    return lines
 
 
 def _known(what: str, name: str, known: Mapping[str, Device]) -> str:

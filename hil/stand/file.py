@@ -197,12 +197,12 @@ def _parsed(text: str, name: str) -> Stand:
     kind, errors = _sensor_kind(table)
     file: Any = None
     try:
-        file = _file_model(frozenset(table) & frozenset(BACKENDS), kind).model_validate(table)
+        file = _file_model(frozenset(name for name in table if name in BACKENDS), kind).model_validate(table)
     except ValidationError as error:
         errors += [_message(item) for item in error.errors()]
     if errors:
         raise WrongUse(f"{name} has {len(errors)} error(s):\n" + "\n".join(f"  {text}" for text in errors))
-    devices = {backend: getattr(file, backend) for backend in BACKENDS if backend in table}
+    devices = {backend: getattr(file, backend) for backend in table if backend in BACKENDS}
     sensor = None if kind is None else (kind, file.joint_sensor)
     return Stand(file.stand, file.limits, devices, sensor, text, file.calibration)
 
