@@ -66,7 +66,10 @@ def _verify(path: Path, *, as_json: bool) -> None:
 
 
 def import_data(
-    source: Annotated[Path, typer.Argument(help="CSV (or .csv.gz) with a heading line, .parquet or .mat.")],
+    source: Annotated[
+        Path,
+        typer.Argument(help="CSV, .csv.gz, .parquet, .mat, or a ROS 2 bag: .mcap, .db3, folder."),
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="The recording to write.")],
     time: Annotated[str | None, typer.Option(help="Column of the time; none at all for a file of hil export.")] = None,
     torque: Annotated[str | None, typer.Option(help="Column of the torque at the joint.")] = None,
@@ -81,6 +84,8 @@ def import_data(
     torque_scale: Annotated[float, typer.Option(help="Multiply the torque; -1 inverts its sign.")] = 1.0,
     dtheta_scale: Annotated[float, typer.Option(help="Multiply the deflection or the motor position.")] = 1.0,
     dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
+    topic: Annotated[str | None, typer.Option(help="Of a ROS 2 bag or PlotJuggler's CSV: /joint_states.")] = None,
+    joint: Annotated[str | None, typer.Option(help="The joint's name in the joint states.")] = None,
     where: Annotated[list[str] | None, typer.Option(help="Row filter: 'test_nr==100'; repeat for several.")] = None,
     stand: options.StandFile = None,
     force: options.Force = False,
@@ -101,6 +106,8 @@ def import_data(
         | _columns("dtheta", (dtheta_unit, dtheta_scale), dtheta=dtheta, motor_position=motor_position)
         | _columns("dtheta-dot", (dtheta_dot_unit, dtheta_dot_scale), dtheta_dot=dtheta_dot),
         [RowFilter.parse(text) for text in where or ()],
+        topic=topic,
+        joint=joint,
         stand=None if stand is None else load(stand),
         command_line=command_line(),
         force=force,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -12,22 +14,68 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
-from hil.exchange import delimited, headings, matlab
+from hil.exchange import bags, delimited, headings, matlab, plotjuggler
 from hil.exchange.row_filter import RowFilter
 from hil.recording.input import open_input
 
 _LARGEST = 1 << 36  # bytes of a file
-_SHOWN = 40  # names in a message
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
-def titles(source: Path) -> list[str]:
-    """Return the names of a file's columns, in order. Raises WrongUse for a file that cannot be read."""
-    if source.suffix.lower() in _FILES:
-        return _columns(source).names
-    return delimited.titles(source)
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of any format: its headings, and how columns are read by their indices.
+
+    joins_topics: whether its rows have empty cells where another topic was read.
+    """
+
+    source: Path
+    titles: Sequence[str]
+    reader: Callable[[Sequence[int], Sequence[tuple[int, RowFilter]]], tuple[Array, Rows]]
+    joins_topics: bool = False
+
+    def has(self, name: str) -> bool:
+        """Return whether a column has the name, with or without its unit."""
+        return any(name == title or name in headings.names(title) for title in self.titles)
+
+    def place(self, name: str) -> int:
+        """Return the index of the column `name`; "tau" also finds "tau [mN m]". Raises WrongUse."""
+        return place(self.source, self.titles, name)
+
+    def read(self, wanted: Sequence[str], where: Sequence[RowFilter]) -> tuple[Array, Rows]:
+        """Return the columns `wanted`, (columns, n), of the rows that pass every filter, and their row numbers, (n,).
+
+        wanted: names as `place` finds them. Raises WrongUse for an error in the file, with its row, and where no row is
+        left.
+        """
+        table, rows = self.reader(
+            [self.place(name) for name in wanted], [(self.place(one.column), one) for one in where]
+        )
+        if not len(rows):
+            what = "no row passes " + " and ".join(str(one) for one in where) if where else "it has no rows"
+            raise WrongUse(f"{self.source}: {what}")
+        return table, rows
+
+
+def open_table(source: Path, *, topic: str | None = None, joint: str | None = None) -> Table:
+    """Return the table in a file: CSV, Parquet, MATLAB, or a topic of a ROS 2 bag; also a CSV of PlotJuggler.
+
+    topic, joint: of a bag as in `bags.columns`; of a table of PlotJuggler, whose columns they select. Raises WrongUse.
+    """
+    if bags.is_bag(source):
+        found = bags.columns(source, topic, joint)
+        return _whole(source, _Columns(list(found), found.__getitem__))
+    if source.suffix.lower() in _FILES and topic is None and joint is None:
+        return _whole(source, _columns(source))
+    written = delimited.titles(source)
+    titles = plotjuggler.renamed(source, written, topic, joint)
+    return Table(source, titles, partial(delimited.read, source), joins_topics=plotjuggler.TIME in written)
+
+
+def _whole(source: Path, columns: _Columns) -> Table:
+    return Table(source, columns.names, partial(_read_whole, source, columns))
 
 
 def place(source: Path, known: Sequence[str], name: str) -> int:
@@ -40,39 +88,13 @@ def place(source: Path, known: Sequence[str], name: str) -> int:
         return at[0]
     near = get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    raise WrongUse(f"{source} has no column {name!r}; {hint}it has {listed(known)}")
-
-
-def listed(names: Sequence[str]) -> str:
-    """Return names for a message, the first of many."""
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(names[:_SHOWN]) + more
-
-
-def read(source: Path, wanted: Sequence[str], where: Sequence[RowFilter]) -> tuple[Array, Rows]:
-    """Return the columns `wanted`, (columns, n), of the rows that pass every filter, and their row numbers, (n,).
-
-    wanted: names as `place` finds them. Raises WrongUse for an error in the file, with its row, and where no row is
-    left.
-    """
-    known = titles(source)
-    at = [place(source, known, name) for name in wanted]
-    filters = [(place(source, known, one.column), one) for one in where]
-    table, rows = (
-        _read_whole(source, known, at, filters)
-        if source.suffix.lower() in _FILES
-        else delimited.read(source, at, filters)
-    )
-    if not len(rows):
-        what = "no row passes " + " and ".join(str(one) for one in where) if where else "it has no rows"
-        raise WrongUse(f"{source}: {what}")
-    return table, rows
+    raise WrongUse(f"{source} has no column {name!r}; {hint}it has {headings.listed(known)}")
 
 
 def _read_whole(
-    source: Path, known: Sequence[str], wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]
+    source: Path, columns: _Columns, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]
 ) -> tuple[Array, Rows]:
-    columns = _columns(source)
+    known = columns.names
     numbers = {
         at: _numbers(source, known[at], columns.column(known[at])) for at in [*wanted, *(at for at, _ in filters)]
     }

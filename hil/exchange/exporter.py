@@ -9,16 +9,12 @@ from pathlib import Path
 
 from hil.errors import WrongUse
 from hil.exchange.columns import parquet
+from hil.exchange.headings import heading
 from hil.recording.channels import CHANNELS
 from hil.recording.output import atomic_write
 from hil.recording.reader import Recording
 
 _SUFFIXES = (".csv", ".csv.gz", ".parquet")
-
-
-def heading(channel: str) -> str:
-    """Return the heading of a channel's column, such as "torque [N*m]"."""
-    return f"{channel} [{CHANNELS[channel][0]}]"
 
 
 def check_format(target: Path) -> None:

@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from hil import units
 from hil.errors import WrongUse
+from hil.recording.channels import CHANNELS
 
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]|\{([^{}]*)\}|<([^<>]*)>|\(([^()]*(?:\([^()]*\))?)\)")
 _SEPARATED = re.compile(r"\s*/\s*|\s*[,;:]\s+|[\s_]+in[\s_]+|[\s_.:-]+")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+_SHOWN = 40  # names in a message
 _PREFIXES = "mcukn"
 _NAMED = re.compile(r"^(?:time|timestamp|torque|angle|position|velocity)(?=[a-zA-Z])", re.IGNORECASE)
+
+
+def heading(channel: str) -> str:
+    """Return the heading of a channel's column in an export, such as "torque [N*m]"."""
+    return f"{channel} [{CHANNELS[channel].unit}]"
+
+
+def listed(titles: Sequence[str]) -> str:
+    """Return names for a message, the first of many."""
+    more = f" and {len(titles) - _SHOWN} more" if len(titles) > _SHOWN else ""
+    return ", ".join(titles[:_SHOWN]) + more
 
 
 def names(title: str) -> list[str]:

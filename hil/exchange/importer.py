@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from hil import units
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
-from hil.exchange.columns import listed, place, read, titles
-from hil.exchange.exporter import heading
-from hil.exchange.headings import bracketed_text, unit_of
+from hil.exchange.columns import Table, open_table
+from hil.exchange.headings import bracketed_text, heading, listed, unit_of
 from hil.exchange.row_filter import RowFilter
 from hil.recording.channels import CHANNELS
 from hil.recording.writer import Header, write
@@ -73,26 +72,32 @@ def import_table(
     columns: Mapping[str, Column],
     where: Sequence[RowFilter],
     *,
+    topic: str | None = None,
+    joint: str | None = None,
     stand: Stand | None = None,
     command_line: str = "",
     force: bool = False,
 ) -> Imported:
-    """Write the rows of a CSV, .csv.gz, Parquet or .mat file that pass every filter as a recording.
+    """Write the rows of a CSV, .csv.gz, Parquet or .mat file, or of a ROS 2 bag, that pass every filter as a recording.
 
     columns: channel (see DIMENSION) to its column: time, torque or motor_torque, and dtheta or motor_position; motor
-    channels are converted to the joint by the stand's gear. {}: the file is an export of hil. force: replace a
+    channels are converted to the joint by the stand's gear. {}: the file is an export of hil, or a joint state, whose
+    effort is the torque and whose position the deflection. topic, joint: as in `open_table`. force: replace a
     recording of that name. Raises WrongUse, with the row at fault, for a column whose unit nobody states, and for
     readings that the stand's limits rule out.
     """
+    table = open_table(source, topic=topic, joint=joint)
+    columns = _with_joint_state(table, columns)
     if columns:
         _check_channels(columns, stand)
-    known = titles(source)
-    names = {channel: column.name for channel, column in columns.items()} or _own(source, known)
+    names = {channel: column.name for channel, column in columns.items()} or _own(table)
     understood = {
-        channel: _unit(channel, known[place(source, known, column.name)], column) for channel, column in columns.items()
+        channel: _unit(channel, table.titles[table.place(column.name)], column) for channel, column in columns.items()
     }
-    table, rows = read(source, list(names.values()), where)
-    channels = dict(zip(names, table, strict=True))
+    numbers, rows = table.read(list(names.values()), where)
+    if table.joins_topics:
+        numbers, rows = _with_readings(source, numbers, rows)
+    channels = dict(zip(names, numbers, strict=True))
     used = _all_stated(source, channels, columns, understood)
     for channel, unit in used.items():
         channels[channel] = channels[channel] * (columns[channel].scale * units.factor(DIMENSION[channel], unit))
@@ -152,12 +157,36 @@ def _plausible(source: Path, swings: tuple[Swing, Swing], stand: Stand | None) -
     return found
 
 
-def _own(source: Path, known: Sequence[str]) -> dict[str, str]:
-    """Return the headings in a file of `hil export`, by channel."""
-    found = {name: heading(name) for name in CHANNELS if name != "seq"}  # the rows are numbered anew
-    if not set(found.values()) <= set(known):
-        raise WrongUse(f"name the columns of {source} with --time, --torque and --dtheta; it has {listed(known)}")
-    return found
+def _with_joint_state(table: Table, columns: Mapping[str, Column]) -> Mapping[str, Column]:
+    """Return the columns, and those of a joint state for the channels that are not named, where the table holds one."""
+    if not {"time [s]", "position [rad]"} <= set(table.titles):
+        return columns
+    added = {} if "time" in columns else {"time": Column("time")}
+    if not {"torque", "motor_torque"} & set(columns):
+        if not table.has("effort"):
+            raise WrongUse(f"{table.source}: the joint state has no effort; name the torque with --torque")
+        added["torque"] = Column("effort")
+    if not {"dtheta", "motor_position"} & set(columns):
+        added["dtheta"] = Column("position")
+    return {**added, **columns}
+
+
+def _with_readings(source: Path, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Leave out the rows that were not read at this time. Raises WrongUse where none has both torque and deflection."""
+    read = np.isfinite(numbers[1:])
+    if not read.all(axis=0).any():
+        raise WrongUse(f"{source}: no row has both torque and deflection: export them from one topic, or resample them")
+    return numbers[:, read.any(axis=0)], rows[read.any(axis=0)]
+
+
+def _own(table: Table) -> dict[str, str]:
+    """Return the headings in a file of `hil export`, by channel; a .mat file has the channels' bare names."""
+    for found in ({name: heading(name) for name in CHANNELS}, {name: name for name in CHANNELS}):
+        if set(found.values()) <= set(table.titles):
+            return {name: title for name, title in found.items() if name != "seq"}  # the rows are numbered anew
+    raise WrongUse(
+        f"name the columns of {table.source} with --time, --torque and --dtheta; it has {listed(table.titles)}"
+    )
 
 
 def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:

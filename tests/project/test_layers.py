@@ -13,7 +13,8 @@ import pytest
 PACKAGES = ("hil", "ga", "drivers", "sim_backend")
 ALLOWED = {
     "hil": {"hil", "ga", "drivers", "sim_backend", "numpy", "h5py", "rich", "typer", "click", "pydantic", "matplotlib"}
-    | {"scipy", "pyarrow", "jinja2", "markupsafe", "pint", "tomlkit", "threadpoolctl", "distributed"},
+    | {"scipy", "pyarrow", "jinja2", "markupsafe", "pint", "tomlkit", "threadpoolctl", "distributed", "rosbags"}
+    | {"mcap_ros2"},
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},
     "sim_backend": {"sim_backend", "drivers.servo", "drivers.gate", "drivers.clock", "drivers.canbus.multicast"}

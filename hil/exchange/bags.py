@@ -1,0 +1,191 @@
+"""Columns of ROS 2 bags: a rosbag2 folder, an MCAP or a .db3 file; one topic of it, by the library rosbags."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+from hil.exchange.headings import heading, listed
+from hil.recording.channels import CHANNELS
+from hil.recording.input import bounded_memory, open_input
+
+Array = NDArray[np.float64]
+
+SUFFIXES = frozenset({".mcap", ".db3"})
+JOINT_STATE = "sensor_msgs/msg/JointState"
+SAMPLE = "hil_msgs/msg/Sample"
+"""The messages that `hil export` writes: a field a channel."""
+UNITS: Mapping[str, str] = MappingProxyType({"position": "rad", "velocity": "rad/s", "effort": "N*m"})
+"""The units of a rotary joint in a JointState, as its definition states them."""
+
+_LARGEST = 1 << 36  # bytes of a file, which is read message by message
+_MEMORY = 1 << 32  # bytes that reading may take: a damaged file can unpack to any size
+_MOST_NUMBERS = 64  # of one array in a message
+_MOST_FILES = 10_000
+
+
+def is_bag(source: Path) -> bool:
+    """Return whether a path is one of a ROS 2 bag: its folder, or one of its files."""
+    return source.suffix.lower() in SUFFIXES or (source / "metadata.yaml").is_file()
+
+
+def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Array]:
+    """Return the numbers in the messages of a topic by heading, (n,) each, with "time [s]" from the first message.
+
+    topic: None where the bag has one topic of joint states only, or is of `hil export`. joint: None where the joint
+    states have one joint. Raises WrongUse, which lists the topics or the joints of the bag.
+    """
+    rosbags = _rosbags(source)
+    for path in _files(source):
+        open_input(path, largest=_LARGEST).close()
+    try:
+        with bounded_memory(_MEMORY), rosbags.AnyReader([source], default_typestore=rosbags.typestore) as reader:
+            return _read(source, reader, topic, joint)
+    except WrongUse:
+        raise
+    except MemoryError:
+        raise WrongUse(f"{source} unpacks to more than {_MEMORY >> 20} MiB: check that it is not damaged") from None
+    except Exception as error:  # noqa: BLE001 - a damaged bag makes the library raise anything
+        raise WrongUse(f"{source} is damaged, or no ROS 2 bag ({_reason(error)}): record it again") from None
+
+
+class _Library:
+    """What is used of rosbags."""
+
+    def __init__(self) -> None:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+
+        self.AnyReader = AnyReader
+        self.typestore = get_typestore(Stores.LATEST)  # for bags that do not hold the definitions of their messages
+
+
+def _rosbags(source: Path) -> _Library:
+    try:
+        return _Library()
+    except ImportError:
+        raise WrongUse(f"{source}: a ROS 2 bag needs rosbags: pip install 'hil[ros]', or use CSV") from None
+
+
+def _files(source: Path) -> list[Path]:
+    if not source.is_dir():
+        return [source]
+    found = [path for path in source.iterdir() if path.name == "metadata.yaml" or path.suffix in SUFFIXES]
+    if len(found) > _MOST_FILES:
+        raise WrongUse(f"{source} holds {len(found)} files: check the name")
+    return found
+
+
+def _reason(error: Exception) -> str:
+    text = (str(error).splitlines() or [""])[0]
+    return text[:200] if text and not isinstance(error, OSError | KeyError | AssertionError) else "it cannot be parsed"
+
+
+def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> dict[str, Array]:
+    kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+    topic = _topic(source, kinds, topic)
+    messages = _messages(reader, topic)
+    kind = kinds[topic]
+    if kind == JOINT_STATE:
+        return _of_joint(source, topic, messages, joint)
+    if joint is not None:
+        raise WrongUse(f"{source}: {topic} holds {kind}, which has no joints: omit --joint, or name another --topic")
+    found = _of_any(source, topic, messages)
+    if kind == SAMPLE:
+        return {heading(name): values for name, values in found.items() if name in CHANNELS}
+    return found
+
+
+def _topic(source: Path, kinds: Mapping[str, str], topic: str | None) -> str:
+    """Return the topic to read. Raises WrongUse with those that there are."""
+    has = f"it has {listed([f'{name} ({kind})' for name, kind in sorted(kinds.items())])}" if kinds else "it has none"
+    if topic is not None:
+        for name in (topic, f"/{topic}"):
+            if name in kinds:
+                return name
+        near = get_close_matches(topic, kinds, n=1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise WrongUse(f"{source} has no topic {topic}; {hint}{has}")
+    for wanted in (SAMPLE, JOINT_STATE):
+        of_kind = [name for name, kind in kinds.items() if kind == wanted]
+        if len(of_kind) == 1:
+            return of_kind[0]
+    raise WrongUse(f"{source}: name the topic with --topic; {has}")
+
+
+def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
+    """Yield the messages of a topic, each with its time in ns: its own stamp, or when it was received without one."""
+    chosen = [connection for connection in reader.connections if connection.topic == topic]
+    for connection, received, raw in reader.messages(connections=chosen):
+        message = reader.deserialize(raw, connection.msgtype)
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        own = 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+        yield own or received, message
+
+
+def _of_joint(source: Path, topic: str, messages: Iterator[tuple[int, Any]], joint: str | None) -> dict[str, Array]:
+    """Return the columns of one joint. Raises WrongUse with the joints that there are."""
+    kept: dict[str, array[float]] = {name: array("d") for name in UNITS}
+    joints: dict[str, None] = {}
+    stamps = array("q")
+    for stamp, message in messages:
+        joints.update(dict.fromkeys(message.name))
+        wanted = joint if joint is not None else next(iter(joints), None)
+        if wanted not in message.name:
+            continue
+        at = message.name.index(wanted)
+        stamps.append(stamp)
+        for name, values in kept.items():
+            read = getattr(message, name)
+            values.append(float(read[at]) if at < len(read) else math.nan)
+    if (joint is None and len(joints) != 1) or not stamps:
+        asked = "name the joint with --joint" if joint is None else f"{topic} has no joint {joint!r}"
+        raise WrongUse(f"{source}: {asked}; " + (f"it has {listed(list(joints))}" if joints else "it has no messages"))
+    numbers = {name: np.array(values) for name, values in kept.items()}
+    empty = [name for name, values in numbers.items() if not np.isfinite(values).any()]
+    named = {f"{name} [{unit}]": numbers[name] for name, unit in UNITS.items() if name not in empty}
+    return {"time [s]": _seconds(stamps)} | named
+
+
+def _of_any(source: Path, topic: str, messages: Iterator[tuple[int, Any]]) -> dict[str, Array]:
+    """Return every number of the messages by its path in the message, as the first message has them."""
+    stamps = array("q")
+    kept: dict[str, array[float]] = {}
+    for stamp, message in messages:
+        numbers = dict(_numbers("", message))
+        kept = kept if stamps else {name: array("d") for name in numbers}
+        stamps.append(stamp)
+        for name, values in kept.items():
+            values.append(numbers.get(name, math.nan))
+    if not stamps:
+        raise WrongUse(f"{source}: {topic} has no messages")
+    found = {name: np.array(values) for name, values in kept.items()}
+    return found if "time" in found else {"time [s]": _seconds(stamps)} | found
+
+
+def _numbers(path: str, value: Any) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a message, or of a part of it, each with its path: "wrench.torque.z", "data[0]"."""
+    if isinstance(value, bool | int | float | np.number):
+        yield path, float(value)
+    elif isinstance(value, np.ndarray | list) and 0 < len(value) <= _MOST_NUMBERS:
+        for index, item in enumerate(value):
+            yield from _numbers(f"{path}[{index}]", item)
+    else:
+        for name in getattr(value, "__dataclass_fields__", ()):
+            if name not in {"__msgtype__", "header"}:
+                yield from _numbers(f"{path}.{name}" if path else name, getattr(value, name))
+
+
+def _seconds(stamps: Sequence[int]) -> Array:
+    """Return the times since the first, s, from ns that a double could not hold."""
+    times = np.array(stamps, dtype=np.int64)
+    return np.asarray((times - times[0]) * 1e-9, dtype=np.float64)

@@ -1,0 +1,184 @@
+"""ROS 2 bags into recordings: a topic, a joint, and what the bag has where these are not in it."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.errors import WrongUse
+from hil.exchange import bags
+from hil.exchange.importer import Column, Imported, import_table
+from hil.recording.reader import Recording
+
+pytest.importorskip("rosbags", reason="ROS BAGS NOT TESTED: rosbags is missing, pip install '.[test]'")
+
+TIME = np.arange(200) / 100.0
+STATE = ("finger", 0.3 * np.sin(5.0 * TIME), 1.5 * np.cos(5.0 * TIME), 0.006 * np.sin(5.0 * TIME))
+THUMB = ("thumb", 9.0 + 0.0 * TIME, 0.0 * TIME, 7.0 + 0.0 * TIME)
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+
+
+def bag(path: Path, states: Sequence[Any] = (STATE, THUMB), *, storage: str = "sqlite3", stamped: bool = True) -> Path:
+    """Write /joint_states and a /wrench as `ros2 bag record` does, 2 s at 100 Hz."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types: Any = store.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    with Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
+        joint = writer.add_connection("/joint_states", bags.JOINT_STATE, typestore=store)
+        cell = writer.add_connection("/wrench", WRENCH, typestore=store)
+        for index, time in enumerate(TIME):
+            now = 1_700_000_000_000_000_000 + round(time * 1e9)
+            sec, nanosec = divmod(now, 10**9) if stamped else (0, 0)
+            stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+            columns = [np.array([state[part][index] for state in states]) for part in (1, 2, 3)]
+            state = types[bags.JOINT_STATE](header, [one[0] for one in states], *columns)
+            received = now + (1000 if stamped else 0)
+            writer.write(joint, received, store.serialize_cdr(state, bags.JOINT_STATE))
+            wrench = types["geometry_msgs/msg/Wrench"](vector(0.0, 0.0, 0.0), vector(0.0, 0.0, float(time)))
+            writer.write(cell, received, store.serialize_cdr(types[WRENCH](header, wrench), WRENCH))
+    return path
+
+
+def imported(
+    tmp_path: Path, source: Path, topic: str | None = "/joint_states", joint: str | None = "finger"
+) -> Imported:
+    return import_table(source, tmp_path / "a.h5", {}, [], topic=topic, joint=joint, force=True)
+
+
+@pytest.mark.parametrize(("storage", "stamped"), [("sqlite3", True), ("mcap", True), ("mcap", False)])
+def test_a_joint_of_a_bag_becomes_a_recording(tmp_path: Path, storage: str, *, stamped: bool) -> None:
+    folder = bag(tmp_path / "bag", storage=storage, stamped=stamped)
+    for source in (folder, *folder.glob("*.mcap"), *folder.glob("*.db3")):  # the folder, and its one file
+        done = imported(tmp_path, source)
+        assert done.units == {"time": "s", "torque": "N*m", "dtheta": "rad"}
+        with Recording(tmp_path / "a.h5") as recording:
+            np.testing.assert_allclose(recording.channel("time"), TIME, atol=1e-9)
+            np.testing.assert_array_equal(recording.channel("dtheta"), STATE[1])
+            np.testing.assert_array_equal(recording.channel("torque"), STATE[3])
+
+
+def test_another_message_is_read_by_the_paths_of_its_numbers(tmp_path: Path) -> None:
+    source = bag(tmp_path / "bag")
+    columns = {"torque": Column("wrench.torque.z", "N*m"), "dtheta": Column("wrench.torque.z", "rad")}
+    columns["time"] = Column("time")
+    import_table(source, tmp_path / "a.h5", columns, [], topic="/wrench")
+    with Recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_allclose(recording.channel("torque"), TIME)
+    with pytest.raises(WrongUse, match=r"the unit of 'wrench.torque.z' \(0 to 1.99\): give it with --torque-unit"):
+        import_table(source, tmp_path / "b.h5", columns | {"torque": Column("wrench.torque.z")}, [], topic="/wrench")
+
+
+@pytest.mark.parametrize(
+    ("topic", "joint", "said"),
+    [
+        (
+            "/joint_state",
+            "finger",
+            r"no topic /joint_state; did you mean /joint_states\? it has /joint_states",
+        ),
+        ("/joint_states", "fingr", r"has no joint 'fingr'; it has finger, thumb"),
+        ("/joint_states", None, r"name the joint with --joint; it has finger, thumb"),
+        ("/wrench", "finger", r"/wrench holds geometry_msgs/msg/WrenchStamped, which has no joints"),
+        ("/wrench", None, r"name the columns of .* with --time, --torque and --dtheta; it has time \[s\], wrench"),
+    ],
+)
+def test_what_a_bag_does_not_have_is_said_with_what_it_has(
+    tmp_path: Path, topic: str, joint: str | None, said: str
+) -> None:
+    with pytest.raises(WrongUse, match=said):
+        imported(tmp_path, bag(tmp_path / "bag"), topic, joint)
+    assert not (tmp_path / "a.h5").exists()
+
+
+def test_the_only_joint_of_the_only_joint_states_need_not_be_named(tmp_path: Path) -> None:
+    assert imported(tmp_path, bag(tmp_path / "bag", [STATE]), None, None).samples == 200
+
+
+def test_a_joint_state_without_effort_is_refused(tmp_path: Path) -> None:
+    nothing = np.full(200, np.nan)
+    with pytest.raises(WrongUse, match="the joint state has no effort; name the torque with --torque"):
+        imported(tmp_path, bag(tmp_path / "bag", [("finger", STATE[1], STATE[2], nothing)]))
+
+
+@pytest.mark.parametrize("damage", ["cut", "junk", "empty", "bytes"])
+def test_a_damaged_bag_is_one_sentence(tmp_path: Path, damage: str) -> None:
+    [source] = bag(tmp_path / "bag", storage="mcap").glob("*.mcap")
+    data = bytearray(source.read_bytes())
+    if damage == "bytes":
+        data[200:2000:7] = bytes(len(data[200:2000:7]))
+    broken = {"cut": data[: len(data) // 2], "junk": b"junk" * 999, "empty": b"", "bytes": data}[damage]
+    (tmp_path / "b.mcap").write_bytes(bytes(broken))
+    with pytest.raises(WrongUse, match=r"b\.mcap is damaged, or no ROS 2 bag|it has no messages") as refusal:
+        imported(tmp_path, tmp_path / "b.mcap")
+    assert "Errno" not in str(refusal.value)
+
+
+def test_a_bag_that_unpacks_to_more_than_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One chunk of zeros, a thousandth of its size on the disk."""
+    zstandard = pytest.importorskip("zstandard")
+    packed, text = zstandard.compress(bytes(1 << 28), 1), struct.Struct("<I4s")
+    chunk = struct.pack("<QQQI", 0, 0, 1 << 28, 0) + text.pack(4, b"zstd") + struct.pack("<Q", len(packed)) + packed
+    records = [(1, text.pack(4, b"ros2") + struct.pack("<I", 0)), (6, chunk)]
+    body = b"".join(struct.pack("<BQ", code, len(data)) + data for code, data in records)
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + body)
+    monkeypatch.setattr(bags, "_MEMORY", 1 << 27)
+    with pytest.raises(WrongUse, match=r"unpacks to more than 128 MiB|is damaged"):
+        imported(tmp_path, tmp_path / "a.mcap")
+
+
+def test_a_bag_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = bag(tmp_path / "bag")
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(WrongUse, match=r"needs rosbags: pip install 'hil\[ros\]'"):
+        imported(tmp_path, source)
+
+
+# --- PlotJuggler -----------------------------------------------------------------------------------------------------
+
+
+def plotjuggler(tmp_path: Path) -> Path:
+    """Write a table in which every second row is of another topic."""
+    lines = ["__time,/joint_states/finger/position,/joint_states/finger/effort,/joint_states/thumb/position,/battery/v"]
+    for time, position, effort in zip(TIME.tolist(), STATE[1].tolist(), STATE[3].tolist(), strict=True):
+        lines += [f"{1.7e9 + time:.6f},{position!r},{effort!r},1.0,", f"{1.7e9 + time + 0.003:.6f},,,,12.5"]
+    (tmp_path / "pj.csv").write_text("\n".join(lines) + "\n")
+    return tmp_path / "pj.csv"
+
+
+def test_a_joint_of_plotjugglers_table_becomes_a_recording(tmp_path: Path) -> None:
+    assert imported(tmp_path, plotjuggler(tmp_path)).samples == 200
+    with Recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_allclose(recording.channel("time"), TIME, atol=1e-6)
+        np.testing.assert_array_equal(recording.channel("dtheta"), STATE[1])
+
+
+def test_columns_of_plotjugglers_table_need_units_but_for_the_time(tmp_path: Path) -> None:
+    source = plotjuggler(tmp_path)
+    position, effort = "/joint_states/finger/position", "/joint_states/finger/effort"
+    columns = {"time": Column("time"), "torque": Column(effort), "dtheta": Column(position)}
+    with pytest.raises(WrongUse, match="does not say the unit of '/joint_states/finger/effort'"):
+        import_table(source, tmp_path / "a.h5", columns, [])
+    battery = columns | {"torque": Column("/battery/v", "N*m"), "dtheta": Column(position, "rad")}
+    with pytest.raises(WrongUse, match="no row has both torque and deflection"):
+        import_table(source, tmp_path / "a.h5", battery, [])
+
+
+def test_a_joint_that_plotjugglers_table_does_not_have_is_said_with_those_it_has(tmp_path: Path) -> None:
+    with pytest.raises(WrongUse, match="no joint state for /joint_states index; it has /joint_states/finger, /"):
+        imported(tmp_path, plotjuggler(tmp_path), "/joint_states", "index")
+
+
+def test_a_topic_of_another_table_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t [s],q [N*m]\n0,1\n")
+    with pytest.raises(WrongUse, match="is no bag, nor a table of PlotJuggler"):
+        imported(tmp_path, tmp_path / "a.csv")
