@@ -6,6 +6,10 @@ machine. Division follows IEEE 754 and raises nothing.
 numba renews a function's machine code when the function's own file changes, but not when a function or a constant of
 another file does that was compiled into it. So the cache folder's name holds a hash of the contents of all sources
 the machine code can come from: code of a changed, renamed or moved module is never found again.
+
+Several processes share the folder. Each function has a lock in it, so that one process compiles it and the others wait
+and load what it made. A function locks those that it calls while it is locked itself; calls have no cycles, so two
+processes never wait for each other.
 """
 
 from __future__ import annotations
@@ -13,17 +17,27 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import sys
 import tempfile
-from contextlib import contextmanager
-from functools import cache
+import time
+from contextlib import contextmanager, suppress
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar, cast
 
 import numba
+from numba.core import event
+from numba.core.compiler_lock import global_compiler_lock
 from numba.misc import appdirs
+
+from ga import first_run
+
+if sys.platform != "win32":
+    import fcntl
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from typing import IO
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -33,6 +47,8 @@ _numba: Any = numba.config  # set from the environment by name, unseen by a type
 _appdirs: Any = appdirs
 KEPT: Final = 20
 """Folders of machine code kept for each package, the last used first."""
+_POLL: Final = 0.05
+"""s between two looks at whether another process has finished a function."""
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -63,7 +79,58 @@ def _compiled(function: Callable[P, R], **options: bool) -> Callable[P, R]:
     folder = cache_folder(_package(Path(function.__code__.co_filename)))
     every: dict[str, Any] = _OPTIONS | options | {"cache": folder is not None}
     with _numba_caching_in(folder):
-        return cast("Callable[P, R]", numba.njit(**every)(function))
+        dispatcher: Any = numba.njit(**every)(function)
+    if folder is not None:
+        lock = folder / f"{function.__module__}.{function.__qualname__}.lock".replace("<", "").replace(">", "")
+        dispatcher.compile = partial(_compiled_once, dispatcher.compile, lock)
+    return cast("Callable[P, R]", dispatcher)
+
+
+def is_compiled(function: Callable[P, R]) -> bool:
+    """Return whether machine code of a compiled function is in its cache folder; False where nothing is cached."""
+    plain = cast("Any", function).py_func
+    folder = cache_folder(_package(Path(plain.__code__.co_filename)))
+    return folder is not None and any(folder.rglob(f"*.{plain.__name__}-*.nbi"))
+
+
+def _compiled_once(compile_or_load: Callable[..., Any], lock: Path, *signature: Any) -> Any:
+    """Compile or load a function as numba does, while no other process compiles it."""
+    with global_compiler_lock:  # first: a thread that had the file and waited for this one would stop both
+        try:
+            file = lock.open("ab")
+        except OSError:  # the folder was pruned: the function is compiled once more
+            return compile_or_load(*signature)
+        with file:
+            _lock(file)
+            return compile_or_load(*signature)
+
+
+def _lock(file: IO[bytes]) -> None:
+    """Lock a file until it is closed; unlocked where the system cannot."""
+    if sys.platform == "win32":
+        return
+    with suppress(OSError):
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                first_run.announce(compiled=0)
+                time.sleep(_POLL)
+            else:
+                return
+
+
+class _Announced(event.Listener):
+    """Announces each function that is compiled."""
+
+    def on_start(self, _event: Any) -> None:
+        first_run.announce(compiled=0)
+
+    def on_end(self, _event: Any) -> None:
+        first_run.announce(compiled=1)
+
+
+event.register("numba:compile", _Announced())  # type: ignore[no-untyped-call]
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from ga.evolution.generator import State, load, store, uniform
 from ga.evolution.operators import REDRAWS, Genes, Order, clamp, copy, is_inside
 from ga.fitness.cell_tree import Tree
 from ga.fitness.dense import Samples
-from ga.fitness.engine import exact_error
+from ga.fitness.engine import error_of
 from ga.start import Start
 
 ALWAYS, IF_BETTER, OLDEST, RANDOM = range(4)
@@ -118,7 +118,7 @@ def populate(
     else:
         scatter_around(rules, start, population)
     for i in range(population.fitness.size):
-        population.fitness[i] = exact_error(samples, tree, population.genes[i])
+        population.fitness[i] = error_of(samples, tree, population.genes[i], np.inf)
         remember(population, population.genes[i], population.fitness[i])
     population.progress[1] = population.fitness.size
 

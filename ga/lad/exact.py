@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.lad.simplex import OPTIMAL, STALLED, descend, product, weighted_sum
+from ga.lad.simplex import OPTIMAL, STALLED, descend
 from ga.samples import check, resolution
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def least_absolute_deviations(
     best: Optimum | None = None
     for amount in _PERTURBATIONS:
         moved = target + amount * np.random.default_rng(0).uniform(-1.0, 1.0, len(torque)) if amount else target
-        basis = _solve(rows, moved, weighted_sum(rows, start) / len(rows), close=near is not None)
+        basis = _solve(rows, moved, _weighted_sum(rows, start) / len(rows), close=near is not None)
         if basis is None:
             continue
         # the perturbation ends here: the vertex is that of the data as they are
@@ -129,9 +129,9 @@ def _certify(
 
     scale and extent: the largest and the sum of each column's sizes (p,), 1 where it is all zero.
     """
-    needed = -np.linalg.lstsq((columns[basis] / scale).T, weighted_sum(columns, signs) / scale, rcond=None)[0]
+    needed = -np.linalg.lstsq((columns[basis] / scale).T, _weighted_sum(columns, signs) / scale, rcond=None)[0]
     signs[basis] = np.clip(needed, -1.0, 1.0)
-    violation = np.abs(weighted_sum(columns, signs)) / extent
+    violation = np.abs(_weighted_sum(columns, signs)) / extent
     full = len(basis) == columns.shape[1]
     return Optimum(
         genes=genes,
@@ -202,7 +202,7 @@ def _bracketed(
     while True:
         # within `reach` of the centre these rows keep their sign (Cauchy-Schwarz): together they are one linear term
         settled = np.abs(residual) > reach * lengths
-        pull = weighted_sum(rows, np.where(settled, np.sign(residual), 0.0))
+        pull = _weighted_sum(rows, np.where(settled, np.sign(residual), 0.0))
         open_rows = np.flatnonzero(~settled)
         status, found = _descend(rows[open_rows], torque[open_rows], pull, centre)
         if status == STALLED:
@@ -225,15 +225,21 @@ def _is_vertex(basis: NDArray[np.float64]) -> bool:
 
 
 def _times(rows: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    return product(rows, vector[:, None])[:, 0]
+    """Return rows (n, p) times a vector (p,), in one thread.
+
+    For so few columns a linear-algebra library's threads cost more than they bring, and on a busy machine many times
+    more.
+    """
+    return np.asarray(np.einsum("nk,k->n", rows, vector))
+
+
+def _weighted_sum(rows: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sum (p,) of rows (n, p), each times its weight (n,), in one thread."""
+    return np.asarray(np.einsum("nk,n->k", rows, weights))
 
 
 def _descend(
     rows: NDArray[np.float64], torque: NDArray[np.float64], pull: NDArray[np.float64], start: NDArray[np.float64]
 ) -> tuple[int, NDArray[np.int64] | None]:
-    basis = np.empty(rows.shape[1], np.int64)
-    try:
-        status = descend(np.ascontiguousarray(rows), torque, pull, start, basis)
-    except np.linalg.LinAlgError:  # rows so nearly dependent that no inverse could be formed
-        return STALLED, None
+    status, basis = descend(np.ascontiguousarray(rows), torque, pull, start)
     return status, basis if status == OPTIMAL else None

@@ -7,12 +7,12 @@ median of the n places where a residual changes sign (Bloomfield and Steiger 198
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled, compiled_no_refcount
+from ga.compiled import compiled_no_refcount
 
 Vector: TypeAlias = NDArray[np.float64]
 Matrix: TypeAlias = NDArray[np.float64]
@@ -34,90 +34,165 @@ _FLAT: Final = 1e-13
 """A row that changes along the ray by no more than this, where rows are of the order 1, does not change."""
 
 
-@compiled
-def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector, basis: Basis) -> int:
-    """Find the optimal basis (r,), written to `basis`, from the point start (r,).
+class Room(NamedTuple):
+    """Working space of a descent over n rows of r columns: vectors (n,) and (r,), matrices (r, r)."""
 
-    Returns OPTIMAL, STALLED or UNBOUNDED. Raises LinAlgError where rows of a basis are not independent.
+    residual: Vector
+    along: Vector
+    place: Vector
+    weight: Vector
+    row: Basis
+    point: Vector
+    direction: Vector
+    downhill: Vector
+    multiplier: Vector
+    inverse: Matrix
+    met: Matrix
+
+
+def room_for(n: int, r: int) -> Room:
+    """Return working space for n rows of r columns."""
+    residual, along, place, weight = np.empty((4, n))
+    point, direction, downhill, multiplier = np.empty((4, r))
+    return Room(
+        residual=residual,
+        along=along,
+        place=place,
+        weight=weight,
+        row=np.empty(n, np.int64),
+        point=point,
+        direction=direction,
+        downhill=downhill,
+        multiplier=multiplier,
+        inverse=np.empty((r, r)),
+        met=np.zeros((r, r)),
+    )
+
+
+def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector) -> tuple[int, Basis]:
+    """Find the optimal basis (r,) from the point start (r,).
+
+    Returns OPTIMAL, STALLED or UNBOUNDED, and the basis, which is of no use unless it is OPTIMAL.
     """
-    n, r = rows.shape
-    residual, along = np.empty(n), np.empty(n)
-    if not _first_vertex(rows, torque, pull, start, basis):
-        return UNBOUNDED
-    point, direction, downhill, multiplier = np.empty(r), np.empty(r), np.empty(r), np.empty(r)
-    short_steps = 0
+    basis = np.zeros(rows.shape[1], np.int64)
+    return step_down(rows, torque, pull, start, basis, room_for(*rows.shape)), basis
+
+
+@compiled_no_refcount
+def step_down(  # noqa: PLR0917 - compiled functions take their parts by position
+    rows: Matrix, torque: Vector, pull: Vector, start: Vector, basis: Basis, room: Room
+) -> int:
+    """Do what `descend` does: downhill along rays until r rows are met, the first vertex, then from vertex to vertex.
+
+    One loop for both, because what it calls is compiled once more for every place that it is called from.
+    """
+    r, short_steps = basis.size, 0
+    met: int = np.int64(0)  # type: ignore[assignment]  # for a plain 0 what it is passed to is compiled once more
+    for k in range(r):
+        room.point[k] = start[k]
     for _ in range(_MOST):
-        if short_steps >= 4 * r + 8:
-            break
-        inverse: Matrix = np.linalg.inv(rows[basis])  # type: ignore[assignment]  # numba keeps the 64 bits
-        _solve(inverse, torque, basis, point)
-        _residuals(rows, torque, point, residual)
-        for b in basis:
-            residual[b] = np.nan  # neither sign: the row is in the basis
-        _gradient(rows, residual, pull, downhill)
-        _multipliers(inverse, downhill, multiplier)
-        leaving = _steepest(multiplier, inverse)
-        if leaving < 0:
-            return OPTIMAL
-        sign = -1.0 if multiplier[leaving] > 0.0 else 1.0
-        for k in range(r):
-            direction[k] = sign * inverse[k, leaving]
-        _project(rows, direction, along)
-        entering, step = lowest_crossing(residual, along, abs(multiplier[leaving]) - 1.0)
+        if met == r and (short_steps >= 4 * r + 8 or not _to_vertex(rows, torque, basis, room)):
+            return STALLED
+        _residuals(rows, torque, room.point, room.residual)
+        for i in range(met):
+            room.residual[basis[i]] = np.nan  # neither sign: the row is in the basis
+        _gradient(rows, room.residual, pull, room.downhill)
+        leaving, slope = met, 0.0
+        if met < r:
+            slope = _free_direction(room.met, met, room.downhill, room.direction)
+        else:
+            leaving = _leave(room)
+            if leaving < 0:
+                return OPTIMAL
+            slope = abs(room.multiplier[leaving]) - 1.0
+        _project(rows, room.direction, room.along)
+        entering, step = lowest_crossing(room, slope)
         if entering < 0:
             return UNBOUNDED
         basis[leaving] = entering
-        short_steps = short_steps + 1 if step * _length(direction) < 1e-13 * (1.0 + _length(point)) else 0
+        if met < r:
+            _meet(rows, entering, met, step, room)
+            met += 1
+        else:
+            is_short = step * _length(room.direction) < 1e-13 * (1.0 + _length(room.point))
+            short_steps = short_steps + 1 if is_short else 0
     return STALLED
 
 
-@compiled
-def product(rows: Matrix, matrix: Matrix) -> Matrix:
-    """rows (n, p) times matrix (p, r), in one thread: for so few columns a linear-algebra library's threads cost more
-    than they bring, and on a busy machine many times more.
-    """
-    result = np.zeros((rows.shape[0], matrix.shape[1]))
-    for i in range(rows.shape[0]):
-        for k in range(rows.shape[1]):
-            for j in range(matrix.shape[1]):
-                result[i, j] += rows[i, k] * matrix[k, j]
-    return result
-
-
-@compiled
-def weighted_sum(rows: Matrix, weights: Vector) -> Vector:
-    """The sum (p,) of rows (n, p), each times its weight (n,), in one thread."""
-    result = np.zeros(rows.shape[1])
-    for i in range(rows.shape[0]):
-        for k in range(rows.shape[1]):
-            result[k] += weights[i] * rows[i, k]
-    return result
-
-
-@compiled
-def _first_vertex(rows: Matrix, torque: Vector, pull: Vector, start: Vector, basis: Basis) -> bool:
-    """Go downhill from any point, keeping the residual of each row that is met at zero, until r rows make a vertex."""
-    n, r = rows.shape
-    residual, along = np.empty(n), np.empty(n)
-    met, point, direction, downhill = np.zeros((r, r)), np.empty(r), np.empty(r), np.empty(r)
-    for k in range(r):
-        point[k] = start[k]
-    for count in range(r):
-        _residuals(rows, torque, point, residual)
-        for i in range(count):
-            residual[basis[i]] = np.nan
-        _gradient(rows, residual, pull, downhill)
-        slope = _free_direction(met, count, downhill, direction)
-        _project(rows, direction, along)
-        entering, step = lowest_crossing(residual, along, slope)
-        if entering < 0:
-            return False
-        basis[count] = entering
+@compiled_no_refcount
+def _to_vertex(rows: Matrix, torque: Vector, basis: Basis, room: Room) -> bool:
+    """Invert the rows of the basis and go to where they have no residual; False where they are dependent."""
+    r, inverse = basis.size, room.inverse
+    for i in range(r):
         for k in range(r):
-            point[k] += step * direction[k]
-            met[count, k] = rows[entering, k]
-        _orthonormalise(met, count)
+            room.met[i, k] = rows[basis[i], k]
+            inverse[i, k] = 1.0 if i == k else 0.0
+    if not _invert(room.met, inverse):
+        return False
+    for k in range(r):
+        room.point[k] = 0.0
+        for j in range(r):
+            room.point[k] += inverse[k, j] * torque[basis[j]]
     return True
+
+
+@compiled_no_refcount
+def _invert(left: Matrix, inverse: Matrix) -> bool:
+    """Apply to `inverse` what makes `left` the identity (Gauss and Jordan, pivoted); False if it is singular."""
+    r = len(left)
+    for k in range(r):
+        pivot = k
+        for i in range(k + 1, r):
+            if abs(left[i, k]) > abs(left[pivot, k]):
+                pivot = i
+        size = left[pivot, k]
+        if not abs(size) > 0.0:
+            return False
+        for j in range(r):
+            left[pivot, j], left[k, j] = left[k, j], left[pivot, j] / size
+            inverse[pivot, j], inverse[k, j] = inverse[k, j], inverse[pivot, j] / size
+        for i in range(r):
+            part = 0.0 if i == k else left[i, k]
+            for j in range(r):
+                left[i, j] -= part * left[k, j]
+                inverse[i, j] -= part * inverse[k, j]
+    return True
+
+
+@compiled_no_refcount
+def _leave(room: Room) -> int:
+    """Choose the basis row whose edge goes down most steeply, and set the direction along it; -1 where none does.
+
+    Its multiplier makes the subgradient zero; the vertex is optimal where all are within -1 ... 1.
+    """
+    best, steepest, r = -1, 0.0, room.point.size
+    for j in range(r):
+        multiplier = length = 0.0
+        for k in range(r):
+            multiplier -= room.inverse[k, j] * room.downhill[k]
+            length += room.inverse[k, j] ** 2
+        room.multiplier[j] = multiplier
+        excess = abs(multiplier) - 1.0
+        if excess > _SLACK and excess > steepest * np.sqrt(length):
+            best, steepest = j, excess / np.sqrt(length)
+    if best >= 0:
+        sign = -1.0 if room.multiplier[best] > 0.0 else 1.0
+        for k in range(r):
+            room.direction[k] = sign * room.inverse[k, best]
+    return best
+
+
+@compiled_no_refcount
+def _meet(rows: Matrix, entering: int, count: int, step: float, room: Room) -> None:
+    """Go to where the entering row has no residual, and keep it so: its unit normal joins the rows met."""
+    for k in range(room.point.size):
+        room.point[k] += step * room.direction[k]
+        room.met[count, k] = rows[entering, k]
+    normal = room.met[count]
+    _remove(room.met, count, normal)
+    size = _length(normal)
+    for k in range(normal.size):
+        normal[k] /= size
 
 
 @compiled_no_refcount
@@ -161,14 +236,6 @@ def _remove(met: Matrix, count: int, vector: Vector) -> None:
 
 
 @compiled_no_refcount
-def _orthonormalise(met: Matrix, last: int) -> None:
-    _remove(met, last, met[last])
-    size = _length(met[last])
-    for k in range(met.shape[1]):
-        met[last, k] /= size
-
-
-@compiled_no_refcount
 def _length(vector: Vector) -> float:
     total = 0.0
     for k in range(vector.size):
@@ -207,55 +274,22 @@ def _gradient(rows: Matrix, residual: Vector, pull: Vector, downhill: Vector) ->
 
 
 @compiled_no_refcount
-def _multipliers(inverse: Matrix, downhill: Vector, multiplier: Vector) -> None:
-    """Compute the multiplier of each basis row for a zero subgradient; optimal where all are within -1 ... 1."""
-    for j in range(multiplier.size):
-        multiplier[j] = 0.0
-        for k in range(downhill.size):
-            multiplier[j] -= inverse[k, j] * downhill[k]
-
-
-@compiled_no_refcount
-def _steepest(multiplier: Vector, inverse: Matrix) -> int:
-    """The basis row whose edge goes down most steeply, -1 where none does."""
-    best, steepest = -1, 0.0
-    for j in range(multiplier.size):
-        excess = abs(multiplier[j]) - 1.0
-        if excess <= _SLACK:
-            continue
-        slope = excess / _length(inverse[:, j])
-        if slope > steepest:
-            best, steepest = j, slope
-    return best
-
-
-@compiled_no_refcount
-def _solve(inverse: Matrix, torque: Vector, basis: Basis, point: Vector) -> None:
-    for k in range(point.size):
-        point[k] = 0.0
-        for j in range(basis.size):
-            point[k] += inverse[k, j] * torque[basis[j]]
-
-
-@compiled
-def lowest_crossing(residual: Vector, along: Vector, slope: float) -> tuple[int, float]:
+def lowest_crossing(room: Room, slope: float) -> tuple[int, float]:
     """Where on the ray the sum is lowest: the row that changes sign there, and how far it is; (-1, 0) if nowhere.
 
     residual (n,) at the start; along (n,) how fast each falls; slope: how fast the sum falls at the start. The slope
     flattens by 2 |along| at each row's change of sign, so the place is a weighted median: quickselect, O(n).
     """
-    row, place, weight = np.empty(residual.size, np.int64), np.empty(residual.size), np.empty(residual.size)
+    residual, along, row, place, weight = room.residual, room.along, room.row, room.place, room.weight
     count = 0
+    first: int = np.int64(0)  # type: ignore[assignment]  # for a plain 0 `_partition` is compiled once more
     for i in range(residual.size):
         if (residual[i] >= 0.0 and along[i] > _FLAT) or (residual[i] < 0.0 and along[i] < -_FLAT):
             row[count], place[count], weight[count] = i, residual[i] / along[i], abs(along[i])
             count += 1
-    first, last, left = 0, count - 1, 0.5 * slope
+    last, left = count - 1, 0.5 * slope
     while first < last:
-        pivot = _median_of_three(place[first], place[(first + last) // 2], place[last])
-        part = slice(first, last + 1)
-        less, more, below, equal = _partition(row[part], place[part], weight[part], pivot)
-        less, more = first + less, first + more
+        less, more, below, equal = _partition(room, first, last)
         if less > first and below >= left:
             last = less - 1
         elif below + equal >= left or more > last:
@@ -267,35 +301,34 @@ def lowest_crossing(residual: Vector, along: Vector, slope: float) -> tuple[int,
 
 
 @compiled_no_refcount
-def _partition(row: Basis, place: Vector, weight: Vector, pivot: float) -> tuple[int, int, float, float]:
-    """Sort the rows by their place into less than, equal to and more than the pivot.
+def _partition(room: Room, first: int, last: int) -> tuple[int, int, float, float]:
+    """Sort the places from first to last into those less than, equal to and more than the median of three of them.
 
     Returns where the equal ones and where the greater ones begin, and the weights of the lesser and the equal ones.
     """
-    less, more, i = 0, place.size, 0
+    row, place, weight = room.row, room.place, room.weight
+    a, pivot, c = place[first], place[(first + last) // 2], place[last]
+    if (a - pivot) * (c - a) >= 0.0:
+        pivot = a
+    elif (c - pivot) * (a - c) >= 0.0:
+        pivot = c
+    less, more, i = first, last + 1, first
     below = equal = 0.0
     while i < more:
-        if place[i] < pivot:
-            below += weight[i]
-            _swap(row, place, weight, i, less)
-            less += 1
-            i += 1
-        elif place[i] > pivot:
-            more -= 1
-            _swap(row, place, weight, i, more)
-        else:
+        if place[i] == pivot:
             equal += weight[i]
             i += 1
+            continue
+        other = less
+        if place[i] < pivot:
+            below += weight[i]
+            less += 1
+        else:
+            more -= 1
+            other = more
+        row[i], row[other] = row[other], row[i]
+        place[i], place[other] = place[other], place[i]
+        weight[i], weight[other] = weight[other], weight[i]
+        if other < more:
+            i += 1
     return less, more, below, equal
-
-
-@compiled_no_refcount
-def _swap(row: Basis, place: Vector, weight: Vector, i: int, j: int) -> None:
-    row[i], row[j] = row[j], row[i]
-    place[i], place[j] = place[j], place[i]
-    weight[i], weight[j] = weight[j], weight[i]
-
-
-@compiled_no_refcount
-def _median_of_three(a: float, b: float, c: float) -> float:
-    return max(min(a, b), min(max(a, b), c))

@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from ga.first_run import announced_to
 from hil.cli.terminal import printable, say
 
+Show = Callable[[str, float], None]
 _QUIET = 10.0  # s between two lines
 
 
 @contextmanager
-def progress() -> Iterator[Callable[[str, float], None]]:
+def progress() -> Iterator[Show]:
     """Yield a function that shows a phase by name, the share of it that is done, 0 to 1, and the time left.
 
-    On a terminal as a bar that is removed at the end; elsewhere as a line on standard error for every tenth.
+    On a terminal as a bar that is removed at the end; elsewhere as a line on standard error for every tenth. A share
+    that is not known, NaN, is a bar without an end, and a line at once and every ten seconds. What the first run
+    compiles is shown so.
     """
+    with _shown() as show, announced_to(_Compiling(show)):
+        yield show
+
+
+class _Compiling:
+    """Shows how many functions were compiled so far."""
+
+    def __init__(self, show: Show) -> None:
+        self._show, self._count = show, 0
+
+    def __call__(self, compiled: int) -> None:
+        self._count += compiled
+        self._show(f"compiling, first run only ({self._count} functions done)", math.nan)
+
+
+@contextmanager
+def _shown() -> Iterator[Show]:
     if not sys.stderr.isatty():
         yield Lines()
         return
@@ -29,7 +51,12 @@ def progress() -> Iterator[Callable[[str, float], None]]:
 
         def show(what: str, done: float) -> None:
             what = printable(what)
+            if math.isnan(done):
+                bar.tasks[0].total = None
+                bar.update(task, description=what)
+                return
             if what != bar.tasks[0].description or done < bar.tasks[0].completed:
+                bar.tasks[0].total = 1.0
                 bar.reset(task, description=what)  # a new phase has its own time left
             bar.update(task, completed=done)
 
@@ -37,16 +64,26 @@ def progress() -> Iterator[Callable[[str, float], None]]:
 
 
 class Lines:
-    """Prints a line for every tenth that is done, at most one in `_QUIET`. now: a clock, s."""
+    """Prints a line for every tenth that is done, at most one in `_QUIET`. now: a clock, s.
+
+    Of a share that is not known it prints the first at once.
+    """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
         self._what, self._tenths, self._first = "", 0, 0.0
         self._began = self._said = now()
+        self._waited = -math.inf
 
     def __call__(self, what: str, done: float) -> None:
         """Print the progress of the phase `what`, if a line is due."""
-        now, tenths = self._now(), int(10.0 * done)
+        now = self._now()
+        if math.isnan(done):
+            if now - self._waited >= _QUIET:
+                self._waited = now
+                say(what)
+            return
+        tenths = int(10.0 * done)
         if what != self._what or tenths < self._tenths:
             self._what, self._tenths, self._first, self._began = what, tenths, done, now
         if tenths == self._tenths or now - self._said < _QUIET:

@@ -27,6 +27,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.disk_table import Progress
+from hil.identification.first_run import compiled_ahead
 from hil.identification.identifiability import Evidence, estimates, judge, rivals
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
@@ -92,7 +93,7 @@ def identify(
     Ctrl-C during the search ends the search only: its result so far is returned, with the trials marked as interrupted.
     Raises WrongUse, and Untrustworthy where the recordings cannot be used at all; lesser doubts are in the diagnostics.
     """
-    with open_sources(paths) as sources:
+    with compiled_ahead(), open_sources(paths) as sources:
         return identify_sources(sources, model, search, progress)
 
 

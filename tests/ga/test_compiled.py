@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numba
 import pytest
 
 from ga.compiled import KEPT, cache_folder, compiled
+from ga.first_run import announced_to
 
 CONFIG: Any = numba.config
 CALLER = "from ga.compiled import compiled\nfrom joint.{callee} import stiffness\n\n\n@compiled\ndef torque(x):\n    return stiffness() * x\n"  # noqa: E501
@@ -33,12 +35,17 @@ def package(tmp_path: Path) -> Path:
 
 def ask(package: Path, cache: Path) -> tuple[float, bool]:
     """What the compiled caller returns in a new process, and whether its machine code came from the cache."""
+    value, hits = answer(ASK, package, cache).split()
+    return float(value), int(hits) > 0
+
+
+def answer(question: str, package: Path, cache: Path) -> str:
+    """What a new process that finds the package and this cache prints."""
     search = os.pathsep.join([str(package.parent), str(ROOT)])
     env = {**os.environ, "PYTHONPATH": search, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
     env.pop("NUMBA_CACHE_DIR", None)
-    run = subprocess.run([sys.executable, "-c", ASK], capture_output=True, text=True, check=True, env=env)
-    value, hits = run.stdout.split()
-    return float(value), int(hits) > 0
+    run = subprocess.run([sys.executable, "-c", question], capture_output=True, text=True, check=True, env=env)
+    return run.stdout
 
 
 def rewrite(source: Path, text: str) -> None:
@@ -51,6 +58,26 @@ def rewrite(source: Path, text: str) -> None:
 def test_unchanged_sources_find_their_machine_code_again(package: Path, tmp_path: Path) -> None:
     assert ask(package, tmp_path / "cache") == (2.0, False)
     assert ask(package, tmp_path / "cache") == (2.0, True)
+
+
+def test_of_two_processes_that_need_a_function_one_compiles_it(package: Path, tmp_path: Path) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        asked = [pool.submit(ask, package, tmp_path / "cache") for _ in range(2)]
+    assert sorted(answer.result() for answer in asked) == [(2.0, False), (2.0, True)]
+
+
+def test_what_is_compiled_is_announced_when_it_begins_and_when_it_is_done() -> None:
+    heard: list[int] = []
+    with announced_to(heard.append):
+        compiled(lambda x: x + 1.0)(2.0)
+    assert heard == [0, 1]
+
+
+def test_a_function_is_known_to_be_compiled_once_it_was(package: Path, tmp_path: Path) -> None:
+    asking = ASK.replace("print", "from ga.compiled import is_compiled; print(is_compiled(caller.torque)); print")
+    before, _ = answer(asking, package, tmp_path / "cache").splitlines()
+    after, _ = answer(asking, package, tmp_path / "cache").splitlines()
+    assert (before, after) == ("False", "True")
 
 
 def test_a_changed_function_of_another_module_is_compiled_again(package: Path, tmp_path: Path) -> None:

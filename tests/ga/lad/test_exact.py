@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from ga.lad.exact import least_absolute_deviations
-from ga.lad.simplex import lowest_crossing
+from ga.lad.simplex import lowest_crossing, room_for
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -156,7 +156,9 @@ def test_the_lowest_point_of_a_ray_is_found_among_ties(rows: list[tuple[int, int
     crosses = ((residual >= 0.0) & (along > 0.0)) | ((residual < 0.0) & (along < 0.0))
     if falling < 0.0 or not crosses.any():
         return
-    entering, step = lowest_crossing(residual, along, falling)
+    room = room_for(len(residual), 1)
+    room.residual[:], room.along[:] = residual, along
+    entering, step = lowest_crossing(room, falling)
     assert crosses[entering]
     assert step == residual[entering] / along[entering]
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from ga.first_run import announce
 from hil.cli.app import run
-from hil.cli.progress import Lines
+from hil.cli.progress import Lines, progress
 
 from ..conftest import Maker
 
@@ -117,3 +119,15 @@ def test_what_is_quick_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     for percent in range(101):
         lines("searching", percent / 100.0)
     assert capfd.readouterr().err == ""
+
+
+def test_what_the_first_run_compiles_is_said_at_once_and_goes_on(capfd: pytest.CaptureFixture[str]) -> None:
+    with progress():
+        announce(compiled=0)
+        announce(compiled=1)
+    assert capfd.readouterr().err.splitlines() == ["compiling, first run only (0 functions done)"]
+    seconds = iter(range(0, 100, 4))
+    lines = Lines(now=lambda: float(next(seconds)))
+    for count in range(6):
+        lines(f"compiling {count}", math.nan)
+    assert capfd.readouterr().err.splitlines() == ["compiling 0", "compiling 3"]

@@ -1,0 +1,32 @@
+"""Compile the search of the `default` preset ahead of its use: `python -m ga.trials.ahead`, in a process of its own.
+
+Half of what a first run compiles is the search, which comes last. A second process compiles it while the first prepares
+the recording and selects the model; `ga.compiled` keeps the two from compiling the same function.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ga.bounds import Bounds
+from ga.compiled import is_compiled
+from ga.evolution.evolution import PRESETS
+from ga.evolution.generational import generational
+from ga.trials.trials import run_trials
+
+
+def is_worthwhile() -> bool:
+    """Return whether the search is not compiled yet."""
+    return not is_compiled(generational)
+
+
+def compile_search() -> None:
+    """Compile the search, the last to be needed first, by one of three parameters."""
+    angle = np.linspace(0.0, 20.0, 200)
+    columns = np.column_stack([np.sin(angle), np.cos(angle), np.ones_like(angle)])
+    bounds = Bounds(np.full(3, -2.0), np.full(3, 2.0))
+    run_trials(columns, columns @ np.ones(3) + 0.01 * angle, bounds, PRESETS["default"], trials=1, seed=0, workers=1)
+
+
+if __name__ == "__main__":
+    compile_search()

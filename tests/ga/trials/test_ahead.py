@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ga.bounds import bounds_from_data
+from ga.evolution.evolution import PRESETS
+from ga.evolution.generational import generational
+from ga.evolution.population import populate
+from ga.fitness.dense import fill, settle_any
+from ga.start import locate
+from ga.trials.ahead import compile_search, is_worthwhile
+from ga.trials.trials import run_trials
+
+if TYPE_CHECKING:
+    from tests.ga.conftest import Making
+
+KERNELS: tuple[Any, ...] = (generational, populate, settle_any, fill, locate)
+
+
+def signatures() -> set[tuple[str, str]]:
+    return {(one.py_func.__name__, str(signature)) for one in KERNELS for signature in one.signatures}
+
+
+def test_a_search_of_a_recording_needs_nothing_that_was_not_compiled_ahead(made: Making) -> None:
+    compile_search()
+    ahead = signatures()
+    assert {name for name, _ in ahead} == {one.py_func.__name__ for one in KERNELS}
+    data = made([17.75e-3, 0.19e-3, 1e-3, 5e-4], noise=2e-4, count=1000, seed=0)
+    bounds = bounds_from_data(data.columns, data.torque)
+    run_trials(data.columns, data.torque, bounds, PRESETS["default"], trials=2, seed=0, workers=2)
+    assert signatures() == ahead
+
+
+def test_nothing_is_compiled_ahead_a_second_time() -> None:
+    compile_search()
+    assert not is_worthwhile()
