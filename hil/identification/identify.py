@@ -24,10 +24,10 @@ from ga.trials.nonlinear import search_nonlinear
 from ga.trials.trials import Trials, run_trials
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
+from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.disk_table import Progress
-from hil.identification.first_run import compiled_ahead
 from hil.identification.identifiability import Evidence, estimates, judge, rivals
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose

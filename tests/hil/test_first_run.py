@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from hil.identification import first_run
+from hil import first_run
 
 
 def test_the_process_that_compiles_ahead_ends_with_the_identification(monkeypatch: pytest.MonkeyPatch) -> None:
