@@ -51,6 +51,10 @@ class Settings(Generic[Key, Value]):
                 "it is not safe to go on, nothing was armed"
             )
 
+    def changed(self) -> list[tuple[Key, Value]]:
+        """Return the settings that `restore` writes and the values that they had, in its order."""
+        return list(reversed(self._before.items()))
+
     def restore(self) -> None:
         """Restore what `require` changed, the newest first, as far as the device accepts it."""
         while self._before:

@@ -16,10 +16,14 @@ from typing import TYPE_CHECKING, Any
 import can
 import serial
 
+from drivers.canbus.off_path import Encode, datagram, encoded, slcan_text, socketcan_bytes
+from drivers.off_path import OffPath, OwnBus, descriptor_of
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply, link_lost
 from drivers.uart.port import GONE, REMEDIES
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from drivers.clock import Clock
 
 WRITE_TIMEOUT = 0.1
@@ -152,6 +156,8 @@ class CanLink:
 
     def __init__(self, config: BusConfig, clock: Clock, bus: can.BusABC | None = None) -> None:
         self.name = config.name
+        self._config = config
+        self._opened_here = bus is None
         self.error_frames = 0
         self._clock = clock
         self._bus = bus or open_interface(config)
@@ -206,6 +212,25 @@ class CanLink:
                 return out
             out.append(message)
         raise BadReply(f"{self.name} never falls silent: another program or a broken drive keeps talking on it")
+
+    def off_path(self, off: Iterable[can.Message], restore: Iterable[can.Message] = ()) -> OffPath:
+        """Return the path that sends the frames `off`, and `restore` afterwards, on this bus."""
+        config, bus = self._config, self._bus
+        where: dict[str, Any] = {}
+        encode: Encode = slcan_text
+        if self._port is not None:
+            where = {"descriptor": descriptor_of(self._port), "resync": b"\r"}
+        elif not self._opened_here or config.interface == "virtual":
+            pass  # the drive is in this process, and ends with it
+        elif config.interface == "socketcan":
+            encode, where = socketcan_bytes, {"descriptor": descriptor_of(bus)}
+        elif config.interface == "udp_multicast":
+            from drivers.canbus.multicast import PORT
+
+            encode, where = datagram, {"descriptor": descriptor_of(bus), "to": (config.channel, PORT)}
+        else:
+            where = {"bus": OwnBus(config.interface, config.channel, config.bitrate, config.data_bitrate)}
+        return OffPath(encoded(off, encode), encoded(restore, encode), name=self.name, **where)
 
     def close(self) -> None:
         """Close the bus. Harmless when closed, or when the adapter is gone."""

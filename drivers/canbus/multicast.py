@@ -14,6 +14,8 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 if TYPE_CHECKING:
     import can
 
+PORT = 43113
+"""The port of the group: python-can's own."""
 _LIFETIME = 1.0
 """s after which a frame that did not come back is forgotten."""
 
@@ -49,7 +51,7 @@ class MulticastBus(UdpMulticastBus):
 
     def __init__(self, channel: str) -> None:
         self._own = OwnFrames()
-        super().__init__(channel, hop_limit=0, fd=True)  # a hop limit of 1, the default, leaves this machine
+        super().__init__(channel, port=PORT, hop_limit=0, fd=True)  # a hop limit of 1, the default, leaves this machine
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame. Raises can.CanError."""

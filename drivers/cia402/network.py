@@ -116,6 +116,12 @@ class LinkedNetwork(Network):
         """Return the frame that requests an object; `late_replies` returns the reply."""
         return frame(self.node.sdo.rx_cobid, struct.pack("<BHB4x", 0x40, place.object, place.sub))
 
+    def write_request(self, place: ObjectIndex, data: bytes) -> can.Message:
+        """Return the frame that writes up to 4 bytes to an object; nobody waits for the reply."""
+        command = 0x23 | (4 - len(data)) << 2
+        head = struct.pack("<BHB", command, place.object, place.sub)
+        return frame(self.node.sdo.rx_cobid, head + data.ljust(4, b"\0"))
+
     def late_replies(self) -> Iterable[tuple[tuple[int, int], bytes]]:
         """Return the replies to `read_request` so far: index and sub-index, and data."""
         while True:

@@ -278,6 +278,17 @@ class Node:
             self.objects.put(CONTROLWORD, QUICK_STOP, 2)
             raise DriverError(f"the drive reports: {state.value}")
 
+    def off_frames(self) -> list[can.Message]:
+        """Return the frames that disable the voltage, by PDO and by SDO."""
+        word = DISABLE_VOLTAGE.to_bytes(2, "little")
+        return [self.set_point(DISABLE_VOLTAGE, 0), self.network.write_request(CONTROLWORD, word)]
+
+    def restoring(self) -> list[can.Message]:
+        """Return the frames that stop the drive from watching our heartbeat, and those of `restore`."""
+        out = [self.network.write_request(_CONSUMER, bytes(4))] if self._config.watchdog else []
+        out += [self.network.write_request(place, data) for place, data in self.objects.changed()]
+        return [*out, frame(0x000, bytes([RESET_COMMUNICATION, self._config.id]))]
+
     def release(self) -> None:
         """Stop the drive from watching our heartbeat. Raises DriverError."""
         if self._config.watchdog:

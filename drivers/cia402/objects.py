@@ -41,6 +41,10 @@ class Objects:
             if self._network.read(place) != data:
                 raise DriverError(f"the drive does not keep its {what} (object {place}) at {value}: nothing was armed")
 
+    def changed(self) -> list[tuple[ObjectIndex, bytes]]:
+        """Return the objects that `restore` writes and the values that they had, in its order."""
+        return list(reversed(self._before.items()))
+
     def restore(self) -> None:
         """Restore what `require` changed, newest first. Never raises DriverError."""
         with contextlib.suppress(DriverError):

@@ -24,6 +24,8 @@ from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quant
 if TYPE_CHECKING:
     import can
 
+    from drivers.off_path import OffPath
+
 _TRIES = 3
 _EVERY = 16
 """Ticks between two requests for a slowly changing value."""
@@ -119,6 +121,10 @@ class Cia402Servo:
     def close(self) -> None:
         """Switch the torque off, restore the objects, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._node.restore)
+
+    def off_path(self) -> OffPath:
+        """See `drivers.off_path`."""
+        return self._link.off_path(self._node.off_frames(), self._node.restoring())
 
     def _torque_off(self, request: int) -> None:
         self._node.stop(wake=request > 0)

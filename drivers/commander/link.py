@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
+from drivers.off_path import OffPath, descriptor_of, serial_interval
 from drivers.retry import Repeats
 from drivers.servo import BadReply, NoReply, link_lost
 from drivers.uart.lines import TextLines
@@ -84,6 +85,17 @@ class CommanderLink:
         while self._clock.now() < end and last not in lines:
             lines += self._take()
         return lines
+
+    def off_path(self, commands: list[str]) -> OffPath:
+        """Return the path that sends `commands`; a line end first completes a line that was cut off."""
+        off = tuple(f"{command}\n".encode("ascii") for command in commands)
+        return OffPath(
+            off=off,
+            resync=b"\n",
+            descriptor=descriptor_of(self._port),
+            interval=serial_interval(off, self._baudrate),
+            name=self.name,
+        )
 
     def quarantine(self) -> None:
         """Wait until the line is silent before the next request."""

@@ -14,6 +14,7 @@ from drivers.clock import Clock, MonotonicClock
 from drivers.commander.lines import DECIMALS, RESOLUTION, CommanderState, number, same, state, target
 from drivers.commander.link import CommanderLink, shown
 from drivers.gate import Gate
+from drivers.off_path import OffPath
 from drivers.retry import retry
 from drivers.servo import (
     BadReply,
@@ -141,6 +142,10 @@ class CommanderServo:
     def close(self) -> None:
         """Disable the motor and close the port. Never raises; see `Gate.close`."""
         self._gate.close()
+
+    def off_path(self) -> OffPath:
+        """See `drivers.off_path`; nothing is restored, since a run changes nothing that the board keeps."""
+        return self._link.off_path([f"{self._m}E0", f"{self._m}0", f"{self._m}E0"])
 
     def _torque_off(self, _request: int) -> None:
         try:

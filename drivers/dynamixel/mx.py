@@ -43,6 +43,7 @@ class MxSeries:
     eeprom_end = 24
     block = (36, 34)
     off: tuple[str, ...] = ("torque_enable", "goal_torque", "torque_control")
+    zero_after_off: tuple[str, ...] = ("goal_torque", "torque_control")  # the mode in which the servo starts
     velocity_lsb = 0.114 * math.tau / 60.0
 
     def __init__(self, model: DynamixelModel, config: DynamixelConfig, torque_lsb: float) -> None:
@@ -100,11 +101,6 @@ class MxSeries:
         self.state(bus.read(*self.block))  # other angle limits may have changed whether it counts turns
         if not self._torque_mode and self._raw is not None:
             table.put("goal_position", self._raw)
-
-    def rest(self, table: ControlTable) -> None:
-        """Reset the goal torque, and return to the mode in which the servo starts."""
-        table.put("goal_torque", 0)
-        table.put("torque_control", 0)
 
     def goal(self, counts: int, ceiling: int) -> tuple[int, bytes, int]:
         """See `Series`."""

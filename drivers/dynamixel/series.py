@@ -34,6 +34,7 @@ class Series(Protocol):
 
     block: address and size of what a tick reads. velocity_lsb: rad/s. eeprom_end: as in `ControlTable`. off: the
     registers whose zero takes the torque off, in the order in which they are written where no reply comes.
+    zero_after_off: those which would act when the torque is switched on again.
     """
 
     wire: Wire
@@ -42,6 +43,7 @@ class Series(Protocol):
     block: tuple[int, int]
     velocity_lsb: float
     off: tuple[str, ...]
+    zero_after_off: tuple[str, ...]
 
     def identity(self, bus: Bus) -> tuple[int, int]:
         """Return model number and firmware."""
@@ -57,9 +59,6 @@ class Series(Protocol):
 
     def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
         """Write a set-point that causes no step, and the watchdog; the caller then switches the torque on."""
-
-    def rest(self, table: ControlTable) -> None:
-        """After torque-off, reset what would act when the torque is switched on again."""
 
     def goal(self, counts: int, ceiling: int) -> tuple[int, bytes, int]:
         """Return address and bytes of a set-point of `counts` of current or position, and its counts after clamping."""

@@ -17,8 +17,10 @@ from drivers.dynamixel.mx import MxSeries
 from drivers.dynamixel.series import Series
 from drivers.dynamixel.x import XSeries
 from drivers.gate import Admitted, Gate, to_counts
+from drivers.off_path import OffPath
 from drivers.packets.bus import Bus
 from drivers.packets.control_table import ControlTable
+from drivers.packets.off_path import off_path
 from drivers.packets.port import SerialPort
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 from drivers.tick import Freshness, TickClock
@@ -113,6 +115,10 @@ class DynamixelServo:
         """Switch the torque off, restore the EEPROM, and close the port. Never raises; see `Gate.close`."""
         self._gate.close(self._table.settings.restore)
 
+    def off_path(self) -> OffPath:
+        """See `drivers.off_path`."""
+        return off_path(self._port, self._table, self._series.off, self._series.zero_after_off)
+
     def _torque_off(self, _request: int) -> None:
         try:
             self._table.put("torque_enable", 0)
@@ -124,7 +130,8 @@ class DynamixelServo:
                     self._bus.send(self._table.registers[name].address, bytes(self._table.registers[name].size))
             raise
         with contextlib.suppress(DriverError):
-            self._series.rest(self._table)
+            for name in self._series.zero_after_off:
+                self._table.put(name, 0)
 
     def _describe(self, firmware: str, quantity: Quantity) -> ServoInfo:
         stated = self._config.torque_constant is not None

@@ -40,6 +40,7 @@ class XSeries:
     eeprom_end = 64
     block = (120, 27)
     off: tuple[str, ...] = ("torque_enable", "goal_current")
+    zero_after_off: tuple[str, ...] = ("bus_watchdog",)  # it may have tripped
     velocity_lsb = VELOCITY_LSB
 
     def __init__(self, model: DynamixelModel, config: DynamixelConfig, torque_lsb: float) -> None:
@@ -93,10 +94,6 @@ class XSeries:
         table.settings.require("goal_pwm", table.get("pwm_limit"))
         if self._config.watchdog:
             table.settings.require("bus_watchdog", math.ceil(self._config.watchdog / _WATCHDOG_LSB - 1e-9))
-
-    def rest(self, table: ControlTable) -> None:
-        """Clear the watchdog, which may have tripped."""
-        table.put("bus_watchdog", 0)
 
     def goal(self, counts: int, ceiling: int) -> tuple[int, bytes, int]:
         """See `Series`."""

@@ -17,8 +17,10 @@ from drivers.feetech.faults import ALERTS, reported, restarted
 from drivers.feetech.identity import identify
 from drivers.feetech.models import CURRENT_LSB, FeetechModel, models, registers
 from drivers.gate import Admitted, Gate, to_counts
+from drivers.off_path import OffPath
 from drivers.packets.bus import Bus
 from drivers.packets.control_table import ControlTable
+from drivers.packets.off_path import off_path
 from drivers.packets.port import SerialPort
 from drivers.packets.wire import Wire1
 from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo, Status
@@ -123,14 +125,22 @@ class FeetechServo:
         if not self._gate.live:
             self._table.settings.restore()
 
+    def off_path(self) -> OffPath:
+        """See `drivers.off_path`. The torque limit stays zero until the servo is powered up or armed again."""
+        return off_path(self._port, self._table, self._off, kept=("torque_limit", "goal_torque"))
+
+    @property
+    def _off(self) -> list[str]:
+        """The registers that are zero when the torque is off."""
+        return [name for name in ("torque_enable", "torque_limit", "goal_torque") if name in self._registers]
+
     def _torque_off(self, _request: int) -> None:
         try:
             self._switch(on=False)
         except DriverError:
             with contextlib.suppress(DriverError):  # a servo that cannot reply may still receive
-                for name in ("torque_enable", "torque_limit", "goal_torque"):
-                    if name in self._registers:
-                        self._bus.send(self._registers[name].address, bytes(self._registers[name].size))
+                for name in self._off:
+                    self._bus.send(self._registers[name].address, bytes(self._registers[name].size))
             raise
 
     def _switch(self, *, on: bool) -> None:

@@ -84,6 +84,15 @@ class MitMotor:
         """Leave motor mode at once, without waiting for the reply."""
         self.requests.send_now([frame(self._config.id, LEAVE)], ["state"])
 
+    def off_frames(self) -> list[can.Message]:
+        """Return the frames of zero torque and of leaving motor mode."""
+        zero = self.codec.command(self.codec.torque_counts(0.0))
+        return [frame(self._config.id, zero), frame(self._config.id, LEAVE)]
+
+    def restoring(self) -> list[can.Message]:
+        """Return the frames that restore the registers that `require` changed."""
+        return [frame(REGISTERS_ID, self._written(name, value)) for name, value in self._settings.changed()]
+
     def identify(self) -> str:
         """Switch the torque off, and check that the motor is alone and the one of the stand file.
 
@@ -127,8 +136,10 @@ class MitMotor:
         self._settings.restore()
 
     def _put(self, name: str, value: float) -> None:
-        number = registers()[name].number
-        self._ask_register(self._registers_head(WRITE) + bytes([number]) + self._encoded(name, value), number)
+        self._ask_register(self._written(name, value), registers()[name].number)
+
+    def _written(self, name: str, value: float) -> bytes:
+        return self._registers_head(WRITE) + bytes([registers()[name].number]) + self._encoded(name, value)
 
     def _encoded(self, name: str, value: float) -> bytes:
         layout = registers()[name].layout

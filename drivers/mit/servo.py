@@ -20,6 +20,8 @@ from drivers.servo import Command, DriverError, Limits, Quantity, Sample, ServoI
 if TYPE_CHECKING:
     import can
 
+    from drivers.off_path import OffPath
+
 _QUANTITIES = frozenset({Quantity.TORQUE})
 _TIMEOUT_LSB = 50e-6
 _COOLEST_LIMIT = 80.0
@@ -107,6 +109,10 @@ class MitServo:
     def close(self) -> None:
         """Switch the torque off, restore the registers, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._motor.restore)
+
+    def off_path(self) -> OffPath:
+        """See `drivers.off_path`."""
+        return self._link.off_path(self._motor.off_frames(), self._motor.restoring())
 
     def _torque_off(self, _request: int) -> None:
         self._motor.send_leave()  # before `leave`, which waits for replies that are still due

@@ -51,7 +51,15 @@ class Controller:
 
     def send(self, *subframes: bytes) -> None:
         """Send subframes without waiting for a reply."""
-        self.requests.send([self._frame(*subframes, asking=False)])
+        self.requests.send([self.unanswered(*subframes)])
+
+    def unanswered(self, *subframes: bytes) -> can.Message:
+        """Return the frame of subframes that has no reply."""
+        return self._frame(*subframes, asking=False)
+
+    def restoring(self) -> list[can.Message]:
+        """Return the frames that restore the settings that were changed."""
+        return [self._line(_setting(name, value)) for name, value in self.settings.changed()]
 
     def identify(self) -> dict[str, float]:
         """Return model, firmware, register map and serial number.
@@ -75,10 +83,10 @@ class Controller:
             raise DriverError(f"the moteus replies {text!r} to a request for {name}: update its firmware") from None
 
     def _set(self, name: str, value: float) -> None:
-        text = f"{value:.0f}" if value == int(value if math.isfinite(value) else 0) else f"{value:.9g}"
-        answer = self._console(f"conf set {name} {text}")
+        line = _setting(name, value)
+        answer = self._console(line)
         if answer != "OK":
-            raise DriverError(f"the moteus replies {answer!r} to {name} = {text}: the setting was refused")
+            raise DriverError(f"the moteus replies {answer!r} to {line}: the setting was refused")
 
     def _console(self, line: str) -> str:
         """Send a line and return the first line of the reply.
@@ -88,10 +96,13 @@ class Controller:
 
         def converse() -> str:
             self._drain()
-            self.requests.send([self._frame(console_write(line.encode("ascii") + b"\n"), asking=False)])
+            self.requests.send([self._line(line)])
             return self._first_line()
 
         return retry(converse)
+
+    def _line(self, line: str) -> can.Message:
+        return self.unanswered(console_write(line.encode("ascii") + b"\n"))
 
     def _drain(self) -> None:
         """Discard what the console still sends."""
@@ -129,6 +140,12 @@ class Controller:
             f"{self._config.data_bitrate} bit/s: check its power, the wiring and its termination, the id, and that the "
             "adapter carries CAN FD with bit rate switching"
         )
+
+
+def _setting(name: str, value: float) -> str:
+    """Return the line that sets a number of the configuration."""
+    text = f"{value:.0f}" if value == int(value if math.isfinite(value) else 0) else f"{value:.9g}"
+    return f"conf set {name} {text}"
 
 
 def _same(a: float, b: float) -> bool:

@@ -37,6 +37,8 @@ from drivers.tick import WRAP, Freshness, TickClock
 if TYPE_CHECKING:
     import can
 
+    from drivers.off_path import OffPath
+
 _TRIES = 3
 _PREPARATION = 20
 """Commands until a controller that is preparing must run."""
@@ -131,6 +133,10 @@ class MoteusServo:
     def close(self) -> None:
         """Stop, restore the configuration, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._controller.settings.restore)
+
+    def off_path(self) -> OffPath:
+        """See `drivers.off_path`."""
+        return self._link.off_path([self._controller.unanswered(_STOP)], self._controller.restoring())
 
     def _torque_off(self, _request: int) -> None:
         self._controller.send(_STOP)  # before `_stop`, which waits for replies that are still due

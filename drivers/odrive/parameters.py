@@ -18,6 +18,8 @@ from drivers.servo import BadReply, DriverError
 from drivers.settings import Settings
 
 if TYPE_CHECKING:
+    import can
+
     from drivers.canbus.requests import Requests
 
 _READ, _WRITE = 0, 1
@@ -83,9 +85,17 @@ class Parameters:
         """Restore what `require` changed, as far as the drive accepts it."""
         self._settings.restore()
 
-    def _put(self, name: str, value: float) -> None:
+    def restoring(self) -> list[can.Message]:
+        """Return the frames that restore what `require` changed."""
+        return [self._write(name, value) for name, value in self._settings.changed()]
+
+    def _write(self, name: str, value: float) -> can.Message:
         number, layout = self._endpoint(name)
-        self._requests.send([self._codec.put("rx_sdo", _WRITE, number, 0, _packed(layout, value).ljust(4, b"\0"))])
+        message: can.Message = self._codec.put("rx_sdo", _WRITE, number, 0, _packed(layout, value).ljust(4, b"\0"))
+        return message
+
+    def _put(self, name: str, value: float) -> None:
+        self._requests.send([self._write(name, value)])
         self._requests.wait_until(_ANSWER_TO_WRITE, lambda: False)
 
     def _endpoint(self, name: str) -> tuple[int, str]:

@@ -32,6 +32,8 @@ from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Samp
 if TYPE_CHECKING:
     import can
 
+    from drivers.off_path import OffPath
+
 _STATE_CHANGE = 0.35
 """s until a heartbeat must report a change of state."""
 _TRIES = 3
@@ -133,9 +135,15 @@ class OdriveServo:
         """Set idle, restore the parameters, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._parameters.restore if self._parameters else None)
 
+    def off_path(self) -> OffPath:
+        """See `drivers.off_path`."""
+        return self._link.off_path(self._off(), self._parameters.restoring() if self._parameters else ())
+
+    def _off(self) -> list[can.Message]:
+        return [self._axis.codec.put("set_torque", 0.0), self._axis.codec.put("set_state", IDLE)]
+
     def _torque_off(self, _request: int) -> None:
-        codec = self._axis.codec
-        self._axis.requests.send([codec.put("set_torque", 0.0), codec.put("set_state", IDLE)])
+        self._axis.requests.send(self._off())
         self._axis.requests.process()
         if not self._axis.requests.wait_until(_STATE_CHANGE, partial(self._idle_since, self._axis.beats)):
             raise DriverError("no heartbeat reports idle")

@@ -72,20 +72,21 @@ class Bus:
 
     def send(self, address: int, data: bytes) -> None:
         """Write without waiting: neither for a reply nor for a silent line."""
-        self._put(self._unanswered(address, data))
+        self._put(self.unanswered(address, data))
 
     def write_and_read(self, address: int, data: bytes, start: int, size: int) -> bytes:
         """Write `data` to `address` and read `size` bytes from `start` on, in one round trip.
 
         The two packets are sent together. The first is a Sync Write, which has no reply.
         """
-        return self._ask(self._unanswered(address, data) + self._read_frame(start, size), size, "reading the state")
+        return self._ask(self.unanswered(address, data) + self._read_frame(start, size), size, "reading the state")
 
     def quarantine(self) -> None:
         """Wait until the line is silent before the next request."""
         self._quarantined = True
 
-    def _unanswered(self, address: int, data: bytes) -> bytes:
+    def unanswered(self, address: int, data: bytes) -> bytes:
+        """Return the packet that writes `data` to `address` and has no reply."""
         head = self._wire.place(address, len(data))
         return self._wire.frame(BROADCAST, SYNC_WRITE, head + bytes([self._id]) + data)
 

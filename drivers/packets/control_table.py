@@ -49,6 +49,11 @@ class ControlTable:
         register = self.registers[name]
         return register.decoded(self._bus.read(register.address, register.size))
 
+    def unanswered(self, name: str, value: int) -> bytes:
+        """Return the packet that writes a register and has no reply."""
+        register = self.registers[name]
+        return self._bus.unanswered(register.address, register.encoded(value))
+
     def put(self, name: str, value: int) -> None:
         """Write a register."""
         register = self.registers[name]

@@ -27,6 +27,11 @@ _STALE_FLAG = int(Status.STALE)
 _LATE_RAMP, _LATE_OFF = 0.01, 0.05  # s by which a tick may be late before the run is ramped down, is ended at once
 
 
+def longest_silence() -> float:
+    """Return the s without a set-point after which the guardian acts: just before a late tick would end the run."""
+    return 0.9 * _LATE_OFF
+
+
 class Guard:
     """The check of every sample of a run against the limits.
 

@@ -10,11 +10,13 @@ from pathlib import Path
 from drivers.clock import MonotonicClock
 from drivers.servo import Servo
 from hil.acquisition.excitation import Profile
+from hil.acquisition.guard import longest_silence
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.live_view import beside
 from hil.acquisition.phases import Phase
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
 from hil.errors import WrongUse
+from hil.guardian.servo import Watch
 from hil.recording.background import BackgroundWriter
 from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, part_path, remove_unfinished
 from hil.recording.writer import Header, RecordingWriter
@@ -23,6 +25,7 @@ from hil.stand.file import Stand
 from hil.stand.opening import open_servo
 
 _FOLDER = Path("recordings")
+_OVERTIME = 2.0  # s beyond the profile for which the torque may be on
 _HELD_BACK = 0.02  # s of rows that a killed process may lose
 _HAS_SHARED_MEMORY = sys.platform != "win32"
 
@@ -40,12 +43,14 @@ def run(
     command_line: str = "",
     output: Path | None = None,
     force: bool = False,
+    guardian: bool = True,
     alarm: Callable[[str], object] | None = None,
 ) -> tuple[Path, Outcome]:
     """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
 
     Return the path of the recording and the outcome of the run. The servo is closed and its torque off in any case.
-    force: replace a recording of that name, finished or not. seed: of the simulator. alarm: is called with a sentence,
+    force: replace a recording of that name, finished or not. guardian: whether another process switches the torque off
+    where this one is killed, frozen or late. seed: of the simulator. alarm: is called with a sentence,
     once every row is with the operating system and before the file is made final, where the torque may still be on.
     Raises WrongUse before anything moves, DriverError where the servo cannot be opened.
     """
@@ -57,7 +62,8 @@ def run(
         if not force:
             check_unfinished(output)
     with StopRequest().listening() as stop:
-        servo, truth = open_servo(stand, quantity=profile.mode, seed=seed, realtime=realtime)
+        watch = Watch(longest_silence(), profile.duration + _OVERTIME) if guardian else None
+        servo, truth = open_servo(stand, quantity=profile.mode, seed=seed, realtime=realtime, watch=watch)
         outcome = Outcome()
         try:
             header = Header(

@@ -16,6 +16,7 @@ from hil.acquisition.excitation import Profile, make
 from hil.acquisition.recorder import Outcome
 from hil.diagnostics import Diagnostic, driven_by_position, lateness
 from hil.errors import WrongUse
+from hil.guardian.handle import available
 from hil.stand.devices import restrictions
 from hil.stand.file import SIMULATED, Stand, parse
 from hil.stand.file import load as load_stand
@@ -26,6 +27,12 @@ if TYPE_CHECKING:
 DEFAULT_RATE = 500.0
 """Hz."""
 
+_WITHOUT_HARDWARE = frozenset({"sim", "replay"})
+_UNGUARDED = Diagnostic(
+    "no-guardian",
+    "there is no guardian: where hil is killed, frozen or late, only the drive's own watchdog switches the torque off, "
+    "and nothing restores the settings of the drive; leave out --no-guardian (Windows has no guardian)",
+)
 _FAST_MODE = 1e6  # rad/s; above this a simulated second takes about as long as a real one
 
 AnyStand = str | os.PathLike[str] | Stand
@@ -89,6 +96,7 @@ def record(
     note: str = "",
     output: str | os.PathLike[str] | None = None,
     force: bool = False,
+    guardian: bool = True,
     command_line: str = "",
     warn: Callable[[Sequence[Diagnostic]], object] | None = None,
     alarm: Callable[[str], object] | None = None,
@@ -98,9 +106,11 @@ def record(
 
     amplitude: N m or rad at the joint (None: a fifth of the stand's limit). band: Hz. duration: s. rate: Hz. fade: s.
     setpoints: the CSV of profile "file". seed: of everything random. realtime: simulate in wall time. output: the
-    recording (None: the next free recordings/runN.h5); force: replace it. command_line: kept in the recording.
-    warn: is called with the warnings that are known before anything moves. alarm: is called with a sentence at once
-    where the torque may still be on. ended: is called with the run before a fault that ended it is raised.
+    recording (None: the next free recordings/runN.h5); force: replace it. guardian: whether a process of its own
+    switches the torque of a real drive off where this one is killed, frozen or late (docs/reliability.md).
+    command_line: kept in the recording. warn: is called with the warnings that are known before anything moves. alarm:
+    is called with a sentence at once where the torque may still be on. ended: is called with the run before a fault
+    that ended it is raised.
 
     The torque is off on return. Ctrl-C ramps it to zero and keeps the rows: `outcome.signal` is set. Raises WrongUse
     before anything moves; DriverError where the drive fails; `hil.acquisition.limits.LimitReached` where a safety limit
@@ -110,7 +120,7 @@ def record(
     size = (amplitude, band, duration)
     made = excitation(opened, profile, quantity_of(mode), size, rate=rate, setpoints=setpoints, fade=fade, seed=seed)
     _check_amplitude(opened, made)
-    foreseen = _foreseen(opened, made)
+    foreseen = _foreseen(opened, made, guardian=guardian)
     if foreseen and warn is not None:
         warn(foreseen)
     path, outcome = acquisition.run(
@@ -123,15 +133,20 @@ def record(
         command_line=command_line,
         output=None if output is None else Path(output),
         force=force,
+        guardian=guardian,
         alarm=alarm,
     )
     moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
-    run = Run(path, outcome, (*foreseen, *moved, *lateness(outcome.late, outcome.samples)))
+    return _reported(Run(path, outcome, (*foreseen, *moved, *lateness(outcome.late, outcome.samples))), ended)
+
+
+def _reported(run: Run, ended: Callable[[Run], object] | None) -> Run:
+    """Return a run that `ended` was called with. Raises the fault that ended it."""
     try:
         if ended is not None:
             ended(run)
     finally:
-        _raise_fault(outcome)
+        _raise_fault(run.outcome)
     return run
 
 
@@ -246,7 +261,7 @@ def _check_amplitude(stand: Stand, profile: Profile) -> None:
         )
 
 
-def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
+def _foreseen(stand: Stand, profile: Profile, *, guardian: bool) -> list[Diagnostic]:
     """Return the warnings that are known before anything moves."""
     found = []
     if stand.stand.torque_source == "motor" and profile.mode is Quantity.POSITION:
@@ -254,6 +269,8 @@ def _foreseen(stand: Stand, profile: Profile) -> list[Diagnostic]:
     found += stand.calibration_diagnostics(datetime.now(UTC))
     table = stand.devices.get(str(stand.stand.backend))
     found += [Diagnostic("restricted-drive", text) for text in restrictions(table, stand.stand.torque_source)]
+    if stand.stand.backend not in _WITHOUT_HARDWARE and not (guardian and available()):
+        found.append(_UNGUARDED)
     if stand.stand.backend != "sim":
         return found
     from sim_backend.plant import constants, fastest_rate

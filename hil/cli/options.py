@@ -74,6 +74,14 @@ Checkpoint = Annotated[Path | None, typer.Option(help="Save the search to this f
 Output = Annotated[Path | None, typer.Option("-o", "--output", help="The file to write.")]
 Folder = Annotated[Path, typer.Option("-o", "--output", help="The folder to write into.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
+NoGuardian = Annotated[
+    bool,
+    typer.Option(
+        "--no-guardian",
+        help="Go without the process that switches the torque off where hil is killed, frozen or late: then only the "
+        "drive's own watchdog does.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, the rest on standard error.")]
 
 

@@ -22,11 +22,13 @@ from hil.doctor.jog import Jog, run_jog
 from hil.doctor.link_test import check_link, check_readings, reachable
 from hil.doctor.stop_path import check_stop, check_watchdog
 from hil.errors import WrongUse
+from hil.guardian.servo import Watch
 from hil.stand.devices import check_backend, found_by_search, restrictions
 from hil.stand.file import Stand
 from hil.stand.opening import open_servo, require_watchdog
 from hil.stand.transmission import Transmission
 
+_WATCH = Watch(silence=0.25, longest=60.0)  # the torque is small here, and a slow computer is to be examined too
 _SMALL = 1.0 / 20.0  # of a limit
 
 
@@ -92,7 +94,7 @@ def _check_real_time(checks: CheckList) -> None:
 def _connected(checks: CheckList, stand: Stand, mode: Quantity) -> Iterator[Servo | None]:
     """Yield the servo, or None where it cannot be opened. Its torque is off and its link closed afterwards."""
     try:
-        servo, _ = open_servo(stand, quantity=mode)
+        servo, _ = open_servo(stand, quantity=mode, watch=_WATCH)
     except DriverError as error:
         checks.failed("connection", f"{error}{_searched(stand, error)}")
         yield None

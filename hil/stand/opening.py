@@ -10,18 +10,25 @@ from pydantic import TypeAdapter, ValidationError
 from drivers.clock import MonotonicClock
 from drivers.servo import Quantity, Servo, ServoInfo
 from hil.errors import WrongUse
+from hil.guardian.servo import Watch, guarded
 from hil.stand.devices import BACKENDS, check_backend, open_backend, open_sensor
 from hil.stand.file import Stand
 from hil.stand.servo import StandServo
 
 
 def open_servo(
-    stand: Stand, *, quantity: Quantity = Quantity.TORQUE, seed: int = 0, realtime: bool = False
+    stand: Stand,
+    *,
+    quantity: Quantity = Quantity.TORQUE,
+    seed: int = 0,
+    realtime: bool = False,
+    watch: Watch | None = None,
 ) -> tuple[Servo, Mapping[str, float]]:
     """Open the stand's servo, which the caller closes. Return it and the truth of a simulated one ({} otherwise).
 
     The stand's joint sensor and its zero are part of it. quantity: of the set-points, which selects a drive's mode.
-    seed: of everything random in a simulated servo. realtime: simulate in wall time. Raises WrongUse, DriverError.
+    seed: of everything random in a simulated servo. realtime: simulate in wall time. watch: when a guardian
+    switches the torque off in this process's place; None: without one. Raises WrongUse, DriverError.
     """
     name = check_backend(stand.stand.backend)
     truth: Mapping[str, float] = {}
@@ -34,6 +41,7 @@ def open_servo(
         servo, truth = cast("Servo", simulated), simulated.truth()
     else:
         servo = open_backend(name, _table_of(stand, name), quantity)
+        servo = servo if watch is None else guarded(servo, watch)
     if stand.sensor is None and not stand.stand.zero:
         return servo, truth
     try:

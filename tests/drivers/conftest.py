@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import serial
 
+from drivers.canbus.off_path import from_slcan_text
 from drivers.cia402.config import Cia402Config
 from drivers.cia402.servo import Cia402Servo
 from drivers.clock import VirtualClock
@@ -377,6 +378,8 @@ class Wired:
     """A servo in virtual time, and what an observer of its wire sees.
 
     sent: bytes or frames that have left so far. live: whether current can flow. reopen: open the device anew.
+    device: the emulated drive. put: sends a packet of an `OffPath`, as another process on the same link does. wait:
+    lets s pass.
     """
 
     servo: Servo
@@ -385,15 +388,26 @@ class Wired:
     live: Callable[[], bool]
     unplug: Callable[[bool], None]
     reopen: Callable[[], Servo]
+    device: Any
+    put: Callable[[bytes], object]
+    wait: Callable[[float], None]
 
 
-def wired_can(rig: CanRig, limits: Limits) -> Wired:
+def wired_can(rig: CanRig, limits: Limits, **changes: Any) -> Wired:
     def unplug(gone: bool) -> None:
         rig.bus.unplugged = gone
 
-    servo = rig.open()
+    servo = rig.open(**changes)
     return Wired(
-        servo, limits, lambda: len(rig.wire.sent), lambda: bool(rig.device.motor.enabled), unplug, reopen=rig.open
+        servo,
+        limits,
+        lambda: len(rig.wire.sent),
+        lambda: bool(rig.device.motor.enabled),
+        unplug,
+        reopen=rig.open,
+        device=rig.device,
+        put=lambda packet: rig.wire.send(from_slcan_text(packet)),
+        wait=rig.wait,
     )
 
 
@@ -402,7 +416,15 @@ def wired_packets(rig: Rig, limits: Limits) -> Wired:
         rig.bus.unplugged = gone
 
     return Wired(
-        rig.open(), limits, lambda: len(rig.port.sent), lambda: bool(rig.device.motor.enabled), unplug, reopen=rig.open
+        rig.open(),
+        limits,
+        lambda: len(rig.port.sent),
+        lambda: bool(rig.device.motor.enabled),
+        unplug,
+        reopen=rig.open,
+        device=rig.device,
+        put=rig.port.writePort,
+        wait=rig.wait,
     )
 
 
@@ -412,7 +434,15 @@ def wired_foc(rig: FocRig, *, loadcell: bool = False) -> Wired:
 
     servo = with_loadcell(rig) if loadcell else rig.open()
     return Wired(
-        servo, SIM_LIMITS, lambda: len(rig.port.sent), lambda: rig.board.motor.enabled, unplug, reopen=rig.open
+        servo,
+        SIM_LIMITS,
+        lambda: len(rig.port.sent),
+        lambda: rig.board.motor.enabled,
+        unplug,
+        reopen=rig.open,
+        device=rig.board,
+        put=rig.port.write,
+        wait=rig.wait,
     )
 
 

@@ -95,3 +95,19 @@ def test_a_changed_byte_of_a_recording_is_noticed_or_has_no_effect() -> None:
     assert "no breach" in done.stdout
     for outcome in ("refused", "reported as changed", "rows reported as lost", "without effect"):
         assert outcome in done.stdout
+
+
+def test_killing_the_recorder_leaves_no_torque_on_a_drive_without_a_watchdog() -> None:
+    # runs in real time, since a process can only be killed there
+    words = ["--times", "2", "--adapter", "dynamixel X, no", "odrive, no", "--signal", "KILL"]
+    done = subprocess.run(
+        [sys.executable, "benchmarks/killing.py", *words],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    rows = [line.strip("| ").split(" | ") for line in done.stdout.splitlines() if "| KILL |" in line]
+    assert [row[0] for row in rows] == ["dynamixel X, no watchdog", "odrive, no watchdog"], done.stderr
+    assert [(row[2], row[4] != "stays on", row[7]) for row in rows] == [("2", True, "0")] * 2

@@ -20,6 +20,7 @@ from drivers.servo import Command, DriverError, Quantity, Sample, Servo
 from hil.cli.app import run
 from hil.doctor.checks import CheckList
 from hil.doctor.examine import examine
+from hil.guardian.servo import Watch
 from hil.stand.file import Stand, parse
 from sim_backend.parameters import CouplingParameters
 from sim_backend.wire.dynamixel.device import DynamixelDevice
@@ -61,7 +62,8 @@ def make_rig() -> Callable[..., Any]:
 @pytest.fixture
 def examine_rig(monkeypatch: pytest.MonkeyPatch) -> Examine:
     def run_it(rig: Any, quantity: Quantity = Quantity.TORQUE, **words: Any) -> CheckList:
-        def opened(stand: Stand, *, quantity: Quantity) -> tuple[Servo, dict[str, float]]:
+        def opened(stand: Stand, *, quantity: Quantity, watch: Watch) -> tuple[Servo, dict[str, float]]:
+            del watch
             table = replace(stand.devices["dynamixel"], port="loopback").for_quantity(quantity)
             return rig.open(mode=table.mode), {}
 

@@ -1,0 +1,325 @@
+"""Kill, stop or crash `hil record` at random instants and read from the drive's side when its torque ended.
+
+python benchmarks/killing.py --times 20 [--adapter dynamixel ...] [--signal KILL|STOP|SEGV ...] [--no-guardian]
+
+Each trial is a run against an emulated drive that answers from a process of its own, over a pty (serial port, or a
+serial CAN adapter) or over udp_multicast. The times are those of the drive's torque log (`hil emulate --log`), on the
+clock of whoever sends the signal. A stopped recorder is continued afterwards: no torque may come back. A run that ends
+by itself before its signal, as where this computer is too busy for it, is started again. Prints a table for each drive,
+with and without its watchdog; ends with status 1 where less than 95 % are off within 50 ms, one is not within
+150 ms, or torque came back.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import os
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording.reader import Recording
+
+SOON, ALWAYS, SHARE = 0.05, 0.15, 0.95
+"""s within which the torque must be off, in this share of the trials and in all."""
+PATIENCE = 60.0  # s for a run to begin or to end; a busy computer needs some
+SETTLED = 1.0  # s after which a drive that is still on stays on, and after which its settings are restored
+SLCAN = 'interface = "slcan"\nchannel = "{link}"\n'
+
+
+@dataclass(frozen=True, slots=True)
+class Adapter:
+    """A drive: the words of `hil emulate`, its table in the stand file, and its torque limit, N m."""
+
+    name: str
+    emulate: tuple[str, ...]
+    table: str
+    torque: float
+    multicast: str = ""
+
+    @property
+    def backend(self) -> str:
+        return self.emulate[0]
+
+
+def _can(name: str, words: tuple[str, ...], keys: str, torque: float) -> Adapter:
+    return Adapter(name, words, SLCAN + keys, torque)
+
+
+ADAPTERS = (
+    Adapter("dynamixel X", ("dynamixel",), 'port = "{link}"\nmodel = "xl330-m288"\nwatchdog = 0.1\n', 0.03),
+    Adapter(
+        "dynamixel X, no watchdog", ("dynamixel",), 'port = "{link}"\nmodel = "xl330-m288"\nwatchdog = 0.0\n', 0.03
+    ),
+    Adapter(
+        "dynamixel MX", ("dynamixel", "--model", "mx-64"), 'port = "{link}"\nmodel = "mx-64"\nwatchdog = 0.0\n', 0.06
+    ),
+    Adapter(
+        "feetech HLS",
+        ("feetech", "--model", "hls3606m"),
+        'port = "{link}"\nmodel = "hls3606m"\ntorque_constant = 0.5\n',
+        0.2,
+    ),
+    _can("odrive, no watchdog", ("odrive",), "torque_constant = 0.04\nbitrate = 1000000\n", 0.4),
+    _can(
+        "odrive",
+        ("odrive",),
+        'torque_constant = 0.04\nbitrate = 1000000\nendpoints = "{folder}/flat_endpoints.json"\n',
+        0.4,
+    ),
+    Adapter(
+        "odrive on udp_multicast",
+        ("odrive", "--bus", "udp_multicast", "--channel", "239.74.163.77"),
+        'interface = "udp_multicast"\nchannel = "239.74.163.77"\ntorque_constant = 0.04\nbitrate = 1000000\n',
+        0.4,
+    ),
+    _can("mit Damiao", ("mit", "--model", "dm-j4310"), 'model = "dm-j4310"\nwatchdog = 0.1\n', 2.0),
+    _can("mit Damiao, no watchdog", ("mit", "--model", "dm-j4310"), 'model = "dm-j4310"\nwatchdog = 0.0\n', 2.0),
+    _can("mit AK", ("mit", "--model", "ak80-9"), 'model = "ak80-9"\n', 2.0),
+    _can("moteus", ("moteus",), "watchdog = 0.1\n", 0.4),
+    _can("cia402 EPOS4", ("cia402",), 'profile = "epos4"\nwatchdog = 0.1\n', 0.04),
+    _can("cia402 EPOS4, no watchdog", ("cia402",), 'profile = "epos4"\nwatchdog = 0.0\n', 0.04),
+    Adapter(
+        "commander",
+        ("commander", "--firmware", "2.4-watchdog"),
+        'port = "{link}"\ntorque_constant = 0.0145\nwatchdog = 0.1\n',
+        4e-3,
+    ),
+    Adapter(
+        "commander, no watchdog", ("commander",), 'port = "{link}"\ntorque_constant = 0.0145\nwatchdog = 0.0\n', 4e-3
+    ),
+)
+
+STAND = """
+[stand]
+backend = "{backend}"
+motor_inertia = 3.2e-6
+torque_stays_on_if_host_dies = true
+[limits]
+torque = {torque}
+deflection = 20.0
+velocity = 200.0
+temperature = 80.0
+[{backend}]
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """off: s from the signal to the end of the torque, infinity where it went on. lost: s of rows that are not in the
+    file, NaN where the recorder was not killed. again: whether torque came back.
+    """
+
+    off: float
+    lost: float
+    again: bool
+
+
+class Log:
+    """The torque log of a drive, as it grows."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def rows(self, since: float = -math.inf) -> list[tuple[float, float, bool]]:
+        """Return time, torque commanded and whether it is on, of the rows from `since` s on."""
+        with self._path.open(encoding="ascii", newline="") as file:
+            lines = [line for line in csv.DictReader(file) if line["watchdog"] is not None]
+        rows = [(float(row["time_s"]), float(row["commanded_Nm"]), row["enabled"] == "1") for row in lines]
+        return [(at, torque, on and torque != 0.0) for at, torque, on in rows if at >= since]
+
+    def ended(self, since: float) -> float:
+        """Return the time after `since`, s, from which on the torque is off; infinity where it is on at the end."""
+        before = [on for at, _, on in self.rows() if at < since]
+        states = [(since, bool(before and before[-1])), *((at, on) for at, _, on in self.rows(since))]
+        if states[-1][1]:
+            return math.inf
+        first = len(states)
+        while first > 0 and not states[first - 1][1]:
+            first -= 1
+        return states[first][0]
+
+
+@contextmanager
+def emulated(adapter: Adapter, link: Path, log: Path) -> Iterator[None]:
+    """Run `hil emulate` of a drive as long as the `with` lasts."""
+    place = [] if "--bus" in adapter.emulate else ["--link", str(link)]
+    words = [sys.executable, "-m", "hil", "emulate", *adapter.emulate, *place, "--log", str(log)]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stderr is not None
+            said = process.stderr.readline()
+            if not said.startswith("Emulating"):
+                raise RuntimeError(f"{adapter.name}: {said}")
+            yield
+        finally:
+            process.kill()
+
+
+def recorded(adapter: Adapter, stand: Path, output: Path, rate: float, *, guardian: bool) -> subprocess.Popen[bytes]:
+    """Start `hil record` with a sine of 2 Hz."""
+    sine = ["--profile", "sine", "--band", "2", "--fade", "0.2", "--amplitude", str(0.5 * adapter.torque)]
+    words = [sys.executable, "-m", "hil", "record", "--stand", str(stand), "-o", str(output), "--duration", "60"]
+    words += ["--rate", str(rate), *sine, *([] if guardian else ["--no-guardian"])]
+    with output.with_suffix(".log").open("wb") as errors:
+        return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=errors)
+
+
+class EndedBefore(Exception):
+    """A run ended by itself before its signal."""
+
+
+def trial(adapter: Adapter, output: Path, word: str, wait: float, settings: argparse.Namespace) -> Trial:
+    """Start a run, send it the signal `word` `wait` s after its torque has begun, and look at the drive."""
+    log, threshold = Log(output.parent / "torque.csv"), 0.25 * adapter.torque
+    begun = time.monotonic()
+    process = recorded(adapter, output.parent / "stand.toml", output, settings.rate, guardian=not settings.no_guardian)
+    try:
+        await_torque(log, process, begun, threshold)
+        time.sleep(wait)
+        if process.poll() is not None:
+            raise EndedBefore
+        process.send_signal(getattr(signal, f"SIG{word}"))
+        sent = time.monotonic()
+        time.sleep(SETTLED)
+        off = log.ended(sent) - sent
+        if word == "STOP":
+            process.send_signal(signal.SIGCONT)
+            process.wait(PATIENCE)
+        again = math.isfinite(off) and any(on for _, _, on in log.rows(sent + off))
+        lost = math.nan if word == "STOP" else lost_seconds(output, log, begun, sent, threshold)
+        return Trial(off, lost, again)
+    finally:
+        process.kill()
+        process.wait()
+
+
+def await_torque(log: Log, process: subprocess.Popen[bytes], begun: float, torque: float) -> None:
+    """Wait until the drive has commanded `torque` N m. Raises EndedBefore where the run ends first."""
+    while not any(abs(commanded) > torque for _, commanded, _ in log.rows(begun)):
+        if process.poll() is not None or time.monotonic() > begun + PATIENCE:
+            raise EndedBefore
+        time.sleep(0.02)
+
+
+def lost_seconds(output: Path, log: Log, begun: float, killed: float, torque: float) -> float:
+    """Return the s of rows before the kill that are not in the file, to about two ticks.
+
+    The first row that commands `torque` is in the file and in the log, so that the two clocks can be compared.
+    """
+    try:
+        with Recording(output.with_name(output.name + ".part")) as recording:
+            times, commands = (np.asarray(recording.channel(name)) for name in ("time", "command"))
+    except (WrongUse, Untrustworthy):
+        return math.inf
+    reached = next(at for at, commanded, _ in log.rows(begun) if abs(commanded) > torque)
+    above = np.flatnonzero(np.abs(commands) > torque)
+    if not len(above):
+        return killed - reached
+    return float(max(0.0, (killed - reached) - (times[-1] - times[above[0]])))
+
+
+def measured(adapter: Adapter, word: str, settings: argparse.Namespace) -> list[Trial]:
+    """Return the trials with one drive and one signal. Raises RuntimeError where its runs do not begin."""
+    rng = random.Random(f"{settings.seed} {adapter.name} {word}")  # noqa: S311 - no secret
+    trials: list[Trial] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        prepare(adapter, folder, folder / "tty")
+        with emulated(adapter, folder / "tty", folder / "torque.csv"):
+            for number in range(10 + 3 * settings.times):
+                output = folder / f"run{number}.h5"
+                with suppress(EndedBefore):
+                    trials.append(trial(adapter, output, word, rng.uniform(0.0, 0.8), settings))
+                if len(trials) == settings.times:
+                    return trials
+        raise RuntimeError(f"{adapter.name}: {output.with_suffix('.log').read_text(encoding='utf-8')}")
+
+
+def prepare(adapter: Adapter, folder: Path, link: Path) -> None:
+    """Write the stand file, and the vendor's file of an ODrive."""
+    if "flat_endpoints" in adapter.table:
+        import json
+
+        from sim_backend.wire.odrive.endpoints import flat_endpoints
+
+        (folder / "flat_endpoints.json").write_text(json.dumps(flat_endpoints("0.6.10")))
+    text = STAND.format(backend=adapter.backend, torque=adapter.torque) + adapter.table.format(link=link, folder=folder)
+    (folder / "stand.toml").write_text(text)
+
+
+def row(adapter: Adapter, word: str, trials: list[Trial]) -> tuple[str, bool]:
+    """Return a line of the table, and whether it holds the bar."""
+    offs = sorted(one.off for one in trials)
+    soon, always = (sum(off <= bar for off in offs) for bar in (SOON, ALWAYS))
+    again = sum(one.again for one in trials)
+    lost = max((one.lost for one in trials if not math.isnan(one.lost)), default=math.nan)
+    good = soon >= SHARE * len(offs) and always == len(offs) and not again
+    cells = [
+        adapter.name,
+        word,
+        str(len(offs)),
+        f"{statistics.median(offs) * 1e3:.1f}",
+        f"{offs[-1] * 1e3:.1f}" if math.isfinite(offs[-1]) else "stays on",
+        f"{soon}",
+        f"{always}",
+        f"{again}",
+        "-" if math.isnan(lost) else f"{lost * 1e3:.0f}",
+        "yes" if good else "NO",
+    ]
+    return "| " + " | ".join(cells) + " |", good
+
+
+COLUMNS = (
+    "drive",
+    "signal",
+    "trials",
+    "off, median ms",
+    "worst ms",
+    "within 50 ms",
+    "within 150 ms",
+    "torque came back",
+    "rows lost, worst ms",
+    "bar held",
+)
+HEAD = f"| {' | '.join(COLUMNS)} |\n|{' --- |' * len(COLUMNS)}"
+
+
+def main() -> int:
+    """Print the table and return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--times", type=int, default=20, help="trials for each drive and signal")
+    parser.add_argument("--adapter", nargs="*", default=[], help="drives whose name begins so (all)")
+    parser.add_argument("--signal", nargs="*", default=["KILL"], help="KILL, STOP, SEGV, ...: names without SIG")
+    parser.add_argument("--rate", type=float, default=100.0, help="Hz")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--no-guardian", action="store_true", help="to see what the drives do by themselves")
+    settings = parser.parse_args()
+    wanted = tuple(settings.adapter) or ("",)
+    chosen = [adapter for adapter in ADAPTERS if adapter.name.startswith(wanted)]
+    print(f"{settings.times} trials each, {settings.rate:g} Hz, load {os.getloadavg()[0]:.1f}\n\n{HEAD}", flush=True)
+    held = True
+    for adapter in chosen:
+        for word in settings.signal:
+            line, good = row(adapter, word, measured(adapter, word, settings))
+            held = held and good
+            print(line, flush=True)
+    print("\nheld" if held else "\nBREACH")
+    return 0 if held else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,84 @@
+"""Frames as the bytes that another process writes to an interface that this one has open: see `drivers.off_path`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import can
+
+from drivers.servo import DriverError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+_PATIENCE = 0.05  # s for a frame that the bus does not accept
+_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+
+Encode = Callable[[can.Message], bytes]
+
+
+def slcan_text(message: can.Message) -> bytes:
+    """Return a frame as a serial CAN adapter takes it, with the line end."""
+    letter = ("b" if message.bitrate_switch else "d") if message.is_fd else "r" if message.is_remote_frame else "t"
+    head = (
+        f"{letter.upper()}{message.arbitration_id:08X}"
+        if message.is_extended_id
+        else f"{letter}{message.arbitration_id:03X}"
+    )
+    data = "" if message.is_remote_frame else message.data.hex().upper()
+    return f"{head}{_LENGTHS.index(message.dlc):X}{data}\r".encode("ascii")
+
+
+def from_slcan_text(text: bytes) -> can.Message:
+    """Return the frame of `slcan_text`."""
+    letter = chr(text[0])
+    end = 9 if letter.isupper() else 4
+    return can.Message(
+        arbitration_id=int(text[1:end], 16),
+        is_extended_id=letter.isupper(),
+        is_remote_frame=letter in "rR",
+        is_fd=letter in "dDbB",
+        bitrate_switch=letter in "bB",
+        data=bytes.fromhex(text[end + 1 :].decode("ascii")),
+    )
+
+
+def socketcan_bytes(message: can.Message) -> bytes:
+    """Return a frame as a CAN socket of Linux takes it."""
+    from can.interfaces.socketcan.socketcan import build_can_frame
+
+    return bytes(build_can_frame(message))
+
+
+def datagram(message: can.Message) -> bytes:
+    """Return a frame as python-can's udp_multicast sends it."""
+    from can.interfaces.udp_multicast.utils import pack_message
+
+    return bytes(pack_message(message))
+
+
+def sender(config: Mapping[str, Any]) -> Callable[[bytes], None]:
+    """Return the function that sends the frame of a text, on a bus of `config` that is opened for it.
+
+    It and the function raise OSError where the bus cannot be opened, or refuses a frame.
+    """
+    from drivers.canbus.link import BusConfig, open_interface
+
+    try:
+        bus = open_interface(BusConfig(**config))
+    except DriverError as error:
+        raise OSError(str(error)) from None
+
+    def send(text: bytes) -> None:
+        try:
+            bus.send(from_slcan_text(text), timeout=_PATIENCE)
+        except can.CanError as error:
+            raise OSError(str(error)) from None
+
+    return send
+
+
+def encoded(messages: Iterable[can.Message], encode: Encode) -> tuple[bytes, ...]:
+    """Return the bytes of each frame."""
+    return tuple(encode(message) for message in messages)

@@ -1,0 +1,37 @@
+"""The off path of a servo on a line of packets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from drivers.off_path import OffPath, descriptor_of, serial_interval
+
+if TYPE_CHECKING:
+    from drivers.packets.control_table import ControlTable
+    from drivers.packets.port import SerialPort
+
+_RESYNC = bytes(32)
+"""Longer than any packet sent here: it ends one that was cut off, whose checksum is wrong then, and begins none."""
+
+
+def off_path(
+    port: SerialPort, table: ControlTable, off: Iterable[str], zero_after: Iterable[str] = (), kept: Iterable[str] = ()
+) -> OffPath:
+    """Return the path that writes zero to the registers `off`, then to `zero_after`, and restores the settings.
+
+    kept: registers that are not restored.
+    """
+    packets = tuple(table.unanswered(name, 0) for name in off)
+    kept = frozenset(kept)
+    settings = [(name, value) for name, value in table.settings.changed() if name not in kept]
+    return OffPath(
+        off=packets,
+        restore=tuple(
+            table.unanswered(name, value) for name, value in [*((name, 0) for name in zero_after), *settings]
+        ),
+        resync=_RESYNC,
+        descriptor=descriptor_of(port.ser),
+        interval=serial_interval((_RESYNC, *packets), port.baudrate),
+        name=port.port_name,
+    )

@@ -1,0 +1,171 @@
+"""The guarded process's side of the guardian: start it, give signs of life, look at what it did, dismiss it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import select
+import subprocess
+import time
+from dataclasses import asdict
+
+from drivers.off_path import OffPath
+from drivers.servo import DriverError
+from hil.child import command
+from hil.guardian.words import Reason, Word, new_words
+
+_START = 20.0  # s until it must be ready; a fraction of a second is usual
+_FROZEN = 0.5  # s without its own sign of life
+_END = 2.0  # s that it may take to end
+
+_FIRED = {
+    Reason.STOPPED: "hil was stopped (SIGSTOP, a debugger)",
+    Reason.LATE: "hil gave no sign of life for {silence:.0f} ms: lower --rate, or free the computer of other work",
+    Reason.TOO_LONG: "the run lasted longer than its profile",
+    Reason.ASKED: "the drive did not confirm torque-off",
+}
+
+
+class GuardianFired(DriverError):
+    """The guardian switched the torque off: this process was stopped, or late."""
+
+
+class GuardianLost(DriverError):
+    """The guardian is gone or frozen: nothing would switch the torque off if this process died."""
+
+
+def available() -> bool:
+    """Whether this system can have a guardian: it inherits open descriptors, which Windows does not offer."""
+    return os.name == "posix"
+
+
+class Guardian:
+    """A running guardian of the drive at the end of `path`. silence: s without a sign of life until it acts.
+
+    Raises DriverError where it cannot be started, or cannot reach the drive.
+    """
+
+    def __init__(self, path: OffPath, silence: float) -> None:
+        self._silence = int(silence * 1e9)
+        self._words = new_words()
+        try:
+            self._process, self._commands = self._started(path)
+        except BaseException:
+            self._words.close()
+            raise
+
+    def _started(self, path: OffPath) -> tuple[subprocess.Popen[bytes], int]:
+        """Return the process and the write end of its pipe."""
+        way = asdict(path) | {"parent": os.getpid(), "words": self._words.descriptor, "resync": path.resync.hex()}
+        way |= {"off": _hex(path.off), "restore": _hex(path.restore)}
+        heard, commands = os.pipe()
+        answers, answer = os.pipe()
+        try:
+            process = subprocess.Popen(  # noqa: S603 - our own module
+                command("hil.guardian.process", json.dumps(way)),
+                stdin=heard,
+                stdout=answer,
+                pass_fds=[number for number in (path.descriptor, self._words.descriptor) if number >= 0],
+                start_new_session=True,
+                cwd="/",
+            )
+        except OSError as error:
+            os.close(commands)
+            os.close(answers)
+            raise _not_started(error.strerror or str(error)) from None
+        finally:
+            os.close(heard)
+            os.close(answer)
+        self._await_ready(process, commands, answers, path.name)
+        return process, commands
+
+    def _await_ready(self, process: subprocess.Popen[bytes], commands: int, answers: int, name: str) -> None:
+        said = ""
+        try:
+            ready, _, _ = select.select([answers], [], [], _START)
+            said = os.read(answers, 4096).decode("utf-8", "replace").strip() if ready else "it is not ready"
+        finally:
+            os.close(answers)
+            if said != "ready":
+                os.close(commands)
+                _end(process)
+        if said != "ready":
+            raise _not_started(f"{name}: {said or 'it ended at once'}")
+
+    def beat(self) -> None:
+        """Give a sign of life; the next one is due within `silence`."""
+        self._words[Word.DUE] = time.monotonic_ns() + self._silence
+
+    def expect(self, seconds: float) -> None:
+        """Let the next sign of life be due in `seconds` s; infinity: not at all, while the torque is off."""
+        self._words[Word.DUE] = time.monotonic_ns() + int(seconds * 1e9) if math.isfinite(seconds) else 0
+
+    def limit(self, seconds: float) -> None:
+        """Let the torque be off in `seconds` s in any case; infinity: no limit."""
+        self._words[Word.LATEST] = time.monotonic_ns() + int(seconds * 1e9) if math.isfinite(seconds) else 0
+
+    @property
+    def fired(self) -> bool:
+        """Whether it has switched the torque off."""
+        return self._words[Word.FIRED] != 0
+
+    def check(self) -> None:
+        """Raise GuardianFired where it has switched the torque off, GuardianLost where it would not."""
+        fired = self._words[Word.FIRED]
+        if fired:
+            raise GuardianFired(
+                f"the guardian switched the torque off: {_FIRED[Reason(fired)].format(silence=self._silence * 1e-6)}"
+            )
+        status = self._process.poll()
+        since = (time.monotonic_ns() - self._words[Word.ALIVE]) * 1e-9
+        if status is None and (since < _FROZEN or not self._words[Word.ALIVE]):
+            return
+        how = f"ended with status {status}" if status is not None else f"has stood still for {since:.1f} s"
+        raise GuardianLost(
+            f"the guardian process {how}: nothing would switch the torque off if hil were killed, so the run ends; "
+            "start it again, or record with --no-guardian"
+        )
+
+    def restore(self, path: OffPath) -> None:
+        """Tell it which settings to restore: those that arming changed."""
+        self._say({"restore": _hex(path.restore)})
+
+    def fire(self) -> None:
+        """Let it send torque-off too, because the drive did not confirm ours."""
+        self._say({"fire": True})
+
+    def stand_down(self) -> None:
+        """Dismiss it; returns once it has ended, so that it sends nothing any more. Harmless when it has ended."""
+        self._say({"stand_down": True})
+        _end(self._process)
+
+    def close(self) -> None:
+        """Dismiss it, and release the memory."""
+        self.stand_down()
+        os.close(self._commands)
+        self._words.close()
+
+    def _say(self, what: dict[str, object]) -> None:
+        with contextlib.suppress(OSError):  # it has ended; `check` finds that out
+            os.write(self._commands, json.dumps(what).encode("ascii") + b"\n")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    try:
+        process.wait(_END)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _hex(packets: tuple[bytes, ...]) -> list[str]:
+    return [packet.hex() for packet in packets]
+
+
+def _not_started(reason: str) -> DriverError:
+    return DriverError(
+        f"the guardian cannot be started ({reason}): nothing was driven. It would switch the torque off if hil were "
+        "killed or frozen; hil record --no-guardian goes without it"
+    )

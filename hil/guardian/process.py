@@ -1,0 +1,213 @@
+"""The guardian's process, started by `hil.guardian.handle` before the motor is armed.
+
+It has what it needs before anything goes wrong: an open link, the frames that switch the torque off, and the time at
+which the guarded process must give its next sign of life. It sends those frames where that process is gone, stands
+still, is late, or runs longer than its profile. A guarded process that comes back finds that it may not go on
+(`Word.FIRED`). Standard library only, in a session of its own, deaf to the signals of a terminal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import select
+import signal
+import sys
+import time
+from typing import Any
+
+from hil.guardian.link import Send, discard_unsent, opened
+from hil.guardian.words import Reason, Word, Words
+
+_LOOK = 5e-3  # s between two looks at the guarded process
+_BURST = 0.2  # s during which torque-off is sent
+_SETTLE = 0.05  # s until settings are restored; a drive that writes its flash takes its time for each
+_PRIORITY = 60  # of SCHED_FIFO, above any control loop
+
+_WHY = {
+    Reason.GONE: "the process that drove the motor ended without switching it off",
+    Reason.STOPPED: "the process that drove the motor was stopped",
+    Reason.LATE: "the process that drove the motor gave no sign of life in time",
+    Reason.TOO_LONG: "the run lasted longer than its profile",
+    Reason.ASKED: "the drive did not confirm that its torque is off",
+}
+
+
+class StandDown(Exception):
+    """The guarded process has switched the torque off by itself, and needs no guardian any more."""
+
+
+class Parent:
+    """The guarded process: whether it lives, stands still, and what it says. commands: the read end of its pipe."""
+
+    def __init__(self, pid: int, commands: int) -> None:
+        self.gone = False
+        self._pid = pid
+        self._commands = commands
+        self._text = b""
+        self._poll = select.poll()
+        self._poll.register(commands, select.POLLIN | select.POLLHUP)
+        with contextlib.suppress(AttributeError, OSError):  # an older kernel, or not Linux: `_look` finds out
+            self._poll.register(os.pidfd_open(pid), select.POLLIN)
+        try:
+            self._state = os.open(f"/proc/{pid}/stat", os.O_RDONLY)
+        except OSError:
+            self._state = -1
+
+    def listen(self, seconds: float) -> list[dict[str, Any]]:
+        """Wait for up to `seconds` and return what the process says; sets `gone`."""
+        out: list[dict[str, Any]] = []
+        for descriptor, _ in self._poll.poll(max(0.0, seconds) * 1e3):
+            received = os.read(descriptor, 1 << 16) if descriptor == self._commands else b""
+            if not received:
+                self.gone = True
+                self._poll.unregister(descriptor)
+            *lines, self._text = (self._text + received).split(b"\n")
+            out += [json.loads(line) for line in lines]
+        self.gone = self.gone or os.getppid() != self._pid
+        return out
+
+    def stands_still(self) -> bool:
+        """Return whether it was stopped by a signal or a debugger; False where the system does not tell."""
+        if self._state < 0:
+            return False
+        try:
+            stat = os.pread(self._state, 512, 0)
+        except OSError:
+            return False
+        return stat[stat.rfind(b")") + 2 : stat.rfind(b")") + 3] in {b"T", b"t"}
+
+
+class Guardian:
+    """The process. way: the `OffPath`, as JSON. send: sends a packet over it."""
+
+    def __init__(self, way: dict[str, Any], send: Send, parent: Parent, words: Words) -> None:
+        self._send = send
+        self._parent = parent
+        self._words = words
+        self._descriptor = -1 if way["to"] is not None else int(way["descriptor"])
+        self._interval = float(way["interval"])
+        self._resync = bytes.fromhex(way["resync"])
+        self._off = [bytes.fromhex(packet) for packet in way["off"]]
+        self._restore = [bytes.fromhex(packet) for packet in way["restore"]]
+        self._asked = False
+        self._still_since_due = -1
+        self._sent = self._said = False
+        self._error = ""
+
+    def watch(self) -> Reason:
+        """Return why the torque must go off, once it must. Raises StandDown."""
+        while True:
+            now = time.monotonic_ns()
+            self._words[Word.ALIVE] = now
+            due = self._words[Word.DUE]
+            self._hear(_LOOK if not due else min(_LOOK, (due - now) * 1e-9))
+            reason = self._reason(time.monotonic_ns())
+            if reason is not None:
+                return reason
+
+    def _reason(self, now: int) -> Reason | None:
+        """`now` is read before the words: a sign of life that arrives meanwhile is later, never missed."""
+        if self._parent.gone:
+            return Reason.GONE
+        if self._asked:
+            return Reason.ASKED
+        due, latest = self._words[Word.DUE], self._words[Word.LATEST]
+        if not due:
+            return None
+        if now > due and due == self._words[Word.DUE]:
+            return Reason.LATE
+        if latest and now > latest:
+            return Reason.TOO_LONG
+        return Reason.STOPPED if self._stays_still(due) else None
+
+    def _stays_still(self, due: int) -> bool:
+        """Return whether it stood still at the last look too, without a sign of life since: a tracer stops it too."""
+        before, self._still_since_due = self._still_since_due, due if self._parent.stands_still() else -1
+        return before == due == self._still_since_due
+
+    def fire(self, reason: Reason) -> None:
+        """Switch the torque off, and keep it off until the guarded process is gone or takes over. Raises StandDown."""
+        self._words[Word.FIRED] = int(reason)
+        if self._descriptor >= 0:
+            discard_unsent(self._descriptor)
+        self._burst(reason)
+        while not self._parent.gone:
+            before = (self._words[Word.DUE], self._parent.stands_still())
+            self._hear(_LOOK)
+            if (self._words[Word.DUE], self._parent.stands_still()) != before:  # it came back: one stale set-point
+                self._burst(reason)
+        if reason is not Reason.GONE:
+            self._burst(Reason.GONE)
+        self._hear(_SETTLE)
+        for packet in self._restore:
+            self._try([packet])
+            self._hear(_SETTLE)
+
+    def _burst(self, reason: Reason) -> None:
+        end = time.monotonic() + _BURST
+        while time.monotonic() < end:
+            self._sent = self._try([self._resync, *self._off]) or self._sent
+            if not self._said and reason is not Reason.LATE:  # a process that was late reports it
+                self._say(reason)
+            self._hear(self._interval)
+
+    def _try(self, packets: list[bytes]) -> bool:
+        try:
+            for packet in packets:
+                if packet:
+                    self._send(packet)
+        except OSError as error:
+            self._error = str(error)
+            return False
+        return True
+
+    def _hear(self, seconds: float) -> None:
+        """Wait, and take what the guarded process says. Raises StandDown."""
+        for said in self._parent.listen(seconds):
+            if "restore" in said:
+                self._restore = [bytes.fromhex(packet) for packet in said["restore"]]
+            self._asked = self._asked or "fire" in said
+            if "stand_down" in said:
+                raise StandDown
+
+    def _say(self, reason: Reason) -> None:
+        """Tell the person at the terminal, who may be the only one left."""
+        self._said = True
+        text = "the guardian sent torque-off" if self._sent else f"CUT THE POWER: torque-off failed ({self._error})"
+        with contextlib.suppress(OSError):
+            os.write(2, f"hil: {_WHY[reason]}: {text}\n".encode("utf-8", "replace"))
+
+
+def main() -> None:
+    """Guard the process that started this one, over its pipe and its memory, until it is dismissed."""
+    _be_undisturbed()
+    way = json.loads(sys.argv[1])
+    try:
+        send = opened(way)
+    except (OSError, ImportError) as error:
+        _answer(str(error))
+        return
+    guardian = Guardian(way, send, Parent(way["parent"], 0), Words(way["words"]))
+    _answer("ready")
+    with contextlib.suppress(StandDown):
+        guardian.fire(guardian.watch())
+
+
+def _answer(text: str) -> None:
+    os.write(1, f"{text}\n".encode("utf-8", "replace"))
+
+
+def _be_undisturbed() -> None:
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGPIPE", "SIGUSR1", "SIGUSR2", "SIGALRM"):
+        signal.signal(getattr(signal, name), signal.SIG_IGN)
+    gc.collect()
+    gc.disable()
+    with contextlib.suppress(OSError, AttributeError):  # where it is permitted
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+
+
+if __name__ == "__main__":
+    main()

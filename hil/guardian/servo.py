@@ -1,0 +1,135 @@
+"""A servo under a guardian: the signs of life are given where the recorder waits and where it sends."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.clock import Clock, MonotonicClock
+from drivers.off_path import HasOffPath
+from drivers.servo import Command, Limits, Sample, Servo, ServoInfo
+from hil.guardian.handle import Guardian, available
+
+_SLICE = 5e-3  # s between two signs of life in a long wait
+_ARMING = 30.0  # s that arming may take; no set-point has been sent yet
+_SWITCHING_OFF = 1.5  # s until the guardian sends torque-off too
+_OTHER_WAY = 0.3  # s for it to do so
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """When the guardian acts. silence: s without a sign of life. longest: s from arming until the torque is off."""
+
+    silence: float = 0.045
+    longest: float = math.inf
+
+
+class GuardedClock(MonotonicClock):
+    """Monotonic time; a wait gives signs of life by `beat`."""
+
+    def __init__(self, beat: Callable[[], None]) -> None:
+        self._beat = beat
+
+    def sleep_until(self, t: float) -> None:
+        """Return at `t` s or later; at once where `t` has passed."""
+        while self.now() + _SLICE < t:
+            self._beat()
+            time.sleep(_SLICE)
+        self._beat()
+        super().sleep_until(t)
+
+
+class GuardedServo:
+    """`servo`, whose torque a guardian switches off where this process cannot. It runs from arming to `close`.
+
+    After it has acted nothing is sent but torque-off: see `exchange`.
+    """
+
+    def __init__(self, servo: Servo, path: HasOffPath, watch: Watch) -> None:
+        self._servo = servo
+        self._path = path
+        self._watch = watch
+        self._guardian: Guardian | None = None
+        self._beating = False
+        self._off_since = math.nan
+        self._clock = GuardedClock(self.beat)
+
+    @property
+    def info(self) -> ServoInfo:
+        """The servo's own."""
+        return self._servo.info
+
+    @property
+    def clock(self) -> Clock:
+        """The servo's, whose waits give signs of life."""
+        return self._clock
+
+    def beat(self) -> None:
+        """Give a sign of life while the servo is armed."""
+        if self._beating and self._guardian is not None:
+            self._guardian.beat()
+
+    def arm(self, limits: Limits) -> None:
+        """Start the guardian, then arm the servo. Raises as the servo does, and DriverError without a guardian."""
+        if self._guardian is None:
+            self._guardian = Guardian(self._path.off_path(), self._watch.silence)
+        guardian = self._guardian
+        guardian.check()
+        self._off_since = math.nan
+        guardian.expect(_ARMING)
+        guardian.limit(self._watch.longest)
+        try:
+            self._servo.arm(limits)
+        finally:
+            guardian.restore(self._path.off_path())
+        self._beating = True
+        guardian.beat()
+
+    def exchange(self, command: Command) -> Sample:
+        """One round trip. Raises as the servo does, and GuardianFired, GuardianLost before anything is sent."""
+        if self._beating and self._guardian is not None:
+            self._guardian.check()
+            self._guardian.beat()
+        return self._servo.exchange(command)
+
+    def disarm(self) -> None:
+        """Torque off. The guardian, where it has acted, is dismissed first: two senders would garble each other."""
+        guardian = self._guardian
+        if guardian is None:
+            self._servo.disarm()
+            return
+        self._beating = False
+        if guardian.fired and math.isnan(self._off_since):
+            guardian.stand_down()
+        if math.isnan(self._off_since):
+            self._off_since = self.clock.now()
+            guardian.expect(_SWITCHING_OFF)
+        self._servo.disarm()
+        self._off_since = -math.inf
+        guardian.expect(math.inf)
+
+    def close(self) -> None:
+        """Torque off, settings restored, link closed; then the guardian is dismissed. Never raises."""
+        guardian, self._guardian = self._guardian, None
+        self._beating = False
+        if guardian is None:
+            self._servo.close()
+            return
+        try:
+            if math.isfinite(self._off_since):  # the torque-off was not confirmed
+                guardian.fire()
+                self._clock.sleep_until(self._clock.now() + _OTHER_WAY)
+            self._servo.close()
+        finally:
+            guardian.close()
+
+
+def guarded(servo: Servo, watch: Watch) -> Servo:
+    """Return `servo` under a guardian; as it is, where its time is not real, no other process can reach its drive, or
+    the system is Windows.
+    """
+    if not (isinstance(servo, HasOffPath) and isinstance(servo.clock, MonotonicClock) and available()):
+        return servo
+    return GuardedServo(servo, servo, watch) if servo.off_path().reachable else servo

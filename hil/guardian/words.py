@@ -1,0 +1,70 @@
+"""The memory that the guardian and the process that it guards share: five numbers, each written by one of the two.
+
+Times are ns of `time.monotonic_ns`, which is the same in every process of a machine.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from enum import IntEnum
+
+SIZE = 64
+
+
+class Word(IntEnum):
+    """DUE: when the next sign of life is due, 0 while none is. LATEST: when the torque must be off in any case, 0 for
+    never; both written by the guarded process. ALIVE: when the guardian last looked. FIRED: why it switched the torque
+    off, see `Reason`; 0 before. Written by the guardian.
+    """
+
+    DUE = 0
+    LATEST = 1
+    ALIVE = 2
+    FIRED = 3
+
+
+class Reason(IntEnum):
+    """Why the guardian switched the torque off."""
+
+    GONE = 1
+    STOPPED = 2
+    LATE = 3
+    TOO_LONG = 4
+    ASKED = 5
+
+
+class Words:
+    """The shared memory in the open file `descriptor`, which is closed with it.
+
+    A number is read and written as a whole: it lies within one machine word.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self._memory = mmap.mmap(descriptor, SIZE)
+        self._words = memoryview(self._memory).cast("q")
+
+    def __getitem__(self, word: Word) -> int:
+        return self._words[word]
+
+    def __setitem__(self, word: Word, value: int) -> None:
+        self._words[word] = value
+
+    def close(self) -> None:
+        """Release the memory."""
+        self._words.release()
+        self._memory.close()
+        os.close(self.descriptor)
+
+
+def new_words() -> Words:
+    """Return fresh shared memory, all zero, in a file without a name."""
+    if hasattr(os, "memfd_create"):
+        descriptor = os.memfd_create("hil-guardian")
+    else:
+        with tempfile.TemporaryFile() as file:
+            descriptor = os.dup(file.fileno())
+    os.ftruncate(descriptor, SIZE)
+    return Words(descriptor)

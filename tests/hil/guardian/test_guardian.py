@@ -1,0 +1,315 @@
+"""The guardian's process against a pipe in place of a drive: when it sends torque-off, and when it does not."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.clock import Clock, MonotonicClock, VirtualClock
+from drivers.off_path import OffPath, OwnBus
+from drivers.servo import Command, DriverError, Limits, Quantity, Sample, ServoInfo
+from hil.guardian.handle import Guardian, GuardianFired, GuardianLost
+from hil.guardian.process import Parent
+from hil.guardian.servo import GuardedServo, Watch, guarded
+
+OFF, RESTORE, RESYNC = b"off!", b"restore!", b"...."
+LONG = 30.0  # s; never in a test
+
+
+class Line:
+    """A pipe: what the guardian sends can be read at its other end."""
+
+    def __init__(self) -> None:
+        self.end, self.descriptor = os.pipe()
+        os.set_blocking(self.end, False)
+        self.seen = b""
+
+    def path(self, **changes: object) -> OffPath:
+        fields: dict[str, object] = {"off": (OFF,), "restore": (RESTORE,), "resync": RESYNC}
+        return OffPath(**(fields | {"descriptor": self.descriptor} | changes))  # type: ignore[arg-type]
+
+    def read(self) -> bytes:
+        with contextlib.suppress(BlockingIOError):
+            self.seen += os.read(self.end, 1 << 16)
+        return self.seen
+
+    def close(self) -> None:
+        os.close(self.end)
+        os.close(self.descriptor)
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    made = Line()
+    yield made
+    made.close()
+
+
+def until(done: Callable[[], bool]) -> bool:
+    end = time.monotonic() + LONG
+    while not done() and time.monotonic() < end:
+        time.sleep(1e-3)
+    return done()
+
+
+def test_a_guardian_that_is_let_go_sends_nothing(line: Line) -> None:
+    guardian = Guardian(line.path(), silence=LONG)
+    guardian.beat()
+    guardian.check()
+    guardian.close()
+    assert line.read() == b""
+
+
+def test_without_a_sign_of_life_torque_off_is_sent_and_the_process_must_not_go_on(line: Line) -> None:
+    guardian = Guardian(line.path(), silence=0.02)
+    guardian.beat()
+    assert until(lambda: guardian.fired)
+    with pytest.raises(GuardianFired, match="gave no sign of life for 20 ms"):
+        guardian.check()
+    assert until(lambda: line.read().count(OFF) > 3)
+    assert line.seen.startswith(RESYNC + OFF + RESYNC + OFF)
+    guardian.close()
+    assert RESTORE not in line.read()  # the process restores the settings when it closes the servo
+
+
+def test_a_late_process_that_goes_on_finds_torque_off_sent_again(line: Line) -> None:
+    guardian = Guardian(line.path(), silence=0.02)
+    guardian.beat()
+    assert until(lambda: guardian.fired)
+    count = -1
+    while count != (count := line.read().count(OFF)):
+        time.sleep(0.1)
+    guardian.beat()
+    assert until(lambda: line.read().count(OFF) > count + 3)
+    guardian.close()
+
+
+def test_while_the_torque_is_off_no_sign_of_life_is_due(line: Line) -> None:
+    guardian = Guardian(line.path(), silence=1e-3)
+    guardian.beat()
+    guardian.expect(float("inf"))
+    fired = guardian.fired
+    time.sleep(0.05)
+    assert guardian.fired == fired
+    guardian.close()
+
+
+def test_a_process_that_lives_longer_than_its_profile_is_switched_off_although_it_gives_signs_of_life(
+    line: Line,
+) -> None:
+    guardian = Guardian(line.path(), silence=LONG)
+    guardian.limit(0.05)
+    while not guardian.fired:
+        guardian.beat()
+        time.sleep(1e-3)
+    with pytest.raises(GuardianFired, match="longer than its profile"):
+        guardian.check()
+    guardian.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_guardian_that_is_gone_or_frozen_is_noticed(line: Line, number: int) -> None:
+    guardian = Guardian(line.path(), silence=LONG)
+    guardian.beat()
+    guardian.check()
+    os.kill(guardian._process.pid, number)
+
+    def lost() -> bool:
+        try:
+            guardian.check()
+        except GuardianLost:
+            return True
+        return False
+
+    assert until(lost)
+    guardian._process.kill()
+    guardian.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_signals_of_a_terminal_do_not_end_it(line: Line, number: int) -> None:
+    guardian = Guardian(line.path(), silence=LONG)
+    assert os.getsid(guardian._process.pid) == guardian._process.pid
+    os.kill(guardian._process.pid, number)
+    guardian.beat()
+    time.sleep(0.05)
+    guardian.check()
+    guardian.close()
+
+
+def test_a_link_that_cannot_be_opened_a_second_time_is_refused_before_anything_is_driven(line: Line) -> None:
+    path = line.path(descriptor=-1, bus=OwnBus("no_such_interface", "0", 1_000_000), name="no_such_interface 0")
+    with pytest.raises(DriverError, match=r"the guardian cannot be started .*--no-guardian"):
+        Guardian(path, silence=LONG)
+
+
+def test_a_socket_of_datagrams_is_used_as_one() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own,
+    ):
+        there.bind(("127.0.0.1", 0))
+        there.settimeout(LONG)
+        path = OffPath((OFF,), descriptor=own.fileno(), to=there.getsockname())
+        guardian = Guardian(path, silence=1e-3)
+        guardian.beat()
+        assert there.recv(100) == OFF
+        guardian.close()
+
+
+PARENT = """
+import sys, time
+from drivers.off_path import OffPath
+from hil.guardian.handle import Guardian
+guardian = Guardian(OffPath((b"off!",), (b"restore!",), b"....", int(sys.argv[1])), silence=30.0)
+guardian.beat()
+print("ready", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP])
+def test_a_process_that_dies_or_is_stopped_has_its_torque_switched_off(line: Line, number: int) -> None:
+    root = Path(__file__).parents[3]
+    command = [sys.executable, "-c", PARENT, str(line.descriptor)]
+    with subprocess.Popen(
+        command, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, pass_fds=[line.descriptor]
+    ) as parent:
+        assert parent.stdout is not None
+        assert parent.stderr is not None
+        assert parent.stdout.readline() == b"ready\n"
+        parent.send_signal(number)
+        assert until(lambda: line.read().count(OFF) > 3)
+        assert line.seen.startswith(RESYNC + OFF)
+        if number == signal.SIGSTOP:
+            assert RESTORE not in line.seen  # it may come back
+            parent.kill()
+        assert until(lambda: line.read().endswith(RESTORE))
+        words = parent.stderr.readline()
+        assert words.startswith(b"hil: the process that drove the motor ")
+        assert words.endswith(b": the guardian sent torque-off\n")
+
+
+def test_a_process_that_is_only_traced_is_not_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard, commands = os.pipe()
+    parent = Parent(os.getppid(), heard)
+    assert not parent.stands_still()
+    stat = b"1 (a) T) T 0"
+    monkeypatch.setattr(os, "pread", lambda *_: stat)
+    assert parent.stands_still()
+    monkeypatch.setattr(os, "pread", lambda *_: b"1 (a) T) S 0")
+    assert not parent.stands_still()
+    os.close(heard)
+    os.close(commands)
+
+
+# --- the servo under a guardian --------------------------------------------------------------------------------------
+
+
+class Piped:
+    """A servo whose link is a pipe."""
+
+    def __init__(self, line: Line) -> None:
+        self.clock: Clock = MonotonicClock()
+        self.info = ServoInfo("pipe", "pipe")
+        self.line = line
+        self.done: list[str] = []
+        self.unconfirmed = 0
+
+    def off_path(self) -> OffPath:
+        return self.line.path()
+
+    def arm(self, limits: Limits) -> None:
+        del limits
+        self.done.append("arm")
+
+    def exchange(self, command: Command) -> Sample:
+        self.done.append(f"exchange {command.value:g}")
+        return Sample(self.clock.now(), self.clock.now())
+
+    def disarm(self) -> None:
+        self.done.append("disarm")
+        if self.unconfirmed:
+            self.unconfirmed -= 1
+            raise DriverError("not confirmed")
+
+    def close(self) -> None:
+        self.done.append("close")
+
+
+LIMITS = Limits(1.0, 1.0, 80.0, (-1.0, 1.0))
+HALF = Command(Quantity.TORQUE, 0.5)
+
+
+def test_a_whole_run_under_a_guardian_sends_no_torque_off_of_its_own(line: Line) -> None:
+    inner = Piped(line)
+    servo = guarded(inner, Watch(silence=LONG))
+    servo.exchange(Command.rest())
+    servo.arm(LIMITS)
+    servo.clock.sleep_until(servo.clock.now() + 0.02)
+    servo.exchange(HALF)
+    servo.disarm()
+    servo.close()
+    servo.close()
+    assert inner.done == ["exchange 0", "arm", "exchange 0.5", "disarm", "close", "close"]
+    assert line.read() == b""
+
+
+def test_no_set_point_is_sent_once_the_guardian_has_acted(line: Line) -> None:
+    inner = Piped(line)
+    servo = GuardedServo(inner, inner, Watch(silence=0.02))
+    servo.arm(LIMITS)
+    assert until(lambda: OFF in line.read())
+    for _ in range(3):
+        with pytest.raises(GuardianFired):
+            servo.exchange(HALF)
+    servo.disarm()
+    sent = len(line.read())
+    with pytest.raises(GuardianFired):
+        servo.arm(LIMITS)
+    servo.close()
+    assert inner.done == ["arm", "disarm", "close"]
+    assert len(line.read()) == sent  # it was dismissed before the disarm
+
+
+def test_a_wait_between_two_set_points_gives_signs_of_life(line: Line) -> None:
+    inner = Piped(line)
+    servo = GuardedServo(inner, inner, Watch(silence=0.4))
+    servo.arm(LIMITS)
+    servo.clock.sleep_until(servo.clock.now() + 0.7)  # longer than the silence
+    servo.exchange(HALF)
+    servo.disarm()
+    servo.close()
+    assert line.read() == b""
+
+
+def test_a_torque_off_that_the_drive_does_not_confirm_is_sent_by_the_guardian_too(line: Line) -> None:
+    inner = Piped(line)
+    inner.unconfirmed = 5
+    servo = GuardedServo(inner, inner, Watch(silence=LONG))
+    servo.arm(LIMITS)
+    with pytest.raises(DriverError, match="not confirmed"):
+        servo.disarm()
+    servo.close()
+    assert until(lambda: OFF in line.read())
+
+
+def test_a_servo_without_another_way_to_its_drive_is_left_as_it_is(line: Line) -> None:
+    inner = Piped(line)
+    inner.off_path = lambda: line.path(descriptor=-1)  # type: ignore[method-assign]  # simulated in this process
+    assert guarded(inner, Watch()) is inner
+
+
+def test_a_servo_in_virtual_time_is_left_as_it_is(line: Line) -> None:
+    inner = Piped(line)
+    inner.clock = VirtualClock()
+    assert guarded(inner, Watch()) is inner
