@@ -9,9 +9,9 @@ from typing import Any
 
 
 @cache
-def table(family: str) -> dict[str, Any]:
-    """Return drivers/`family`/table.toml, whose head names its sources."""
-    return tomllib.loads(files("drivers").joinpath(family, "table.toml").read_text(encoding="utf-8"))
+def table(family: str, package: str = "drivers") -> dict[str, Any]:
+    """Return the table.toml in the folder `family` of `package`; its head names its sources."""
+    return tomllib.loads(files(package).joinpath(family, "table.toml").read_text(encoding="utf-8"))
 
 
 def texts_of(bits: int, texts: dict[int, str]) -> str:

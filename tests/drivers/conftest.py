@@ -49,7 +49,7 @@ from sim_backend.wire.commander.emulator import CommanderBoard, CommanderTiming,
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.mx_device import MxDevice
-from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
+from sim_backend.wire.dynamixel.tables import MX_MODELS
 from sim_backend.wire.faults import WireFaults
 from sim_backend.wire.feetech.device import FeetechDevice
 from sim_backend.wire.loadcell.emulator import SCALE, EmulatedLoadCell, LoadCellBoard

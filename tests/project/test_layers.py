@@ -18,6 +18,7 @@ ALLOWED = {
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},
     "sim_backend": {"sim_backend", "drivers.servo", "drivers.gate", "drivers.clock", "drivers.canbus.multicast"}
+    | {"drivers.tables"}
     | {"ga.compiled", "numpy", "numba", "annotated_types", "can", "canopen"},
 }
 

@@ -40,19 +40,11 @@ class ControlTable:
 
     def __init__(self, model: DynamixelModel) -> None:
         self.registers = Registers(model.items)
-        self._model = model
         self._defined = {a for item in model.items for a in range(item.address, item.address + item.size)}
         self._indirect = {
             data + slot: address + 2 * slot for address, data, slots in model.indirect for slot in range(slots)
         }
         self._backup: dict[int, int] = {}
-        self.erase()
-
-    def erase(self) -> None:
-        """Set everything to its factory value."""
-        self.registers.reset()
-        self.registers.put("model_number", self._model.number)
-        self.registers.put("firmware_version", self._model.firmware)
 
     def power_up(self) -> None:
         """Set what lies in RAM to its initial value, or to the backup's; the EEPROM and the backup keep theirs."""

@@ -229,7 +229,7 @@ class DynamixelDevice:
             kept["id"] = self.registers.get("id")
         if option == 0x02:
             kept["baud_rate"] = self.registers.get("baud_rate")
-        self._table.erase()
+        self.registers.reset()
         for name, value in kept.items():
             self.registers.put(name, value)
         self.reboot(now)

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.mx_device import MxDevice
-from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_MODELS
-from sim_backend.wire.dynamixel.tables import BAUD, MODELS
+from sim_backend.wire.dynamixel.tables import BAUD, MODELS, MX_BAUD, MX_MODELS
 from sim_backend.wire.packets.bus import PacketBus, PacketServo, PacketTiming
 from sim_backend.wire.packets.servos import servos
 from sim_backend.wire.uart.pty_line import PtyLine

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.dynamixel.mx_tables import MX_BAUD, MX_EEPROM_END, MX_MODELS, MX_RPM
+from sim_backend.wire.dynamixel.tables import MX_BAUD, MX_EEPROM_END, MX_MODELS, MX_RPM
 from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Frame, Instruction
 from sim_backend.wire.packets.registers import Registers

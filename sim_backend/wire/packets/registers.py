@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +23,18 @@ class Item:
     high: int = 0
     sign_bit: int = 0
     writable: bool = True
+
+
+def items_of(*tables: Mapping[str, Sequence[Any]], initial: Mapping[str, int]) -> tuple[Item, ...]:
+    """Return the items of tables as table.toml has them: address, bytes, r or rw, initial, low, high, bit of the sign.
+
+    initial: the values by name that differ from those of the tables.
+    """
+    items = []
+    for name, (address, size, access, *more) in (row for table in tables for row in table.items()):
+        item = Item(address, size, name, *more)
+        items.append(replace(item, initial=initial.get(name, item.initial), writable=access == "rw"))
+    return tuple(items)
 
 
 class Registers:

@@ -123,8 +123,8 @@ def test_a_chirp_through_a_cia_402_drive_gives_stiffness_and_damping_back(
     rig = make_cia402(model, parameters=scaled_joint(scale, constant, 0.6, friction=False))
     signals = recorded(rig, tmp_path / "run.h5", scale)
     # thousandths of the rated torque, for an EPOS2 milliamperes
-    lsb = 1e-3 * constant * (1.0 if model == "epos2" else 1e-3 * tables.NOMINAL_CURRENT)
-    check(signals, scale, lsb, 2.0 * math.pi / (4 * tables.PULSES))
+    lsb = 1e-3 * constant * (1.0 if model == "epos2" else 1.5)
+    check(signals, scale, lsb, 2.0 * math.pi / 4096)
 
 
 def test_a_chirp_through_a_moteus_gives_stiffness_and_damping_back(

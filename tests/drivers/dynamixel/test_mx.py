@@ -35,7 +35,7 @@ from sim_backend.wire.dynamixel.mx_device import (
     MX_RANGE,
     MxDevice,
 )
-from sim_backend.wire.dynamixel.mx_tables import MX_MODELS
+from sim_backend.wire.dynamixel.tables import MX_MODELS
 from sim_backend.wire.faults import CorruptReplies, DelayReplies, DropReplies, Reboots, TruncateReplies
 from sim_backend.wire.packets.bus import PacketBus
 from sim_backend.wire.packets.frames import Framer
