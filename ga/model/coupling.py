@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from ga.model.memory import without_beginnings
 from ga.model.record import Parameter, Regressors, Term
 from ga.model.terms import TERMS, canonical
 
@@ -92,7 +93,7 @@ class CouplingModel:
     @property
     def remembers(self) -> bool:
         """Whether the torque depends on earlier samples too."""
-        return any(term.remembers for term in self.terms)
+        return any(term.forgets is not None for term in self.terms)
 
     def anchored(self, motion: Motion) -> CouplingModel:
         """Return the model with origin and slowest rate of this motion, so that it is one model for every part of it.
@@ -131,13 +132,16 @@ class CouplingModel:
         model = self if self.smoothing is not None else self.anchored(motion)
         whole, rows = model._needed(motion)
         stacked = model._stacked(model._regressors(whole, nonlinear, lag), nonlinear)
-        return model._behind_cell(whole, stacked, nonlinear)[rows]
+        return model._known(whole, rows, model._behind_cell(whole, stacked, nonlinear)[rows], nonlinear)
 
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
-        """Return what the columns are to make up, (n,) N m: the torque (n,) without what is known of it."""
+        """Return what the columns are to make up, (n,) N m: the torque (n,) without what is known of it.
+
+        Where the model remembers, neither has the part that the unknown state at the beginning of a stretch can make.
+        """
         whole, rows = self._needed(motion)
         known = whole.delayed(self.delay(nonlinear)).known
-        return np.asarray(torque - self._behind_cell(whole, known, nonlinear)[rows])
+        return self._known(whole, rows, torque - self._behind_cell(whole, known, nonlinear)[rows], nonlinear)
 
     def jacobian(
         self, motion: Motion, nonlinear: Array, genes: Array, lag: float = 0.0, *, changing: Motion | None = None
@@ -155,11 +159,12 @@ class CouplingModel:
             if term.delays:
                 rates = whole.changing(self.delay(nonlinear)) if changing is None else changing
                 aged = -(model._stacked(regressors, nonlinear, rates) @ genes + rates.known)
-                found.append(model._behind_cell(whole, aged, nonlinear)[rows])
+                found.append(model._known(whole, rows, model._behind_cell(whole, aged, nonlinear)[rows], nonlinear))
             elif term.shifts is not None:
                 for shift in term.shifts(regressors.angle):
                     pushed = -model._pushed(regressors, nonlinear, genes, shift * regressors.contact)
-                    found.append(model._behind_cell(whole, pushed, nonlinear)[rows])
+                    behind = model._behind_cell(whole, pushed, nonlinear)[rows]
+                    found.append(model._known(whole, rows, behind, nonlinear))
             else:
                 found += [model._difference(motion, nonlinear, genes, lag, len(found) + k) for k in range(len(values))]
         return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
@@ -198,6 +203,12 @@ class CouplingModel:
         """What a torque (n,) or columns (n, p) of it become behind the torque cell."""
         constant = next((float(values[0]) for term, values in self._valued(nonlinear) if term.lags), 0.0)
         return motion.lagged(torque, constant)
+
+    def _known(self, motion: Motion, rows: slice | NDArray[np.int64], values: Array, nonlinear: Array | None) -> Array:
+        """Values (m,) or (m, p) of some rows without what the unknown state at the beginning of a stretch can make."""
+        valued = self._valued(nonlinear)
+        left = [term.forgets(motion, own)[rows] for term, own in valued if term.forgets is not None]
+        return without_beginnings(values, np.stack(left, axis=1), motion.stretch[rows]) if left else values
 
     def _regressors(self, motion: Motion, nonlinear: Array | None, lag: float = 0.0) -> Regressors:
         """The motion as the torque reading saw it, beyond the gap or slack."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
+
+
+_FORGOTTEN: Final = 1e-6
+"""Part of a state that makes no difference any more."""
 
 
 def lagged(time: Array, values: Array, constant: float) -> Array:
@@ -38,6 +42,21 @@ def presliding(time: Array, rate: Array, length: float) -> Array:
     moves = np.diff(time) * 0.5 * (rate[:-1] + rate[1:])
     keep = np.exp(-np.abs(moves) / length)
     return _recursion(keep, ((1.0 - keep) * np.sign(moves))[:, None], np.zeros(1))[:, 0]
+
+
+def without_beginnings(values: Array, left: Array, stretch: NDArray[np.int64]) -> Array:
+    """Return values (n,) or (n, p) without what is in proportion to each of `left` (n, k) within each stretch.
+
+    left: how much of the state that the stretch began with is left at each sample. By the theorem of Frisch and Waugh
+    (1933), a least-squares fit of what is returned is the fit in which these states are parameters.
+    """
+    found = values.copy()
+    near = np.flatnonzero(left.max(axis=1) > _FORGOTTEN)
+    for number in np.unique(stretch[near]).tolist():
+        rows = near[stretch[near] == number]
+        basis = np.linalg.qr(left[rows])[0]
+        found[rows] -= basis @ (basis.T @ found[rows])
+    return found
 
 
 @compiled

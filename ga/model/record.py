@@ -82,7 +82,8 @@ class Term:
     its parameter; or lags, is the time constant of the torque reading; or gives remaining, the deflection (n,) that its
     parameters leave, and shifts, how much of the deflection is taken away per unit of each; or only shapes its columns.
     contact, (n,), multiplies the torque of spring and damper, for remaining deflection, rate, Bc/Kc in s, v_s and its
-    parameters. remembers: whether the torque depends on earlier samples too.
+    parameters. forgets: where the torque depends on earlier samples too, what is left (n,) at each sample of the state
+    that its stretch began with, which is unknown; for a motion and the term's parameters.
     needs: the term without which it means nothing. excludes: the terms that it cannot stand beside, and why.
     breaks: whether the torque has breaks in it. confusable: terms beside which it must pay as much as one with breaks,
     because it can pass for a part of them. sticks: whether friction holds the joint where it is slow.
@@ -102,7 +103,7 @@ class Term:
     remaining: Callable[[Array, Array], Array] | None = None
     shifts: Callable[[Array], tuple[Array, ...]] | None = None
     contact: Callable[[Array, Array, float, float, Array], Array] | None = None
-    remembers: bool = False
+    forgets: Callable[[Motion, Array], Array] | None = None
     needs: str = ""
     excludes: tuple[str, ...] = ()
     reason: str = ""

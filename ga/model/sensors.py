@@ -98,6 +98,6 @@ LAG: Final = Term(
     ),
     bounds=_lag_bounds,
     lags=True,
-    remembers=True,
+    forgets=lambda m, own: m.fading(m.time, float(own[0])),
     selection="misfit",
 )

@@ -91,6 +91,26 @@ class Motion:
         parts = [memory.presliding(self.time[a:b], self.dtheta_dot[a:b], length) for a, b in self._stretches()]
         return np.concatenate(parts)
 
+    def fading(self, clock: Array, constant: float) -> Array:
+        """What is left (n,), 1 to 0, of the state at the beginning of each stretch, as a clock (n,) goes on.
+
+        constant: in the clock's unit, after which 1/e is left; 0: one sample.
+        """
+        firsts = np.asarray(self.starts)[self.stretch]
+        elapsed = clock - clock[firsts]
+        left = np.exp(-elapsed / constant) if constant > 0.0 else np.arange(len(self)) == firsts
+        return np.asarray(left, dtype=np.float64)
+
+    def travelled(self) -> Array:
+        """The way (n,) rad of the joint since the first sample, back and forth."""
+        moved = np.diff(self.time) * 0.5 * np.abs(self.dtheta_dot[:-1] + self.dtheta_dot[1:])
+        return np.concatenate([[0.0], np.cumsum(moved)])
+
+    @property
+    def stretch(self) -> NDArray[np.int64]:
+        """The number (n,) of the stretch that each sample is in."""
+        return np.asarray(np.searchsorted(self.starts, np.arange(len(self)), side="right") - 1)
+
     def _evaluated(self, delay: float, order: int) -> Motion:
         found = [
             curve(self.time[start:stop] - delay, order)

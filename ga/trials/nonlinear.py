@@ -18,7 +18,17 @@ import numpy as np
 from ga.bounds import Bounds
 from ga.evolution.ask_tell import Search
 from ga.evolution.evolution import Settings
-from ga.model.separable import FEW, Fit, Problem, at_least_contained, compass_search, descend, solve_or_none
+from ga.model.separable import (
+    FEW,
+    Fit,
+    Problem,
+    at_least_contained,
+    compass_search,
+    descend,
+    fit,
+    polished,
+    solve_or_none,
+)
 from ga.trials.trials import History, Trials
 
 if TYPE_CHECKING:
@@ -75,10 +85,12 @@ def search_nonlinear(
 
 
 def _polish(finished: list[_Trial], problem: Problem) -> None:
-    """Go on from the best trial's local minimum to the lowest place nearby."""
+    """Go on from the best trial's local minimum, or that of a grid where it is lower, to the lowest place nearby."""
     if finished:
         best = min(finished, key=lambda trial: trial.fit.fitness if trial.fit else np.inf)
-        best.fit = best.fit and at_least_contained(problem, compass_search(problem, best.fit))
+        found = [compass_search(problem, best.fit)] if best.fit else []
+        found += [fit(problem)] if problem.model.linear else []
+        best.fit = polished(problem, at_least_contained(problem, min(found, key=lambda one: one.fitness)))
 
 
 def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None) -> None:

@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
-from ga.model.separable import Problem, descend
-from ga.model.terms import PARAMETERS, TERMS, is_addable
+from ga.model.separable import Problem
+from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, is_addable
 from hil.identification.model_choice import Choice
-from hil.identification.stepwise import Step
+from hil.identification.stepwise import Alternative, Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
@@ -58,14 +59,37 @@ def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinea
     if not (choice.steps and isinstance(choice.model, CouplingModel)):
         return {}
     kept = replace(signals, motion=signals.motion.of(used), torque=signals.torque[used])
-    doubtful = [step.term for step in choice.steps if _is_doubtful(step)]
-    largest = _largest(choice.model, doubtful, kept, nonlinear)
+    doubtful = [step.term for step in choice.steps if step.term in CONSIDERED and _is_doubtful(step)]
+    selected = Alternative(choice.model, nonlinear, 0.0)
+    found, criteria = [], []
+    for one in (selected, *choice.alternatives):
+        around = _around(one, doubtful, kept)
+        if around:
+            found.append(around)
+            criteria.append(one.criterion)
+        elif one is selected:
+            return {}
+    weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
+    weights /= weights.sum()
+    return {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}
+
+
+def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
+    """The mixture of estimates with weights (m,) of sum one."""
+    values, errors = (np.array(of) for of in zip(*((one.value, one.half_width) for one in found), strict=True))
+    value = float(weights @ values)
+    return Averaged(value, float(np.sqrt(weights @ (errors**2 + (_NORMAL * (values - value)) ** 2))))
+
+
+def _around(model: Alternative, doubtful: Sequence[str], data: Signals) -> dict[str, Averaged]:
+    """Kc and Bc averaged over one model with and without the effects that every bench has; {} where none can be."""
+    largest = _largest(model, doubtful, data)
     if largest is None:
         return {}
     added, names, sampling = largest.added, largest.names, largest.sampling
     scales = np.full(len(names), np.inf)
     if "skew" in added:
-        scales[names.index("skew")] = TICK_SHARE * float(np.median(np.diff(kept.motion.time)))
+        scales[names.index("skew")] = TICK_SHARE * float(np.median(np.diff(data.motion.time)))
     optional = {name for term in (*added, *doubtful) if term not in _ALWAYS for name in _own(term)}
     found = average(
         largest.values,
@@ -93,26 +117,33 @@ class _Largest:
     sampling: Covariance
 
 
-def _largest(model: CouplingModel, doubtful: Sequence[str], data: Signals, nonlinear: Array) -> _Largest | None:
-    """The largest model in which each added term can be distinguished from the others; None where there is none."""
-    chosen = model.name.split("+")
+def _largest(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> _Largest | None:
+    """The largest model in which each added term can be distinguished from the others; None where there is none.
+
+    It is linearised at the fit of the smaller one: what is added is small, and would wander off together with a lag.
+    """
+    chosen = smaller.model.name.split("+")
     added: list[str] = []
     for term in (*_BENCH, *doubtful):
-        added += [term] if is_addable(term, (*chosen, *added)) else []
+        # a short lag differs from a skew by less than what estimates both at once
+        known = term == "skew" and "lag" in chosen
+        added += [term] if is_addable(term, (*chosen, *added)) and not known else []
     start = {parameter.name: parameter.absent for parameter in PARAMETERS.values()}
-    start |= dict(zip((parameter.name for parameter in model.nonlinear), nonlinear.tolist(), strict=True))
+    start |= dict(zip((one.name for one in smaller.model.nonlinear), smaller.nonlinear.tolist(), strict=True))
     while True:
         larger = parse("+".join((*chosen, *added))).anchored(data.motion)
         problem = Problem(larger, data.motion, data.torque, *larger.bounds(data.motion, data.band[1]))
         try:
-            fit = descend(problem, np.array([start[p.name] for p in larger.nonlinear], dtype=np.float64))
+            fit = problem.solve(np.array([start[p.name] for p in larger.nonlinear], dtype=np.float64))
+            blocks = Blocks.of(*problem.linearised(fit))
+            values = least_absolute_deviations(*next(iter(blocks())), fit.values).genes
         except RuntimeError:  # some columns are dependent
             return None
-        sampling = covariance(Blocks.of(*problem.linearised(fit)), fit.values)
+        sampling = covariance(blocks, values)
         names = [parameter.name for parameter in larger.parameters]
         alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in _own(term))]
         if not alike:
-            return _Largest(tuple(added), names, fit.values, sampling)
+            return _Largest(tuple(added), names, values, sampling)
         added.remove(alike[-1])
 
 

@@ -18,7 +18,7 @@ from ga.evolution.evolution import PRESETS, Settings
 from ga.lad.exact import Optimum
 from ga.lad.out_of_core import Reduced, reduce
 from ga.model.record import Parameter
-from ga.model.separable import Problem, descend, fit
+from ga.model.separable import Problem, descend
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_nonlinear
 from ga.trials.trials import Trials, run_trials
@@ -213,6 +213,7 @@ def _described(data: Dataset, solution: _Solution, evidence: Evidence) -> Descri
         names=tuple(evidence.names),
         values=solution.values,
         half_width=evidence.errors.half_width + np.abs(evidence.values - solution.values),
+        averaged=bool(data.choice.steps),
     )
 
 
@@ -272,8 +273,7 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Sol
     try:
         # the best trial is among them, so that none is ever better than the optimum it is compared with
         near = problem.solve(best.nonlinear) if model.linear else descend(problem, best.nonlinear)
-        candidates = [near, best, *([fit(problem)] if model.linear else [])]
-        exact = min(candidates, key=lambda found: found.fitness)
+        exact = min(near, best, key=lambda found: found.fitness)
     except RuntimeError as error:
         raise _unproven(error) from error
     columns, target = problem.linearised(exact)

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
-from hil.uncertainty.effects import Recorded
+from hil.uncertainty.effects import EFFECTS, Recorded
 from hil.uncertainty.lack_of_fit import Fitted, LackOfFit, lack_of_fit
 
 Array = NDArray[np.float64]
 
 _RESPECTS = 3  # that a message names
+_OF_EVERY_BENCH = {"tau0": "offset", "drift": "drift", "skew": "skew", "Fc": "coulomb"}  # parameter and effect
 _CHANGES = 0.03  # of K' over the band, from which it is said
 
 
@@ -24,6 +25,7 @@ class Described:
 
     recorded: all samples (n,). kept (n,): those that the model describes. residuals (m,) N m and columns (m, p): of
     these m, the columns named by `names`. values and half_width (p,): of the parameters and of their intervals.
+    averaged: whether the intervals include the small effects that every bench has, so that these are no misfit.
     """
 
     recorded: Recorded
@@ -35,6 +37,7 @@ class Described:
     names: tuple[str, ...]
     values: Array
     half_width: Array
+    averaged: bool = False
 
 
 def tested(described: Described) -> LackOfFit | None:
@@ -48,8 +51,17 @@ def tested(described: Described) -> LackOfFit | None:
         for array in (described.values, described.half_width)
     )
     skew = names.index("skew") if "skew" in names else None
+    if described.averaged:
+        columns = np.concatenate([columns, *_of_every_bench(described, residuals)], axis=1)
     fitted = Fitted(residuals, columns, coupling, values, half_width, skew, described.kept)
     return lack_of_fit(described.recorded, fitted)
+
+
+def _of_every_bench(described: Described, residuals: Array) -> list[Array]:
+    """What the small effects add (n, 1) each that the model lacks and every bench has."""
+    model, lacking = described.recorded.torque - residuals, set(_OF_EVERY_BENCH).difference(described.names)
+    codes = {code for name, code in _OF_EVERY_BENCH.items() if name in lacking}
+    return [column for one in EFFECTS if one.code in codes for column in one.signature(described.recorded, model)]
 
 
 def without_model(described: Described) -> DynamicStiffness | None:

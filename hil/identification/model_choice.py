@@ -14,7 +14,7 @@ from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification import stepwise
 from hil.identification.misfit import Described, tested
-from hil.identification.stepwise import Selection, Step
+from hil.identification.stepwise import Alternative, Selection, Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.effects import Recorded
 
@@ -38,7 +38,7 @@ class Coupling(SeparableModel, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The model, anchored to the data, and the steps of its selection, none where it was named.
+    """The model, anchored to the data, and the steps of its selection, none where it was named, with the alternatives.
 
     sticking: whether friction holds the joint where it is slow, so that the model does not describe those samples.
     delay: s, how much older the torque reading is, which decides where it is slow.
@@ -48,6 +48,7 @@ class Choice:
     steps: tuple[Step, ...] = ()
     sticking: bool = False
     delay: float = 0.0
+    alternatives: tuple[Alternative, ...] = ()
 
     def described(self, motion: Motion) -> NDArray[np.bool_]:
         """Return which samples (n,) the model describes."""
@@ -106,7 +107,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         rarer = tuple(term for term in rarer if term in found.model.name.split("+"))
         again = stepwise.select(motion.of(described), signals.torque[described], highest, (*terms, *rarer))
         found = again if again.model.sticks else found
-    return Choice(found.model.anchored(motion), found.steps, sticking, found.delay)
+    return Choice(found.model.anchored(motion), found.steps, sticking, found.delay, found.alternatives)
 
 
 def _describes(found: Selection, signals: Signals) -> bool:
@@ -125,6 +126,7 @@ def _describes(found: Selection, signals: Signals) -> bool:
             names=tuple(parameter.name for parameter in found.model.parameters),
             values=found.values,
             half_width=np.zeros(len(found.values)),
+            averaged=True,
         )
     )
     return fit is None or not fit.misfit

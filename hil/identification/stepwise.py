@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
-from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
+from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum, polished
 from ga.model.terms import CONSIDERED, RARER, TERMS, is_addable
 from ga.model.trajectory import Motion
 from hil.uncertainty.residual_spectrum import measure
@@ -33,6 +33,7 @@ _WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, an
 _STRONG = 10.0  # gain of a term with a break, whose chance is not known to be that of others
 _CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
 _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
+_LATE = ("skew", "lag")  # why a torque reading may be late
 _LIKELY = 3  # rarer terms that are considered, of those that lower the fitness most
 _MARGIN = 1e-4  # of a range, within which a value is at its end
 
@@ -57,11 +58,23 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
+class Alternative:
+    """A model that may stand in place of the one selected, its nonlinear parameters (q,), SI, and Akaike's criterion of
+    it less that of the one selected.
+    """
+
+    model: CouplingModel
+    nonlinear: Array
+    criterion: float
+
+
+@dataclass(frozen=True, slots=True)
 class Selection:
     """The model selected, anchored, and the steps: up to it, then one for each rejected term on top of it.
 
     residuals: (n,) N m, of its fit; columns: (n, p + q), of the problem linearised there, and values (p + q,), SI.
-    delay: s, how much older the torque reading is, 0 where no term of the model says.
+    delay: s, how much older the torque reading is, 0 where no term of the model says. alternatives: models with another
+    account of why the torque reading is late.
     """
 
     model: CouplingModel
@@ -70,6 +83,7 @@ class Selection:
     columns: Array
     values: Array
     delay: float
+    alternatives: tuple[Alternative, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +154,7 @@ class _Selector:
         self._candidates, self._compared = (*self._candidates, *terms), _LIKELY
 
     def beside_lag(self, chosen: _Candidate, usual: Selection) -> Selection:
-        """Return the selection with a torque cell's lag held against its skew: in place of it, where it fits clearly
-        better, or as a step that was rejected.
-        """
+        """Return the selection, with a torque cell's lag in place of its skew where that fits clearly better."""
         terms = tuple("lag" if term == "skew" else term for term in chosen.terms)
         if "skew" not in chosen.terms or self._fitness(terms) == np.inf:
             return usual
@@ -150,10 +162,38 @@ class _Selector:
         if self._ends(lagging, "lag") or _damping(lagging) < 0.0:
             return usual
         gain = float(self.ratio(chosen, lagging) / self._correlation(lagging, "lag"))
-        if gain > _STRONG:
-            return self.selection(lagging)
-        rival = replace(_step(lagging, gain, included=False), term="lag")
-        return replace(usual, steps=(*usual.steps, rival))
+        return self.selection(lagging) if gain > _STRONG else usual
+
+    def _alternatives(self, chosen: _Candidate) -> tuple[Alternative, ...]:
+        """The models with a skew, a lag of the torque cell or both, in place of those that the chosen one has."""
+        if not set(_LATE).intersection(chosen.terms):
+            return ()
+        others = tuple(term for term in chosen.terms if term not in _LATE)
+        alone = [one for term in _LATE if (one := self._late((*others, term))) is not None]
+        nearest = min(alone, key=lambda one: one.fit.fitness, default=chosen)
+        both = self._late((*others, *_LATE), beside=nearest)
+        found = [*alone, both] if both is not None else alone
+        alike = max(self._correlation(one, term) for one in (chosen, *found) for term in _LATE if term in one.terms)
+        return tuple(
+            Alternative(
+                one.model.anchored(self._motion),
+                one.fit.nonlinear,
+                2.0 * (len(one.terms) - len(chosen.terms)) - self.ratio(chosen, one) / alike,
+            )
+            for one in found
+            if set(one.terms) != set(chosen.terms)
+        )
+
+    def _late(self, terms: tuple[str, ...], beside: _Candidate | None = None) -> _Candidate | None:
+        """The model of these terms, where its skew and lag are within their bounds and no damping is negative."""
+        if self._fitness(terms) == np.inf:
+            return None
+        found = self.candidate(terms, beside)
+        if beside is not None:
+            found = replace(found, fit=polished(found.problem, found.fit))
+        late = [term for term in _LATE if term in terms]
+        impossible = any(self._ends(found, term) or _is_impossible(found, term) for term in late)
+        return None if impossible or _damping(found) < 0.0 else found
 
     def _criterion(self, reference: _Candidate, one: _Candidate) -> float:
         """Schwarz's criterion of a model, less that of the reference without its parameters."""
@@ -325,7 +365,8 @@ class _Selector:
         model, residuals = chosen.model.anchored(self._motion), chosen.problem.residuals(chosen.fit)
         columns, _ = chosen.problem.linearised(chosen.fit)
         delay = model.delay(chosen.fit.nonlinear)
-        return Selection(model, self._steps(chosen), residuals, columns, chosen.fit.values, delay)
+        alternatives = self._alternatives(chosen)
+        return Selection(model, self._steps(chosen), residuals, columns, chosen.fit.values, delay, alternatives)
 
     def _steps(self, chosen: _Candidate) -> tuple[Step, ...]:
         """The steps up to the chosen model, then one with each rejected term on top of it."""
@@ -363,9 +404,13 @@ def _stiffness(fitted: _Candidate) -> float:
 
 
 def _is_impossible(fitted: _Candidate, term: str) -> bool:
-    """Whether a parameter of the term is negative that nature has no negative one of, as a friction."""
+    """Whether a parameter of the term is negative that nature has no negative one of, as a friction.
+
+    A skew may be negative, but not to undo a part of the lag beside it.
+    """
     values = dict(zip((parameter.name for parameter in fitted.model.parameters), fitted.fit.values, strict=True))
-    return any(parameter.positive and values[parameter.name] < 0.0 for parameter in TERMS[term].parameters)
+    negative = any(parameter.positive and values[parameter.name] < 0.0 for parameter in TERMS[term].parameters)
+    return negative or (term in _LATE and "lag" in values and values.get("skew", 0.0) < 0.0)
 
 
 def _damping(fitted: _Candidate) -> float:
