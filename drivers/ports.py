@@ -67,6 +67,15 @@ def latency_timer(name: str, sys: Path = _SYS) -> int | None:
         return None
 
 
+def set_latency_timer(name: str, milliseconds: int, sys: Path = _SYS) -> bool:
+    """Set the ms that an FTDI adapter delays received bytes; return whether this user may."""
+    try:
+        (sys / "bus/usb-serial/devices" / name / "latency_timer").write_text(str(milliseconds))
+    except OSError:
+        return False
+    return True
+
+
 def can_interfaces(sys: Path = _SYS, details: Callable[[str], Mapping[str, Any]] | None = None) -> list[Port]:
     """Return the CAN interfaces of the kernel. details: of one, as `ip -json` prints them; None: run `ip`."""
     interfaces = []

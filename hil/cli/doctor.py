@@ -27,6 +27,9 @@ def doctor(
     ] = None,
     mode: options.Mode = Quantity.TORQUE,
     rate: Annotated[float, typer.Option(min=1.0, max=10_000.0, help="Hz to reach.")] = options.DEFAULT_RATE,
+    tune: Annotated[
+        bool, typer.Option("--tune", help="Find the highest rate at which 99.9 % of the replies are in time.")
+    ] = False,
     as_json: options.Json = False,
 ) -> None:
     """Check ports and CAN interfaces, and with a stand file also the drive; say how to mend what is wrong.
@@ -45,11 +48,12 @@ def doctor(
     ports, interfaces = serial_ports(), can_interfaces()
     checks = CheckList()
     if not as_json:
-        _print_ports("serial port", ports)
-        _print_ports("CAN interface", interfaces)
+        if opened is None:
+            _print_ports("serial port", ports)
+            _print_ports("CAN interface", interfaces)
         checks.on_check = _print_check
     if opened is not None:
-        examine(checks, opened, mode, rate=rate, move=move, amplitude=jog)
+        examine(checks, opened, mode, rate=rate, move=move, amplitude=jog, tuned=tune)
     if as_json:
         print_json(_as_json(checks, {"serial": ports, "can": interfaces}))
     if checks.signal:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -47,10 +47,12 @@ def _ignore(check: Check) -> None:
 class CheckList:
     """The checks so far. on_check: is called with each as it is made.
 
+    keys: of the stand file on which each check depends, by its name; an error that names none of them names them all.
     info and bus are None where it did not get so far; signal: the one that ended it early, or 0.
     """
 
     on_check: Callable[[Check], None] = _ignore
+    keys: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     checks: list[Check] = field(default_factory=list)
     info: ServoInfo | None = None
     bus: LinkFigures | None = None
@@ -63,6 +65,9 @@ class CheckList:
 
     def add(self, name: str, verdict: Verdict, message: str) -> None:
         """Add a check."""
+        keys = self.keys.get(name, ()) if verdict is Verdict.ERROR else ()
+        if keys and not any(key in message for key in keys):
+            message += f" (in the stand file: {', '.join(keys)})"
         check = Check(name, verdict, message)
         self.checks.append(check)
         self.on_check(check)

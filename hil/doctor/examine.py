@@ -19,8 +19,10 @@ from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.real_time import PERMISSION, missing_permissions
 from hil.doctor.checks import CheckList, Verdict
 from hil.doctor.jog import Jog, run_jog
+from hil.doctor.keys import keys_of
 from hil.doctor.link_test import check_link, check_readings, reachable
 from hil.doctor.stop_path import check_stop, check_watchdog
+from hil.doctor.tune import tune
 from hil.errors import WrongUse
 from hil.guardian.servo import Watch
 from hil.stand.devices import check_backend, found_by_search, restrictions
@@ -33,15 +35,24 @@ _SMALL = 1.0 / 20.0  # of a limit
 
 
 def examine(
-    checks: CheckList, stand: Stand, mode: Quantity, *, rate: float, move: bool, amplitude: float | None = None
+    checks: CheckList,
+    stand: Stand,
+    mode: Quantity,
+    *,
+    rate: float,
+    move: bool,
+    amplitude: float | None = None,
+    tuned: bool = False,
 ) -> None:
     """Make every check that the stand allows and add it to `checks`. The torque is off on return.
 
     rate: Hz that the link must reach. move: whether the motor may be driven, by `amplitude` N m or rad at the joint
-    (None: a twentieth of the limit). Raises WrongUse where the stand file does not suffice.
+    (None: a twentieth of the limit). tuned: whether to look for the highest rate. Raises WrongUse
+    where the stand file does not suffice.
     """
     stand.checked_limits()
     check_backend(stand.stand.backend)
+    checks.keys = keys_of(stand)
     _check_port(checks, stand)
     _check_real_time(checks)
     for text in restrictions(stand.devices.get(str(stand.stand.backend)), stand.stand.torque_source):
@@ -56,6 +67,8 @@ def examine(
                     _move(checks, stand, servo, (mode, amplitude, rate), stop)
                 if not stop.count:  # last, since it may leave a fault that only cutting the power clears
                     check_watchdog(checks, servo, limits)
+        if tuned and checks.ok and not stop.count:
+            tune(checks, stand, mode, stop)
         checks.signal = stop.number
     if checks.ok and not move:
         checks.add("signs, lock", Verdict.SKIPPED, "nothing was moved: add --move, with nobody's hand in the joint")

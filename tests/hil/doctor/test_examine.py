@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,10 +14,13 @@ from typing import Any
 import pytest
 
 import hil.doctor.examine
+import hil.doctor.tune
 from drivers.dynamixel.config import DynamixelConfig
 from drivers.dynamixel.scan import search
 from drivers.dynamixel.servo import DynamixelServo
+from drivers.ports import latency_timer, set_latency_timer
 from drivers.servo import Command, DriverError, Quantity, Sample, Servo
+from hil.acquisition.interrupt import StopRequest
 from hil.cli.app import run
 from hil.doctor.checks import CheckList
 from hil.doctor.examine import examine
@@ -285,3 +289,69 @@ def test_a_link_that_is_lost_in_the_middle_is_an_error_and_no_traceback(
     checks = examine_rig(rig)
     assert verdicts(checks)["drive"] == "error"
     assert rig.port.opened == 0
+
+
+def test_tuning_finds_the_rate_that_the_wire_permits_and_names_the_key_that_gets_it(
+    make_rig: Callable[..., Any], examine_rig: Examine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_rig()
+    opened: list[float] = []
+
+    def at_rest(stand: Stand, *, quantity: Quantity) -> tuple[Servo, dict[str, float]]:
+        table = stand.devices["dynamixel"].for_quantity(quantity)
+        opened.append(table.return_delay)
+        return rig.open(mode=table.mode, return_delay=table.return_delay), {}
+
+    monkeypatch.setattr(hil.doctor.tune, "open_servo", at_rest)
+    slow = f"{STAND.format(port='loop://')}return_delay = 500e-6\n"
+    monkeypatch.setattr(__name__ + ".stand_at", lambda _: parse(slow))
+    checks = examine_rig(rig, move=False, tuned=True)
+    assert verdicts(checks)["tune"] == "warning"
+    said = message(checks, "tune")
+    rates = [float(found) for found in re.findall(r"([\d.]+) Hz", said)]
+    assert opened[:2] == [500e-6, 0.0]
+    assert rates[1] < rates[0] < 1.0 / (52e-5 + 1e-3)
+    assert said.endswith("set dynamixel.return_delay = 0")
+    assert not rig.device.torque_on
+
+
+def test_a_rate_at_which_replies_are_lost_is_not_one_at_which_they_are_in_time(make_rig: Callable[..., Any]) -> None:
+    rig = make_rig()
+    servo = rig.open()
+    whole = hil.doctor.tune.highest_rate(servo, stop := StopRequest())
+    rig.bus.faults.inject(DropReplies(after=310, count=6))  # of 2000, two may be missing
+    reached = hil.doctor.tune.highest_rate(servo, stop)
+    assert reached.share >= 0.999
+    assert reached.rate < whole.rate
+    servo.close()
+
+
+def test_a_latency_timer_is_set_where_the_user_may_and_named_where_not(tmp_path: Path) -> None:
+    folder = tmp_path / "bus/usb-serial/devices/ttyUSB0"
+    assert not set_latency_timer("ttyUSB0", 1, tmp_path)
+    folder.mkdir(parents=True)
+    (folder / "latency_timer").write_text("16")
+    assert set_latency_timer("ttyUSB0", 1, tmp_path)
+    assert latency_timer("ttyUSB0", tmp_path) == 1
+
+
+def test_an_error_names_the_keys_of_the_stand_file_that_it_depends_on(
+    make_rig: Callable[..., Any], examine_rig: Examine
+) -> None:
+    rig = make_rig()
+    rig.bus.faults.inject(DropReplies(after=20, count=40))
+    checks = examine_rig(rig, move=False)
+    assert message(checks, "bus").endswith("(in the stand file: dynamixel.baudrate, dynamixel.reply_timeout)")
+
+
+def test_a_can_stand_is_not_answered_with_serial_ports(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "stand.toml"
+    path.write_text(
+        '[stand]\nbackend = "odrive"\n[limits]\ntorque = 1\ndeflection = 1\nvelocity = 1\n'
+        '[odrive]\ninterface = "socketcan"\nchannel = "can77"\ntorque_constant = 0.04\n'
+    )
+    assert run(["doctor", str(path)]) == 3
+    said = capfd.readouterr().out
+    assert "serial port" not in said
+    assert said.startswith("error       port: there is no CAN interface can77")
+    assert "odrive.channel" in said
