@@ -36,7 +36,6 @@ _WATCHED = ("target", "Vq", "Vd", "Cq", "Cd", "vel", "angle")
 _LIMITS = {"U": ("volt: ", "voltage_limit"), "C": ("curr: ", "current_limit"), "V": ("vel: ", "velocity_limit")}
 _PLAIN = {"R": "R phase: ", "I": "L phase: ", "K": "Motor KV: "}
 _OFFSETS = {"M": "offset: ", "E": "el. offset: "}
-_BOOT = ("Monitor enabled!", "Init", "Enable driver.", "Align sensor.", "sensor dir: CW", "PP check: OK!", "Ready.")
 _SHOWN = 7
 _VOLTAGE = 0
 """The torque type in which a limit given beside a target is one of voltage."""
@@ -70,11 +69,6 @@ class CommanderDevice:
         """The settings and loops of the motor."""
         return self.motor.law
 
-    @property
-    def streams(self) -> bool:
-        """Whether `motor.monitor()` prints lines."""
-        return self.downsample > 0 and "1" in self.watched
-
     def restart(self) -> None:
         """Set everything as the program does when it begins: the motor is enabled, its target zero."""
         self.printer = Printer()
@@ -92,11 +86,6 @@ class CommanderDevice:
         motion.mode, motion.target = TORQUE_MODE, 0.0
         motion.voltage_limit, motion.current_limit, motion.velocity_limit = 12.0, 2.0, 20.0
         self.motor.enable()
-
-    @property
-    def greeting(self) -> str:
-        """The text that it prints while it starts."""
-        return "".join(f"MOT: {line}\r\n" for line in _BOOT)
 
     def monitored(self) -> str:
         """Return a line of `motor.monitor()`: the variables that are watched, currents in mA."""

@@ -22,6 +22,7 @@ MODELS = ("motor", "motor+loadcell")
 FIRMWARES = ("2.3", "2.4", "2.4-watchdog")
 WATCHDOG = 0.1
 """s of silence after which the program with a watchdog (docs/serial.md) disables the motor."""
+_BOOT = ("Monitor enabled!", "Init", "Enable driver.", "Align sensor.", "sensor dir: CW", "PP check: OK!", "Ready.")
 _SEND_BUFFER = 64
 """Bytes that the board's serial port holds for sending."""
 
@@ -110,7 +111,7 @@ class CommanderBoard:
 
     def due(self) -> float:
         """Return when its program next prints unasked, s."""
-        return self._streamed + self._loop * self.device.downsample if self.device.streams else math.inf
+        return self._streamed + self._loop * self.device.downsample if self._streams else math.inf
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
         """Return the lines printed after `data`, whose first byte is sent at `now`, and when each has arrived."""
@@ -138,14 +139,19 @@ class CommanderBoard:
     def _monitored(self, now: float) -> list[tuple[float, bytes]]:
         """Return the lines that the program printed by itself since then; it waits where its buffer is full."""
         out: list[tuple[float, bytes]] = []
-        while self.device.streams and self.due() <= now:
+        while self._streams and self.due() <= now:
             self._streamed = self.due()
             if self._awake <= self.made:
                 out += self._reply(self.device.monitored().encode(), self._streamed)
                 self._streamed = max(self._streamed, self._free - _SEND_BUFFER * self._duration(1))
-        if not self.device.streams:
+        if not self._streams:
             self._streamed = now
         return out
+
+    @property
+    def _streams(self) -> bool:
+        """Whether `motor.monitor()` prints lines."""
+        return self.device.downsample > 0 and "1" in self.device.watched
 
     @property
     def _loop(self) -> float:
@@ -165,7 +171,8 @@ class CommanderBoard:
                 return []
             case Reboots():
                 self.reboot(at)
-                return [(self._awake - 0.1, self.device.greeting.encode())]
+                greeting = "".join(f"MOT: {line}\r\n" for line in _BOOT)
+                return [(self._awake - 0.1, greeting.encode())]
         loop, latency = (self._timing.loop, self._timing.usb_latency) if self._timing else (0.0, 0.0)
         self._free = max(self._free, at + loop) + self._duration(len(line))
         return paced(self.faults.arriving(line, self._free), self._duration(1), latency)
