@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import multiprocessing
 import threading
 import time
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import serial
 
 from drivers.canbus.off_path import from_slcan_text
 from drivers.cia402.config import Cia402Config
@@ -34,7 +32,6 @@ from drivers.odrive.config import OdriveConfig
 from drivers.odrive.servo import OdriveServo
 from drivers.packets.port import SerialPort
 from drivers.servo import Limits, Servo
-from drivers.uart.port import POLL
 from hil.doctor.stop_path import answered
 from hil.stand.file import load
 from hil.stand.opening import open_servo
@@ -45,7 +42,7 @@ from sim_backend.servo import SimServo
 from sim_backend.wire.canbus.bus import CanBus, CanNode, CanTiming
 from sim_backend.wire.canbus.loopback import CanLoopback
 from sim_backend.wire.cia402.device import Cia402Device
-from sim_backend.wire.commander.emulator import CommanderBoard, CommanderTiming, new_board
+from sim_backend.wire.commander.emulator import CommanderTiming, new_board
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.mx_device import MxDevice
@@ -76,76 +73,46 @@ class Loopback(SerialPort):
         super().__init__("loopback", baudrate, clock)
         self.bus = bus
         self.sent = bytearray()
-        self.opened = 0
+        self.closed = True
         self._virtual = clock
-        self._due: list[tuple[float, int, bytes]] = []
-        self._count = 0
-        self._here = bytearray()
 
     def openPort(self) -> bool:  # noqa: N802 - the SDK's name
-        self.ser = self
-        self.opened += 1
+        port: Any = SerialLoopback(self.bus, self._virtual, self.baudrate)
+        port.sent, self.ser = self.sent, port
+        self.closed = False
         return True
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
-        self.opened -= 1
+        self.closed = True
+        super().closePort()
 
     def clearPort(self) -> None:  # noqa: N802 - the SDK's name
-        self._arrive()
-        self._here.clear()
-
-    def writePort(self, packet: bytes) -> int:  # noqa: N802 - the SDK's name
-        self._check()
-        self.sent += packet
-        for at, data in self.bus.receive(bytes(packet), self._virtual.now(), self.baudrate):
-            self._count += 1
-            heapq.heappush(self._due, (at, self._count, data))
-        return len(packet)
-
-    @property
-    def in_waiting(self) -> int:
-        self._arrive()
-        return len(self._here)
-
-    def read(self, length: int) -> bytes:
-        self._check()
-        now = self._virtual.now()
-        end = now + POLL
-        while self.in_waiting < length and self._due and self._due[0][0] <= end:
-            self._virtual.sleep_until(self._due[0][0])
-        if self.in_waiting < length:
-            self._virtual.sleep_until(end)
-        out = bytes(self._here[:length])
-        del self._here[:length]
-        return out
-
-    def _check(self) -> None:
-        if self.bus.unplugged:
-            raise serial.SerialException("device disconnected")
-
-    def _arrive(self) -> None:
-        while self._due and self._due[0][0] <= self._virtual.now():
-            self._here += heapq.heappop(self._due)[2]
+        self.ser.reset_input_buffer()
 
 
 @dataclass
 class Rig:
-    """A bus of emulated servos and what is needed to open one of them, in virtual time."""
+    """An emulated bus or board, and what is needed to open a drive on it, in virtual time. plug: makes a new port."""
 
-    bus: PacketBus
+    bus: Any
     clock: VirtualClock
-    port: Loopback
+    adapter: Callable[..., Any]
     config: Any
-    adapter: Callable[..., Any] = DynamixelServo
+    port: Any
+    plug: Callable[[], Any] | None = None
 
     def open(self, **changes: Any) -> Any:
         config = replace(self.config, **changes)
-        self.port.baudrate = config.baudrate
-        return self.adapter(config, clock=self.clock, port=self.port)
+        self.port = self.plug() if self.plug else self.port
+        if isinstance(self.port, Loopback):
+            self.port.baudrate = config.baudrate
+        end = {"bus": self.port} if isinstance(self.port, CanLoopback) else {"port": self.port}
+        return self.adapter(config, clock=self.clock, **end)
 
     @property
     def device(self) -> Any:
-        return self.bus.devices[0]
+        drives = getattr(self.bus, "devices", None) or getattr(self.bus, "nodes", None) or [self.bus]
+        return drives[0]
 
     @property
     def motor(self) -> Any:
@@ -153,15 +120,19 @@ class Rig:
 
     @property
     def faults(self) -> WireFaults[Any]:
-        return self.bus.faults
+        faults: WireFaults[Any] = self.bus.faults
+        return faults
 
     @property
     def closed(self) -> bool:
-        return self.port.opened == 0
+        return bool(self.port.closed)
 
     def wait(self, seconds: float) -> None:
         self.clock.sleep_until(self.clock.now() + seconds)
-        self.bus.advance(self.clock.now())
+        if isinstance(self.port, CanLoopback):
+            self.port.advance()
+        else:
+            self.bus.advance(self.clock.now())
 
 
 def new_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
@@ -173,7 +144,7 @@ def new_rig(model: str = "xl330-m288", *, baudrate: int = 1_000_000, **device: A
         bus = PacketBus([DynamixelDevice(model, baudrate=baudrate, **device)], timing=PacketTiming())
     watchdog = 0.0 if model in MX_MODELS else 0.1
     config = DynamixelConfig(port="loopback", model=model, baudrate=baudrate, watchdog=watchdog)  # type: ignore[arg-type]  # a Literal
-    return Rig(bus, clock, Loopback(bus, clock, baudrate), config)
+    return Rig(bus, clock, DynamixelServo, config, Loopback(bus, clock, baudrate))
 
 
 def feetech_rig(model: str = "hls3930m", *, baudrate: int = 1_000_000, **device: Any) -> Rig:
@@ -181,98 +152,33 @@ def feetech_rig(model: str = "hls3930m", *, baudrate: int = 1_000_000, **device:
     bus = PacketBus([FeetechDevice(model, baudrate=baudrate, **device)], timing=PacketTiming(), protocol=1)
     constant = {"sts": 1.09, "hls3606m": 0.5}.get(model if model == "hls3606m" else model[:3])
     config = FeetechConfig("loopback", model, baudrate=baudrate, torque_constant=constant)  # type: ignore[arg-type]  # a Literal
-    return Rig(bus, clock, Loopback(bus, clock, baudrate), config, FeetechServo)
+    return Rig(bus, clock, FeetechServo, config, Loopback(bus, clock, baudrate))
 
 
-@pytest.fixture
-def make_feetech() -> Callable[..., Rig]:
-    return feetech_rig
-
-
-@dataclass
-class CanRig:
-    """A CAN bus of emulated drives in virtual time, and what is needed to open one of them."""
-
-    bus: CanBus
-    clock: VirtualClock
-    adapter: Callable[..., Servo]
-    config: Any
-    wire: CanLoopback
-
-    def open(self, **changes: Any) -> Any:
-        self.wire = CanLoopback(self.bus, self.clock)
-        return self.adapter(replace(self.config, **changes), clock=self.clock, bus=self.wire)
-
-    @property
-    def device(self) -> Any:
-        return self.bus.nodes[0]
-
-    @property
-    def motor(self) -> Any:
-        return self.device.motor
-
-    @property
-    def faults(self) -> WireFaults[Any]:
-        return self.bus.faults
-
-    @property
-    def closed(self) -> bool:
-        return self.wire.closed
-
-    def wait(self, seconds: float) -> None:
-        self.clock.sleep_until(self.clock.now() + seconds)
-        self.wire.advance()
-
-
-def can_rig(adapter: Callable[..., Servo], config: Any, nodes: list[CanNode], bitrate: float = 1e6) -> CanRig:
+def can_rig(adapter: Callable[..., Servo], config: Any, nodes: list[CanNode], bitrate: float = 1e6) -> Rig:
     clock = VirtualClock()
     bus = CanBus(nodes, timing=CanTiming(bitrate=bitrate))
-    return CanRig(bus, clock, adapter, config, CanLoopback(bus, clock))
+    return Rig(bus, clock, adapter, config, CanLoopback(bus, clock), lambda: CanLoopback(bus, clock))
 
 
-def odrive_rig(firmware: str = "0.6.10", **device: Any) -> CanRig:
+def odrive_rig(firmware: str = "0.6.10", **device: Any) -> Rig:
     config = OdriveConfig(interface="loopback", channel="", torque_constant=0.04, bitrate=1_000_000)
     return can_rig(OdriveServo, config, [OdriveDevice(firmware=firmware, **device)])
 
 
-def mit_rig(model: str = "dm-j4310", **device: Any) -> CanRig:
+def mit_rig(model: str = "dm-j4310", **device: Any) -> Rig:
     config = MitConfig(interface="loopback", channel="", model=model)
     return can_rig(MitServo, config, [MitDevice(model, **device)])
 
 
-@pytest.fixture
-def make_mit() -> Callable[..., CanRig]:
-    return mit_rig
-
-
-def moteus_rig(**device: Any) -> CanRig:
+def moteus_rig(**device: Any) -> Rig:
     return can_rig(MoteusServo, MoteusConfig(interface="loopback", channel=""), [MoteusDevice(**device)])
 
 
-def cia402_rig(model: str = "epos4", **device: Any) -> CanRig:
+def cia402_rig(model: str = "epos4", **device: Any) -> Rig:
     constant = 0.02 if model == "epos2" else None
     config = Cia402Config(interface="loopback", channel="", profile=model, torque_constant=constant)  # type: ignore[arg-type]  # a Literal
     return can_rig(Cia402Servo, config, [Cia402Device(model, **device)])
-
-
-@pytest.fixture
-def make_cia402() -> Callable[..., CanRig]:
-    return cia402_rig
-
-
-@pytest.fixture
-def make_moteus() -> Callable[..., CanRig]:
-    return moteus_rig
-
-
-@pytest.fixture
-def make_odrive() -> Callable[..., CanRig]:
-    return odrive_rig
-
-
-@pytest.fixture
-def make_rig() -> Callable[..., Rig]:
-    return new_rig
 
 
 @pytest.fixture
@@ -285,50 +191,27 @@ def limits() -> Limits:
     return SERVO_LIMITS
 
 
-@dataclass
-class FocRig:
-    """An emulated SimpleFOC board and what is needed to open its motor, in virtual time."""
-
-    board: CommanderBoard
-    clock: VirtualClock
-    port: SerialLoopback
-    config: CommanderConfig
-
-    def open(self, **changes: Any) -> CommanderServo:
-        return CommanderServo(replace(self.config, **changes), clock=self.clock, port=self.port)
-
-    @property
-    def motor(self) -> Any:
-        return self.board.motor
-
-    @property
-    def faults(self) -> WireFaults[Any]:
-        return self.board.faults
-
-    @property
-    def closed(self) -> bool:
-        return self.port.closed
-
-    def wait(self, seconds: float) -> None:
-        self.clock.sleep_until(self.clock.now() + seconds)
-        self.board.advance(self.clock.now())
-
-
-def new_foc(baudrate: int = 1_000_000, **board: Any) -> FocRig:
+def new_foc(baudrate: int = 1_000_000, **board: Any) -> Rig:
     clock = VirtualClock()
     made = new_board(baudrate=baudrate, timing=CommanderTiming(), **board)
     config = CommanderConfig("loopback", torque_constant=0.0145, watchdog=0.0, baudrate=baudrate)
-    return FocRig(made, clock, SerialLoopback(made, clock, baudrate), config)
+    return Rig(made, clock, CommanderServo, config, SerialLoopback(made, clock, baudrate))
 
 
-def with_loadcell(rig: FocRig) -> Servo:
-    port = SerialLoopback(EmulatedLoadCell(LoadCellBoard(), rig.board), rig.clock, 115200)
+def with_loadcell(rig: Rig) -> Servo:
+    port = SerialLoopback(EmulatedLoadCell(LoadCellBoard(), rig.bus), rig.clock, 115200)
     return StandServo(rig.open(), 0.1, LoadCell(LoadCellConfig("loopback", SCALE), clock=rig.clock, port=port))
 
 
-@pytest.fixture
-def make_foc() -> Callable[..., FocRig]:
-    return new_foc
+def maker(name: str, make: Callable[..., Rig]) -> Any:
+    """A fixture that makes rigs."""
+    return pytest.fixture(name=name)(lambda: make)
+
+
+make_rig, make_feetech = maker("make_rig", new_rig), maker("make_feetech", feetech_rig)
+make_odrive, make_mit = maker("make_odrive", odrive_rig), maker("make_mit", mit_rig)
+make_moteus, make_cia402 = maker("make_moteus", moteus_rig), maker("make_cia402", cia402_rig)
+make_foc = maker("make_foc", new_foc)
 
 
 SERVO_LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
@@ -393,73 +276,43 @@ class Wired:
     wait: Callable[[float], None]
 
 
-def wired_can(rig: CanRig, limits: Limits, **changes: Any) -> Wired:
+def wired_rig(rig: Rig, limits: Limits, open_: Callable[[Rig], Servo] = Rig.open) -> Wired:
     def unplug(gone: bool) -> None:
         rig.bus.unplugged = gone
 
-    servo = rig.open(**changes)
+    def put(packet: bytes) -> None:
+        if isinstance(rig.port, CanLoopback):
+            rig.port.send(from_slcan_text(packet))
+        else:
+            (rig.port.writePort if isinstance(rig.port, Loopback) else rig.port.write)(packet)
+
     return Wired(
-        servo,
+        open_(rig),
         limits,
-        lambda: len(rig.wire.sent),
-        lambda: bool(rig.device.motor.enabled),
+        lambda: len(rig.port.sent),
+        lambda: bool(rig.motor.enabled),
         unplug,
         reopen=rig.open,
         device=rig.device,
-        put=lambda packet: rig.wire.send(from_slcan_text(packet)),
-        wait=rig.wait,
-    )
-
-
-def wired_packets(rig: Rig, limits: Limits) -> Wired:
-    def unplug(gone: bool) -> None:
-        rig.bus.unplugged = gone
-
-    return Wired(
-        rig.open(),
-        limits,
-        lambda: len(rig.port.sent),
-        lambda: bool(rig.device.motor.enabled),
-        unplug,
-        reopen=rig.open,
-        device=rig.device,
-        put=rig.port.writePort,
-        wait=rig.wait,
-    )
-
-
-def wired_foc(rig: FocRig, *, loadcell: bool = False) -> Wired:
-    def unplug(gone: bool) -> None:
-        rig.board.unplugged = gone
-
-    servo = with_loadcell(rig) if loadcell else rig.open()
-    return Wired(
-        servo,
-        SIM_LIMITS,
-        lambda: len(rig.port.sent),
-        lambda: rig.board.motor.enabled,
-        unplug,
-        reopen=rig.open,
-        device=rig.board,
-        put=rig.port.write,
+        put=put,
         wait=rig.wait,
     )
 
 
 IN_VIRTUAL_TIME: dict[str, Callable[[], Wired]] = {
-    "dynamixel": lambda: wired_packets(new_rig(), SERVO_LIMITS),
-    "dynamixel mx": lambda: wired_packets(new_rig("mx-64"), MX_LIMITS),
-    "feetech hls": lambda: wired_packets(feetech_rig(), FEETECH_LIMITS),
-    "odrive 0.5.6": lambda: wired_can(odrive_rig("0.5.6"), ODRIVE_LIMITS),
-    "odrive 0.6.10": lambda: wired_can(odrive_rig("0.6.10"), ODRIVE_LIMITS),
-    "mit ak80-9": lambda: wired_can(mit_rig("ak80-9"), MIT_LIMITS),
-    "mit dm-j4310": lambda: wired_can(mit_rig("dm-j4310"), MIT_LIMITS),
-    "moteus": lambda: wired_can(moteus_rig(), ODRIVE_LIMITS),
-    "cia402 epos4": lambda: wired_can(cia402_rig("epos4"), CIA402_LIMITS),
-    "cia402 epos2": lambda: wired_can(cia402_rig("epos2"), CIA402_LIMITS),
-    "cia402 generic": lambda: wired_can(cia402_rig("generic"), CIA402_LIMITS),
-    "commander": lambda: wired_foc(new_foc()),
-    "commander with a loadcell": lambda: wired_foc(new_foc(), loadcell=True),
+    "dynamixel": lambda: wired_rig(new_rig(), SERVO_LIMITS),
+    "dynamixel mx": lambda: wired_rig(new_rig("mx-64"), MX_LIMITS),
+    "feetech hls": lambda: wired_rig(feetech_rig(), FEETECH_LIMITS),
+    "odrive 0.5.6": lambda: wired_rig(odrive_rig("0.5.6"), ODRIVE_LIMITS),
+    "odrive 0.6.10": lambda: wired_rig(odrive_rig("0.6.10"), ODRIVE_LIMITS),
+    "mit ak80-9": lambda: wired_rig(mit_rig("ak80-9"), MIT_LIMITS),
+    "mit dm-j4310": lambda: wired_rig(mit_rig("dm-j4310"), MIT_LIMITS),
+    "moteus": lambda: wired_rig(moteus_rig(), ODRIVE_LIMITS),
+    "cia402 epos4": lambda: wired_rig(cia402_rig("epos4"), CIA402_LIMITS),
+    "cia402 epos2": lambda: wired_rig(cia402_rig("epos2"), CIA402_LIMITS),
+    "cia402 generic": lambda: wired_rig(cia402_rig("generic"), CIA402_LIMITS),
+    "commander": lambda: wired_rig(new_foc(), SIM_LIMITS),
+    "commander with a loadcell": lambda: wired_rig(new_foc(), SIM_LIMITS, with_loadcell),
 }
 
 

@@ -298,7 +298,7 @@ def board_left_on(rig: Rig) -> None:
     rig.motor.enable()
     rig.motor.law.target = 0.2
     for character in "M0.05":  # another program died while it was typing
-        rig.board.device.type(character)
+        rig.bus.device.type(character)
 
 
 def cut_short(*lengths: int) -> tuple[WireFault, ...]:
@@ -504,9 +504,9 @@ BOARD = Drive(
     period=4e-3,
     silence=1000,
     boot=4.0,
-    reboot=lambda rig: rig.board.reboot(rig.clock.now()),
+    reboot=lambda rig: rig.bus.reboot(rig.clock.now()),
     off=lambda rig: not rig.motor.enabled and rig.motor.law.target == 0.0,
-    refused=(lambda rig: rig.board.garble("MLC0", "MLC9"), "current limit"),
+    refused=(lambda rig: rig.bus.garble("MLC0", "MLC9"), "current limit"),
 )
 
 DRIVES = {
@@ -539,7 +539,7 @@ DRIVES = {
     "commander": BOARD,
     "commander with a watchdog": replace(
         BOARD,
-        prepare=lambda rig, _: setattr(rig.board, "watchdog", COMMANDER_WATCHDOG),
+        prepare=lambda rig, _: setattr(rig.bus, "watchdog", COMMANDER_WATCHDOG),
         watch=Watch(0.9 * COMMANDER_WATCHDOG, 0.2 * COMMANDER_WATCHDOG, "by itself", COMMANDER_STOPPED),
     ),
 }

@@ -15,7 +15,7 @@ from drivers.off_path import HasOffPath, OffPath
 from drivers.servo import Command, Quantity
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 
-from .conftest import IN_VIRTUAL_TIME, ODRIVE_LIMITS, Wired, odrive_rig, wired_can
+from .conftest import IN_VIRTUAL_TIME, ODRIVE_LIMITS, Wired, odrive_rig, wired_rig
 
 SERIAL = ("dynamixel", "dynamixel mx", "feetech hls", "commander")
 CAN = ("odrive 0.5.6", "odrive 0.6.10", "mit ak80-9", "mit dm-j4310", "moteus", "cia402 epos4", "cia402 epos2")
@@ -92,7 +92,9 @@ def test_the_drive_has_the_settings_again_that_closing_it_leaves(name: str) -> N
 def test_an_odrive_with_its_endpoint_file_has_the_parameters_again_that_closing_it_leaves(tmp_path: Path) -> None:
     path = tmp_path / "flat_endpoints.json"
     path.write_text(json.dumps(flat_endpoints("0.6.10")))
-    wired, closed = (wired_can(odrive_rig(), ODRIVE_LIMITS, endpoints=str(path)) for _ in range(2))
+    wired, closed = (
+        wired_rig(odrive_rig(), ODRIVE_LIMITS, lambda rig: rig.open(endpoints=str(path))) for _ in range(2)
+    )
     before = settings(wired.device)
     for one in (wired, closed):
         one.servo.arm(one.limits)

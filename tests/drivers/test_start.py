@@ -42,10 +42,6 @@ RIGS: dict[str, tuple[Callable[[], Any], Limits]] = {
 STARTS, REPLIES, LOST = 25, 1000, 0.02
 
 
-def faults(rig: Any) -> Any:
-    return rig.board.faults if hasattr(rig, "board") else rig.faults
-
-
 @pytest.mark.parametrize("name", RIGS)
 def test_every_start_succeeds_where_two_percent_of_the_replies_are_lost(name: str) -> None:
     make, limits = RIGS[name]
@@ -53,10 +49,10 @@ def test_every_start_succeeds_where_two_percent_of_the_replies_are_lost(name: st
     for seed in range(STARTS):
         rig = make()
         for reply in np.flatnonzero(np.random.default_rng(seed).random(REPLIES) < LOST):
-            faults(rig).inject(DropReplies(after=int(reply)))
+            rig.faults.inject(DropReplies(after=int(reply)))
         servo = rig.open()
         servo.arm(limits)
-        asked += faults(rig).replies
+        asked += rig.faults.replies
         servo.close()
     assert LOST * asked >= 1.0  # one was lost at least
 
@@ -68,10 +64,10 @@ def test_in_a_run_a_lost_reply_is_a_gap_and_is_not_waited_for_again(name: str) -
     servo = rig.open()
     servo.arm(limits)
     servo.exchange(Command.rest())
-    faults(rig).inject(DropReplies(count=10))
+    rig.faults.inject(DropReplies(count=10))
     begin = servo.clock.now()
     with pytest.raises(NoReply):
         servo.exchange(Command.rest())
     assert servo.clock.now() - begin < 2.0 * servo._config.reply_timeout
-    faults(rig).clear()
+    rig.faults.clear()
     servo.close()

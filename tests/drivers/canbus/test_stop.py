@@ -55,7 +55,7 @@ def test_torque_off_does_not_wait_for_replies_that_are_still_due(
 def test_torque_off_goes_out_though_the_bus_never_falls_silent(pushing: tuple[Any, Any]) -> None:
     rig, servo = pushing
     stranger = can.Message(arbitration_id=0x7A5, data=b"noise", is_extended_id=False)
-    rig.wire._recv_internal = lambda _: (stranger, False)
+    rig.port._recv_internal = lambda _: (stranger, False)
     with pytest.raises(DriverError, match="cut the"):
         servo.disarm()
     assert not rig.device.motor.enabled

@@ -79,12 +79,12 @@ def test_a_search_names_every_node_and_touches_nothing(make_cia402: Make) -> Non
     rig = make_cia402()
     rig.bus.nodes.append(Cia402Device("epos2", 9))
     before = [dict(node.objects.values) for node in rig.bus.nodes]
-    assert search(rig.config, rig.clock, rig.wire) == [
+    assert search(rig.config, rig.clock, rig.port) == [
         "EPOS4 Module 24/1.5 (profile CiA 402) answers with node id 1",
         "EPOS2 (profile CiA 402) answers with node id 9",
     ]
     assert [node.objects.values for node in rig.bus.nodes] == before
-    assert {message.data[0] for message in rig.wire.sent} <= {0x40, 0x60, 0x70}
+    assert {message.data[0] for message in rig.port.sent} <= {0x40, 0x60, 0x70}
 
 
 # -- arming ---------------------------------------------------------------------------------------------------------
@@ -145,7 +145,7 @@ def test_a_drive_that_another_program_switches_off_is_a_fault(make_cia402: Make)
 def test_a_node_that_another_program_stops_is_a_fault_and_is_started_again(make_cia402: Make) -> None:
     rig = make_cia402()
     servo = armed(rig)
-    rig.wire.send(can.Message(arbitration_id=0, data=[2, 1], is_extended_id=False))
+    rig.port.send(can.Message(arbitration_id=0, data=[2, 1], is_extended_id=False))
     with pytest.raises(DeviceFault, match="another program commands it") as caught:
         ask_through_gaps(rig, servo)
     assert caught.value.code == NOT_ENABLED

@@ -259,9 +259,9 @@ def test_one_tick_is_four_frames_and_their_time_on_the_wire(make_cia402: Make) -
     servo = rig.open()
     servo.arm(LIMITS)
     rig.wait(3e-3)
-    before, begin = len(rig.wire.sent), rig.clock.now()
+    before, begin = len(rig.port.sent), rig.clock.now()
     servo.exchange(torque(0.01))
-    sent = rig.wire.sent[before:]
+    sent = rig.port.sent[before:]
     assert [message.arbitration_id for message in sent][:2] == [0x201, 0x080]
     assert bytes(sent[0].data) == struct.pack("<Hh", 0x0F, 333)
     # with all stuff bits: 95 bits with 4 bytes, 55 with none, 135 with 8, 95 with 4; turnaround, the adapter's latency
@@ -273,11 +273,11 @@ def test_our_heartbeat_goes_four_times_in_the_watchdogs_time_and_no_more(make_ci
     rig = make_cia402()
     servo = rig.open()
     servo.arm(LIMITS)
-    before, begin = len(rig.wire.sent), rig.clock.now()
+    before, begin = len(rig.port.sent), rig.clock.now()
     for _ in range(500):
         rig.wait(1e-3)
         servo.exchange(Command.rest())
-    beats = [message for message in rig.wire.sent[before:] if message.arbitration_id == 0x77F]
+    beats = [message for message in rig.port.sent[before:] if message.arbitration_id == 0x77F]
     assert 0.9 < len(beats) * 0.025 / (rig.clock.now() - begin) <= 1.0
 
 
@@ -288,7 +288,7 @@ def test_without_a_watchdog_no_heartbeat_is_sent_and_none_watched(make_cia402: M
     servo.exchange(torque(0.01))
     rig.wait(5.0)
     assert rig.device.motor.enabled
-    assert not [message for message in rig.wire.sent if message.arbitration_id == 0x77F]
+    assert not [message for message in rig.port.sent if message.arbitration_id == 0x77F]
 
 
 def test_a_stand_file_and_the_emulate_command_are_all_it_takes(tmp_path: Path) -> None:

@@ -101,7 +101,7 @@ def test_a_chirp_through_a_simplefoc_board_gives_stiffness_and_damping_back(
 
 def with_cell(rig: Any, board: LoadCellBoard) -> Servo:
     servo = rig.open()
-    port = SerialLoopback(EmulatedLoadCell(board, rig.board, now=rig.clock.now()), rig.clock, board.baudrate)
+    port = SerialLoopback(EmulatedLoadCell(board, rig.bus, now=rig.clock.now()), rig.clock, board.baudrate)
     config = LoadCellConfig(port="loopback", scale=SCALE, baudrate=board.baudrate)
     return StandServo(servo, 0.0, LoadCell(config, clock=rig.clock, port=port))
 

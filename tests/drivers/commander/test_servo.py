@@ -71,7 +71,7 @@ def drive_on(rig: Rig, servo: CommanderServo, ticks: int) -> None:
 
 def off(rig: Rig) -> bool:
     """Whether no current can flow, nor would by enabling it."""
-    return not rig.board.motor.enabled and rig.board.motor.law.target == 0.0
+    return not rig.bus.motor.enabled and rig.bus.motor.law.target == 0.0
 
 
 # -- what is sent and read ------------------------------------------------------------------------------------------
@@ -83,7 +83,7 @@ def test_a_torque_arrives_as_current_and_the_state_comes_back_in_si(foc: Rig, si
     for _ in range(100):
         foc.wait(4e-3)
         sample = servo.exchange(PUSH)
-    motor = foc.board.motor
+    motor = foc.bus.motor
     assert motor.law.target == pytest.approx(sign * 2e-3 / KT, abs=2 * RESOLUTION)
     assert sample.motor_torque == pytest.approx(2e-3, abs=KT * 1e-3)
     assert sample.motor_position == pytest.approx(sign * motor.law.angle(motor), abs=2e-3)
@@ -92,10 +92,10 @@ def test_a_torque_arrives_as_current_and_the_state_comes_back_in_si(foc: Rig, si
 
 def test_the_limits_reach_the_board(foc: Rig) -> None:
     armed(foc)
-    assert foc.board.motor.law.current_limit == pytest.approx(4e-3 / KT, rel=1e-4)
-    assert foc.board.motor.law.current_limit <= 4e-3 / KT
-    assert foc.board.motor.law.velocity_limit == 400.0
-    assert foc.board.device.torque_type == 2
+    assert foc.bus.motor.law.current_limit == pytest.approx(4e-3 / KT, rel=1e-4)
+    assert foc.bus.motor.law.current_limit <= 4e-3 / KT
+    assert foc.bus.motor.law.velocity_limit == 400.0
+    assert foc.bus.device.torque_type == 2
 
 
 @pytest.mark.parametrize("firmware", ["2.3", "2.4"])
@@ -103,13 +103,13 @@ def test_a_target_is_bounded_here_whether_or_not_the_library_does(make_foc: Make
     rig = make_foc(firmware=firmware)
     servo = armed(rig)
     servo.exchange(Command(Quantity.TORQUE, -1.0))
-    assert -4e-3 / KT <= rig.board.motor.law.target == pytest.approx(-4e-3 / KT, abs=3 * RESOLUTION)
+    assert -4e-3 / KT <= rig.bus.motor.law.target == pytest.approx(-4e-3 / KT, abs=3 * RESOLUTION)
 
 
 def test_a_target_left_over_from_another_mode_never_becomes_a_torque(foc: Rig) -> None:
-    motor = foc.board.motor
+    motor = foc.bus.motor
     motor.law.mode, motor.law.target = 2, 3.0  # 3 rad would be 3 A
-    foc.board.device.restart = lambda: None
+    foc.bus.device.restart = lambda: None
     servo = foc.open()
     assert off(foc)
     servo.arm(LIMITS)
@@ -160,7 +160,7 @@ def test_what_is_not_seven_whole_numbers_is_no_state(text: str) -> None:
 )
 def test_a_lost_or_damaged_reply_is_one_gap_and_what_follows_is_fresh(foc: Rig, fault: Any) -> None:
     servo = armed(foc)
-    foc.board.faults.inject(fault)
+    foc.bus.faults.inject(fault)
     gaps = 0
     for step in range(40):
         foc.wait(4e-3)
@@ -170,10 +170,10 @@ def test_a_lost_or_damaged_reply_is_one_gap_and_what_follows_is_fresh(foc: Rig, 
         except (NoReply, BadReply):
             gaps += 1
             continue
-        assert foc.board.motor.law.target == pytest.approx(wanted.value / KT, abs=2 * RESOLUTION)
+        assert foc.bus.motor.law.target == pytest.approx(wanted.value / KT, abs=2 * RESOLUTION)
         assert sample.t_read <= foc.clock.now()
     assert 1 <= gaps <= 2
-    assert foc.board.motor.enabled
+    assert foc.bus.motor.enabled
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_a_lost_or_damaged_reply_is_one_gap_and_what_follows_is_fresh(foc: Rig, 
 )
 def test_junk_and_doubled_lines_cost_nothing(foc: Rig, fault: Any) -> None:
     servo = armed(foc)
-    foc.board.faults.inject(fault)
+    foc.bus.faults.inject(fault)
     for _ in range(10):
         foc.wait(4e-3)
         assert servo.exchange(PUSH).motor_position >= 0.0
@@ -190,21 +190,21 @@ def test_junk_and_doubled_lines_cost_nothing(foc: Rig, fault: Any) -> None:
 def test_a_digit_lost_on_the_way_to_the_board_is_put_right_within_the_tick(foc: Rig) -> None:
     servo = armed(foc)
     foc.wait(4e-3)
-    foc.board.garble("M0.1", "M1")  # ten times the current
+    foc.bus.garble("M0.1", "M1")  # ten times the current
     with pytest.raises(BadReply):
         servo.exchange(PUSH)
-    assert foc.board.motor.law.target == pytest.approx(2e-3 / KT, abs=2 * RESOLUTION)
+    assert foc.bus.motor.law.target == pytest.approx(2e-3 / KT, abs=2 * RESOLUTION)
     foc.wait(4e-3)
     servo.exchange(PUSH)
 
 
 def test_a_restart_between_two_runs_does_not_leave_the_motor_on(foc: Rig) -> None:
     servo = foc.open()
-    foc.board.reboot(foc.clock.now())
+    foc.bus.reboot(foc.clock.now())
     foc.wait(4.0)
-    printer = foc.board.device.printer  # of a program that prints like this by itself
+    printer = foc.bus.device.printer  # of a program that prints like this by itself
     printer.verbose, printer.decimals = 3, 5
-    assert foc.board.motor.enabled
+    assert foc.bus.motor.enabled
     servo.exchange(Command.rest())
     assert off(foc)
 
@@ -212,12 +212,12 @@ def test_a_restart_between_two_runs_does_not_leave_the_motor_on(foc: Rig) -> Non
 @pytest.mark.parametrize("damage", [CorruptReplies(), TruncateReplies(keep=7)])
 def test_a_damaged_reply_about_the_format_is_a_gap_and_no_restart(foc: Rig, damage: Any) -> None:
     servo = armed(foc)
-    foc.board.faults.inject(DropReplies(count=3))
+    foc.bus.faults.inject(DropReplies(count=3))
     foc.wait(4e-3)
     with pytest.raises(NoReply):
         servo.exchange(PUSH)  # so that the board is asked for its format next
-    foc.board.faults.clear()
-    foc.board.faults.inject(damage)
+    foc.bus.faults.clear()
+    foc.bus.faults.inject(damage)
     foc.wait(4e-3)
     with pytest.raises((BadReply, NoReply)):
         servo.exchange(PUSH)
@@ -229,7 +229,7 @@ def test_a_damaged_reply_about_the_format_is_a_gap_and_no_restart(foc: Rig, dama
 
 
 def test_a_board_that_is_still_booting_is_waited_for(foc: Rig) -> None:
-    foc.board.reboot(0.0)
+    foc.bus.reboot(0.0)
     servo = foc.open()
     assert foc.clock.now() > CommanderTiming().boot
     assert off(foc)
@@ -238,12 +238,12 @@ def test_a_board_that_is_still_booting_is_waited_for(foc: Rig) -> None:
 
 def test_the_wrong_baud_rate_and_silence_are_distinguished(make_foc: Make) -> None:
     rig = make_foc(baudrate=115200)
-    rig.port = SerialLoopback(rig.board, rig.clock, 1_000_000)
+    rig.port = SerialLoopback(rig.bus, rig.clock, 1_000_000)
     with pytest.raises(BadReply, match="no Commander"):
         rig.open(baudrate=1_000_000)
     assert rig.port.closed
     silent = make_foc()
-    silent.board.faults.inject(DropReplies(count=10_000))
+    silent.bus.faults.inject(DropReplies(count=10_000))
     with pytest.raises(NoReply, match="nothing answers on loopback at 1000000 baud"):
         silent.open()
     assert off(silent)
@@ -262,11 +262,11 @@ def test_a_motor_under_another_letter_is_reported_with_the_letters_of_the_board(
 
 
 def test_a_board_that_streams_is_made_to_stop_even_after_a_restart(foc: Rig) -> None:
-    foc.board.device.program_downsample = foc.board.device.downsample = 10
+    foc.bus.device.program_downsample = foc.bus.device.downsample = 10
     servo = armed(foc)
     drive_on(foc, servo, 3)
-    assert foc.board.device.watched == "0000000"
-    foc.board.reboot(foc.clock.now())
+    assert foc.bus.device.watched == "0000000"
+    foc.bus.reboot(foc.clock.now())
     foc.wait(4.0)
     servo.disarm()
     assert off(foc)
@@ -274,7 +274,7 @@ def test_a_board_that_streams_is_made_to_stop_even_after_a_restart(foc: Rig) -> 
 
 def test_a_limit_that_the_board_does_not_take_is_refused_with_the_motor_off(foc: Rig) -> None:
     servo = foc.open()
-    foc.board.garble("MLC0", "MLC9")
+    foc.bus.garble("MLC0", "MLC9")
     with pytest.raises(DriverError, match="current limit"):
         servo.arm(LIMITS)
     assert off(foc)
@@ -319,7 +319,7 @@ def test_the_torque_is_off_after_close_and_after_an_exception_whatever_the_line_
     for fault in (DropReplies(count=1000), CorruptReplies(count=1000), DropRequests(count=2)):
         rig = make_foc()
         servo = armed(rig)
-        rig.board.faults.inject(fault)
+        rig.bus.faults.inject(fault)
         with contextlib.suppress(DriverError):
             servo.exchange(PUSH)
         servo.close()
@@ -328,7 +328,7 @@ def test_the_torque_is_off_after_close_and_after_an_exception_whatever_the_line_
 
 def test_an_unconfirmed_torque_off_is_reported_and_may_be_requested_again(foc: Rig) -> None:
     servo = armed(foc)
-    foc.board.faults.inject(DropReplies(count=18))
+    foc.bus.faults.inject(DropReplies(count=18))
     with pytest.raises(DriverError, match="not confirmed"):
         servo.disarm()
     servo.disarm()

@@ -160,7 +160,7 @@ def test_no_torque_is_sent_to_a_motor_that_is_not_armed(make_mit: Make) -> None:
         for _ in range(5):
             servo.exchange(Command.rest())
         servo.close()
-        assert all(bytes(m.data) == LEAVE for m in rig.wire.sent if m.arbitration_id == 1)
+        assert all(bytes(m.data) == LEAVE for m in rig.port.sent if m.arbitration_id == 1)
 
 
 def test_temperature_and_its_offset(make_mit: Make) -> None:
@@ -173,9 +173,9 @@ def test_one_tick_is_one_frame_each_way(make_mit: Make) -> None:
     rig = make_mit()
     servo = rig.open()
     servo.arm(LIMITS)
-    before, begin = len(rig.wire.sent), rig.clock.now()
+    before, begin = len(rig.port.sent), rig.clock.now()
     servo.exchange(torque(0.5))
-    assert len(rig.wire.sent) - before == 1
+    assert len(rig.port.sent) - before == 1
     assert rig.clock.now() - begin == pytest.approx(2 * 135e-6 + 5e-5 + 1e-4, abs=1e-5)
 
 

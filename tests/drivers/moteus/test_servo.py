@@ -190,10 +190,10 @@ def test_one_tick_is_one_frame_each_way(make_moteus: Make) -> None:
     rig = make_moteus()
     servo = rig.open()
     servo.arm(LIMITS)
-    before, begin = len(rig.wire.sent), rig.clock.now()
+    before, begin = len(rig.port.sent), rig.clock.now()
     servo.exchange(torque(0.1))
-    assert len(rig.wire.sent) - before == 1
-    assert len(rig.wire.sent[-1].data) == 48
+    assert len(rig.port.sent) - before == 1
+    assert len(rig.port.sent[-1].data) == 48
     # the arbitration at 1 Mbit/s, 48 bytes at 5 Mbit/s, twice; turnaround and the adapter's latency beside
     assert rig.clock.now() - begin == pytest.approx(2 * 160e-6 + 5e-5 + 1e-4, abs=4e-5)
 

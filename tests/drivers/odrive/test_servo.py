@@ -185,9 +185,9 @@ def test_one_tick_is_five_frames_and_their_time_on_the_wire(make_odrive: Make) -
     servo = rig.open()
     servo.arm(LIMITS)
     rig.wait(3e-3)
-    before, begin = len(rig.wire.sent), rig.clock.now()
+    before, begin = len(rig.port.sent), rig.clock.now()
     servo.exchange(torque(0.1))
-    assert len(rig.wire.sent) - before <= 4
+    assert len(rig.port.sent) - before <= 4
     # with all stuff bits 135 for 8 bytes, 55 for a remote frame; turnaround and the adapter's latency beside
     wire = (3 * 135 + 2 * 55) * 1e-6 + 2 * 5e-5 + 1e-4
     assert rig.clock.now() - begin == pytest.approx(wire, abs=2e-4)
