@@ -45,7 +45,7 @@ def test_every_model_is_opened_armed_driven_and_closed(make_rig: Make, limits: L
     assert last.motor_position > 0.0
     servo.close()
     assert not rig.device.torque_on
-    assert rig.port.opened == 0
+    assert rig.port.closed
 
 
 @pytest.mark.parametrize("model", sorted(MODELS))

@@ -103,7 +103,7 @@ def test_a_sound_stand_passes_every_check_and_is_left_with_its_torque_off(
     # 14 + 38 bytes at 1 Mbaud and 1 ms in the adapter, and the loopback reads in steps of its poll
     assert 400.0 < checks.bus.rate < 1.0 / (52e-5 + 1e-3)
     assert not rig.device.torque_on
-    assert rig.port.opened == 0
+    assert rig.port.closed
 
 
 def test_a_drive_without_a_watchdog_is_not_moved(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
@@ -288,7 +288,7 @@ def test_a_link_that_is_lost_in_the_middle_is_an_error_and_no_traceback(
     rig.bus.faults.inject(Unplug(after=50))
     checks = examine_rig(rig)
     assert verdicts(checks)["drive"] == "error"
-    assert rig.port.opened == 0
+    assert rig.port.closed
 
 
 def test_tuning_finds_the_rate_that_the_wire_permits_and_names_the_key_that_gets_it(
