@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli import options
+from hil.cli.progress import progress
 from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json, say
 from hil.errors import WrongUse
 
@@ -130,17 +131,49 @@ def _columns(option: str, given: tuple[str | None, float], **names: str | None) 
 
 
 def export_data(
-    recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="FILE.csv, FILE.csv.gz or FILE.parquet.")],
+    source: Annotated[Path, typer.Argument(help="A recording, or for a model also a result of identify --json.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help=".csv, .csv.gz, .parquet, .mat, .mcap; .xml, .urdf, .sdf, .h, .json.")
+    ],
+    form: Annotated[
+        str | None,
+        typer.Option("--format", help="csv, parquet, mat, mcap; mujoco, urdf, sdf, c, json [default: the name's]."),
+    ] = None,
     force: options.Force = False,
 ) -> None:
-    """Write every channel of a recording as a table, with the units in its headings."""
-    from hil.exchange.exporter import check_format, export
+    """Write a recording as a table, or its coupling as a model: MuJoCo, URDF, SDF, C or JSON.
+
+    hil export run1.h5 -o run1.csv; hil export run1.h5 -o finger.xml
+    """
+    from hil.exchange.exporter import TABLES, export, format_of
     from hil.recording.output import check_output
 
-    check_format(output)
-    check_output(output, force=force, inputs=[recording])
-    out(f"{output}: {export(recording, output, force=force)} rows")
+    chosen = format_of(output, form)
+    check_output(output, force=force, inputs=[source])
+    if chosen in TABLES:
+        out(f"{output}: {export(source, output, force=force)} rows")
+    else:
+        _export_coupling(source, output, chosen, force=force)
+
+
+def _export_coupling(source: Path, output: Path, form: str, *, force: bool) -> None:
+    """Write the coupling in a result, or in a recording, which is identified first."""
+    from hil.exchange.coupling import of_json, of_result
+    from hil.exchange.exporter import export_coupling
+    from hil.exchange.models import FORMATS
+
+    if source.suffix.lower() == ".json":
+        found = of_result(source)
+    else:
+        from hil.api.analysis import identify
+
+        with progress() as show:
+            result = identify(source, progress=show)
+        found = of_json(result.as_json(), str(source))
+    export_coupling(found, output, force=force)
+    out(f"{output}: Kc {found.stiffness:.5g} N m/rad, Bc {found.damping:.5g} N m s/rad ({found.model})")
+    if not FORMATS[form].complete:
+        print_diagnostics(found.left_out())
 
 
 def recover(

@@ -1,26 +1,76 @@
-"""The export of a recording as a table: every channel a column, with its unit in the heading."""
+"""The export of a recording: every row and channel, as CSV, Parquet, MATLAB or MCAP."""
 
 from __future__ import annotations
 
 import csv
 import gzip
 import math
+from collections.abc import Callable, Mapping
+from datetime import datetime
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from hil.errors import WrongUse
+from hil.exchange import models
+from hil.exchange.bags import JOINT_STATE, SAMPLE
 from hil.exchange.columns import parquet
+from hil.exchange.coupling import Coupling
 from hil.exchange.headings import heading
-from hil.recording.channels import CHANNELS
+from hil.recording.channels import CHANNELS, ROW
 from hil.recording.output import atomic_write
 from hil.recording.reader import Recording
 
-_SUFFIXES = (".csv", ".csv.gz", ".parquet")
+JOINT = "joint"
+"""The name of the joint in the joint states of an exported MCAP."""
+
+_RULER = "=" * 80
+_HEADER = f"""{_RULER}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_RULER}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_STATES = f"std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n{_HEADER}"
+_SAMPLES = "".join(f"{'uint64' if ROW[name].kind == 'u' else 'float64'} {name}\n" for name in CHANNELS)
+_LARGEST_MAT = 1 << 31  # bytes of a variable in a MAT-file of version 7
 
 
-def check_format(target: Path) -> None:
-    """Raise WrongUse where the target's name does not end like a CSV or Parquet file."""
-    if not target.name.endswith(_SUFFIXES):
-        raise WrongUse(f"{target}: an export is {', '.join(_SUFFIXES)}: name the output so")
+class TableFormat(NamedTuple):
+    """A format of recordings: its suffixes, its writer, and the check that its library is there, given the output."""
+
+    suffixes: tuple[str, ...]
+    write: Callable[[Recording, Path], None]
+    check: Callable[[Path], object] | None = None
+
+
+def format_of(target: Path, given: str | None) -> str:
+    """Return the name of the format: the one that is given, else that of the output's suffix.
+
+    Raises WrongUse for an unknown one, and where the suffix says another than the one that is given.
+    """
+    of_name = next((name for name, suffixes in _suffixes().items() if target.name.lower().endswith(suffixes)), None)
+    known = ", ".join(f"{name} ({', '.join(suffixes)})" for name, suffixes in _suffixes().items())
+    if given is not None and given not in _suffixes():
+        raise WrongUse(f"unknown --format {given!r}: known are {known}")
+    if of_name is None:
+        what = f"--format {given}" if given else "an export"
+        wanted = " or ".join(_suffixes()[given]) if given else f"one of {known}"
+        raise WrongUse(f"{target}: the name of {what} ends in {wanted}: name the output so")
+    if given is not None and given != of_name:
+        raise WrongUse(
+            f"{target} says {of_name} by its name, and --format says {given}: name the output "
+            f"{target.with_suffix(_suffixes()[given][0])}, or omit --format"
+        )
+    return of_name
+
+
+def _suffixes() -> dict[str, tuple[str, ...]]:
+    tables = {name: one.suffixes for name, one in TABLES.items()}
+    return tables | {name: (one.suffix,) for name, one in models.FORMATS.items()}
 
 
 def export(path: Path, target: Path, *, force: bool = False) -> int:
@@ -29,16 +79,27 @@ def export(path: Path, target: Path, *, force: bool = False) -> int:
     No digit is lost: `hil import` without columns reads the same numbers back. force: replace a file of that name.
     Raises WrongUse, Untrustworthy for a recording that is damaged or was changed.
     """
-    check_format(target)
-    write = _write_parquet if target.suffix == ".parquet" else _write_csv
+    name = format_of(target, None)
+    if name not in TABLES:
+        raise WrongUse(f"{target}: {name} is a format of a coupling, not of a recording")
+    form = TABLES[name]
+    if form.check is not None:
+        form.check(target)
     with Recording(path) as recording, atomic_write(target, force=force) as temporary:
         recording.check_unchanged()
-        write(recording, temporary, packed=target.suffix == ".gz")
+        form.write(recording, temporary)
         return len(recording)
 
 
-def _write_csv(recording: Recording, target: Path, *, packed: bool) -> None:
-    with (gzip.open if packed else open)(target, "wt", encoding="utf-8", newline="") as text:
+def export_coupling(coupling: Coupling, target: Path, *, force: bool = False) -> None:
+    """Write a model of the coupling in the format of the output's name. Raises WrongUse."""
+    form = models.FORMATS[format_of(target, None)]
+    with atomic_write(target, force=force) as temporary:
+        temporary.write_text(form.text(coupling), encoding="utf-8")
+
+
+def _write_csv(recording: Recording, target: Path) -> None:
+    with (gzip.open if target.suffix == ".gz" else open)(target, "wt", encoding="utf-8", newline="") as text:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([heading(name) for name in CHANNELS])
         for _, rows in recording.rows():
@@ -46,8 +107,7 @@ def _write_csv(recording: Recording, target: Path, *, packed: bool) -> None:
                 writer.writerow(["" if isinstance(value, float) and math.isnan(value) else value for value in row])
 
 
-def _write_parquet(recording: Recording, target: Path, *, packed: bool) -> None:
-    del packed
+def _write_parquet(recording: Recording, target: Path) -> None:
     module = parquet(target)
     import pyarrow
 
@@ -56,3 +116,73 @@ def _write_parquet(recording: Recording, target: Path, *, packed: bool) -> None:
         for _, rows in recording.rows():
             columns = {heading(name): rows[name].astype("f8") for name in CHANNELS}
             writer.write_table(pyarrow.table(columns, schema=schema))
+
+
+def _write_mat(recording: Recording, target: Path) -> None:
+    """Write a column vector a channel, and their units as a struct."""
+    from scipy.io import savemat
+
+    if len(recording) * 8 >= _LARGEST_MAT:
+        raise WrongUse(f"{recording.path} is longer than a MAT-file can hold: export it as Parquet")
+    channels: dict[str, Any] = {name: recording.channel(name) for name in CHANNELS}
+    channels["units"] = {name: channel.unit for name, channel in CHANNELS.items()}
+    with target.open("wb") as file:
+        savemat(file, channels, do_compression=True, oned_as="column")
+
+
+def _check_mcap(target: Path) -> None:
+    try:
+        import mcap_ros2.writer  # noqa: F401 - only whether it is there
+    except ImportError:
+        raise WrongUse(f"{target}: MCAP needs mcap-ros2-support: pip install 'hil[ros]', or use CSV") from None
+
+
+def _write_mcap(recording: Recording, target: Path) -> None:
+    """Write a message a row: joint states, which every ROS tool shows, and samples with every channel."""
+    from mcap_ros2.writer import Writer
+
+    start = _started(recording)
+    with target.open("wb") as file:
+        writer: Any = Writer(file)
+        states = writer.register_msgdef(JOINT_STATE, _STATES)
+        samples = writer.register_msgdef(SAMPLE, _SAMPLES)
+        stamp = start
+        for _, rows in recording.rows():
+            for row in rows:
+                time = float(row["time"])
+                stamp = start + round(time * 1e9) if math.isfinite(time) else stamp
+                sample = {name: row[name].item() for name in CHANNELS}
+                writer.write_message("/hil/sample", samples, sample, log_time=stamp, publish_time=stamp)
+                writer.write_message("/joint_states", states, _state(sample, stamp), log_time=stamp, publish_time=stamp)
+        writer.finish()
+
+
+def _state(sample: Mapping[str, float], stamp: int) -> dict[str, Any]:
+    """Return the joint state of a row: the deflection as position, the torque as effort."""
+    seconds, nanoseconds = divmod(stamp, 10**9)
+    return {
+        "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": ""},
+        "name": [JOINT],
+        "position": [sample["dtheta"]],
+        "velocity": [sample["dtheta_dot"]],
+        "effort": [sample["torque"]],
+    }
+
+
+def _started(recording: Recording) -> int:
+    """Return when the recording was made, ns since 1970; 0 where its header does not say."""
+    try:
+        return int(datetime.fromisoformat(str(recording.attributes.get("created", ""))).timestamp()) * 10**9
+    except ValueError:
+        return 0
+
+
+TABLES: Mapping[str, TableFormat] = MappingProxyType(
+    {
+        "csv": TableFormat((".csv", ".csv.gz"), _write_csv),
+        "parquet": TableFormat((".parquet", ".pq"), _write_parquet, parquet),
+        "mat": TableFormat((".mat",), _write_mat),
+        "mcap": TableFormat((".mcap",), _write_mcap, _check_mcap),
+    }
+)
+"""The formats of a recording, by the name that --format takes."""

@@ -7,13 +7,14 @@ import gzip
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
 from hil.errors import Untrustworthy, WrongUse
-from hil.exchange.exporter import export
+from hil.exchange.exporter import export, format_of
 from hil.exchange.importer import import_table
 from hil.exchange.row_filter import RowFilter
 from hil.recording.channels import CHANNELS, Row
@@ -38,15 +39,61 @@ def samples(path: Path) -> dict[str, list[str]]:
         return {name: [value.hex() for value in opened.channel(name).tolist()] for name in CHANNELS}
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet"])
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet", "a.mat", "a.mcap"])
 def test_what_is_exported_and_imported_again_is_the_same_to_the_last_bit(tmp_path: Path, name: str) -> None:
     if name.endswith("parquet"):
         pytest.importorskip("pyarrow", reason="PARQUET NOT TESTED: pyarrow is missing")
+    if name.endswith("mcap"):
+        pytest.importorskip("mcap_ros2", reason="MCAP NOT TESTED: mcap-ros2-support is missing")
     source = recording(tmp_path)
     assert export(source, tmp_path / name) == 300
     assert import_table(tmp_path / name, tmp_path / "b.h5", {}, []).samples == 300
     assert samples(tmp_path / "b.h5") == samples(source)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.h5", name, "b.h5"])
+
+
+def test_an_mcap_holds_joint_states_that_its_own_reader_decodes(tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2", reason="MCAP NOT TESTED: mcap-ros2-support is missing")
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    source = recording(tmp_path)
+    export(source, tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        states: list[Any] = [found[3] for found in reader.iter_decoded_messages(topics=["/joint_states"])]
+    with Recording(source) as opened:
+        torque, dtheta = opened.channel("torque"), opened.channel("dtheta")
+    assert [state.name for state in states] == [["joint"]] * 300
+    np.testing.assert_array_equal([state.effort[0] for state in states], torque)
+    np.testing.assert_array_equal([state.position[0] for state in states], dtheta)
+
+
+def test_a_mat_file_holds_column_vectors_and_units_for_its_own_reader(tmp_path: Path) -> None:
+    from scipy.io import loadmat
+
+    source = recording(tmp_path)
+    export(source, tmp_path / "a.mat")
+    table = loadmat(tmp_path / "a.mat")
+    with Recording(source) as opened:
+        np.testing.assert_array_equal(table["torque"], opened.channel("torque")[:, None])
+    assert table["units"]["torque"][0, 0] == ["N*m"]
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "said"),
+    [
+        ("a.csv", "parquet", r"a.csv says csv by its name, and --format says parquet: name the output .*a.parquet"),
+        ("a.xml", "urdf", "says mujoco by its name"),
+        ("a.xlsx", None, r"a.xlsx: the name of an export ends in one of csv \(.csv, .csv.gz\), parquet"),
+        ("a", "csv", "the name of --format csv ends in .csv or .csv.gz"),
+        ("a.csv", "excel", "unknown --format 'excel': known are csv"),
+    ],
+)
+def test_an_output_that_says_another_format_is_refused(tmp_path: Path, name: str, given: str | None, said: str) -> None:
+    with pytest.raises(WrongUse, match=said):
+        format_of(tmp_path / name, given)
+    assert format_of(tmp_path / "A.CSV", None) == format_of(tmp_path / "a.csv.gz", "csv") == "csv"
 
 
 def test_headings_carry_the_units_and_nan_is_an_empty_cell(tmp_path: Path) -> None:
@@ -94,7 +141,8 @@ def test_an_export_that_cannot_be_written_leaves_nothing_behind(
         export(source, tmp_path / "a.xlsx")
     with pytest.raises(WrongUse, match="cannot be written"):
         export(source, tmp_path / "none" / "a.csv")
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(WrongUse, match="needs pyarrow"):
-        export(source, tmp_path / "a.parquet")
+    for name, package, extra in (("a.parquet", "pyarrow", "parquet"), ("a.mcap", "mcap_ros2.writer", "ros")):
+        monkeypatch.setitem(sys.modules, package, None)
+        with pytest.raises(WrongUse, match=rf"{name}: .* needs .*: pip install 'hil\[{extra}\]'"):
+            export(source, tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]

@@ -1,0 +1,91 @@
+"""The identified coupling as other programs take it: its stiffness, damping and friction, from a result of identify."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.diagnostics import Diagnostic
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording.input import read_text
+from hil.report.identification import upgraded
+
+_LARGEST = 1 << 26  # bytes of a result
+_REPRESENTED = frozenset({"linear", "coulomb"}) | {"offset", "drift", "skew", "lag"}  # the last four are of the sensors
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """Stiffness N m/rad, damping N m s/rad and their 95 % intervals; friction N m, 0 without it; all at the joint.
+
+    model: the terms that were identified, joined with +. parameters: every parameter's value and unit, SI. source: the
+    recordings.
+    """
+
+    stiffness: float
+    stiffness_interval: tuple[float, float]
+    damping: float
+    damping_interval: tuple[float, float]
+    friction: float
+    model: str
+    parameters: Mapping[str, tuple[float, str]]
+    source: tuple[str, ...]
+
+    def left_out(self) -> list[Diagnostic]:
+        """Return the warning that a simulator's joint has no place for terms beside stiffness, damping and friction."""
+        terms = [term for term in self.model.split("+") if term not in _REPRESENTED]
+        if not terms:
+            return []
+        message = (
+            f"the coupling was identified as {self.model}, and this format has no place for {', '.join(terms)}: a "
+            "simulation with Kc and Bc alone differs by these; export as JSON to keep them"
+        )
+        return [Diagnostic("left-out", message)]
+
+
+def of_result(path: Path) -> Coupling:
+    """Return the coupling in a file of `hil identify --json`. Raises WrongUse, Untrustworthy as `of_json`."""
+    text = read_text(path, largest=_LARGEST)
+    try:
+        table = json.loads(text)
+    except (ValueError, RecursionError):
+        table = None
+    if not isinstance(table, dict) or "schema" not in table:
+        raise WrongUse(f"{path} is no result of hil identify: write one with `hil identify RECORDING --json > {path}`")
+    return of_json(upgraded(table), str(path))
+
+
+def of_json(table: Mapping[str, Any], name: str) -> Coupling:
+    """Return the coupling in the JSON object of an identification.
+
+    name: for messages. Raises Untrustworthy where Kc or Bc must not be trusted, WrongUse where the object lacks one.
+    """
+    try:
+        return _of_json(table, name)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise WrongUse(f"{name} lacks Kc or Bc, or a part of them: identify the recording again") from None
+
+
+def _of_json(table: Mapping[str, Any], name: str) -> Coupling:
+    found = table["parameters"]
+    for parameter in ("Kc", "Bc"):
+        if not found[parameter].get("trusted"):
+            why = "".join(f": {one['message']}" for one in table["errors"][:1])
+            raise Untrustworthy(f"{name}: {parameter} cannot be trusted, so no model is made of it{why}")
+    friction = float(found["Fc"]["value"]) if "Fc" in found else 0.0
+    values = {key: (float(one["value"]), str(one["unit"])) for key, one in found.items() if one["value"] is not None}
+    kc, bc = _with_interval(found["Kc"]), _with_interval(found["Bc"])
+    return Coupling(*kc, *bc, friction, str(table["model"]), values, tuple(str(one) for one in table["recordings"]))
+
+
+def _with_interval(parameter: Mapping[str, Any]) -> tuple[float, tuple[float, float]]:
+    """Return a parameter's value and interval. Raises ValueError where one is no number."""
+    low, high = (float(end) for end in parameter["ci95"])
+    value = float(parameter["value"])
+    if not all(map(math.isfinite, (value, low, high))):
+        raise ValueError
+    return value, (low, high)
