@@ -19,6 +19,8 @@ from hil.cli.doctor import doctor
 from hil.cli.emulate import emulate
 from hil.cli.files import export_data, import_data, inspect, recover
 from hil.cli.identify import identify
+from hil.cli.many.campaign import HELP as CAMPAIGN_HELP
+from hil.cli.many.campaign import campaign
 from hil.cli.record import record
 from hil.cli.replicate import replicate
 from hil.cli.stand import stand
@@ -47,6 +49,7 @@ app.command()(inspect)
 app.command("import")(import_data)
 app.command("export")(export_data)
 app.command()(recover)
+app.command(help=CAMPAIGN_HELP)(campaign)
 app.command()(demo)
 app.command()(replicate)
 app.command()(design)

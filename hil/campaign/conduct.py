@@ -1,0 +1,108 @@
+"""Carry a campaign out: record what is not done yet, identify what is not identified yet."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.servo import DriverError
+from hil.acquisition.limits import LimitReached
+from hil.api.analysis import identify_each
+from hil.api.runs import Run as Recorded
+from hil.api.runs import record, simulate
+from hil.campaign.journal import Journal, keep_result, kept_result, note
+from hil.campaign.plan import Plan, Run
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording.output import writing
+
+_SLICE = 0.2  # s between two looks at the clock while a joint cools down
+
+
+@dataclass(frozen=True, slots=True)
+class Desk:
+    """The person at the stand. say: shows a line. ask: shows what is to be done and returns when it has been done.
+
+    progress: is called with the phase and the share that is done. sleep: waits so many s.
+    """
+
+    say: Callable[[str], object]
+    ask: Callable[[str], object]
+    progress: Callable[[str, float], None] = field(default=lambda _what, _done: None)
+    sleep: Callable[[float], object] = time.sleep
+
+
+class Stopped(Exception):
+    """The person at the stand stopped the campaign. signal: with which the recording was ended."""
+
+    def __init__(self, signal: int) -> None:
+        super().__init__("stopped: the same command resumes the campaign")
+        self.signal = signal
+
+
+def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
+    """Record every run that is not done; one that fails is noted, and the next goes on.
+
+    Raises Stopped, and DriverError where the torque of a drive may still be on: then nothing else is recorded.
+    """
+    due = [run for run in plan.runs if not journal.is_done(run)]
+    with writing(plan.folder):
+        plan.folder.mkdir(parents=True, exist_ok=True)
+    for at, run in enumerate(due):
+        desk.progress(f"recording {run.name}, {at + 1} of {len(due)}", at / len(due))
+        if run.asks:
+            desk.ask(run.asks)
+        if at and run.joint.stand != "sim":
+            _cool_down(plan.settings.cool_down, desk)
+        alarms: list[str] = []
+        try:
+            ended = _recorded(plan, run, alarms)
+        except (WrongUse, Untrustworthy, DriverError, LimitReached) as error:
+            journal.keep(run, str(error))
+            desk.say(f"{run.name} failed: {error}")
+            if alarms:
+                raise
+            continue
+        if ended.outcome.signal:
+            journal.keep(run, "stopped on request")
+            raise Stopped(ended.outcome.signal)
+        journal.keep(run)
+        desk.say(f"{run.name}: {ended.outcome.samples} samples, {ended.outcome.lost} lost")
+
+
+def _recorded(plan: Plan, run: Run, alarms: list[str]) -> Recorded:
+    profile, stand = run.profile, plan.stand_of(run.joint)
+    common: dict[str, Any] = {
+        "band": profile.band,
+        "amplitude": profile.amplitude,
+        "duration": profile.duration,
+        "rate": profile.rate,
+    }
+    common |= {"mode": profile.mode, "fade": profile.fade, "seed": run.seed, "note": note(run)}
+    # a recording of that name is of a run that failed, as the journal knows
+    if stand == "sim":
+        return simulate(run.path, profile.kind, sim=run.joint.sim, force=True, **common)
+    return record(stand, profile.kind, output=run.path, force=True, alarm=alarms.append, **common)
+
+
+def _cool_down(seconds: float, desk: Desk) -> None:
+    left = seconds
+    while left > 0.0:
+        desk.progress(f"cooling down, {left:.0f} s left", 1.0 - left / seconds)
+        desk.sleep(min(_SLICE, left))
+        left -= _SLICE
+
+
+def identify_all(
+    plan: Plan, journal: Journal, desk: Desk, *, workers: int | None = None, cluster: str | None = None
+) -> None:
+    """Identify every recording that is done and has no result with the plan's model yet. Raises WrongUse."""
+    model, trials = plan.settings.model, plan.settings.trials
+    due = [run for run in plan.runs if journal.is_done(run) and kept_result(run, model, trials) is None]
+    if not due:
+        return
+    paths = [run.path for run in due]
+    found = identify_each(paths, model, trials=trials, workers=workers, cluster=cluster, progress=desk.progress)
+    for run, one in zip(due, found, strict=True):
+        keep_result(run, model, trials, one.as_json())

@@ -1,0 +1,101 @@
+"""What is done of a campaign, on disk: each change is written whole, so that a kill at any moment costs one run."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.campaign.plan import Plan, Run
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording.output import atomic_write
+from hil.recording.reader import Recording
+
+NAME = "campaign.json"
+SCHEMA = "hil-campaign-journal/1"
+
+
+@dataclass(slots=True)
+class Entry:
+    """What became of a run. failure: why it is not done, "" where it is. key: of the settings that it was done with."""
+
+    key: str
+    failure: str = ""
+
+
+class Journal:
+    """The journal of a plan's folder. Raises WrongUse for another campaign's."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._path = plan.folder / NAME
+        self._entries = {name: Entry(**entry) for name, entry in self._read().items()}
+
+    def _read(self) -> dict[str, Any]:
+        if not self._path.exists():
+            return {}
+        with suppress(ValueError, KeyError, TypeError):
+            table = json.loads(self._path.read_text(encoding="utf-8"))
+            if table["schema"] == SCHEMA:
+                return dict(table["runs"])
+        raise WrongUse(f"{self._path} is no journal of a campaign: move it away, or choose another output")
+
+    def failure(self, run: Run) -> str:
+        """Return why a run failed at the last try, "" where it did not."""
+        entry = self._entries.get(run.name)
+        return "" if entry is None else entry.failure
+
+    def is_done(self, run: Run) -> bool:
+        """Return whether a run is done. Raises WrongUse where its recording was made with other settings."""
+        if not run.path.exists():
+            return False
+        entry = self._entries.get(run.name) or self._recovered(run)
+        if entry is None or entry.key != run.key:
+            raise WrongUse(
+                f"{run.path} was recorded with other settings than the plan now has: choose another output for the new "
+                "plan, or move the recording away"
+            )
+        return not entry.failure
+
+    def _recovered(self, run: Run) -> Entry | None:
+        """The entry of a run that ended just before the journal could be written."""
+        with suppress(WrongUse, Untrustworthy), Recording(run.path) as recording:
+            if recording.complete and str(recording.attributes.get("operator_note", "")) == note(run):
+                self.keep(run)
+                return self._entries[run.name]
+        return None
+
+    def keep(self, run: Run, failure: str = "") -> None:
+        """Note that a run is done, or why it failed."""
+        self._entries[run.name] = Entry(run.key, failure)
+        runs = {name: {"key": entry.key, "failure": entry.failure} for name, entry in self._entries.items()}
+        with atomic_write(self._path, force=True) as temporary:
+            temporary.write_text(json.dumps({"schema": SCHEMA, "runs": runs}, indent=1), encoding="utf-8")
+
+
+def note(run: Run) -> str:
+    """Return the remark in a run's recording, by which it is known again."""
+    return f"campaign run {run.name}, settings {run.key}"
+
+
+def kept_result(run: Run, model: str, trials: int | None) -> dict[str, Any] | None:
+    """Return the JSON object of the run's identification with these settings, None where there is none yet."""
+    path = result_path(run)
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        table = json.loads(path.read_text(encoding="utf-8"))
+        if table["of"] == [run.key, model, trials, run.path.stat().st_mtime_ns]:
+            return dict(table["result"])
+    return None
+
+
+def keep_result(run: Run, model: str, trials: int | None, result: dict[str, Any]) -> None:
+    """Keep the JSON object of the run's identification beside its recording."""
+    of = [run.key, model, trials, run.path.stat().st_mtime_ns]
+    with atomic_write(result_path(run), force=True) as temporary:
+        temporary.write_text(json.dumps({"of": of, "result": result}, indent=1), encoding="utf-8")
+
+
+def result_path(run: Run) -> Path:
+    """Return the file of a run's identification."""
+    return run.path.with_suffix(".json")

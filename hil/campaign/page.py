@@ -1,0 +1,162 @@
+"""The report of a campaign, its lines for the terminal and its JSON object."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.campaign.plan import Plan
+from hil.campaign.results import PARAMETERS, Line, Results, Value
+from hil.diagnostics import Diagnostic
+from hil.report.formatting import people_unit, rounded
+from hil.report.html_page import Page, Picture, Section, write
+from hil.report.provenance import provenance
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_CHANCE = 0.05
+
+
+def verdict(found: Results) -> str:
+    """Return the answer in one line."""
+    complete = sum(len(line.values) == len(PARAMETERS) for line in found.lines)
+    text = f"Kc and Bc of {complete} of {len(found.lines)} joints and settings"
+    odd = [line.name for line in found.lines if line.stands_out or False in line.repeats.values()]
+    failed = f"; without a result: {len(found.failed)} recordings" if found.failed else ""
+    return text + failed + (f"; look at {', '.join(odd)}" if odd else "")
+
+
+def diagnostics(found: Results) -> list[Diagnostic]:
+    """Return what must be looked at, each with the remedy."""
+    listed = [Diagnostic("no-result", f"{one.run.name}: {one.failure}", is_error=True) for one in found.failed]
+    for line in found.lines:
+        for name in PARAMETERS:
+            if line.repeats[name] is False:
+                text = f"{name} differs between its repeats by more than their own errors: check mounting and lock"
+                listed.append(Diagnostic("does-not-repeat", f"{line.name}: {text}", name))
+        for name in line.stands_out:
+            text = f"{name} is unlike the hand's other joints: check its cable and its recording"
+            listed.append(Diagnostic("outlier", f"{line.name}: {text}", name))
+    for name, (slope, mean) in found.drifts.items():
+        if slope.p < _CHANCE:
+            text = f"{name} of the drift checks changes by {100.0 * slope.slope / mean:+.2g} % an hour"
+            listed.append(Diagnostic("drift", f"{text}: the joints were not measured under the same conditions", name))
+    return listed
+
+
+def table(found: Results) -> list[list[str]]:
+    """Return the table of the hand, its headings first."""
+    factor = {name: people_unit(unit, milli=_milli(found)) for name, unit in _units(found).items()}
+    headings = ["joint", "setting", "recordings", *(f"{name}, {factor[name][1]}" for name in PARAMETERS), "state"]
+    rows = []
+    for line in found.lines:
+        setting = ", ".join(part for part in (line.pretension, line.profile) if part)
+        used = sum(bool(one.values) for one in line.measured)
+        values = [_cell(line.values.get(name), factor[name][0]) for name in PARAMETERS]
+        rows.append([line.joint, setting, f"{used} of {len(line.measured)}", *values, _state(line)])
+    return [headings, *rows]
+
+
+def _units(found: Results) -> dict[str, str]:
+    known = {"Kc": "N*m/rad", "Bc": "N*m*s/rad"}
+    return known | {name: value.unit for line in found.lines for name, value in line.values.items()}
+
+
+def _milli(found: Results) -> bool:
+    values = [line.values["Kc"].value for line in found.lines if "Kc" in line.values]
+    return not values or min(abs(value) for value in values) < 1.0
+
+
+def _cell(value: Value | None, factor: float) -> str:
+    if value is None:
+        return "no result"
+    half = 0.5 * (value.ci95[1] - value.ci95[0]) * factor
+    return " ± ".join(rounded(half, value.value * factor))
+
+
+def _state(line: Line) -> str:
+    notes = [f"{name} does not repeat" for name in PARAMETERS if line.repeats[name] is False]
+    notes += [f"{name} stands out" for name in line.stands_out]
+    if any(one.failure for one in line.measured):
+        notes.append("recordings without a result")
+    return "; ".join(notes) or ("repeats" if True in line.repeats.values() else "")
+
+
+def as_json(plan: Plan, found: Results) -> dict[str, Any]:
+    """Return the JSON object of `hil campaign --json`, SI."""
+    return {
+        "schema": "hil-campaign/1",
+        "name": plan.settings.name,
+        "plan": str(plan.path),
+        "model": plan.settings.model,
+        "complete": found.complete,
+        "joints": [_line_json(line) for line in found.lines],
+        "drift_per_hour": {
+            name: {"value": slope.slope, "ci95": list(slope.ci95), "p": slope.p}
+            for name, (slope, _) in found.drifts.items()
+        },
+        "failed": [{"run": one.run.name, "reason": one.failure} for one in found.failed],
+    }
+
+
+def _line_json(line: Line) -> dict[str, Any]:
+    return {
+        "joint": line.joint,
+        "profile": line.profile,
+        "pretension": line.pretension or None,
+        "recordings": [str(one.run.path) for one in line.measured if one.values],
+        "parameters": {
+            name: {"value": one.value, "ci95": list(one.ci95), "unit": one.unit} for name, one in line.values.items()
+        },
+        "repeats": dict(line.repeats),
+        "outlier": list(line.stands_out),
+    }
+
+
+def write_page(plan: Plan, found: Results, path: Path, command: str = "") -> Path:
+    """Write the report to `path`, in place of an earlier one of the same campaign, and return it."""
+    rows = table(found)
+    text = "; ".join(f"{row[0]}, {row[1]}: Kc {row[3]}, Bc {row[4]}" for row in rows[1:])
+    done = [one.run.path for line in found.lines for one in line.measured if one.values]
+    page = Page(
+        title=f"{plan.settings.name}: {verdict(found)}",
+        subject=f"Campaign {plan.settings.name}, {plan.path}",
+        verdict=(verdict(found),),
+        diagnostics=diagnostics(found),
+        sections=[Section("The hand, with 95 % intervals", rows), Section("Every recording", _recordings(found))],
+        pictures=[Picture("hand", "Kc and Bc of each joint", text, lambda: figure(found))] if done else [],
+        provenance=provenance(done[:1], command),
+        table=as_json(plan, found),
+        failed=not done,
+    )
+    return write(page, path, force=True)
+
+
+def _recordings(found: Results) -> list[list[str]]:
+    rows = [["recording", *PARAMETERS, "failure"]]
+    factor = {name: people_unit(unit, milli=_milli(found))[0] for name, unit in _units(found).items()}
+    for line in found.lines:
+        for one in line.measured:
+            values = [_cell(one.values.get(name), factor[name]) for name in PARAMETERS]
+            rows.append([one.run.path.name, *values, one.failure])
+    return rows
+
+
+def figure(found: Results) -> Figure:
+    """Return the picture: Kc and Bc of every line with their intervals, those that stand out marked."""
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(9, 6), layout="constrained")
+    panels = drawn.subplots(len(PARAMETERS), 1, sharex=True)
+    for panel, name in zip(panels, PARAMETERS, strict=True):
+        factor, unit = people_unit(_units(found)[name], milli=_milli(found))
+        for at, line in enumerate(found.lines):
+            if (value := line.values.get(name)) is not None:
+                half = 0.5 * (value.ci95[1] - value.ci95[0]) * factor
+                colour = "C3" if name in line.stands_out else "C0"
+                panel.errorbar([at], [value.value * factor], [half], fmt="o", capsize=4, color=colour)
+        panel.set(ylabel=f"{name} [{unit}]")
+        panel.grid(visible=True, lw=0.3)
+    panels[-1].set_xticks(range(len(found.lines)), [line.name for line in found.lines], rotation=60, ha="right")
+    return drawn

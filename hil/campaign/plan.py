@@ -1,0 +1,218 @@
+"""The plan of a campaign, plan.toml: joints, profiles and repeats, and the runs that follow from them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hil.errors import WrongUse
+from hil.recording.input import read_text
+from hil.stand.sentences import names_the_value, sentence
+
+_LARGEST = 1 << 20  # bytes of a plan
+_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 .-]*$")]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CampaignTable(_Table):
+    """[campaign]. output: the folder of all results, beside the plan. model: as `hil identify --model`.
+
+    repeats: recordings of each joint with each profile. cool_down: s to wait before each but the first; a simulated
+    joint needs none. drift_check_every: so many recordings the first one is repeated, 0 for never.
+    """
+
+    name: str = "campaign"
+    output: str = "campaign"
+    model: str = "auto"
+    trials: Annotated[int, Field(ge=1)] | None = None
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
+    cool_down: Annotated[float, Field(ge=0.0, le=86400.0, allow_inf_nan=False)] = 0.0
+    drift_check_every: Annotated[int, Field(ge=0)] = 0
+
+
+class ProfileTable(_Table):
+    """[[profile]]: an excitation, with the options of `hil record`. amplitude: N m or rad. band: Hz."""
+
+    name: Name
+    kind: str = "chirp"
+    amplitude: Positive | None = None
+    band: tuple[Positive, Positive] | None = None
+    duration: Positive = 20.0
+    rate: Positive = 500.0
+    mode: Literal["torque", "position"] = "torque"
+    fade: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 1.0
+
+
+class JointTable(_Table):
+    """[[joint]]. stand: its stand file, beside the plan, or "sim", whose parameters may stand in [joint.sim].
+
+    pretensions: labels such as "2 N"; before each the person at the stand is asked to set it. before: what the person
+    must do before the joint's first recording.
+    """
+
+    name: Name
+    stand: str = "sim"
+    pretensions: tuple[Name, ...] = ()
+    before: str = ""
+    sim: dict[str, dict[str, float | bool]] = {}
+
+
+class _File(_Table):
+    campaign: CampaignTable = CampaignTable()
+    profile: tuple[ProfileTable, ...] = (ProfileTable(name="chirp"),)
+    joint: Annotated[tuple[JointTable, ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One recording of the plan. repeat: from 1. is_check: whether it repeats the first one to find a drift.
+
+    key: what all its settings amount to. asks: what the person at the stand must do before it.
+    """
+
+    name: str
+    joint: JointTable
+    profile: ProfileTable
+    pretension: str
+    repeat: int
+    path: Path
+    key: str
+    asks: str = ""
+    is_check: bool = False
+
+    @property
+    def seed(self) -> int:
+        """The seed of everything random in it: another one for each run."""
+        return int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:4])
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A checked plan. path: of its file. folder: of its results. runs: in their order."""
+
+    path: Path
+    settings: CampaignTable
+    folder: Path
+    runs: tuple[Run, ...]
+
+    def stand_of(self, joint: JointTable) -> str | Path:
+        """Return the path of a joint's stand file, or "sim"."""
+        return "sim" if joint.stand == "sim" else self.path.parent / joint.stand
+
+    @property
+    def seconds(self) -> float:
+        """How long the recordings and the cool-downs between them take, s."""
+        waits = sum(self.settings.cool_down for run in self.runs[1:] if run.joint.stand != "sim")
+        return waits + sum(run.profile.duration for run in self.runs)
+
+
+def load(path: Path) -> Plan:
+    """Return the plan in a TOML file. Raises WrongUse with every error of it, each with its line and key."""
+    text = read_text(path, largest=_LARGEST)
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise WrongUse(f"{path} is not TOML: {error}") from None
+    try:
+        file = _File.model_validate(table)
+    except ValidationError as error:
+        lines = [f"  {_message(text, item)}" for item in error.errors()]
+        raise WrongUse(f"{path} has {len(lines)} error(s):\n" + "\n".join(lines)) from None
+    plan = Plan(path, file.campaign, path.parent / file.campaign.output, ())
+    return Plan(path, file.campaign, plan.folder, tuple(_runs(plan, file)))
+
+
+def _runs(plan: Plan, file: _File) -> Iterator[Run]:
+    for what, tables in (("joint", file.joint), ("profile", file.profile)):
+        names = [table.name for table in tables]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise WrongUse(f"{plan.path}: two [[{what}]] have the name {twice!r}: their recordings would be one file")
+    every, first = file.campaign.drift_check_every, None
+    for count, run in enumerate(_planned(plan, file), 1):
+        first = first or run
+        yield run
+        if every and count % every == 0 and run is not first:
+            number = count // every
+            settings = (first.joint, first.profile, first.pretension)
+            yield _run(plan, settings, number, prefix="drift-check", is_check=True)
+
+
+def _planned(plan: Plan, file: _File) -> Iterator[Run]:
+    for joint in file.joint:
+        asks = joint.before
+        for pretension in joint.pretensions or ("",):
+            if pretension:
+                asks = f"{asks} Set the pretension of {joint.name} to {pretension}.".strip()
+            for profile in file.profile:
+                for repeat in range(1, file.campaign.repeats + 1):
+                    yield _run(plan, (joint, profile, pretension), repeat, asks=asks)
+                    asks = ""
+
+
+def _run(
+    plan: Plan,
+    of: tuple[JointTable, ProfileTable, str],
+    repeat: int,
+    *,
+    prefix: str = "",
+    asks: str = "",
+    is_check: bool = False,
+) -> Run:
+    joint, profile, pretension = of
+    words = [word.replace(" ", "-") for word in (prefix, joint.name, profile.name, pretension) if word]
+    name = "_".join([*words, str(repeat)])
+    settings = json.dumps([joint.model_dump(exclude={"before"}), profile.model_dump(), pretension], sort_keys=True)
+    key = hashlib.sha256(settings.encode()).hexdigest()[:16]
+    return Run(name, joint, profile, pretension, repeat, plan.folder / f"{name}.h5", key, asks, is_check)
+
+
+def _message(text: str, item: Any) -> str:
+    """Return line, key and what is wrong with it, of one of a ValidationError's errors."""
+    place = list(item["loc"])
+    key = ".".join(str(part) for part in place if isinstance(part, str))
+    value = f" = {item['input']!r}" if names_the_value(item) else ""
+    hint = ""
+    if item["type"] == "extra_forbidden":
+        near = get_close_matches(str(place[-1]), _keys(place), n=1)
+        hint = f": did you mean {near[0]!r}?" if near else f"; there are {', '.join(_keys(place))}"
+    if item["type"] == "string_pattern_mismatch":
+        return f"line {line_of(text, place)}: {key}{value}: must be letters, digits, spaces, dots and hyphens"
+    return f"line {line_of(text, place)}: {key}{value}: {sentence(item)}{hint}"
+
+
+def _keys(place: list[Any]) -> list[str]:
+    tables: dict[str, type[BaseModel]] = {"campaign": CampaignTable, "profile": ProfileTable, "joint": JointTable}
+    return list((_File if len(place) == 1 else tables.get(str(place[0]), _File)).model_fields)
+
+
+def line_of(text: str, place: list[Any]) -> int:
+    """Return the line, from 1, of a key in TOML, such as ["joint", 2, "stand"]; its table's where it is not there."""
+    names = [str(part) for part in place if isinstance(part, str)]
+    number = next((part for part in place if isinstance(part, int)), 0)
+    counts: dict[str, int] = {}
+    here: list[str] = []
+    found, is_it = 1, len(names) == 1
+    for at, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            here = [part.strip(" \"'") for part in header[2].split(".")]
+            if header[1] == "[[":
+                counts[here[0]] = counts.get(here[0], -1) + 1
+            is_it = here == names[: len(here)] and counts.get(here[0], 0) == number
+            found = at if is_it else found
+        elif is_it and [*here, line.partition("=")[0].strip(" \"'")] == names:
+            return at
+    return found

@@ -1,0 +1,170 @@
+"""The results of a campaign: Kc and Bc of every joint, whether they repeat and drift, and which stand out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from hil.campaign.journal import Journal, kept_result
+from hil.campaign.plan import Plan, Run
+from hil.recording.reader import Recording
+from hil.uncertainty.random_effects import Drift, between, drift
+
+PARAMETERS = ("Kc", "Bc")
+_NORMAL = 1.959964  # half a 95 % interval in standard errors
+_CHANCE = 0.05
+_STANDS_OUT = 3.5  # modified z-score (Iglewicz and Hoaglin 1993)
+_MAD = 0.6745  # of a normal distribution, in standard deviations
+_FEWEST = 5  # values among which one can stand out
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """One parameter with its 95 % interval, SI."""
+
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+
+    @property
+    def error(self) -> float:
+        """Half of the interval in standard errors, never zero."""
+        return max(0.5 * (self.ci95[1] - self.ci95[0]) / _NORMAL, 1e-9 * abs(self.value), math.ulp(0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A run with its values: those that may be trusted. failure: why there is no recording or no result, "" else."""
+
+    run: Run
+    values: Mapping[str, Value]
+    failure: str = ""
+    created: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A joint at one pretension under one profile. values: over its repeats. repeats: whether these agree within their
+    own errors, None where that cannot be decided. stands_out: the parameters in which it is unlike the hand's others.
+    """
+
+    joint: str
+    profile: str
+    pretension: str
+    measured: tuple[Measured, ...]
+    values: Mapping[str, Value]
+    repeats: Mapping[str, bool | None]
+    stands_out: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The joint with its pretension, and the profile."""
+        return ", ".join(part for part in (self.joint, self.pretension, self.profile) if part)
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """All lines in the plan's order, the runs without a result, and the drift per hour of the checks by parameter."""
+
+    lines: tuple[Line, ...]
+    failed: tuple[Measured, ...]
+    drifts: Mapping[str, tuple[Drift, float]]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every run has a result."""
+        return not self.failed
+
+
+def results(plan: Plan, journal: Journal) -> Results:
+    """Return the results of what is done of a plan."""
+    measured = [_measured(plan, run, journal) for run in plan.runs]
+    keys = list(dict.fromkeys(_key(run) for run in plan.runs if not run.is_check))
+    lines = [_line(key, [one for one in measured if _key(one.run) == key and not one.run.is_check]) for key in keys]
+    checks = [one for one in measured if _key(one.run) == keys[0]]
+    drifts = {name: found for name in PARAMETERS if (found := _drift(name, checks)) is not None}
+    failed = tuple(one for one in measured if one.failure)
+    return Results(tuple(_marked(lines)), failed, drifts if any(one.run.is_check for one in checks) else {})
+
+
+def _key(run: Run) -> tuple[str, str, str]:
+    return run.joint.name, run.profile.name, run.pretension
+
+
+def _measured(plan: Plan, run: Run, journal: Journal) -> Measured:
+    if not journal.is_done(run):
+        why = journal.failure(run)
+        return Measured(run, {}, f"{why}; the same command records it again" if why else "not recorded yet")
+    found = kept_result(run, plan.settings.model, plan.settings.trials)
+    if found is None:
+        return Measured(run, {}, "not identified yet")
+    values = {name: _value(one) for name, one in found["parameters"].items() if name in PARAMETERS and _usable(one)}
+    reasons = "; ".join(dict.fromkeys(one["message"] for one in found["errors"]))
+    with Recording(run.path) as recording:
+        created = str(recording.attributes.get("created", ""))
+    return Measured(run, values, "" if values else reasons or "neither Kc nor Bc may be trusted", created)
+
+
+def _usable(one: dict[str, Any]) -> bool:
+    return bool(one.get("trusted")) and None not in (one["value"], *one["ci95"])
+
+
+def _value(one: dict[str, Any]) -> Value:
+    return Value(one["value"], (one["ci95"][0], one["ci95"][1]), one["unit"])
+
+
+def _line(key: tuple[str, str, str], measured: Sequence[Measured]) -> Line:
+    values: dict[str, Value] = {}
+    repeats: dict[str, bool | None] = {}
+    for name in PARAMETERS:
+        known = [one.values[name] for one in measured if name in one.values]
+        repeats[name] = None
+        if len(known) == 1:
+            values[name] = known[0]
+        elif known:
+            pooled = between(np.array([one.value for one in known]), np.array([one.error for one in known]))
+            values[name] = Value(pooled.value, pooled.ci95, known[0].unit)
+            repeats[name] = pooled.p_alike >= _CHANCE
+    return Line(*key, tuple(measured), values, repeats)
+
+
+def _marked(lines: Sequence[Line]) -> list[Line]:
+    """The lines with what stands out among those of one profile."""
+    found = []
+    for line in lines:
+        out = []
+        for name in PARAMETERS:
+            rivals = [one for one in lines if one.profile == line.profile and name in one.values]
+            if line in rivals and standing_out([one.values[name].value for one in rivals])[rivals.index(line)]:
+                out.append(name)
+        found.append(
+            Line(line.joint, line.profile, line.pretension, line.measured, line.values, line.repeats, tuple(out))
+        )
+    return found
+
+
+def standing_out(values: Sequence[float]) -> list[bool]:
+    """Return which of positive values stand out by their ratio to the others; none among fewer than five."""
+    if len(values) < _FEWEST or min(values) <= 0.0:
+        return [False] * len(values)
+    away = np.log(values) - np.median(np.log(values))
+    usual = float(np.median(np.abs(away)))
+    return [bool(_MAD * abs(one) > _STANDS_OUT * usual > 0.0) for one in away]
+
+
+def _drift(name: str, checks: Sequence[Measured]) -> tuple[Drift, float] | None:
+    """The drift of a parameter over the checks, per hour, and the mean value; None where there are fewer than three."""
+    known = [one for one in checks if name in one.values and one.created]
+    if len(known) < 3:
+        return None
+    moments = [datetime.fromisoformat(one.created) for one in known]
+    hours = np.array([(moment - moments[0]).total_seconds() / 3600.0 for moment in moments])
+    if not np.ptp(hours) > 0.0:
+        return None
+    values = np.array([one.values[name].value for one in known])
+    return drift(hours, values, np.array([one.values[name].error for one in known])), float(values.mean())

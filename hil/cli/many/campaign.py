@@ -1,0 +1,82 @@
+"""`hil campaign`: many joints, profiles and repeats, recorded, identified and reported."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli import options
+from hil.cli.progress import progress
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json, say
+
+if TYPE_CHECKING:
+    from hil.campaign.journal import Journal
+    from hil.campaign.plan import Plan
+
+HELP = """Record many joints one after the other, identify all, and write one report.
+
+What is done is never repeated: after an interruption or a failure the same command resumes. A joint that fails is noted
+and the next one goes on. Exit status 1: a recording has no result. Ctrl-C ends the recording and the campaign.
+
+Example: hil campaign examples/hand.toml --dry-run
+"""
+
+
+def campaign(
+    plan: Annotated[Path, typer.Argument(help="The plan (TOML): joints, profiles, pretensions and repeats.")],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be recorded, with durations.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: joints and pretensions are set by someone else.")] = (
+        False
+    ),
+    workers: options.Workers = options.ALL_CORES,
+    cluster: options.Cluster = None,
+    as_json: options.Json = False,
+) -> None:
+    """Record many joints one after the other, identify all, and write one report."""
+    from hil.campaign import conduct, page
+    from hil.campaign.journal import Journal
+    from hil.campaign.plan import load
+    from hil.campaign.results import results
+    from hil.report.formatting import plain_table
+
+    loaded = load(plan)
+    journal = Journal(loaded)
+    if dry_run:
+        _show_plan(loaded, journal)
+        return
+    with progress() as show:
+        desk = conduct.Desk(say, lambda text: _ask(text, yes=yes), show)
+        try:
+            conduct.record_all(loaded, journal, desk)
+        except conduct.Stopped as stopped:
+            say(str(stopped))
+            raise typer.Exit(128 + stopped.signal) from None
+        conduct.identify_all(loaded, journal, desk, workers=workers, cluster=cluster)
+    found = results(loaded, journal)
+    if as_json:
+        print_json(page.as_json(loaded, found))
+    else:
+        headings, *rows = page.table(found)
+        out(page.verdict(found))
+        out_table(plain_table(loaded.settings.name, headings, rows))
+    say(f"wrote {page.write_page(loaded, found, loaded.folder / 'report.html', command_line())}")
+    print_diagnostics(page.diagnostics(found))
+    if not found.complete:
+        raise typer.Exit(UNTRUSTWORTHY)
+
+
+def _show_plan(plan: Plan, journal: Journal) -> None:
+    due = [run for run in plan.runs if not journal.is_done(run)]
+    out(f"{len(due)} of {len(plan.runs)} recordings to make; all together take {plan.seconds / 60.0:.1f} minutes")
+    for run in plan.runs:
+        state = "to do" if run in due else "done"
+        out(f"{state:6} {run.profile.duration:6g} s  {run.path}" + (f"  first: {run.asks}" if run.asks else ""))
+
+
+def _ask(text: str, *, yes: bool) -> None:
+    say(text)
+    if not yes and sys.stdin is not None and sys.stdin.isatty():
+        typer.prompt("Press Enter to go on", default="", show_default=False, err=True)

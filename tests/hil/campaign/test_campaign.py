@@ -1,0 +1,163 @@
+"""A campaign: what its plan may say, what it records and resumes, and what it makes of the results."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from hil.campaign.plan import line_of, load
+from hil.campaign.results import standing_out
+from hil.errors import WrongUse
+
+from ..conftest import Hil
+
+ROOT = Path(__file__).parents[3]
+PLAN = """
+[campaign]
+output = "out"
+model = "linear"
+trials = 2
+repeats = 2
+[[profile]]
+name = "short"
+band = [0.5, 8.0]
+duration = 2.0
+fade = 0.2
+[[joint]]
+name = "soft"
+[joint.sim.coupling]
+stiffness = 0.015
+[[joint]]
+name = "stiff"
+[joint.sim.coupling]
+stiffness = 0.03
+"""
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_a_campaign_records_identifies_and_reports_every_joint_and_never_repeats_what_is_done(
+    hil: Hil, plan: Path, tmp_path: Path
+) -> None:
+    found = hil("campaign", plan, "--json").json
+    assert [line["joint"] for line in found["joints"]] == ["soft", "stiff"]
+    soft, stiff = (line["parameters"]["Kc"]["value"] for line in found["joints"])
+    assert soft == pytest.approx(0.015, rel=0.05)
+    assert stiff == pytest.approx(0.03, rel=0.05)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "soft" in page
+    assert "stiff" in page
+    recordings = sorted((tmp_path / "out").glob("*.h5"))
+    before = {path: path.stat().st_mtime_ns for path in recordings}
+    assert len(recordings) == 4
+    recordings[0].unlink()  # one is missing: only this one is recorded again
+    again = hil("campaign", plan, "--json")
+    after = {path: path.stat().st_mtime_ns for path in recordings}
+    assert [path for path in recordings if after[path] != before[path]] == recordings[:1]
+    assert again.json["joints"][1] == found["joints"][1]
+
+
+def test_a_joint_that_fails_is_noted_and_the_next_one_is_recorded(hil: Hil, plan: Path, tmp_path: Path) -> None:
+    plan.write_text(
+        PLAN.replace("repeats = 2", "repeats = 1").replace(
+            'name = "soft"\n[joint.sim.coupling]\nstiffness = 0.015', 'name = "soft"\nstand = "missing.toml"'
+        )
+    )
+    ended = hil("campaign", plan, "--json")
+    assert ended.status == 1
+    assert [one["run"] for one in ended.json["failed"]] == ["soft_short_1"]
+    assert "missing.toml" in ended.json["failed"][0]["reason"]
+    assert ended.json["joints"][1]["parameters"]["Kc"]["value"] == pytest.approx(0.03, rel=0.05)
+    runs = json.loads((tmp_path / "out" / "campaign.json").read_text())["runs"]
+    assert [bool(entry["failure"]) for entry in runs.values()] == [True, False]
+
+
+def test_a_dry_run_shows_what_would_be_recorded_and_makes_nothing(hil: Hil, plan: Path, tmp_path: Path) -> None:
+    ended = hil("campaign", plan, "--dry-run")
+    first, *lines = ended.out.splitlines()
+    assert first.startswith("4 of 4 recordings to make")
+    assert len(lines) == 4
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "line", "message"),
+    [
+        (("repeats = 2", "repeat = 2"), 6, "campaign.repeat: no such key: did you mean 'repeats'?"),
+        (("duration = 2.0", "duration = -2.0"), 10, "profile.duration = -2.0: must be above 0"),
+        (('name = "stiff"', 'nam = "stiff"'), 17, "joint.nam: no such key: did you mean 'name'?"),
+        (('name = "stiff"', 'name = "a/b"'), 17, "joint.name = 'a/b': must be letters"),
+    ],
+)
+def test_a_mistake_in_a_plan_is_named_with_its_line_and_key(
+    hil: Hil, plan: Path, change: tuple[str, str], line: int, message: str
+) -> None:
+    plan.write_text(PLAN.replace(*change))
+    ended = hil("campaign", plan)
+    assert ended.status == 2
+    assert f"line {line}: {message}" in ended.err
+
+
+def test_a_plan_that_is_no_toml_says_the_line(hil: Hil, plan: Path) -> None:
+    plan.write_text("[campaign\n")
+    ended = hil("campaign", plan)
+    assert (ended.status, "line 1" in ended.err) == (2, True)
+
+
+def test_two_joints_of_one_name_are_refused(plan: Path) -> None:
+    plan.write_text(PLAN.replace('"stiff"', '"soft"'))
+    with pytest.raises(WrongUse, match="two \\[\\[joint\\]\\]"):
+        load(plan)
+
+
+def test_a_recording_of_other_settings_is_refused(hil: Hil, plan: Path) -> None:
+    plan.write_text(PLAN.replace("repeats = 2", "repeats = 1"))
+    assert hil("campaign", plan).status == 0
+    plan.write_text(PLAN.replace("repeats = 2", "repeats = 1").replace("0.015", "0.016"))
+    ended = hil("campaign", plan)
+    assert ended.status == 2
+    assert "other settings" in ended.err
+
+
+def test_checks_of_the_drift_repeat_the_first_recording(plan: Path) -> None:
+    plan.write_text(PLAN.replace("repeats = 2", "repeats = 2\ndrift_check_every = 2"))
+    names = [run.name for run in load(plan).runs]
+    assert names == [
+        "soft_short_1", "soft_short_2", "drift-check_soft_short_1",
+        "stiff_short_1", "stiff_short_2", "drift-check_soft_short_2",
+    ]  # fmt: skip
+
+
+def test_the_example_has_twenty_two_joints() -> None:
+    plan = load(ROOT / "examples" / "hand.toml")
+    assert len({run.joint.name for run in plan.runs}) == 22
+
+
+def test_every_pretension_is_asked_for_before_its_first_recording(plan: Path) -> None:
+    plan.write_text(PLAN.replace('name = "soft"', 'name = "soft"\npretensions = ["1 N", "2 N"]\nbefore = "Lock it."'))
+    asked = [run.asks for run in load(plan).runs if run.asks]
+    assert asked == ["Lock it. Set the pretension of soft to 1 N.", "Set the pretension of soft to 2 N."]
+
+
+def test_a_line_is_found_for_every_key_of_a_plan() -> None:
+    lines = PLAN.splitlines()
+    table = tomllib.loads(PLAN)
+    for at, joint in enumerate(table["joint"]):
+        assert lines[line_of(PLAN, ["joint", at, "name"]) - 1] == f'name = "{joint["name"]}"'
+        stiffness = f"stiffness = {joint['sim']['coupling']['stiffness']}"
+        assert lines[line_of(PLAN, ["joint", at, "sim", "coupling", "stiffness"]) - 1] == stiffness
+
+
+@pytest.mark.parametrize(
+    ("values", "out"), [([1.0, 1.1, 0.9, 1.05, 2.5], [4]), ([1.0, 1.1, 0.9, 1.05], []), ([1.0] * 6, [])]
+)
+def test_a_value_far_from_the_median_of_five_or_more_stands_out(values: list[float], out: list[int]) -> None:
+    assert [at for at, one in enumerate(standing_out(values)) if one] == out
