@@ -24,6 +24,8 @@ from hil.guardian.words import Reason, Word, Words
 _LOOK = 5e-3  # s between two looks at the guarded process
 _BURST = 0.2  # s during which torque-off is sent
 _SETTLE = 0.05  # s until settings are restored; a drive that writes its flash takes its time for each
+_ENDING = 0x604  # PF_SIGNALED, PF_DUMPCORE, PF_EXITING of include/linux/sched.h
+_UNKNOWN = [b"?"] + [b"0"] * 6
 _PRIORITY = 60  # of SCHED_FIFO, above any control loop
 
 _WHY = {
@@ -71,13 +73,21 @@ class Parent:
 
     def stands_still(self) -> bool:
         """Return whether it was stopped by a signal or a debugger; False where the system does not tell."""
+        return self._stat()[0] in {b"T", b"t"}
+
+    def ends(self) -> bool:
+        """Return whether it is about to end: a killed process frees its memory first, which takes its time."""
+        return bool(int(self._stat()[6]) & _ENDING)
+
+    def _stat(self) -> list[bytes]:
+        """Return the fields of its state in /proc behind its name: see proc(5)."""
         if self._state < 0:
-            return False
+            return _UNKNOWN
         try:
             stat = os.pread(self._state, 512, 0)
         except OSError:
-            return False
-        return stat[stat.rfind(b")") + 2 : stat.rfind(b")") + 3] in {b"T", b"t"}
+            return _UNKNOWN
+        return stat[stat.rfind(b")") + 1 :].split()
 
 
 class Guardian:
@@ -110,7 +120,7 @@ class Guardian:
 
     def _reason(self, now: int) -> Reason | None:
         """`now` is read before the words: a sign of life that arrives meanwhile is later, never missed."""
-        if self._parent.gone:
+        if self._parent.gone or self._parent.ends():
             return Reason.GONE
         if self._asked:
             return Reason.ASKED

@@ -199,15 +199,17 @@ def test_a_process_that_dies_or_is_stopped_has_its_torque_switched_off(line: Lin
         assert words.endswith(b": the guardian sent torque-off\n")
 
 
-def test_a_process_that_is_only_traced_is_not_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("state", "flags", "still", "ends"),
+    [("T", 0, True, False), ("S", 0, False, False), ("R", 0x400004, False, True), ("t", 0x40, True, False)],
+)
+def test_the_state_of_a_process_is_read_behind_its_name(
+    state: str, flags: int, still: bool, ends: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     heard, commands = os.pipe()
     parent = Parent(os.getppid(), heard)
-    assert not parent.stands_still()
-    stat = b"1 (a) T) T 0"
-    monkeypatch.setattr(os, "pread", lambda *_: stat)
-    assert parent.stands_still()
-    monkeypatch.setattr(os, "pread", lambda *_: b"1 (a) T) S 0")
-    assert not parent.stands_still()
+    monkeypatch.setattr(os, "pread", lambda *_: f"1 (a) T) {state} 1 2 3 0 -1 {flags} 7\n".encode())
+    assert (parent.stands_still(), parent.ends()) == (still, ends)
     os.close(heard)
     os.close(commands)
 
