@@ -238,10 +238,10 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
     (time, coarse), dtheta = spread_stamps(usable.time), usable.dtheta
     if columns.rate_given:
         rate = usable.reported_rate
-        acceleration = local_polynomial(time, rate, window.curvature)[1]
+        acceleration = local_polynomial(time, rate, window.curvature, 1)
     else:
-        rate = local_polynomial(time, dtheta, window.slope)[1]
-        acceleration = local_polynomial(time, dtheta, window.curvature)[2]
+        rate = local_polynomial(time, dtheta, window.slope, 1)
+        acceleration = local_polynomial(time, dtheta, window.curvature, 2)
     torque, known = _at_joint(usable.torque, rate, acceleration, columns)
     inside = _within(usable.row, rows)
     sound = np.ones(len(time), dtype=bool) if columns.rate_given else is_whole(time, window)

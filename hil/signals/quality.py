@@ -160,7 +160,7 @@ def _noise(signals: Signals) -> float:
     time = signals.motion.time
     cycles = signals.band[1] * (time[-1] - time[0]) / (len(time) - 1)
     half = widest(0, cycles, max(2, (len(time) - 1) // 8), _GAIN_ERROR)
-    residual = signals.torque - local_polynomial(time, signals.torque, half)[0]
+    residual = signals.torque - local_polynomial(time, signals.torque, half, 0)
     return 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
 
 

@@ -46,8 +46,8 @@ def window_for(time: Array, dtheta: Array) -> Window:
     step = float(np.median(np.diff(time)))
     band = excited_band(time, dtheta)
     slope, curvature = windows(time, band[1])
-    rate = local_polynomial(time, dtheta, slope)[1]
-    left = np.abs(dtheta - local_polynomial(time, dtheta, _NARROWEST)[0])
+    rate = local_polynomial(time, dtheta, slope, 1)
+    left = np.abs(dtheta - local_polynomial(time, dtheta, _NARROWEST, 0))
     left *= 1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))
     fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))

@@ -122,8 +122,8 @@ def test_torque_from_the_motors_side_is_predicted_without_what_the_motor_takes()
     motion, rng = moved(quantity=Quantity.POSITION), np.random.default_rng(3)
     readings = replace(CELL, motor_side=True)
     slope, curvature = windows(motion.time, excited_band(motion.time, motion.dtheta)[1])
-    rate = local_polynomial(motion.time, motion.dtheta, slope)[1]
-    acceleration = local_polynomial(motion.time, motion.dtheta, curvature)[2]
+    rate = local_polynomial(motion.time, motion.dtheta, slope, 1)
+    acceleration = local_polynomial(motion.time, motion.dtheta, curvature, 2)
 
     def torque(noise: Array) -> Array:
         return np.asarray(motion.drive + noise - JOINT.inertia * acceleration - JOINT.friction * rate)

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from hil.signals.savitzky_golay import DEGREE, gain, kernel, local_polynomial, widest
+
+Array = NDArray[np.float64]
 
 
 @settings(deadline=None)  # the first call compiles
@@ -16,7 +19,7 @@ def test_it_gives_back_any_polynomial_of_its_degree_on_any_stamps(half: int, see
     rng = np.random.default_rng(seed)
     time = np.cumsum(rng.uniform(0.7, 1.3, 90)) / 90.0
     polynomial = np.polynomial.Polynomial(rng.uniform(-1.0, 1.0, DEGREE + 1))
-    value, slope, curvature = local_polynomial(time, polynomial(time), half)
+    value, slope, curvature = (local_polynomial(time, polynomial(time), half, order) for order in range(3))
     np.testing.assert_allclose(value, polynomial(time), atol=1e-8)
     np.testing.assert_allclose(slope, polynomial.deriv()(time), atol=1e-5)
     np.testing.assert_allclose(curvature, polynomial.deriv(2)(time), atol=1e-2)
@@ -25,7 +28,7 @@ def test_it_gives_back_any_polynomial_of_its_degree_on_any_stamps(half: int, see
 @pytest.mark.parametrize("order", [0, 1, 2])
 def test_a_sine_has_the_stated_gain_and_no_phase(order: int) -> None:
     time, omega = np.arange(4000) / 500.0, 2.0 * np.pi * 20.0
-    found = local_polynomial(time, np.sin(omega * time), 14)[order][100:-100] / omega**order
+    found = local_polynomial(time, np.sin(omega * time), 14, order)[100:-100] / omega**order
     inner = omega * time[100:-100]
     wave, quadrature = (np.cos(inner), np.sin(inner)) if order == 1 else (np.sin(inner), np.cos(inner))
     sign = -1.0 if order == 2 else 1.0
@@ -39,7 +42,7 @@ def test_the_kernel_is_what_the_fit_does_to_a_single_reading() -> None:
     time, impulse = np.arange(41, dtype=np.float64), np.zeros(41)
     impulse[20] = 1.0
     for order in range(3):
-        weights = local_polynomial(time, impulse, 8)[order][12:29]
+        weights = local_polynomial(time, impulse, 8, order)[12:29]
         np.testing.assert_allclose(weights, kernel(8, order)[::-1], atol=1e-12)
 
 
@@ -48,3 +51,50 @@ def test_the_window_is_the_widest_within_the_tolerance(order: int) -> None:
     half = widest(order, 15.0 / 500.0, most=250, tolerance=3e-4)
     assert abs(gain(half, order, 15.0 / 500.0) - 1.0) <= 3e-4 < abs(gain(half + 1, order, 15.0 / 500.0) - 1.0)
     assert widest(order, 15.0 / 500.0, most=6, tolerance=3e-4) == 6
+
+
+def by_least_squares(time: Array, values: Array, half: int, order: int) -> Array:
+    """The definition: a polynomial fitted to each window on its own."""
+    found, width = [], 2 * half + 1
+    for at in range(len(time)):
+        start = min(max(at - half, 0), len(time) - width)
+        window = slice(start, start + width)
+        fit = np.polynomial.Chebyshev.fit(time[window], values[window] - values[at], DEGREE)
+        found.append(fit.deriv(order)(time[at]) + (values[at] if order == 0 else 0.0))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 1e-4, 0.5], ids=["even stamps", "nearly even", "uneven"])
+@pytest.mark.parametrize("half", [4, 9, 40])
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_sums_and_kernels_shared_by_many_windows_give_what_each_window_gives(
+    half: int, order: int, jitter: float
+) -> None:
+    rng = np.random.default_rng(half)
+    time = (np.arange(300) + rng.uniform(0.0, jitter, 300)) / 500.0
+    values = 6.0 + np.sin(40.0 * time) + 1e-3 * rng.standard_normal(300)
+    expected = by_least_squares(time, values, half, order)
+    found = local_polynomial(time, values, half, order)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-12 * np.abs(expected).max())
+
+
+def test_a_gap_in_time_costs_only_the_windows_that_span_it() -> None:
+    time = np.arange(400) / 500.0
+    time[200:] += 30.0
+    values, half = np.sin(time), 40
+    before, after = slice(0, 200 - half), slice(200 + half, 400)
+    found = local_polynomial(time, values, half, 1)
+    for part in (before, after):
+        np.testing.assert_allclose(found[part], np.cos(time[part]), atol=1e-6)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.5], ids=["even stamps", "uneven"])
+def test_a_long_recording_in_threads_gives_what_its_parts_give(jitter: float) -> None:
+    rng = np.random.default_rng(0)
+    time = (np.arange(120_000) + rng.uniform(0.0, jitter, 120_000)) / 500.0
+    values = np.sin(time)
+    whole = local_polynomial(time, values, 20, 1)
+    for begin in range(0, 120_000, 15_000):
+        part = slice(begin, begin + 15_000)
+        inner = local_polynomial(time[part], values[part], 20, 1)[40:-40]
+        np.testing.assert_allclose(whole[part][40:-40], inner, rtol=0.0, atol=1e-10)
