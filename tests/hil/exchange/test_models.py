@@ -53,15 +53,19 @@ def test_a_mujoco_model_that_is_simulated_and_recorded_gives_its_kc_and_bc_again
         0, "finger.xml: Kc 0.01775 N m/rad, Bc 0.00019 N m s/rad (linear)\n",
     )  # fmt: skip
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "finger.xml"))
-    data = mujoco.MjData(model)
-    lines, phases, generator = [], np.array([0.0, 2.0, 1.0, 4.0, 3.0]), np.random.default_rng(0)
-    while data.time < 6.0:
-        at = data.time
-        data.ctrl[0] = 1e-3 * np.sin(2.0 * math.pi * np.array([0.5, 1.3, 2.9, 5.1, 8.3]) * at + phases).sum()
+    model.opt.timestep = step = 1e-4  # MuJoCo holds the torque over a step: as late as half of it
+    data, generator = mujoco.MjData(model), np.random.default_rng(0)
+    times, phases = np.arange(0.0, 8.0, step), np.array([0.0, 2.0, 1.0, 4.0, 3.0])
+    torques = 1e-3 * np.sin(2.0 * math.pi * np.outer(times, [0.5, 1.3, 2.9, 5.1, 8.3]) + phases).sum(axis=1)
+    noise = 2e-5 * generator.standard_normal(times.size)
+    lines = []
+    for index, (time, torque) in enumerate(zip(times.tolist(), torques.tolist(), strict=True)):
+        data.ctrl[0] = torque
         mujoco.mj_step(model, data)
-        angle, _, torque = data.sensordata.tolist()
-        lines.append(f"{at!r},{torque + 2e-5 * generator.standard_normal():.9g},{angle!r}")
-    (tmp_path / "log.csv").write_text("time_s,motor_torque_Nm,motor_position_rad\n" + "\n".join(lines[::4]) + "\n")
+        if index % 20 == 0:
+            angle, _, read = data.sensordata.tolist()
+            lines.append(f"{time:.4f},{read + noise[index]:.9g},{angle!r}")
+    (tmp_path / "log.csv").write_text("time_s,motor_torque_Nm,motor_position_rad\n" + "\n".join(lines) + "\n")
     inertia = float(model.body("motor").inertia[2])
     (tmp_path / "stand.toml").write_text(f"[stand]\nmotor_inertia = {inertia!r}\n")
     columns = ("--time", "time", "--motor-torque", "motor_torque_Nm", "--motor-position", "motor_position_rad")
