@@ -10,6 +10,7 @@ import csv
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
@@ -124,8 +125,10 @@ def make(
     long as the file); band Hz; rate Hz, for the Nyquist check; fade s. Raises WrongUse.
     """
     if kind not in EXCITATIONS:
+        near = get_close_matches(kind, EXCITATIONS, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
         known = ", ".join(EXCITATIONS)
-        raise WrongUse(f"unknown profile {kind!r}: known are {known} (see: hil record --list-profiles)")
+        raise WrongUse(f"unknown profile {kind!r}: {hint}known are {known} (see: hil record --list-profiles)")
     excitation = EXCITATIONS[kind]
     if (excitation.sampler is None) != (setpoints is not None):
         raise WrongUse("--profile file and --setpoints FILE.csv go together: give both or neither")

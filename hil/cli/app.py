@@ -6,7 +6,8 @@ import io
 import signal
 import sys
 import traceback
-from typing import Any, NoReturn, cast
+from collections.abc import Callable
+from typing import Annotated, Any, NoReturn, cast
 
 import typer
 
@@ -17,24 +18,35 @@ from hil.cli.demo import demo
 from hil.cli.design import design
 from hil.cli.doctor import doctor
 from hil.cli.emulate import emulate
+from hil.cli.examples import below_help, below_main_help
 from hil.cli.files import export_data, import_data, inspect, recover
 from hil.cli.identify import identify
-from hil.cli.many.campaign import HELP as CAMPAIGN_HELP
 from hil.cli.many.campaign import campaign
 from hil.cli.record import record
 from hil.cli.replicate import replicate
 from hil.cli.stand import stand
-from hil.cli.terminal import DONE, INTERRUPTED, LIMIT_REACHED, STAND_FAILED, UNTRUSTWORTHY, WRONG_USE, say
+from hil.cli.terminal import (
+    DONE,
+    INTERRUPTED,
+    LIMIT_REACHED,
+    STAND_FAILED,
+    UNTRUSTWORTHY,
+    WRONG_USE,
+    be_quiet,
+    out,
+    say,
+)
 from hil.errors import Untrustworthy, WrongUse
 
 app = typer.Typer(
     name="hil",
     help=(
         "Record a robot-hand joint against its locked output and identify the stiffness and damping of its coupling. "
-        "--debug anywhere shows the traceback of an error."
+        "Anywhere: --quiet prints the answer and what is wrong with it, and nothing else; --debug shows the traceback "
+        "of an error."
     ),
+    epilog=below_main_help(),
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -42,21 +54,41 @@ app = typer.Typer(
 
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # raised by typer for wrong options, not exported
 
-app.command()(record)
-app.command()(identify)
-app.command()(compare)
-app.command()(inspect)
-app.command("import")(import_data)
-app.command("export")(export_data)
-app.command()(recover)
-app.command(help=CAMPAIGN_HELP)(campaign)
-app.command()(demo)
-app.command()(replicate)
-app.command()(design)
-app.command()(emulate)
-app.command()(doctor)
+
+_COMMANDS: dict[str, Callable[..., None]] = {
+    "record": record,
+    "identify": identify,
+    "compare": compare,
+    "inspect": inspect,
+    "import": import_data,
+    "export": export_data,
+    "recover": recover,
+    "campaign": campaign,
+    "demo": demo,
+    "replicate": replicate,
+    "design": design,
+    "emulate": emulate,
+    "doctor": doctor,
+}
+for _name, _command in _COMMANDS.items():
+    app.command(_name, epilog=below_help(_name))(_command)
 app.add_typer(stand, name="stand")
 app.add_typer(calibrate, name="calibrate")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        out(f"hil {version('hil')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options_of_all(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    """Take the options that stand before the command."""
 
 
 def main() -> NoReturn:
@@ -71,9 +103,12 @@ def main() -> NoReturn:
 
 
 def run(words: list[str]) -> int:
-    """Run a command and return its exit status. A traceback is shown only with "--debug" among the words."""
+    """Run a command and return its exit status. "--debug" and "--quiet" may be anywhere among the words."""
+    be_quiet("--quiet" in words)
     try:
-        answer = app([word for word in words if word != "--debug"], standalone_mode=False)
+        answer = app(
+            [word for word in words if word not in {"--debug", "--quiet"}], prog_name="hil", standalone_mode=False
+        )
     except _UsageError as error:
         shown = io.StringIO()
         cast("Any", error).show(file=shown)

@@ -10,6 +10,7 @@ import typer
 
 from drivers.servo import Quantity
 from hil.cli import options
+from hil.cli.examples import below_help
 from hil.cli.terminal import command_line, out, print_diagnostics, say
 from hil.errors import Untrustworthy, WrongUse
 
@@ -28,7 +29,7 @@ StandPath = Annotated[Path, typer.Argument(help="The stand file, which keeps its
 Yes = Annotated[bool, typer.Option("--yes", help="Ask and wait for nothing: for scripts.")]
 
 
-@calibrate.command()
+@calibrate.command(epilog=below_help("calibrate torque"))
 def torque(
     stand: StandPath,
     arm: Annotated[float | None, options.measured("--arm", "length", "Length of the lever, m, or 50mm.")] = None,
@@ -82,7 +83,7 @@ def torque(
         _print_scale(*store_torque(stand, measured, tare=cell.tare, arm=lever))
 
 
-@calibrate.command()
+@calibrate.command(epilog=below_help("calibrate fixture"))
 def fixture(
     stand: StandPath,
     recording: Annotated[Path | None, typer.Option(help="Use this recording of the empty rig; drive nothing.")] = None,
@@ -132,7 +133,7 @@ def fixture(
     say(f"stored in [calibration.fixture] of {stand}; use it with: hil identify run.h5 --fixture {stand}")
 
 
-@calibrate.command()
+@calibrate.command(epilog=below_help("calibrate zero"))
 def zero(stand: StandPath, yes: Yes = False) -> None:
     """Store the motor's angle at rest as the stand's zero. The torque is off; nothing is driven."""
     from hil.api.calibration import store_zero

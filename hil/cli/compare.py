@@ -9,7 +9,7 @@ import typer
 
 from hil.cli import options
 from hil.cli.progress import progress
-from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json, say
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, note, out, out_table, print_diagnostics, print_json
 
 
 def compare(
@@ -40,6 +40,6 @@ def compare(
     if not as_json:
         out_table(comparison_table(found.comparison))
     if report is not None:
-        say(f"wrote {found.report(report, command_line(), force=force)}")
+        note(f"wrote {found.report(report, command_line(), force=force)}")
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)

@@ -10,7 +10,7 @@ from hil.cli import options
 from hil.cli.identify import publish
 from hil.cli.progress import progress
 from hil.cli.record import record
-from hil.cli.terminal import UNTRUSTWORTHY, out
+from hil.cli.terminal import UNTRUSTWORTHY, detail, out
 
 
 def demo(output: options.Folder = Path("hil-demo")) -> None:
@@ -23,14 +23,14 @@ def demo(output: options.Folder = Path("hil-demo")) -> None:
     path = next_free(output)
     page = path.with_suffix(".html")
     check_output(page, force=False)
-    out("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
+    detail("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
     record(backend="sim", note="hil demo", output=path)
-    out("Identifying ...")
+    detail("Identifying ...")
     with progress() as show:
         found = identify(path, progress=show)
     publish(found, page)
     for line in truth_lines(found.identification, load(path).truth):
         out(line)
-    out(f"The recording is {path}; look at it with: hil inspect {path}")
+    detail(f"The recording is {path}; look at it with: hil inspect {path}")
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)

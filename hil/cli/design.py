@@ -8,7 +8,7 @@ import typer
 
 from drivers.servo import Quantity
 from hil.cli import options
-from hil.cli.terminal import out, out_table, print_diagnostics, print_json
+from hil.cli.terminal import detail, out, out_table, print_diagnostics, print_json
 
 
 def design(
@@ -69,4 +69,4 @@ def design(
         out_table(error_table(found.task, found.judged))
         out_table(limit_table(found.task, found.judged))
         for line in design_lines(found.task, found.judged, found.stand):
-            out(line)
+            detail(line)

@@ -9,7 +9,7 @@ import typer
 
 from hil.cli import options
 from hil.cli.progress import progress
-from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json, say
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, detail, note, out, out_table, print_diagnostics, print_json
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def inspect(
     if plot is not None:
         check_output(check_picture_name(plot), force=force, inputs=[recording])
         save_picture(load(recording).plot(), plot, force=force)
-        say(f"wrote {plot}")
+        note(f"wrote {plot}")
     seen = look(recording)
     if as_json:
         print_json(to_json(seen))
@@ -115,7 +115,7 @@ def import_data(
     )
     out(f"{output}: {done.samples} samples over {done.duration:.4g} s; {done.ranges}")
     if done.units:
-        out("read " + ", ".join(f"{channel} in {unit}" for channel, unit in done.units.items()))
+        detail("read " + ", ".join(f"{channel} in {unit}" for channel, unit in done.units.items()))
     print_diagnostics(done.diagnostics)
 
 

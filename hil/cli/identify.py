@@ -16,12 +16,13 @@ from hil.cli.progress import progress
 from hil.cli.terminal import (
     UNTRUSTWORTHY,
     command_line,
+    detail,
     exit_interrupted,
+    note,
     out,
     out_table,
     print_diagnostics,
     print_json,
-    say,
 )
 from hil.errors import WrongUse
 from hil.units import SI
@@ -119,7 +120,7 @@ def _failure_published(report: Path | None, *, force: bool, as_json: bool) -> It
         if as_json:
             print_json(failure.as_json())
         if report is not None:
-            say(f"wrote {failure.report(report, command_line(), force=force)}")
+            note(f"wrote {failure.report(report, command_line(), force=force)}")
         raise
 
 
@@ -141,10 +142,10 @@ def publish(
     if not as_json:
         _show_work(found.identification, verbose=verbose)
     if report is not None:
-        say(f"wrote {found.report(report, command_line(), force=force)}")
+        note(f"wrote {found.report(report, command_line(), force=force)}")
     if plot is not None:
         for path in found.save_plots(plot, force=force):
-            say(f"wrote {path}")
+            note(f"wrote {path}")
 
 
 def _show_answer(found: Identification) -> None:
@@ -159,7 +160,7 @@ def _show_work(found: Identification, *, verbose: bool) -> None:
 
     if not verbose:
         for line in report.summary_lines(found):
-            out(line)
+            detail(line)
         return
     out_table(report.estimates_table(found))
     if found.steps:
@@ -167,7 +168,7 @@ def _show_work(found: Identification, *, verbose: bool) -> None:
     out_table(report.repeatability_table(found))
     _show_dynamic_stiffness(found)
     for line in report.identification_lines(found):
-        out(line)
+        detail(line)
 
 
 def _show_dynamic_stiffness(found: Identification) -> None:
@@ -181,7 +182,7 @@ def _show_dynamic_stiffness(found: Identification) -> None:
     damping = people_unit("N*m*s/rad", milli=milli(found))[1]
     out_table(dynamic_stiffness_table(found.dynamic_stiffness, factor, stiffness, damping))
     for line in distortion_lines(found.dynamic_stiffness):
-        out(line)
+        detail(line)
 
 
 def _bounds(text: str) -> tuple[str, tuple[float, float]]:

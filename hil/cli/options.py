@@ -20,6 +20,7 @@ LARGEST_SEED = 2**63 - 1
 DEFAULT_RATE = 500.0
 """Hz."""
 ALL_CORES = os.cpu_count() or 1
+_HERE = Path("stand.toml")
 
 
 def measured(option: str, dimension: str, text: str) -> Any:
@@ -35,7 +36,9 @@ def measured(option: str, dimension: str, text: str) -> Any:
 
 
 Backend = Annotated[str | None, typer.Option(help="A stand that needs no stand file: sim, or replay FILE.")]
-StandFile = Annotated[Path | None, typer.Option(help="The stand file (stand.toml).")]
+StandFile = Annotated[
+    Path | None, typer.Option(help="The stand file [default: stand.toml in this folder, where there is one].")
+]
 Kind = Annotated[str, typer.Option("--profile", help="The excitation; hil record --list-profiles explains them.")]
 Mode = Annotated[Quantity, typer.Option(help="Command torque or position.")]
 Amplitude = Annotated[
@@ -102,13 +105,20 @@ ListModels = Annotated[
 
 
 def stand_of(backend: str | None, path: Path | None) -> str | Path:
-    """Return the stand file, or "sim", as --backend or --stand names it. Raises WrongUse."""
+    """Return the stand file, or "sim", as --backend or --stand names it; else the stand.toml of this folder, said so.
+
+    Raises WrongUse.
+    """
+    from hil.cli.terminal import note
     from hil.stand.devices import check_backend
 
     if path is not None and backend is not None:
         raise WrongUse("give --backend or --stand, not both: a stand file names its own backend")
     if path is not None:
         return path
+    if backend is None and _HERE.is_file():
+        note(f"using {_HERE}, the stand file of this folder")
+        return _HERE
     if backend is None:
         raise WrongUse("which stand? --backend sim for the simulated one, --stand stand.toml for your own")
     if backend == "replay":

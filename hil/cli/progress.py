@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ga.first_run import announced_to
-from hil.cli.terminal import printable, say
+from hil.cli.terminal import is_quiet, printable, say
 
 Show = Callable[[str, float], None]
 _QUIET = 10.0  # s between two lines
@@ -40,6 +40,9 @@ class _Compiling:
 
 @contextmanager
 def _shown() -> Iterator[Show]:
+    if is_quiet():
+        yield lambda *_: None
+        return
     if not sys.stderr.isatty():
         yield Lines()
         return

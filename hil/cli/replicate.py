@@ -9,7 +9,7 @@ import typer
 
 from hil.cli import options
 from hil.cli.progress import progress
-from hil.cli.terminal import exit_interrupted, out, print_diagnostics, print_json, say
+from hil.cli.terminal import exit_interrupted, note, out, print_diagnostics, print_json
 
 
 def replicate(
@@ -55,7 +55,7 @@ def replicate(
             f"{done.identification.trials.made:.3g} evaluations in {done.identification.search_seconds:.1f} s: "
             f"{done.evaluations_per_second:.3g} per second, {done.ratio_to_numpy:.0f} times NumPy on one core"
         )
-    say(f"wrote {recording} and {picture} (Figure 8)")
+    note(f"wrote {recording} and {picture} (Figure 8)")
     print_diagnostics(done.identification.diagnostics)
     if interrupted:
         exit_interrupted(saved)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli import options
-from hil.cli.terminal import out, say
+from hil.cli.examples import below_help
+from hil.cli.terminal import note, out, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 stand = typer.Typer(help="Write a stand file, or its schema for an editor.", no_args_is_help=True)
 
 
-@stand.command()
+@stand.command(epilog=below_help("stand new"))
 def new(
     output: Annotated[Path, typer.Option("-o", "--output", help="The file to write.")] = Path("stand.toml"),
     backend: Annotated[str | None, typer.Option(help="The drive; see hil record --list-backends.")] = None,
@@ -39,24 +40,27 @@ def new(
     check_output(output, force=force)
     if backend is None:
         backend = "sim" if yes else typer.prompt(f"Which drive ({', '.join(BACKENDS)})", default="dynamixel", err=True)
+    check_backend(backend)  # before any other question
     if sensor is None and SENSORS and not yes:
         kind = typer.prompt(
             f"A sensor at the joint on its own link (none, {', '.join(SENSORS)})", default="none", err=True
         )
         sensor = None if kind == "none" else kind
-    draft = Draft(check_backend(backend), None if sensor is None else check_sensor(sensor))
+    draft = Draft(backend, None if sensor is None else check_sensor(sensor))
     answers = _given(draft, answer or [])
-    for question in draft.questions():
-        if question.key not in answers:
-            answers[question.key] = _default(question) if yes else _asked(draft, question)
+    open_questions = [question for question in draft.questions() if question.key not in answers]
+    if yes:
+        _check_defaults(open_questions)
+    for question in open_questions:
+        answers[question.key] = question.default if yes else _asked(draft, question)
     text = draft.text(answers)
     parse(text, str(output))
     with atomic_write(output, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    say(f"wrote {output}; look at the drive with: hil doctor {output}")
+    note(f"wrote {output}; look at the drive with: hil doctor {output}")
 
 
-@stand.command()
+@stand.command(epilog=below_help("stand schema"))
 def schema() -> None:
     """Print the JSON schema of stand.toml, with which an editor checks and completes it."""
     from hil.stand.json_schema import stand_schema
@@ -81,10 +85,12 @@ def _given(draft: Draft, words: list[str]) -> dict[str, Any]:
     return answers
 
 
-def _default(question: Question) -> Any:
-    if question.default is None:
-        raise WrongUse(f"{question.key} has no default: add --set {question.key}=...")
-    return question.default
+def _check_defaults(questions: list[Question]) -> None:
+    """Raise WrongUse where questions have no default, with all of them."""
+    missing = [question.key for question in questions if question.default is None]
+    if missing:
+        words = " ".join(f"--set {key}=..." for key in missing)
+        raise WrongUse(f"{', '.join(missing)}: there is no default; add {words}")
 
 
 def _asked(draft: Draft, question: Question) -> Any:

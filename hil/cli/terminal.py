@@ -34,6 +34,34 @@ def out(text: str, *, is_drawn: bool = False) -> None:
         raise WrongUse(f"standard output cannot be written ({error.strerror or error}): send it elsewhere")
 
 
+class _Quiet:
+    """Whether this command prints the answer alone."""
+
+    wanted = False
+
+
+def be_quiet(wanted: bool) -> None:
+    """Let `detail` and `note`, the tables and the progress print nothing from now on, or again."""
+    _Quiet.wanted = wanted
+
+
+def is_quiet() -> bool:
+    """Return whether this command prints the answer alone."""
+    return _Quiet.wanted
+
+
+def detail(text: str) -> None:
+    """Print a line below the answer to standard output. Raises WrongUse where it cannot be written."""
+    if not is_quiet():
+        out(text)
+
+
+def note(text: str) -> None:
+    """Print what was done beside the answer to standard error. Never raises."""
+    if not is_quiet():
+        say(text)
+
+
 def say(text: str) -> None:
     """Print a line to standard error, apart from the command's data. Never raises: words must not cost data."""
     with suppress(Exception):
@@ -71,7 +99,9 @@ def _written(text: str, stream: TextIO | None, *, is_drawn: bool = False) -> OSE
 
 
 def out_table(table: Table) -> None:
-    """Print a table to standard output."""
+    """Print a table below the answer to standard output."""
+    if is_quiet():
+        return
     from rich.console import Console
     from rich.segment import Segment, Segments
 

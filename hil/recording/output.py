@@ -197,7 +197,7 @@ def _check_replaceable(path: Path, *, force: bool) -> None:
 
 
 def _exists(path: Path) -> str:
-    return f"{path} exists: choose another name with -o, or overwrite it with --force"
+    return f"{path} exists: choose another name, or overwrite it with --force"
 
 
 def _is_same(path: Path, other: Path) -> bool:

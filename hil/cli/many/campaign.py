@@ -10,19 +10,11 @@ import typer
 
 from hil.cli import options
 from hil.cli.progress import progress
-from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, out_table, print_diagnostics, print_json, say
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, note, out, out_table, print_diagnostics, print_json, say
 
 if TYPE_CHECKING:
     from hil.campaign.journal import Journal
     from hil.campaign.plan import Plan
-
-HELP = """Record many joints one after the other, identify all, and write one report.
-
-What is done is never repeated: after an interruption or a failure the same command resumes. A joint that fails is noted
-and the next one goes on. Exit status 1: a recording has no result. Ctrl-C ends the recording and the campaign.
-
-Example: hil campaign examples/hand.toml --dry-run
-"""
 
 
 def campaign(
@@ -35,7 +27,11 @@ def campaign(
     cluster: options.Cluster = None,
     as_json: options.Json = False,
 ) -> None:
-    """Record many joints one after the other, identify all, and write one report."""
+    """Record many joints one after the other, identify all, and write one report.
+
+    What is done is never repeated: after an interruption or a failure the same command resumes. A joint that fails is
+    noted and the next one goes on. Exit status 1: a recording has no result. Ctrl-C ends recording and campaign.
+    """
     from hil.campaign import conduct, page
     from hil.campaign.journal import Journal
     from hil.campaign.plan import load
@@ -62,7 +58,7 @@ def campaign(
         headings, *rows = page.table(found)
         out(page.verdict(found))
         out_table(plain_table(loaded.settings.name, headings, rows))
-    say(f"wrote {page.write_page(loaded, found, loaded.folder / 'report.html', command_line())}")
+    note(f"wrote {page.write_page(loaded, found, loaded.folder / 'report.html', command_line())}")
     print_diagnostics(page.diagnostics(found))
     if not found.complete:
         raise typer.Exit(UNTRUSTWORTHY)

@@ -98,7 +98,7 @@ def test_no_command_overwrites_what_it_reads(hil: Hil, make_recording: Maker) ->
 def test_the_file_of_a_report_is_looked_at_before_any_work(
     hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.api.analysis.identify_recordings", lambda *_: pytest.fail("it has begun to work"))
+    monkeypatch.setattr("hil.api.analysis.identified", lambda *_: pytest.fail("it has begun to work"))
     Path("p.html").write_text("mine")
     status, _, err = hil("identify", make_recording(), "--report", "p.html")
     assert status == 2

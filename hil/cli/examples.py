@@ -1,0 +1,57 @@
+"""The examples below the help of every command, and the exit statuses below that of `hil`."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+EXAMPLES = MappingProxyType(
+    {
+        "record": (
+            "hil record --backend sim --profile chirp -o run1.h5",
+            "hil record --stand stand.toml --profile multisine --band 0.5:20 --duration 30 -o run2.h5",
+        ),
+        "identify": (
+            "hil identify run1.h5 --report run1.html",
+            "hil identify run1.h5 run2.h5 --model linear+offset+coulomb --json",
+        ),
+        "compare": ("hil compare monday.h5 tuesday.h5 friday.h5 --report week.html",),
+        "inspect": ("hil inspect run1.h5 --plot run1.png",),
+        "import": (
+            "hil import log.csv --time t --torque tau --torque-unit mN*m --dtheta q --dtheta-unit deg -o log.h5",
+        ),
+        "export": ("hil export run1.h5 -o run1.csv",),
+        "recover": ("hil recover run1.h5.part",),
+        "campaign": ("hil campaign examples/hand.toml --dry-run",),
+        "demo": ("hil demo",),
+        "replicate": ("hil replicate --trials 5 --evaluations 200000",),
+        "design": ("hil design --stand stand.toml --kc 0.02 --bc 2e-4 --duration 30",),
+        "emulate": ("hil emulate dynamixel --link ./ttyDXL --log torque.csv",),
+        "doctor": ("hil doctor", "hil doctor stand.toml --move"),
+        "stand new": ("hil stand new -o stand.toml", "hil stand new --yes --backend sim -o stand.toml"),
+        "stand schema": ("hil stand schema",),
+        "calibrate torque": ("hil calibrate torque stand.toml --arm 50mm",),
+        "calibrate fixture": ("hil calibrate fixture stand.toml --profile chirp --band 0.5:20",),
+        "calibrate zero": ("hil calibrate zero stand.toml",),
+    }
+)
+"""Commands as a person types them, by the command that they are examples of."""
+
+STATUSES = (
+    "0: done",
+    "1: done, and the result must not be trusted",
+    "2: wrong use; nothing was changed",
+    "3: the stand or the drive failed",
+    "4: a limit was reached; the torque is off and the rows are kept",
+    "130: interrupted with Ctrl-C (128 + the number of any other signal)",
+)
+"""What each exit status means."""
+
+
+def below_help(command: str) -> str:
+    """Return the text below the help of a command; \\b keeps its lines as they are."""
+    return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in EXAMPLES[command])
+
+
+def below_main_help() -> str:
+    """Return the text below the help of `hil`."""
+    return "\b\nExit status:\n" + "\n".join(f"  {line}" for line in STATUSES)
