@@ -217,6 +217,8 @@ make_foc = maker("make_foc", new_foc)
 SERVO_LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
 MX_LIMITS = Limits(torque=0.06, velocity=40.0, temperature=65.0, position=(-8.0, 8.0))
 FEETECH_LIMITS = Limits(torque=0.4, velocity=40.0, temperature=65.0, position=(-20.0, 20.0))
+STS_LIMITS = replace(FEETECH_LIMITS, position=(-2.0, 2.0))
+SCS_LIMITS = replace(FEETECH_LIMITS, torque=0.1, position=(1.6, 3.6))  # it begins at 2.6
 ODRIVE_LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
 CIA402_LIMITS = Limits(torque=0.04, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
 MIT_LIMITS = Limits(torque=2.0, velocity=30.0, temperature=85.0, position=(-3.0, 3.0))
@@ -292,17 +294,26 @@ def wired_rig(rig: Rig, limits: Limits, open_: Callable[[Rig], Servo] = Rig.open
         lambda: len(rig.port.sent),
         lambda: bool(rig.motor.enabled),
         unplug,
-        reopen=rig.open,
+        reopen=lambda: open_(rig),
         device=rig.device,
         put=put,
         wait=rig.wait,
     )
 
 
+def in_position(rig: Rig) -> Servo:
+    mode = "extended-position" if isinstance(rig.config, DynamixelConfig) else "position"
+    servo: Servo = rig.open(mode=mode)
+    return servo
+
+
 IN_VIRTUAL_TIME: dict[str, Callable[[], Wired]] = {
     "dynamixel": lambda: wired_rig(new_rig(), SERVO_LIMITS),
     "dynamixel mx": lambda: wired_rig(new_rig("mx-64"), MX_LIMITS),
     "feetech hls": lambda: wired_rig(feetech_rig(), FEETECH_LIMITS),
+    "feetech sts in position": lambda: wired_rig(feetech_rig("sts3215"), STS_LIMITS, in_position),
+    "feetech scs in position": lambda: wired_rig(feetech_rig("scs0009"), SCS_LIMITS, in_position),
+    "dynamixel in position": lambda: wired_rig(new_rig(), SERVO_LIMITS, in_position),
     "odrive 0.5.6": lambda: wired_rig(odrive_rig("0.5.6"), ODRIVE_LIMITS),
     "odrive 0.6.10": lambda: wired_rig(odrive_rig("0.6.10"), ODRIVE_LIMITS),
     "mit ak80-9": lambda: wired_rig(mit_rig("ak80-9"), MIT_LIMITS),
