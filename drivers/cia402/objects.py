@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import TYPE_CHECKING
 
-from drivers.servo import DriverError
+from drivers.settings import Settings
 
 if TYPE_CHECKING:
     from drivers.cia402.network import LinkedNetwork
@@ -17,7 +16,7 @@ class Objects:
 
     def __init__(self, network: LinkedNetwork) -> None:
         self._network = network
-        self._before: dict[ObjectIndex, bytes] = {}
+        self._settings: Settings[ObjectIndex, bytes] = Settings(network.read, network.write)
 
     def get(self, place: ObjectIndex, *, signed: bool = False) -> int:
         """Return a number, of the size that the drive reports."""
@@ -32,22 +31,14 @@ class Objects:
         self._network.write(place, value.to_bytes(size, "little", signed=value < 0))
 
     def require(self, place: ObjectIndex, value: int, what: str) -> None:
-        """Write a number and read it back; keep the earlier one for `restore`. Raises DriverError where they differ."""
-        before = self._network.read(place)
-        data = value.to_bytes(len(before), "little", signed=value < 0)
-        if data != before:
-            self._before.setdefault(place, before)
-            self._network.write(place, data)
-            if self._network.read(place) != data:
-                raise DriverError(f"the drive does not keep its {what} (object {place}) at {value}: nothing was armed")
+        """Make an object hold a number, read back; `restore` writes the earlier one. Raises as `Settings.require`."""
+        data = value.to_bytes(len(self._network.read(place)), "little", signed=value < 0)
+        self._settings.require(place, data, f"its {what} (object {place})")
 
     def changed(self) -> list[tuple[ObjectIndex, bytes]]:
         """Return the objects that `restore` writes and the values that they had, in its order."""
-        return list(reversed(self._before.items()))
+        return self._settings.changed()
 
     def restore(self) -> None:
-        """Restore what `require` changed, newest first. Never raises DriverError."""
-        with contextlib.suppress(DriverError):
-            for place, data in reversed(self._before.items()):
-                self._network.write(place, data)
-            self._before.clear()
+        """Restore what `require` changed, as far as the drive accepts it."""
+        self._settings.restore()

@@ -13,8 +13,19 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
-from sim_backend.wire.packets.frames import BROADCAST, HEADER, Frame, Framer, Instruction, crc, status, take_packet
-from sim_backend.wire.packets.frames_1 import reads_1, status_1, sync_writes_1, take_packet_1
+from sim_backend.wire.packets.frames import (
+    BROADCAST,
+    HEADER,
+    Frame,
+    Framer,
+    Instruction,
+    crc,
+    reads,
+    status,
+    take_packet,
+    writes,
+)
+from sim_backend.wire.packets.frames_1 import reads_1, status_1, take_packet_1, writes_1
 from sim_backend.wire.torque_log import Watched
 from sim_backend.wire.uart.pacing import paced
 
@@ -93,6 +104,7 @@ class PacketBus:
         self._protocol = protocol
         self._framer = Framer(take_packet if protocol == 2 else take_packet_1)
         self._status = status if protocol == 2 else status_1
+        self._writes, self._reads = (writes, reads) if protocol == 2 else (writes_1, reads_1)
         self._free = 0.0
         self.faults = WireFaults[SerialFault]()
 
@@ -136,8 +148,7 @@ class PacketBus:
         if not frame.sound:
             return []
         if frame.instruction >= Instruction.SYNC_READ:
-            together = self._together if self._protocol == 2 else self._mx_together
-            return together(frame, {device.line.id: device for device in awake}, now)
+            return self._together(frame, {device.line.id: device for device in awake}, now)
         answers = [(d, d.answer(frame, now)) for d in sorted(awake, key=lambda d: d.line.id)]
         if frame.instruction != Instruction.PING:
             return []
@@ -154,46 +165,25 @@ class PacketBus:
         return self._timed([(named[0], _collided(packets))], now) if packets else []
 
     def _together(self, frame: Frame, present: dict[int, PacketServo], now: float) -> list[Reply]:
-        """Execute an instruction that addresses several servos at once."""
-        p = frame.parameters
-        if frame.instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
-            writes = _sync_writes(p) if frame.instruction == Instruction.SYNC_WRITE else _bulk_writes(p)
-            for ident, address, data in writes:
-                if ident in present:
-                    present[ident].write(address, data)
-            return []
-        if frame.instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
-            wanted = [(ident, *_words(p)) for ident in p[4:]]
-        else:
-            wanted = [(p[i], *_words(p[i + 1 :])) for i in range(0, len(p) - 4, 5)]
+        """Execute an instruction that addresses several servos at once.
+
+        A servo that does not answer is passed over; in a Bulk Read of protocol 1.0 each waits for the one before it.
+        """
+        for ident, address, data in self._writes(frame):
+            if ident in present:
+                present[ident].write(address, data)
+        wanted = self._reads(frame)
         if frame.instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}:
             return self._fast(wanted, present, now)
         packets = []
         for ident, address, size in wanted:
             device = present.get(ident)
-            if device is not None and device.line.level > 0:
+            sync_reads = device is not None and (device.line.sync_reads or frame.instruction != Instruction.SYNC_READ)
+            if device is not None and sync_reads and device.line.level > 0:
                 error, data = device.read(address, size, now)
-                packets.append((device, status(ident, device.alerted(error), data)))
-        return self._timed(packets, now)
-
-    def _mx_together(self, frame: Frame, present: dict[int, PacketServo], now: float) -> list[Reply]:
-        """Execute Sync Write, Sync Read or Bulk Read of protocol 1.0.
-
-        In a Bulk Read each servo waits for the one before it; a servo missing from a Sync Read is passed over.
-        """
-        if frame.instruction == Instruction.SYNC_WRITE:
-            for ident, address, data in sync_writes_1(frame.parameters):
-                if ident in present:
-                    present[ident].write(address, data)
-        packets = []
-        for ident, address, size in reads_1(frame):
-            device = present.get(ident)
-            if frame.instruction == Instruction.SYNC_READ and (device is None or not device.line.sync_reads):
-                continue
-            if device is None or device.line.level == 0:
+                packets.append((device, self._status(ident, device.alerted(error), data)))
+            elif self._protocol == 1 and frame.instruction == Instruction.BULK_READ:
                 break
-            error, data = device.read(address, size, now)
-            packets.append((device, status_1(ident, device.alerted(error), data)))
         return self._timed(packets, now)
 
     def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, PacketServo], now: float) -> list[Reply]:
@@ -250,22 +240,3 @@ def _collided(packets: list[bytes]) -> bytes:
         for i, byte in enumerate(data):
             merged[i] &= byte
     return bytes(merged)
-
-
-def _words(p: bytes) -> tuple[int, int]:
-    return int.from_bytes(p[:2], "little"), int.from_bytes(p[2:4], "little")
-
-
-def _sync_writes(p: bytes) -> list[tuple[int, int, bytes]]:
-    address, size = _words(p)
-    return [(p[i], address, p[i + 1 : i + 1 + size]) for i in range(4, len(p) - size, size + 1)]
-
-
-def _bulk_writes(p: bytes) -> list[tuple[int, int, bytes]]:
-    out = []
-    i = 0
-    while i + 5 <= len(p):
-        address, size = _words(p[i + 1 :])
-        out.append((p[i], address, p[i + 5 : i + 5 + size]))
-        i += 5 + size
-    return out

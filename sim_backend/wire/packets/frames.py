@@ -168,3 +168,30 @@ def take_packet(rest: bytes) -> Taken | None:
     body = unstuffed(rest[7 : total - 2])
     frame = Frame(rest[4], body[0], body[1:], sound, total)
     return Taken(None if frame.instruction == Instruction.STATUS else frame, total if sound else len(HEADER))
+
+
+def writes(frame: Frame) -> list[tuple[int, int, bytes]]:
+    """Return id, address and data of each write of a Sync Write or a Bulk Write; of any other instruction none."""
+    p, out = frame.parameters, []
+    if frame.instruction == Instruction.SYNC_WRITE:
+        address, size = _words(p)
+        return [(p[i], address, p[i + 1 : i + 1 + size]) for i in range(4, len(p) - size, size + 1)]
+    while frame.instruction == Instruction.BULK_WRITE and len(p) >= 5:
+        address, size = _words(p[1:])
+        out.append((p[0], address, p[5 : 5 + size]))
+        p = p[5 + size :]
+    return out
+
+
+def reads(frame: Frame) -> list[tuple[int, int, int]]:
+    """Return id, address and size of each read of a Sync Read or a Bulk Read, fast or not; else none."""
+    p = frame.parameters
+    if frame.instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
+        return [(ident, *_words(p)) for ident in p[4:]]
+    if frame.instruction in {Instruction.BULK_READ, Instruction.FAST_BULK_READ}:
+        return [(p[i], *_words(p[i + 1 :])) for i in range(0, len(p) - 4, 5)]
+    return []
+
+
+def _words(p: bytes) -> tuple[int, int]:
+    return int.from_bytes(p[:2], "little"), int.from_bytes(p[2:4], "little")

@@ -44,9 +44,10 @@ def take_packet_1(rest: bytes) -> Taken | None:
     return Taken(Frame(ident, rest[4], rest[5 : total - 1], sound, total), total if sound else len(HEADER))
 
 
-def sync_writes_1(p: bytes) -> list[tuple[int, int, bytes]]:
-    """Id, address and data of each write in the parameters of a Sync Write."""
-    if len(p) < 2:
+def writes_1(frame: Frame) -> list[tuple[int, int, bytes]]:
+    """Return id, address and data of each write of a Sync Write; of any other instruction none."""
+    p = frame.parameters
+    if frame.instruction != Instruction.SYNC_WRITE or len(p) < 2:
         return []
     address, size = p[0], p[1]
     return [(p[i], address, p[i + 1 : i + 1 + size]) for i in range(2, len(p) - size, size + 1)]

@@ -20,7 +20,7 @@ from hil.doctor.examine import examine
 from hil.stand.file import parse
 from sim_backend.wire.feetech.device import FeetechDevice
 from sim_backend.wire.packets.frames import Framer, Instruction
-from sim_backend.wire.packets.frames_1 import sync_writes_1, take_packet_1
+from sim_backend.wire.packets.frames_1 import take_packet_1, writes_1
 
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.4, velocity=30.0, temperature=60.0, position=(-20.0, 20.0))
@@ -50,7 +50,7 @@ def written(sent: bytes) -> list[tuple[int, bytes]]:
         if frame.instruction == Instruction.WRITE:
             found.append((frame.parameters[0], frame.parameters[1:]))
         elif frame.instruction == Instruction.SYNC_WRITE:
-            found += [(address, data) for _, address, data in sync_writes_1(frame.parameters)]
+            found += [(address, data) for _, address, data in writes_1(frame)]
     return found
 
 

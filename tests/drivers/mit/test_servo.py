@@ -99,25 +99,6 @@ def test_zero_torque_is_half_a_count_since_zero_lies_between_two() -> None:
     assert device.motor.demand == pytest.approx(0.5 * codec.torque_lsb)
 
 
-@pytest.mark.parametrize("model", ["ak80-9", "dm-j4310"])
-@pytest.mark.parametrize("sign", [1, -1])
-def test_torque_and_motion_have_the_stands_sign_and_are_si(make_mit: Make, model: str, sign: int) -> None:
-    rig = make_mit(model)
-    servo = rig.open(sign=sign)
-    servo.arm(LIMITS)
-    for _ in range(300):
-        rig.wait(2e-3)
-        sample = servo.exchange(torque(1.0))
-    lsb = servo.info.torque_lsb
-    assert sample.motor_torque == pytest.approx(1.0, abs=1.5 * lsb)
-    assert sample.motor_position == pytest.approx(sign * rig.device.motor.position, abs=servo.info.position_lsb)
-    stiffness = 17.75e-3 * MODELS[model].scale
-    assert sample.motor_position == pytest.approx(1.0 / stiffness, rel=0.02)
-    assert math.copysign(1.0, rig.device.motor.torque) == sign
-    servo.close()
-    assert not rig.device.motor.enabled
-
-
 def test_a_scale_of_the_torque_acts_both_ways(make_mit: Make) -> None:
     rig = make_mit("ak80-9")
     servo = rig.open(torque_scale=0.75)

@@ -74,23 +74,6 @@ def _frame(ident: int, data: bytes = b"", *, remote: bool = False) -> Any:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-@pytest.mark.parametrize("sign", [1, -1])
-def test_torque_and_motion_have_the_stands_sign_and_are_si(make_odrive: Make, firmware: str, sign: int) -> None:
-    rig = make_odrive(firmware)
-    servo = rig.open(sign=sign)
-    servo.arm(LIMITS)
-    for _ in range(300):
-        rig.wait(2e-3)
-        sample = servo.exchange(torque(0.2))
-    assert sample.motor_torque == pytest.approx(0.2, abs=0.02 * 0.04)
-    assert sample.motor_position == pytest.approx(sign * rig.device.motor.position, abs=2 * math.pi / 16384)
-    assert sample.motor_position == pytest.approx(0.2 / (17.75e-3 * 20), rel=0.02)
-    assert math.copysign(1.0, rig.device.motor.torque) == sign
-    servo.close()
-    assert rig.device.state == IDLE
-
-
-@pytest.mark.parametrize("firmware", FIRMWARES)
 def test_speed_and_current_limits_reach_the_axis(make_odrive: Make, firmware: str) -> None:
     rig = make_odrive(firmware)
     rig.open().arm(LIMITS)

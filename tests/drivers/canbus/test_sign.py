@@ -1,0 +1,58 @@
+"""Every drive on a CAN bus: what it reports has the stand's sign and is SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from drivers.servo import Command, Quantity
+from sim_backend.wire.mit.tables import MODELS as MIT_MODELS
+
+from ..conftest import CIA402_LIMITS, MIT_LIMITS, ODRIVE_LIMITS, Rig, cia402_rig, mit_rig, moteus_rig, odrive_rig
+
+STIFFNESS = 17.75e-3  # of the paper's joint, N m/rad
+TURN = 2.0 * math.pi
+# make, limits, push N m, scale of the joint, one count of the torque N m and of the angle rad
+DRIVES: dict[str, tuple[Callable[[], Rig], Any, float, float, float, float]] = {
+    **{
+        f"odrive {firmware}": (lambda f=firmware: odrive_rig(f), ODRIVE_LIMITS, 0.2, 20.0, 0.02 * 0.04, TURN / 16384)  # type: ignore[misc]  # bound now
+        for firmware in ("0.5.6", "0.6.10")
+    },
+    **{
+        f"cia402 {model}": (lambda m=model: cia402_rig(m), CIA402_LIMITS, 0.02, 2.0, 30e-6, TURN / 4096)  # type: ignore[misc]  # bound now
+        for model in ("epos4", "epos2", "generic")
+    },
+    **{
+        f"mit {model}": (
+            lambda m=model: mit_rig(m),  # type: ignore[misc]  # bound now
+            MIT_LIMITS,
+            1.0,
+            MIT_MODELS[model].scale,
+            3.0 * MIT_MODELS[model].span[2] / 4095,
+            2.0 * MIT_MODELS[model].span[0] / 65535,
+        )
+        for model in ("ak80-9", "dm-j4310")
+    },
+    "moteus": (moteus_rig, ODRIVE_LIMITS, 0.2, 20.0, 2e-3, TURN / 16384),
+}
+
+
+@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_torque_and_motion_have_the_stands_sign_and_are_si(name: str, sign: int) -> None:
+    make, limits, push, scale, torque_count, angle_count = DRIVES[name]
+    rig = make()
+    servo = rig.open(sign=sign)
+    servo.arm(limits)
+    for _ in range(300):
+        rig.wait(2e-3)
+        sample = servo.exchange(Command(Quantity.TORQUE, push))
+    assert sample.motor_torque == pytest.approx(push, abs=torque_count)
+    assert sample.motor_position == pytest.approx(sign * rig.motor.position, abs=angle_count)
+    assert sample.motor_position == pytest.approx(push / (STIFFNESS * scale), rel=0.02)
+    assert math.copysign(1.0, rig.motor.torque) == sign
+    servo.close()
+    assert not rig.motor.enabled
