@@ -174,9 +174,12 @@ class Seen(NamedTuple):
 
 
 class Drive:
-    """A drive on the plant, commanded without a link. Times are in s since it was switched on."""
+    """A drive on the plant, commanded without a link. Times are in s since it was switched on.
 
-    def __init__(self, parameters: SimParameters) -> None:
+    watchdog: s of silence after which it turns its torque off.
+    """
+
+    def __init__(self, parameters: SimParameters, *, watchdog: float) -> None:
         drive, sensors = parameters.drive, parameters.sensors
         self.constants = constants(parameters)
         self.path = start(self.constants)
@@ -186,7 +189,7 @@ class Drive:
         self._lsb = 2.0 * math.pi / sensors.motor_counts
         settings = Settings(
             period=1.0 / drive.loop_rate,
-            watchdog=float(parameters.link.watchdog),
+            watchdog=float(watchdog),
             lsb=self._lsb,
             gain=float(drive.position_gain),
             integral_gain=float(drive.position_integral_gain),

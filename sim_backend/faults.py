@@ -56,7 +56,21 @@ class RepliesRepeat(_Interval):
     """From `start` to `end` the drive answers with what it last read, its clock included; set-points still act."""
 
 
-Fault = LinkDrops | Silence | CorruptReplies | FaultLatches | EncoderFreezes | TorqueUnreadable | RepliesRepeat
+@dataclass(frozen=True, slots=True)
+class WatchdogBroken:
+    """The drive's watchdog never acts, although it is announced."""
+
+
+Fault = (
+    WatchdogBroken
+    | LinkDrops
+    | Silence
+    | CorruptReplies
+    | FaultLatches
+    | EncoderFreezes
+    | TorqueUnreadable
+    | RepliesRepeat
+)
 
 
 def within(plan: tuple[Fault, ...], kind: type[_Interval], t: float) -> bool:

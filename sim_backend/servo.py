@@ -30,6 +30,7 @@ from sim_backend.faults import (
     RepliesRepeat,
     Silence,
     TorqueUnreadable,
+    WatchdogBroken,
     device_faults,
     link_ends,
     within,
@@ -81,7 +82,8 @@ class SimServo:
         self._parameters = parameters.resolved()
         self.clock: Clock = clock
         self._opened = clock.now()
-        self._drive = Drive(self._parameters)
+        broken = any(isinstance(fault, WatchdogBroken) for fault in faults)
+        self._drive = Drive(self._parameters, watchdog=math.inf if broken else self._parameters.link.watchdog)
         self._sensors = Sensors(self._parameters)
         self._noise = Noise(seed)
         self._plan = faults

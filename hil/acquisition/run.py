@@ -14,6 +14,7 @@ from hil.acquisition.guard import longest_silence
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.live_view import beside
 from hil.acquisition.phases import Phase
+from hil.acquisition.planned_faults import FaultyHost
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
 from hil.errors import WrongUse
 from hil.guardian.servo import Watch
@@ -23,6 +24,8 @@ from hil.recording.writer import Header, RecordingWriter
 from hil.stand.devices import check_backend
 from hil.stand.file import Stand
 from hil.stand.opening import open_servo
+from sim_backend.fault_plan import FaultPlan
+from sim_backend.faulty_servo import FaultyServo
 
 _FOLDER = Path("recordings")
 _OVERTIME = 2.0  # s beyond the profile for which the torque may be on
@@ -45,6 +48,7 @@ def run(
     force: bool = False,
     guardian: bool = True,
     alarm: Callable[[str], object] | None = None,
+    faults: FaultPlan | None = None,
 ) -> tuple[Path, Outcome]:
     """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
 
@@ -52,9 +56,11 @@ def run(
     force: replace a recording of that name, finished or not. guardian: whether another process switches the torque off
     where this one is killed, frozen or late. seed: of the simulator. alarm: is called with a sentence,
     once every row is with the operating system and before the file is made final, where the torque may still be on.
-    Raises WrongUse before anything moves, DriverError where the servo cannot be opened.
+    faults: what goes wrong on a simulated stand. Raises WrongUse before anything moves, DriverError where the servo
+    cannot be opened.
     """
     check_backend(stand.stand.backend)
+    plan, host = faults or FaultPlan(), FaultyHost()
     if output is not None:
         inputs = stand.named_files()
         check_output(output, force=force, inputs=inputs)
@@ -63,7 +69,12 @@ def run(
             check_unfinished(output)
     with StopRequest().listening() as stop:
         watch = Watch(longest_silence(), profile.duration + _OVERTIME) if guardian else None
-        servo, truth = open_servo(stand, quantity=profile.mode, seed=seed, realtime=realtime, watch=watch)
+        watched = "broken-watchdog" not in plan.kinds()
+        servo, truth = open_servo(
+            stand, quantity=profile.mode, seed=seed, realtime=realtime, watch=watch, watched=watched
+        )
+        if faults is not None:
+            servo = FaultyServo(servo, plan, host)
         outcome = Outcome()
         try:
             header = Header(
@@ -78,7 +89,8 @@ def run(
             writer = _behind(begun, servo, rate)
             try:
                 with beside(writer.path):
-                    outcome = Recorder(stand, servo, profile, rate, writer, scratch=writer.path.parent).run(stop)
+                    sink = writer if faults is None else host.sink(writer)
+                    outcome = Recorder(stand, servo, profile, rate, sink, scratch=writer.path.parent).run(stop)
             except BaseException:
                 _close(writer)
                 raise

@@ -18,11 +18,13 @@ from hil.diagnostics import Diagnostic, driven_by_position, lateness
 from hil.errors import WrongUse
 from hil.guardian.handle import available
 from hil.stand.devices import restrictions
+from hil.stand.fault_file import load_plan
 from hil.stand.file import SIMULATED, Stand, parse
 from hil.stand.file import load as load_stand
 
 if TYPE_CHECKING:
     from hil.api.recordings import LoadedRecording
+    from sim_backend.fault_plan import FaultPlan
 
 DEFAULT_RATE = 500.0
 """Hz."""
@@ -97,6 +99,7 @@ def record(
     output: str | os.PathLike[str] | None = None,
     force: bool = False,
     guardian: bool = True,
+    faults: str | os.PathLike[str] | None = None,
     command_line: str = "",
     warn: Callable[[Sequence[Diagnostic]], object] | None = None,
     alarm: Callable[[str], object] | None = None,
@@ -107,10 +110,10 @@ def record(
     amplitude: N m or rad at the joint (None: a fifth of the stand's limit). band: Hz. duration: s. rate: Hz. fade: s.
     setpoints: the CSV of profile "file". seed: of everything random. realtime: simulate in wall time. output: the
     recording (None: the next free recordings/runN.h5); force: replace it. guardian: whether a process of its own
-    switches the torque of a real drive off where this one is killed, frozen or late (docs/reliability.md).
-    command_line: kept in the recording. warn: is called with the warnings that are known before anything moves. alarm:
-    is called with a sentence at once where the torque may still be on. ended: is called with the run before a fault
-    that ended it is raised.
+    switches the torque of a real drive off where this one is killed, frozen or late; faults: a TOML file of what goes
+    wrong on a simulated stand (docs/reliability.md for both). command_line: kept in the recording. warn: is called with
+    the warnings that are known before anything moves. alarm: is called with a sentence at once where the torque may
+    still be on. ended: is called with the run before a fault that ended it is raised.
 
     The torque is off on return. Ctrl-C ramps it to zero and keeps the rows: `outcome.signal` is set. Raises WrongUse
     before anything moves; DriverError where the drive fails; `hil.acquisition.limits.LimitReached` where a safety limit
@@ -123,6 +126,7 @@ def record(
     foreseen = _foreseen(opened, made, guardian=guardian)
     if foreseen and warn is not None:
         warn(foreseen)
+    plan = None if faults is None else _plan(opened, Path(faults))
     path, outcome = acquisition.run(
         opened,
         made,
@@ -135,6 +139,7 @@ def record(
         force=force,
         guardian=guardian,
         alarm=alarm,
+        faults=plan,
     )
     moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
     return _reported(Run(path, outcome, (*foreseen, *moved, *lateness(outcome.late, outcome.samples))), ended)
@@ -148,6 +153,15 @@ def _reported(run: Run, ended: Callable[[Run], object] | None) -> Run:
     finally:
         _raise_fault(run.outcome)
     return run
+
+
+def _plan(stand: Stand, path: Path) -> FaultPlan:
+    if stand.stand.backend != "sim":
+        raise WrongUse(
+            f"--faults {path}: faults are planned for --backend sim; an emulated drive has its own, with "
+            "`hil emulate NAME --faults FILE`"
+        )
+    return load_plan(path)
 
 
 def simulate(

@@ -28,6 +28,7 @@ def emulate(
     log: Annotated[
         Path | None, typer.Option(help="A new CSV file of the torque at every moment, which survives a kill.")
     ] = None,
+    faults: options.Faults = None,
     instant: Annotated[bool, typer.Option("--instant", help="Answer at once, without the time of the wire.")] = False,
 ) -> None:
     """Emulate a drive on a port or bus until Ctrl-C, moving the simulated plant ([sim] of --stand).
@@ -48,6 +49,10 @@ def emulate(
         from hil.stand.file import load
 
         given["parameters"] = load(stand).simulated()
+    if faults is not None:
+        from hil.stand.fault_file import load_plan
+
+        given["faults"] = load_plan(faults)
     if log is not None:
         given["log"] = _torque_log(log)
     try:

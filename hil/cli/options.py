@@ -39,6 +39,7 @@ Backend = Annotated[str | None, typer.Option(help="A stand that needs no stand f
 StandFile = Annotated[
     Path | None, typer.Option(help="The stand file [default: stand.toml in this folder, where there is one].")
 ]
+Faults = Annotated[Path | None, typer.Option(help="A TOML file of faults that happen (docs/reliability.md).")]
 Kind = Annotated[str, typer.Option("--profile", help="The excitation; hil record --list-profiles explains them.")]
 Mode = Annotated[Quantity, typer.Option(help="Command torque or position.")]
 Amplitude = Annotated[

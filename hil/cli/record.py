@@ -31,6 +31,7 @@ def record(
     setpoints: options.Setpoints = None,
     seed: options.Seed = options.DEFAULT_SEED,
     realtime: Annotated[bool, typer.Option("--realtime", help="Simulate in real time.")] = False,
+    faults: options.Faults = None,
     note: Annotated[str, typer.Option(help="A remark to keep in the recording.")] = "",
     output: options.Output = None,
     force: options.Force = False,
@@ -48,7 +49,7 @@ def record(
         return
     chosen = _replayed(recording, backend, stand) if recording else options.stand_of(backend, stand)
     if output is not None:
-        check_output(output, force=force, inputs=[path for path in (stand, setpoints) if path is not None])
+        check_output(output, force=force, inputs=[path for path in (stand, setpoints, faults) if path is not None])
     run = runs.record(
         chosen,
         profile,
@@ -65,6 +66,7 @@ def record(
         output=output,
         force=force,
         guardian=not no_guardian,
+        faults=faults,
         command_line=command_line(),
         warn=print_diagnostics,
         alarm=say,

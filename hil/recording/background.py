@@ -70,6 +70,11 @@ class BackgroundWriter:
         raise WrongUse("the process that writes the recording did not start: see whether the computer is out of memory")
 
     @property
+    def process(self) -> int:
+        """The number of the writing process."""
+        return self._process.pid
+
+    @property
     def path(self) -> Path:
         """The `.part`."""
         return self._recording.path

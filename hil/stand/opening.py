@@ -23,21 +23,24 @@ def open_servo(
     seed: int = 0,
     realtime: bool = False,
     watch: Watch | None = None,
+    watched: bool = True,
 ) -> tuple[Servo, Mapping[str, float]]:
     """Open the stand's servo, which the caller closes. Return it and the truth of a simulated one ({} otherwise).
 
     The stand's joint sensor and its zero are part of it. quantity: of the set-points, which selects a drive's mode.
     seed: of everything random in a simulated servo. realtime: simulate in wall time. watch: when a guardian
-    switches the torque off in this process's place; None: without one. Raises WrongUse, DriverError.
+    switches the torque off in this process's place; None: without one. watched: whether a simulated drive's watchdog
+    works. Raises WrongUse, DriverError.
     """
     name = check_backend(stand.stand.backend)
     truth: Mapping[str, float] = {}
     if name == "sim":
         from drivers.clock import VirtualClock
+        from sim_backend.faults import WatchdogBroken
         from sim_backend.servo import SimServo
 
         clock = MonotonicClock() if realtime else VirtualClock()
-        simulated = SimServo(stand.simulated(), seed=seed, clock=clock)
+        simulated = SimServo(stand.simulated(), seed=seed, clock=clock, faults=() if watched else (WatchdogBroken(),))
         servo, truth = cast("Servo", simulated), simulated.truth()
     else:
         servo = open_backend(name, _table_of(stand, name), quantity)

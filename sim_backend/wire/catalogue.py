@@ -9,6 +9,7 @@ option it has no parameter for is refused, and one without a default must be giv
     idents: Sequence[int], baudrate: int         --id, --baudrate (bit/s)
     parameters: SimParameters | None             --stand: its plant; None: the emulator's own
     log: TorqueLog | None                        --log
+    faults: FaultPlan | None                     --faults
     timing: object | None                        --instant: None, no time passes; else what the line's `timing` makes
 """
 

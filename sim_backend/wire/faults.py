@@ -6,8 +6,14 @@ requests instead. The simulated servo has no wire: its faults are scheduled in t
 
 from __future__ import annotations
 
+import os
+import signal
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from types import MappingProxyType
+from typing import Any, Generic, Protocol, TypeVar
+
+from sim_backend.fault_plan import FaultPlan, PlannedFault
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +83,24 @@ CanFault = SharedFault | BusOff
 WireFault = SerialFault | CanFault
 Accepted = TypeVar("Accepted", bound=WireFault)
 
+_INTERRUPTIONS: Mapping[str, Interruption] = MappingProxyType(
+    {"reboot": Reboots(), "unplug": Unplug(), "bus-off": BusOff()}
+)
+_DAMAGES: Mapping[str, WireFault] = MappingProxyType(
+    {
+        "drop": DropReplies(),
+        "flip": CorruptReplies(),
+        "truncate": TruncateReplies(),
+        "delay": DelayReplies(),
+        "duplicate": DuplicateReplies(),
+        "noise": NoiseBefore(),
+        "flood": NoiseBefore(),
+    }
+)
+_BEHIND = 1e-6  # s by which a reply that was swapped follows the next one
+_ON_THE_WIRE = frozenset({*_INTERRUPTIONS, *_DAMAGES, "drop-request", "swap", "kill"})
+_SERIAL_ONLY = frozenset({"flip", "noise", "flood"})
+
 
 class WireFaults(Generic[Accepted]):
     """The faults injected into one link, and the number of requests and replies that have passed over it."""
@@ -85,6 +109,8 @@ class WireFaults(Generic[Accepted]):
         self.requests = 0
         self.replies = 0
         self._injected: list[tuple[int, Accepted]] = []
+        self._plan, self._powered = FaultPlan(), 0.0
+        self._held: list[tuple[float, bytes]] = []
 
     def inject(self, fault: Accepted) -> None:
         """Let `fault` happen, counted from now."""
@@ -95,22 +121,46 @@ class WireFaults(Generic[Accepted]):
         """Remove every injected fault."""
         self._injected.clear()
 
-    def loses_request(self) -> bool:
-        """Count a request; return whether it is lost."""
+    def follow(self, plan: FaultPlan, powered: float) -> None:
+        """Let the faults of `plan` happen too; its times are s from `powered`."""
+        self._plan, self._powered = plan, powered
+
+    def loses_request(self, now: float) -> bool:
+        """Count a request at `now` s; return whether it is lost."""
         self.requests += 1
+        if self._plan.acting(("drop-request",), now - self._powered, self.requests):
+            return True
         return any(isinstance(fault, DropRequests) for fault in self._now(self.requests))
 
-    def interrupts_reply(self) -> Interruption | None:
-        """Count a reply; return what happens to the link or the drives instead of it, None where nothing does."""
+    def interrupts_reply(self, now: float) -> Interruption | None:
+        """Count a reply at `now` s; return what happens to the link or the drives instead, None where nothing does."""
         self.replies += 1
-        return next((fault for fault in self._now(self.replies) if isinstance(fault, Interruption)), None)
+        if self._plan.acting(("kill",), now - self._powered, self.replies):
+            os.kill(os.getpid(), signal.SIGKILL)
+        planned = [_INTERRUPTIONS[fault.kind] for fault in self._planned(_INTERRUPTIONS, now)]
+        return next((fault for fault in [*planned, *self._now(self.replies)] if isinstance(fault, Interruption)), None)
 
     def arriving(self, data: bytes, at: float) -> list[tuple[float, bytes]]:
         """Return what arrives, and when (s), instead of the reply `data` at `at`: the one counted last."""
         pieces = [(at, data)]
-        for fault in self._now(self.replies):
+        planned = [self._made(fault) for fault in self._planned(_DAMAGES, at)]
+        for fault in [*planned, *self._now(self.replies)]:
             pieces = [piece for when, part in pieces for piece in _damaged(fault, part, when)]
-        return pieces
+        held, self._held = self._held, []
+        if self._planned(("swap",), at):
+            self._held, pieces = pieces, []
+        return pieces + [(max(at, when) + _BEHIND, part) for when, part in held]
+
+    def _planned(self, kinds: Iterable[str], now: float) -> list[PlannedFault]:
+        return self._plan.acting(tuple(kinds), now - self._powered, self.replies)
+
+    def _made(self, fault: PlannedFault) -> WireFault:
+        """Return the damage that a planned fault does to the present reply."""
+        if fault.kind in {"noise", "flood"}:
+            return NoiseBefore(noise=self._plan.random(self.replies).bytes(int(fault.amount)))
+        if fault.kind == "truncate":
+            return TruncateReplies(keep=int(fault.amount))
+        return DelayReplies(seconds=fault.amount) if fault.kind == "delay" else _DAMAGES[fault.kind]
 
     def _now(self, number: int) -> list[Accepted]:
         """Return the faults that act on request or reply `number`, counted from 1."""
@@ -134,3 +184,23 @@ def _damaged(fault: WireFault, data: bytes, at: float) -> list[tuple[float, byte
         case NoiseBefore():
             pieces = [(at, fault.noise + data)]
     return pieces
+
+
+class Faulty(Protocol):
+    """A motor whose drive can have faults."""
+
+    def follow_plan(self, plan: FaultPlan) -> frozenset[str]:
+        """Let the faults of `plan` happen; return the kinds that it knows."""
+
+
+def follow(plan: FaultPlan, link: WireFaults[Any], motors: Iterable[Faulty], powered: float, *, can: bool) -> None:
+    """Let the faults of `plan` happen on an emulated link and in its drives, which were powered at `powered` s.
+
+    can: whether the link is a CAN bus. Raises ValueError for a kind that cannot happen there.
+    """
+    known = (_ON_THE_WIRE - _SERIAL_ONLY if can else _ON_THE_WIRE - {"bus-off"}).union(
+        *(motor.follow_plan(plan) for motor in motors)
+    )
+    if odd := sorted(plan.kinds() - known):
+        raise ValueError(f"{', '.join(odd)} cannot happen here: it knows {', '.join(sorted(known))}")
+    link.follow(plan, powered)

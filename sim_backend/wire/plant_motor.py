@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Generic, Protocol, Self, TypeVar
 
+from sim_backend.fault_plan import FaultPlan
 from sim_backend.integrator import TIME, integrate, start
 from sim_backend.parameters import SimParameters
 from sim_backend.plant import (
@@ -23,6 +24,7 @@ from sim_backend.plant import (
     coupling_torque,
     packed,
 )
+from sim_backend.wire.drive_faults import DriveFaults
 
 BEAT = 1e-3
 """s between two evaluations of a demand law."""
@@ -60,6 +62,7 @@ class PlantMotor(Generic[Law]):
         self.observer: Callable[[], None] = lambda: None
         self.inertia = plant.inertia
         self._note = note
+        self._faults = DriveFaults(FaultPlan())
         self._packed = packed(plant, Constants._fields)
         self._path = start(plant)
         # no time passes; the machine code is there before the first request comes
@@ -72,13 +75,13 @@ class PlantMotor(Generic[Law]):
 
     @property
     def position(self) -> float:
-        """The angle, rad."""
-        return float(self._path.state[MOTOR])
+        """The angle as the drive's encoder measures it, rad."""
+        return self._faults.angle(float(self._path.state[MOTOR]), self.time)
 
     @property
     def velocity(self) -> float:
         """The speed as the drive filters it, rad/s."""
-        return float(self._path.state[VELOCITY])
+        return self._faults.speed(float(self._path.state[VELOCITY]), self.time)
 
     @property
     def rate(self) -> float:
@@ -97,8 +100,13 @@ class PlantMotor(Generic[Law]):
 
     @property
     def temperature(self) -> float:
-        """The temperature of the housing, degC."""
-        return float(self._path.state[HOUSING])
+        """The temperature of the housing as the drive measures it, degC."""
+        return self._faults.temperature(float(self._path.state[HOUSING]), self.time)
+
+    def follow_plan(self, plan: FaultPlan) -> frozenset[str]:
+        """Let the faults of `plan` happen, whose times are s since it was made; return the kinds that it knows."""
+        self._faults = DriveFaults(plan)
+        return DriveFaults.KNOWN
 
     @property
     def coupling_torque(self) -> float:
@@ -120,9 +128,12 @@ class PlantMotor(Generic[Law]):
         self.observer()
 
     def disable(self) -> None:
-        """Open the output stage: no current from now on."""
+        """Open the output stage: no current from now on. One that a fault keeps closed keeps its torque."""
         self.law = self.law.at_rest(self)
         self.enabled = False
+        if self._faults.stays_on(self.time):
+            self.observer()
+            return
         self.commanded = 0.0
         self._path.state[TORQUE] = 0.0
         self.observer()
@@ -133,7 +144,8 @@ class PlantMotor(Generic[Law]):
             end = until
             if self.law.beats(self.enabled):
                 end = min((math.floor(self.time / BEAT + 1e-6) + 1.0) * BEAT, until)
-            self.commanded = self.demand
+            if self.enabled or not self._faults.stays_on(self.time):
+                self.commanded = self.demand
             integrate(self._path, self.commanded, end, self._packed[0])
             self.observer()
             if self._note is not None:

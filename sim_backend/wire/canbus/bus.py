@@ -86,7 +86,7 @@ class CanBus:
         """Return what the drives send unasked until `frame`, sent by the host at `now`, arrives, and in reply to it."""
         arrival = self._occupy(frame, now)
         out = self.advance(arrival)
-        if self.faults.loses_request() or self.off:
+        if self.faults.loses_request(arrival) or self.off:
             return out
         answers = [answer for node in self.nodes for answer in [node.handle(frame, arrival)] if answer]
         if not answers:
@@ -112,7 +112,7 @@ class CanBus:
     def _answered(self, frame: CanFrame, now: float) -> list[CanDelivery]:
         """Return a reply as it arrives at the host, with the faults that were injected."""
         at = self._occupy(frame, now)
-        match self.faults.interrupts_reply():
+        match self.faults.interrupts_reply(now):
             case Unplug():
                 self.unplugged = True
             case BusOff():

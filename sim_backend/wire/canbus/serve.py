@@ -17,11 +17,13 @@ from sim_backend.wire.canbus.bus import CanBus, CanNode
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.messages import from_message, to_message
 from sim_backend.wire.canbus.slcan import slcan_line
+from sim_backend.wire.faults import follow
 from sim_backend.wire.torque_log import Watched
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from sim_backend.fault_plan import FaultPlan
     from sim_backend.parameters import SimParameters
     from sim_backend.wire.canbus.bus import CanTiming
     from sim_backend.wire.torque_log import TorqueLog
@@ -118,13 +120,14 @@ class CanFamily:
         parameters: SimParameters | None = None,
         timing: CanTiming | None = None,
         log: TorqueLog | None = None,
+        faults: FaultPlan | None = None,
     ) -> PtyLine | CanServer:
         """Return a bus of drives, to be served: `with served:` from a thread, `served.serve()` from this one.
 
         interface: "slcan" makes `channel` a symlink to a pty that speaks slcan; any other is one of python-can, with
-        its channel. timing: None answers at once. log: of the torque of each. Raises ValueError for a model that is not
-        `known` or an id that cannot be, FileExistsError where `channel` is a file, can.CanError where the interface
-        cannot be opened.
+        its channel. timing: None answers at once. log: of the torque of each. faults: that happen. Raises ValueError
+        for a model that is not `known` or an id that cannot be, FileExistsError where `channel` is a file, can.CanError
+        where the interface cannot be opened.
         """
         model = model or self.default
         if model not in self.known:
@@ -134,4 +137,6 @@ class CanFamily:
         if log is not None:
             log.watch_all(drives, now)
         bus = CanBus(drives, timing=timing)
+        if faults is not None:
+            follow(faults, bus.faults, [drive.motor for drive in drives], now, can=True)
         return slcan_line(Path(channel), bus) if interface == "slcan" else CanServer(interface, str(channel), bus)

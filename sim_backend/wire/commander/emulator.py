@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from sim_backend.fault_plan import FaultPlan
 from sim_backend.parameters import SimParameters
 from sim_backend.wire.commander.device import CommanderDevice
 from sim_backend.wire.commander.motion import MotionControl
-from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
+from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults, follow
 from sim_backend.wire.loadcell.emulator import Pair, with_cell
 from sim_backend.wire.plant_motor import PlantMotor
 from sim_backend.wire.torque_log import TorqueLog, WatchdogState
@@ -160,12 +161,12 @@ class CommanderBoard:
 
     def _obey(self, end: str, at: float) -> str:
         self.advance(at)
-        if self.faults.loses_request():
+        if self.faults.loses_request(at):
             self.device.forget()
         return self.device.type(end)
 
     def _reply(self, line: bytes, at: float) -> list[tuple[float, bytes]]:
-        match self.faults.interrupts_reply():
+        match self.faults.interrupts_reply(at):
             case Unplug():
                 self.unplugged = True
                 return []
@@ -205,13 +206,14 @@ def serve(
     parameters: SimParameters | None = None,
     timing: CommanderTiming | None = None,
     log: TorqueLog | None = None,
+    faults: FaultPlan | None = None,
 ) -> PtyLine | Pair:
     """Return a board at `link`, a symlink to a pty.
 
     model: "motor", or "motor+loadcell" for a torque cell at its joint on a second pty, named as `link` with ".cell"
     behind it. firmware: the library's version, "2.4-watchdog" for a program that disables the motor after 0.1 s of
-    silence. timing: None answers at once. log: of its torque. Raises ValueError for a model, a firmware or a baud rate
-    that cannot be, FileExistsError where `link` is a file.
+    silence. timing: None answers at once. log: of its torque. faults: that happen. Raises ValueError for a model, a
+    firmware or a baud rate that cannot be, FileExistsError where `link` is a file.
     """
     if model not in MODELS:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(MODELS)}")
@@ -224,5 +226,7 @@ def serve(
     board = new_board(parameters, firmware=firmware, baudrate=baudrate, timing=timing, now=now)
     if log is not None:
         log.watch_all([board], now)
+    if faults is not None:
+        follow(faults, board.faults, [board.motor], now, can=False)
     line = PtyLine(link, board)
     return line if model == "motor" else with_cell(line, board, parameters.sensors)

@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sim_backend.fault_plan import FaultPlan
 from sim_backend.parameters import SensorParameters, SimParameters
-from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
+from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults, follow
 from sim_backend.wire.loadcell.joint_torque import AtRest, Felt
 from sim_backend.wire.uart.pacing import paced
 from sim_backend.wire.uart.pty_line import PtyLine
@@ -94,7 +95,7 @@ class EmulatedLoadCell:
             taken = self._next
             self._next += 1.0 / self.board.rate
             line = self._line(taken)
-            match self.faults.interrupts_reply():
+            match self.faults.interrupts_reply(taken):
                 case Unplug():
                     self.unplugged = True
                     break
@@ -142,13 +143,18 @@ def of(sensors: SensorParameters) -> LoadCellBoard:
 
 
 def serve(
-    link: Path, model: str = "hx711", *, baudrate: int = 115200, parameters: SimParameters | None = None
+    link: Path,
+    model: str = "hx711",
+    *,
+    baudrate: int = 115200,
+    parameters: SimParameters | None = None,
+    faults: FaultPlan | None = None,
 ) -> PtyLine:
     """Return a cell at a joint at rest, at `link`, a symlink to a pty.
 
     model: "hx711" prints `micros,raw`, "hx711-checked" ends its lines with a checksum, "value" prints counts as plain
-    numbers. A cell at a joint that a motor turns comes with `hil emulate commander`. Raises ValueError for an unknown
-    model or a baud rate that is not above 0.
+    numbers. A cell at a joint that a motor turns comes with `hil emulate commander`. faults: that happen. Raises
+    ValueError for an unknown model or a baud rate that is not above 0.
     """
     kinds = {"hx711": ("micros,raw", False), "hx711-checked": ("micros,raw", True), "value": ("value", False)}
     if model not in kinds:
@@ -157,7 +163,11 @@ def serve(
         raise ValueError(f"baud rate {baudrate}: it must be above 0")
     form, checksum = kinds[model]
     board = replace(of((parameters or SimParameters()).sensors), form=form, checksum=checksum, baudrate=baudrate)
-    return PtyLine(link, EmulatedLoadCell(board, now=time.monotonic()))
+    now = time.monotonic()
+    cell = EmulatedLoadCell(board, now=now)
+    if faults is not None:
+        follow(faults, cell.faults, [], now, can=False)
+    return PtyLine(link, cell)
 
 
 class Pair:

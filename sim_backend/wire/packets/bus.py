@@ -127,7 +127,7 @@ class PacketBus:
         end = begin + self._duration(len(data), baudrate)
         for frame, used in self._framer.feed(data, begin, end):
             arrival = begin + self._duration(used, baudrate)
-            if not self.faults.loses_request():
+            if not self.faults.loses_request(arrival):
                 out += self._execute(frame, arrival, baudrate)
         self._free = max(self._free, end)
         return out
@@ -219,7 +219,7 @@ class PacketBus:
 
         byte: s that each takes.
         """
-        match self.faults.interrupts_reply():
+        match self.faults.interrupts_reply(now):
             case Unplug():
                 self.unplugged = True
             case Reboots():

@@ -7,7 +7,10 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
+from sim_backend.fault_plan import FaultPlan
 from sim_backend.parameters import SimParameters
+from sim_backend.wire.faults import follow
+from sim_backend.wire.packets.bus import PacketBus
 from sim_backend.wire.packets.regulator import Stalling, joint_at_horn
 from sim_backend.wire.torque_log import TorqueLog, Watched
 
@@ -50,3 +53,9 @@ def servos(
     if log is not None:
         log.watch_all(made, now)
     return made
+
+
+def follow_all(plan: FaultPlan | None, bus: PacketBus) -> None:
+    """Let the faults of `plan` happen on a line and in its servos, powered now. Raises ValueError as `follow`."""
+    if plan is not None:
+        follow(plan, bus.faults, [device.motor for device in bus.devices], time.monotonic(), can=False)

@@ -396,6 +396,49 @@ def test_a_signal_before_the_start_records_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "fault",
+    [
+        ("stuck-encoder", 3, "angle did not change"),
+        ("over-temperature", 4, "winding reached 150"),
+        ("disk-full", 1, "disk is full, as planned"),
+        ("disk-frozen", 2, "add --realtime"),
+        ("kill", None, ""),
+    ],
+)
+def test_a_planned_fault_happens_in_a_run(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    fault: tuple[str, int | None, str],
+) -> None:
+    kind, status, words = fault
+    monkeypatch.chdir(tmp_path)
+    Path("plan.toml").write_text(f'[[fault]]\nkind = "{kind}"\nat = 1.0\n')
+    given = ["record", "--backend", "sim", "--duration", "2", "--faults", "plan.toml", "-o", "a.h5"]
+    if status is None:
+        killed = subprocess.run([sys.executable, "-m", "hil", *given], check=False)
+        assert killed.returncode == -signal.SIGKILL
+        with Recording(Path("a.h5.part")) as recording:
+            assert 450 <= len(recording) <= 500
+        return
+    assert cli.run(given) == status
+    assert words in capfd.readouterr().err
+    with Recording(Path("a.h5")) as recording:
+        assert 450 <= len(recording) <= 750
+
+
+def test_faults_are_planned_for_a_simulated_stand_only(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "stand.toml").write_text(
+        STAND.text.replace('"sim"', '"odrive"')
+        + '[odrive]\ninterface = "slcan"\nchannel = "x"\ntorque_constant = 1.0\n'
+    )
+    (tmp_path / "plan.toml").write_text('[[fault]]\nkind = "drop"\nat = 1\n')
+    words = ["--stand", str(tmp_path / "stand.toml"), "--faults", str(tmp_path / "plan.toml")]
+    assert cli.run(["record", *words]) == 2
+    assert "hil emulate NAME --faults" in capfd.readouterr().err
+
+
 # --- names on disk ---------------------------------------------------------------------------------------------------
 
 

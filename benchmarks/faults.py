@@ -1,0 +1,232 @@
+"""Let every fault happen in every phase of a run, on every adapter, in virtual time: python benchmarks/faults.py
+
+Prints for each fault and phase the longest time, over the adapters, from the fault to the last moment with torque, and
+on how many the run goes on and ends with its torque off; --write puts the table into docs/reliability.md. A motor that
+is left on must at least raise the alarm ("CUT THE POWER"); ends with status 1 where one is left on without it. The
+faults are those of `hil record --faults` and `hil emulate --faults`, but for those of the computer itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from drivers.clock import VirtualClock  # noqa: E402 - the rigs are those of the tests
+from drivers.servo import Command, Limits, Quantity, Sample, Servo  # noqa: E402
+from hil.acquisition import excitation  # noqa: E402
+from hil.acquisition.interrupt import StopRequest  # noqa: E402
+from hil.acquisition.phases import Phase  # noqa: E402
+from hil.acquisition.recorder import Outcome, Recorder  # noqa: E402
+from hil.acquisition.sink import Memory  # noqa: E402
+from hil.stand.file import parse  # noqa: E402
+from sim_backend.fault_plan import DRIVE, LINK, FaultPlan, PlannedFault  # noqa: E402
+from sim_backend.faults import WatchdogBroken  # noqa: E402
+from sim_backend.faulty_servo import FaultyServo  # noqa: E402
+from sim_backend.parameters import SimParameters  # noqa: E402
+from sim_backend.servo import SimServo  # noqa: E402
+from sim_backend.wire.faults import follow  # noqa: E402
+from tests.drivers import conftest as rigs  # noqa: E402
+
+RATE = 200.0
+RAMP_AT = 60  # tick at which the run with a ramp-down is stopped
+LASTS = 0.4  # s of a fault of the link that would be over at once
+AFTER = 0.5  # s after the run in which a watchdog may act
+PHASES = (Phase.REST, Phase.ARMING, Phase.FADE_IN, Phase.RUN, Phase.RAMP_DOWN)
+KINDS = [*LINK, *(kind for kind in DRIVE if kind != "ignored-off")]
+PAGE, BEGIN, END = ROOT / "docs" / "reliability.md", "<!-- faults -->\n", "<!-- end of faults -->\n"
+STAND = """
+[stand]
+torque_stays_on_if_host_dies = true
+[limits]
+torque = {torque}
+deflection = 3.0
+velocity = {velocity}
+temperature = {temperature}
+"""
+
+
+class Cell(NamedTuple):
+    """The outcome of one run: s from the fault to the end of the torque, whether it stayed on, whether the alarm was
+    raised, and whether the fault ended the run.
+    """
+
+    off: float
+    on: bool
+    alarm: bool
+    ended: bool
+
+
+@dataclass
+class Stand:
+    """An adapter on its emulated drive. on: whether current can flow; wait: let s pass; changes: (s, on) so far."""
+
+    servo: Servo
+    limits: Limits
+    on: Callable[[], bool]
+    wait: Callable[[float], None]
+    changes: list[tuple[float, bool]] = field(default_factory=list)
+
+
+def on_the_wire(rig: Any, limits: Limits, can: bool, plan: FaultPlan) -> Stand:
+    """Return an adapter over its emulator."""
+    follow(plan, rig.faults, [rig.motor], 0.0, can=can)
+    motor = rig.motor
+    stand = Stand(rig.open(), limits, lambda: bool(motor.enabled and motor.commanded), rig.wait)
+    motor.observer = lambda: stand.changes.append((motor.time, stand.on()))
+    return stand
+
+
+def simulated(plan: FaultPlan) -> Stand:
+    """Return the simulated servo."""
+    clock = VirtualClock()
+    broken = (WatchdogBroken(),) if "broken-watchdog" in plan.kinds() else ()
+    inner = SimServo(SimParameters(), seed=0, clock=clock, faults=broken)
+    servo = FaultyServo(cast("Servo", inner), plan, lambda _: None)
+    stand = Stand(servo, rigs.SIM_LIMITS, lambda: inner.true_state().enabled, lambda _: None)
+
+    def wait(seconds: float) -> None:
+        clock.sleep_until(clock.now() + seconds)
+        stand.changes.append((clock.now(), inner.true_state().enabled))
+
+    stand.wait = wait
+    return stand
+
+
+def wired(make: Callable[[], Any], limits: Limits, *, can: bool) -> Callable[[FaultPlan], Stand]:
+    """Return the maker of an adapter over its emulator."""
+    return lambda plan: on_the_wire(make(), limits, can, plan)
+
+
+ADAPTERS: Mapping[str, Callable[[FaultPlan], Stand]] = {
+    "sim": simulated,
+    "dynamixel": wired(rigs.new_rig, rigs.SERVO_LIMITS, can=False),
+    "feetech": wired(rigs.feetech_rig, rigs.FEETECH_LIMITS, can=False),
+    "commander": wired(rigs.new_foc, rigs.SIM_LIMITS, can=False),
+    "odrive": wired(rigs.odrive_rig, rigs.ODRIVE_LIMITS, can=True),
+    "mit": wired(rigs.mit_rig, rigs.MIT_LIMITS, can=True),
+    "moteus": wired(rigs.moteus_rig, rigs.MIT_LIMITS, can=True),
+    "cia402": wired(rigs.cia402_rig, rigs.CIA402_LIMITS, can=True),
+}
+
+
+class Watched:
+    """A servo whose ticks are noted, and which is stopped at one of them."""
+
+    def __init__(self, stand: Stand, stop: StopRequest, at: float) -> None:
+        self.info, self.clock = stand.servo.info, stand.servo.clock
+        self.arm, self.disarm, self.close = stand.servo.arm, stand.servo.disarm, stand.servo.close
+        self._stand, self._stop, self._at, self._ticks = stand, stop, at, 0
+
+    def exchange(self, command: Command) -> Sample:
+        """Note the state of the drive before and after an exchange."""
+        self._ticks += 1
+        if self._ticks >= self._at:
+            self._stop.count, self._stop.number = max(self._stop.count, 1), 2
+        try:
+            return self._stand.servo.exchange(command)
+        finally:
+            self._stand.changes.append((self.clock.now(), self._stand.on()))
+
+
+def driven(stand: Stand, *, stopped: bool) -> Outcome:
+    """Run a sine on it; return how that went. The torque is off afterwards where anything can switch it off."""
+    limits = stand.limits
+    file = parse(STAND.format(torque=limits.torque, velocity=limits.velocity, temperature=limits.temperature))
+    quantity = Quantity.TORQUE if Quantity.TORQUE in stand.servo.info.quantities else Quantity.POSITION
+    size = 0.05 * limits.torque if quantity is Quantity.TORQUE else 0.05
+    profile = excitation.make(
+        "sine", quantity, amplitude=size, default_amplitude=size, duration=0.5, band=(4.0, 4.0), rate=RATE, fade=0.1
+    )
+    stop = StopRequest()
+    servo = Watched(stand, stop, RAMP_AT if stopped else math.inf)
+    with tempfile.TemporaryDirectory() as folder:
+        outcome = Recorder(file, cast("Servo", servo), profile, RATE, Memory(), scratch=Path(folder)).run(stop)
+    stand.servo.close()
+    for _ in range(round(AFTER / 0.005)):
+        stand.wait(0.005)
+    return outcome
+
+
+def moments(make: Callable[[FaultPlan], Stand]) -> dict[Phase, float]:
+    """Return a time, s, in the middle of each phase."""
+    begins = {phase: t for t, phase in _history(make)}
+    rest = begins[Phase.ARMING] - 0.5 * 15 / RATE
+    ends = {Phase.ARMING: Phase.FADE_IN, Phase.FADE_IN: Phase.RUN, Phase.RUN: Phase.RAMP_DOWN}
+    middle = {phase: 0.5 * (begins[phase] + begins[after]) for phase, after in ends.items()}
+    return {Phase.REST: rest, **middle, Phase.RAMP_DOWN: begins[Phase.RAMP_DOWN] + 0.04}
+
+
+def _history(make: Callable[[FaultPlan], Stand]) -> list[tuple[float, Phase]]:
+    outcome = driven(make(FaultPlan()), stopped=True)
+    if outcome.error is not None:
+        raise outcome.error
+    return outcome.phases.history
+
+
+def judged(make: Callable[[FaultPlan], Stand], kind: str, at: float, phase: Phase) -> Cell | None:
+    """Return the outcome of one fault, None where it cannot happen on this adapter."""
+    lasts = LASTS if kind in LINK and not LINK[kind].lasting and kind != "reboot" else math.nan
+    plan = FaultPlan([PlannedFault(kind, at=at, duration=lasts)])
+    try:
+        stand = make(plan)
+    except ValueError:
+        return None
+    outcome = driven(stand, stopped=phase is Phase.RAMP_DOWN)
+    lit = [t for t, on in stand.changes if on and t > at]
+    return Cell(max(lit, default=at) - at, stand.on(), bool(outcome.alarm), outcome.error is not None)
+
+
+def main() -> int:
+    """Print the table and return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--adapters", nargs="+", choices=ADAPTERS, default=list(ADAPTERS))
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument("--write", action="store_true", help="write the table into docs/reliability.md")
+    options = parser.parse_args()
+    times = {name: moments(ADAPTERS[name]) for name in options.adapters}
+    lines = ["| fault | " + " | ".join(PHASES) + " |", "| --- |" + " --- |" * len(PHASES)]
+    breaches, cases = 0, 0
+    for kind in options.kinds:
+        row = []
+        for phase in PHASES:
+            cells = {name: judged(ADAPTERS[name], kind, times[name][phase], phase) for name in options.adapters}
+            happened = {name: cell for name, cell in cells.items() if cell is not None}
+            cases += len(happened)
+            breaches += sum(cell.on and not cell.alarm for cell in happened.values())
+            row.append(summary(happened))
+        lines.append(f"| {kind} | " + " | ".join(row) + " |")
+        print(lines[-1], flush=True)
+    text = f"{cases} runs on {', '.join(options.adapters)}; {breaches} left the torque on without the alarm.\n"
+    print(text)
+    if options.write:
+        page = PAGE.read_text()
+        before, after = page.split(BEGIN)[0], page.split(END)[1]
+        PAGE.write_text(before + BEGIN + text + "\n" + "\n".join(lines) + "\n" + END + after)
+    return int(breaches > 0)
+
+
+def summary(cells: Mapping[str, Cell]) -> str:
+    """Return the words for one fault in one phase, over the adapters."""
+    ended = [cell.off for cell in cells.values() if cell.ended and not cell.on]
+    on = {name: cell.alarm for name, cell in cells.items() if cell.on}
+    words = [f"{max(ended) * 1e3:.0f} ms"] if ended else []
+    for word, alarm in (("alarm", True), ("ON", False)):
+        names = ", ".join(name for name, alarmed in on.items() if alarmed == alarm)
+        words += [f"{word}: {names}"] if names else []
+    going = [name for name, cell in cells.items() if not cell.ended and not cell.on]
+    if going:
+        words.append("goes on" if len(going) == len(cells) else f"{len(going)} of {len(cells)} go on")
+    return "; ".join(words)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,124 @@
+"""A plan of faults, for the simulated servo and for the emulated drives: what happens, and at which time or frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Kind(NamedTuple):
+    """A kind of fault: what happens, and the meaning and default of `size` ("": it has none).
+
+    lasting: whether it goes on for good where the plan gives no duration; otherwise it happens to `count` frames.
+    """
+
+    explanation: str
+    size: str = ""
+    default: float = math.nan
+    lasting: bool = False
+
+
+LINK: Mapping[str, Kind] = MappingProxyType(
+    {
+        "drop": Kind("a reply is lost"),
+        "drop-request": Kind("a request is lost"),
+        "flip": Kind("a bit of a reply arrives flipped; a CAN controller would send it again"),
+        "truncate": Kind("only the first bytes of a reply arrive", "bytes", 3),
+        "delay": Kind("a reply arrives late", "s", 0.005),
+        "duplicate": Kind("a reply arrives twice"),
+        "swap": Kind("a reply arrives behind the next one"),
+        "noise": Kind("random bytes arrive before a reply, on a serial line", "bytes", 16),
+        "flood": Kind("very many random bytes arrive before a reply, on a serial line", "bytes", 65536),
+        "reboot": Kind("every drive loses its power for a moment"),
+        "unplug": Kind("the adapter is pulled out", lasting=True),
+        "bus-off": Kind("the CAN controller of the host leaves the bus", lasting=True),
+    }
+)
+"""What happens on the way between the host and the drive."""
+DRIVE: Mapping[str, Kind] = MappingProxyType(
+    {
+        "stuck-encoder": Kind("the motor's angle stays the same", lasting=True),
+        "jumping-encoder": Kind("the motor's angle is wrong by", "rad at the motor", 0.5, lasting=True),
+        "noisy-encoder": Kind("the motor's angle has noise of a standard deviation of", "rad", 0.05, lasting=True),
+        "over-temperature": Kind("the drive measures", "degC", 150.0, lasting=True),
+        "error": Kind("the drive latches an error, with --backend sim", "its code", 16, lasting=True),
+        "ignored-off": Kind("the drive confirms a torque-off and keeps the torque on", lasting=True),
+        "broken-watchdog": Kind("the drive's watchdog never acts, with --backend sim", lasting=True),
+    }
+)
+"""What happens in the drive."""
+HOST: Mapping[str, Kind] = MappingProxyType(
+    {
+        "kill": Kind("the process is killed (SIGKILL)"),
+        "disk-full": Kind("the disk takes no more rows", lasting=True),
+        "disk-frozen": Kind("the disk does not answer any more, with --realtime", lasting=True),
+    }
+)
+"""What happens in the computer that records, or emulates."""
+KINDS: Mapping[str, Kind] = MappingProxyType({**LINK, **DRIVE, **HOST})
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedFault:
+    """A fault of `KINDS` and when it happens: one of the first three, of which the others are NaN, 0 and 0.
+
+    at: s since the servo was opened or the drive powered. frame: number of the reply, from 1. probability: of each
+    reply. duration: s from `at`; NaN: for good where the kind lasts, else for `count` frames. size: see the kind.
+    """
+
+    kind: str
+    at: float = math.nan
+    frame: int = 0
+    probability: float = 0.0
+    duration: float = math.nan
+    count: int = 1
+    size: float = math.nan
+
+    @property
+    def amount(self) -> float:
+        """The size, by default that of the kind."""
+        return KINDS[self.kind].default if math.isnan(self.size) else self.size
+
+
+class FaultPlan:
+    """Faults of a run; the same seed gives the same faults. Each part of a stand asks for those of its own kinds."""
+
+    def __init__(self, faults: Sequence[PlannedFault] = (), seed: int = 0) -> None:
+        self._faults = tuple(faults)
+        self._seed = seed
+        self._began: dict[int, int] = {}
+
+    def kinds(self) -> frozenset[str]:
+        """Return the kinds that occur."""
+        return frozenset(fault.kind for fault in self._faults)
+
+    def acting(self, kinds: Collection[str], t: float, number: int) -> list[PlannedFault]:
+        """Return the faults of `kinds` that act on frame `number`, counted from 1, at `t` s."""
+        return [
+            fault
+            for place, fault in enumerate(self._faults)
+            if fault.kind in kinds and self._acts(place, fault, t, number)
+        ]
+
+    def random(self, number: int) -> np.random.Generator:
+        """Return the generator of what is random in frame `number`."""
+        return np.random.default_rng([self._seed, len(self._faults), number])
+
+    def _acts(self, place: int, fault: PlannedFault, t: float, number: int) -> bool:
+        if fault.probability:
+            return bool(np.random.default_rng([self._seed, place, number]).random() < fault.probability)
+        if fault.frame:
+            begun, first = number >= fault.frame, fault.frame
+        else:
+            begun = t >= fault.at
+            first = self._began.setdefault(place, number) if begun else number
+        if not begun:
+            return False
+        if math.isfinite(fault.duration):
+            return fault.frame > 0 or t < fault.at + fault.duration
+        return KINDS[fault.kind].lasting or number < first + fault.count
