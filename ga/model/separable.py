@@ -272,9 +272,9 @@ def compass_search(problem: Problem, best: Fit) -> Fit:
 
 
 def polished(problem: Problem, best: Fit) -> Fit:
-    """Return the minimum at the bottom of the valleys around a fit, where descents in all parameters at once end early.
+    """Return the local minimum near a fit, where descents in all parameters at once end early.
 
-    Two parameters that are much alike, as a skew and a lag, make a valley that bends. It is followed by a search along
+    Two parameters that are much alike, as a skew and a lag, make a long, bent trough. It is followed by a search along
     each direction in which the data determine the parameters well or badly, as far as they leave them uncertain, with
     steps back to the floor in the directions that are determined better.
     """
@@ -282,7 +282,7 @@ def polished(problem: Problem, best: Fit) -> Fit:
     for _ in range(_ROUNDS):
         if reach < _NEAREST:
             break
-        before, directions = best.fitness, reach * _valleys(problem, best)
+        before, directions = best.fitness, reach * _weak_directions(problem, best)
         for at, direction in enumerate(directions):
             best = _lowest_along(problem, best, direction, directions[:at])
         best = min(best, descend(problem, best.nonlinear), key=lambda fit: fit.fitness)
@@ -290,7 +290,7 @@ def polished(problem: Problem, best: Fit) -> Fit:
     return best
 
 
-def _valleys(problem: Problem, best: Fit) -> Array:
+def _weak_directions(problem: Problem, best: Fit) -> Array:
     """The directions (k, q), the best determined first, each one standard error of independent residuals long."""
     columns, _ = problem.linearised(best)
     count = problem.low.size

@@ -13,7 +13,6 @@ import typer
 
 from hil.acquisition.interrupt import StopRequest
 from hil.cli.calibrate import calibrate
-from hil.cli.compare import compare
 from hil.cli.demo import demo
 from hil.cli.design import design
 from hil.cli.doctor import doctor
@@ -22,6 +21,7 @@ from hil.cli.examples import below_help, below_main_help
 from hil.cli.files import export_data, import_data, inspect, recover
 from hil.cli.identify import identify
 from hil.cli.many.campaign import campaign
+from hil.cli.many.compare import compare
 from hil.cli.record import record
 from hil.cli.replicate import replicate
 from hil.cli.stand import stand

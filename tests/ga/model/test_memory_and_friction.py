@@ -110,7 +110,7 @@ def test_a_recording_may_begin_in_the_middle_of_a_motion(constant: float) -> Non
 
 
 def test_a_skew_and_a_lag_are_fitted_no_worse_than_either_alone_from_wherever_the_search_begins() -> None:
-    """They are so much alike that Gauss-Newton steps end on the way down the valley between them."""
+    """They are so much alike that Gauss-Newton steps end before the minimum."""
     constant = 1.0 / (2.0 * np.pi * 30.0)
     torque = KC * steady_lag(MOTION.time, constant) + BC * steady_lag(MOTION.time, constant, 1) + NOISES
     asked = problem("linear+skew+lag", torque)
