@@ -35,10 +35,10 @@ def longest_silence() -> float:
 class Guard:
     """The check of every sample of a run against the limits.
 
-    moves: N m at the joint by which the torque cannot change without the motor turning.
+    moves: N m at the joint by which the torque cannot change without the motor turning. more: limits of this run.
     """
 
-    def __init__(self, limits: LimitsTable, moves: float) -> None:
+    def __init__(self, limits: LimitsTable, moves: float, more: Sequence[Limit] = ()) -> None:
         self.limits: tuple[Limit, ...] = (
             Level("torque", 0, "N m", limits.torque),
             Level("deflection", 1, "rad", limits.deflection),
@@ -49,6 +49,7 @@ class Guard:
             ImplausibleEncoder(limits.deflection, limits.velocity),
             StuckCell(limits.torque),
             Lock(limits.deflection),
+            *more,
         )
         self._last_reply = math.nan
         self._fresh_reply = math.nan

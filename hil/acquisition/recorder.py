@@ -10,7 +10,7 @@ import gc
 import math
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean, median
@@ -21,6 +21,7 @@ from drivers.gate import confirm_torque_off
 from drivers.servo import BadReply, Command, NoReply, Quantity, Sample, Servo, Status
 from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import Guard
+from hil.acquisition.heat import heat_budget
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.limits import AtJoint, LimitReached
 from hil.acquisition.phases import Phase, Phases
@@ -97,7 +98,12 @@ class Recorder:
         self._scratch = Path(tempfile.gettempdir()) if scratch is None else scratch
         # a profile of torque swings by twice its amplitude; for a profile of position only the limit is known
         by_torque = profile.mode is Quantity.TORQUE
-        self._guard = Guard(limits, moves=profile.amplitude if by_torque else 0.5 * limits.torque)
+        self._heat = heat_budget(stand, servo.info, profile)
+        self._guard = Guard(
+            limits,
+            moves=profile.amplitude if by_torque else 0.5 * limits.torque,
+            more=() if self._heat is None else (self._heat,),
+        )
         self._outcome = Outcome()
         self._start = math.nan
         self._off_asked = False
@@ -119,6 +125,9 @@ class Recorder:
         finally:
             if not self._off_asked:  # nothing was driven, or the torque-off itself was interrupted
                 self._torque_off()
+        if self._heat is not None:
+            with suppress(WrongUse):  # what it kept at the start is no cooler
+                self._heat.keep()
         outcome.samples = len(self._sink)
         self._note_end()
         return outcome

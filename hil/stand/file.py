@@ -21,6 +21,7 @@ from hil.recording.input import read_text
 from hil.stand.calibration import CalibrationTable
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
 from hil.stand.sentences import names_the_value, sentence
+from hil.stand.winding import WindingTable
 from hil.units import quantity
 from sim_backend.parameters import SimParameters
 
@@ -88,6 +89,7 @@ class File(_Table):
     stand: StandTable
     limits: LimitsTable | None = None
     calibration: CalibrationTable = CalibrationTable()
+    winding: WindingTable | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +97,7 @@ class Stand:
     """A checked stand file. `text` is the file as written; `limits` is None where the file sets none.
 
     devices: the backends' own tables, those the file has. sensor: the joint sensor's kind and table, None without one.
-    calibration: what `hil calibrate` wrote.
+    calibration: what `hil calibrate` wrote. winding: None where the file has no [winding].
     """
 
     stand: StandTable
@@ -104,6 +106,7 @@ class Stand:
     sensor: tuple[str, Any] | None
     text: str
     calibration: CalibrationTable = field(default_factory=CalibrationTable)
+    winding: WindingTable | None = None
 
     @property
     def sim(self) -> SimParameters:
@@ -204,7 +207,7 @@ def _parsed(text: str, name: str) -> Stand:
         raise WrongUse(f"{name} has {len(errors)} error(s):\n" + "\n".join(f"  {text}" for text in errors))
     devices = {backend: getattr(file, backend) for backend in table if backend in BACKENDS}
     sensor = None if kind is None else (kind, file.joint_sensor)
-    return Stand(file.stand, file.limits, devices, sensor, text, file.calibration)
+    return Stand(file.stand, file.limits, devices, sensor, text, file.calibration, file.winding)
 
 
 def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[str]]:

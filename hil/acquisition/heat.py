@@ -1,0 +1,171 @@
+"""The heat budget of a run: the winding's temperature is predicted before it, and estimated while it lasts.
+
+The estimate needs no temperature sensor, and so ends a run in time where that is stale. It outlives the process in a
+file for each drive, and cools down with the time of day.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from drivers.servo import Quantity, Sample, ServoInfo
+from hil.acquisition.excitation import Profile
+from hil.acquisition.limits import AtJoint, LimitReached
+from hil.errors import WrongUse
+from hil.recording.input import read_text
+from hil.stand.file import Stand
+from hil.stand.winding import Temperatures, WindingModel
+
+_MARGIN = 5.0  # degC below the limit, at which a run is refused or ended
+_STEP, _BLOCK = 5e-3, 20  # s between two torques of a prediction, and how many of them heat together
+_LARGEST = 4096  # bytes of a state file
+_HOTTEST = 1000.0  # degC that a state file may state
+
+
+class HeatMemory:
+    """The winding's temperature between two runs of the drive `info`, in the user's folder for state.
+
+    Raises WrongUse where its file cannot be read or written.
+    """
+
+    def __init__(self, info: ServoInfo) -> None:
+        folder = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "hil" / "heat"
+        name = re.sub(r"[^A-Za-z0-9.-]+", "_", f"{info.backend} {info.model} {info.serial}")
+        self._path = folder / f"{name}.json"
+
+    def load(self, model: WindingModel, now: float) -> Temperatures:
+        """Return the temperatures at `now`, s since 1970: those of the last run, cooled down since."""
+        if not self._path.exists():
+            return model.cold
+        try:
+            kept = json.loads(read_text(self._path, largest=_LARGEST))
+            state = Temperatures(float(kept["winding_degC"]), float(kept["case_degC"]))
+            rested = now - float(kept["time"])
+            if not (all(abs(value) < _HOTTEST for value in state) and math.isfinite(rested)):
+                raise ValueError("it has impossible numbers")
+        except (ValueError, KeyError, TypeError, WrongUse) as error:
+            raise WrongUse(
+                f"{self._path} is not the temperature of a winding ({error}): remove it once the motor is cold"
+            ) from None
+        return model.after(state, 0.0, max(0.0, rested))
+
+    def keep(self, state: Temperatures, at: float) -> None:
+        """Keep the temperatures at `at`, s since 1970."""
+        fields = {"time": at, "winding_degC": state.winding, "case_degC": state.case}
+        fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            fresh.write_text(json.dumps(fields) + "\n", encoding="ascii")
+            fresh.replace(self._path)
+        except OSError as error:
+            raise WrongUse(
+                f"{self._path} cannot be written ({error.strerror}): it keeps the winding's temperature for the next "
+                "run; make room, or set XDG_STATE_HOME to a folder that can be written"
+            ) from None
+
+
+class WindingHeat:
+    """The limit on the winding's estimated temperature. limit: degC. gear: motor turns a joint turn.
+
+    planned: mean squares of the torques to come at the motor shaft, (N m)^2, each for `_STEP * _BLOCK` s. longest: N m,
+    the torque that counts where none is measured. memory: None for a simulated motor, which is cold.
+    """
+
+    name = "winding"
+
+    def __init__(
+        self,
+        model: WindingModel,
+        limit: float,
+        gear: float,
+        planned: Sequence[float],
+        *,
+        longest: float,
+        memory: HeatMemory | None = None,
+    ) -> None:
+        self._model, self._limit, self._gear = model, limit, gear
+        self._planned, self._longest, self._memory = planned, longest, memory
+        self._t = math.nan
+        self.state = model.cold
+
+    def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
+        """See `Limit`. A reported temperature counts where it is above the estimate."""
+        del at_joint
+        if self._memory is not None:
+            self.state = self._memory.load(self._model, time.time())
+        shown = [sample.temperature for sample in samples if math.isfinite(sample.temperature)]
+        if shown:
+            self.state = Temperatures(*(max(value, shown[-1]) for value in self.state))
+        self._t = samples[-1].t if samples else math.nan
+        end = self._predicted()
+        if self._memory is not None:  # a run that is killed leaves the hotter of what it began and was to end with
+            self._memory.keep(max(self.state, end), time.time() + len(self._planned) * _STEP * _BLOCK)
+
+    def check(self, sample: Sample, at_joint: AtJoint) -> None:
+        """See `Limit`."""
+        passed, self._t = sample.t - self._t, sample.t
+        torque = sample.motor_torque if math.isfinite(sample.motor_torque) else at_joint.torque / self._gear
+        torque = torque if math.isfinite(torque) else self._longest
+        if passed > 0.0:
+            self.state = self._model.after(self.state, torque * torque, passed)
+        if self.state.winding > self._limit - _MARGIN:
+            raise LimitReached(
+                f"the winding is estimated at {self.state.winding:.0f} degC; its limit is {self._limit:g}: let it cool "
+                "down, lower --amplitude, or correct [winding]"
+            )
+
+    def keep(self) -> None:
+        """Keep the temperatures for the next run; nothing where this one never began. Raises WrongUse."""
+        if self._memory is not None and math.isfinite(self._t):
+            self._memory.keep(self.state, time.time())
+
+    def _predicted(self) -> Temperatures:
+        """Return the temperatures at the end of the run. Raises LimitReached where they would be too high."""
+        state = self.state
+        for block, square in enumerate(self._planned):
+            state = self._model.after(state, square, _STEP * _BLOCK)
+            if state.winding > self._limit - _MARGIN:
+                self._refuse(block * _STEP * _BLOCK)
+        return state
+
+    def _refuse(self, after: float) -> None:
+        now = f"It is at {self.state.winding:.0f} degC now"
+        remedy = f"--duration {after:.3g} at most, or a lower --amplitude" if after >= 1.0 else "a lower --amplitude"
+        raise LimitReached(
+            f"the winding would reach {self._limit - _MARGIN:.0f} degC after {after:.3g} s, too near its limit of "
+            f"{self._limit:g}: nothing was driven. {now}; let it cool down, or record with {remedy}"
+        )
+
+
+def heat_budget(stand: Stand, info: ServoInfo, profile: Profile) -> WindingHeat | None:
+    """Return the limit for a run of `profile`, None where the stand has no [winding].
+
+    A profile of positions cannot be predicted; its heat is estimated while it runs.
+    """
+    if stand.winding is None:
+        return None
+    limits, gear = stand.checked_limits(), stand.stand.gear_ratio
+    model = stand.winding.model(limits.temperature)
+    planned = _mean_squares(profile, gear) if profile.mode is Quantity.TORQUE else []
+    memory = None if stand.stand.backend in {"sim", "replay"} else HeatMemory(info)
+    return WindingHeat(model, limits.temperature, gear, planned, longest=limits.torque / gear, memory=memory)
+
+
+def _mean_squares(profile: Profile, gear: float) -> list[float]:
+    """Return the mean squares of the torque at the motor shaft, (N m)^2, one for each block of the profile."""
+    out: list[float] = []
+    blocks = math.ceil(profile.duration / (_STEP * _BLOCK))
+    for first in range(0, blocks, 1000):
+        count = min(1000, blocks - first)
+        times = (first * _BLOCK + np.arange(count * _BLOCK)) * _STEP
+        torque = np.asarray(profile.at(np.minimum(times, profile.duration))) / gear
+        out += np.mean(np.square(torque).reshape(count, _BLOCK), axis=1).tolist()
+    return out

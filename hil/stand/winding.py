@@ -1,0 +1,120 @@
+"""[winding] of the stand file: what heats and cools the motor's winding while its rotor is locked, and its temperature.
+
+A locked rotor turns all its electric power into heat: P = R i^2 in the winding, which gives it to the case, which gives
+it to the air. Two heat capacities, two thermal resistances, as a data sheet states them:
+
+    C1 dT1/dt = P - (T1 - T2)/R1        C2 dT2/dt = (T1 - T2)/R1 - (T2 - Ta)/R2
+
+T1 winding, T2 case, Ta air, degC; R1, R2 K/W; C1 = tau1/R1, C2 = tau2/R2 J/K. Copper's resistance grows with T1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_COPPER = 0.00393  # 1/K, of the resistance at `_REFERENCE`; IEC 60028
+_REFERENCE = 20.0  # degC
+_NAMEPLATE = (
+    "torque_constant",
+    "resistance",
+    "thermal_resistance",
+    "time_constant",
+    "case_thermal_resistance",
+    "case_time_constant",
+)
+_MEASURED = ("continuous_torque", "peak_torque", "peak_time")
+_SINK = (1e-6, 1e9)  # K/W, J/K of a case that stays at the air's temperature
+
+
+class WindingTable(BaseModel):
+    """[winding]: either the data sheet's six numbers or two measured points. Everything is at the motor shaft.
+
+    torque_constant: N m/A. resistance: ohm at 20 degC. thermal_resistance: K/W, winding to case. time_constant: s, of
+    the winding. case_thermal_resistance: K/W, case to air. case_time_constant: s, of the motor.
+    continuous_torque: N m that brings the winding to limits.temperature after a long time. peak_torque: N m, and
+    peak_time: s after which it brings a cold winding there. air: degC.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    torque_constant: Positive | None = None
+    resistance: Positive | None = None
+    thermal_resistance: Positive | None = None
+    time_constant: Positive | None = None
+    case_thermal_resistance: Positive | None = None
+    case_time_constant: Positive | None = None
+    continuous_torque: Positive | None = None
+    peak_torque: Positive | None = None
+    peak_time: Positive | None = None
+    air: Annotated[float, Field(ge=-40.0, le=80.0)] = 25.0
+
+    @model_validator(mode="after")
+    def _either(self) -> Self:
+        given = {name for name in (*_NAMEPLATE, *_MEASURED) if getattr(self, name) is not None}
+        if given not in (set(_NAMEPLATE), set(_MEASURED)):
+            raise ValueError(
+                f"give either {', '.join(_NAMEPLATE)} of the data sheet, or the measured {', '.join(_MEASURED)}"
+            )
+        if self.peak_torque is not None and self.peak_torque <= (self.continuous_torque or 0.0):
+            raise ValueError(
+                f"winding.peak_torque {self.peak_torque:g} N m is not above winding.continuous_torque "
+                f"{self.continuous_torque:g} N m, which never heats it beyond its limit"
+            )
+        return self
+
+    def model(self, limit: float) -> WindingModel:
+        """Return the model. limit: degC, of the winding, to which the two measured points refer."""
+        if self.continuous_torque is not None and self.peak_torque is not None and self.peak_time is not None:
+            share = (self.continuous_torque / self.peak_torque) ** 2
+            tau = -self.peak_time / math.log1p(-share)
+            per_square = max(limit - self.air, 1.0) / self.continuous_torque**2
+            return WindingModel(per_square, 0.0, (1.0, tau), _SINK, self.air)
+        kt, ohm, r1, tau1, r2, tau2 = (float(getattr(self, name)) for name in _NAMEPLATE)
+        return WindingModel(ohm / kt**2, _COPPER, (r1, tau1 / r1), (r2, tau2 / r2), self.air)
+
+
+class Temperatures(NamedTuple):
+    """The temperatures of winding and case, degC."""
+
+    winding: float
+    case: float
+
+
+@dataclass(frozen=True, slots=True)
+class WindingModel:
+    """The two heat capacities. heat: W/(N m)^2 at 20 degC. copper: 1/K. winding, case: K/W and J/K. air: degC."""
+
+    heat: float
+    copper: float
+    winding: tuple[float, float]
+    case: tuple[float, float]
+    air: float
+
+    @property
+    def cold(self) -> Temperatures:
+        """The temperatures after a long rest."""
+        return Temperatures(self.air, self.air)
+
+    def after(self, state: Temperatures, square: float, seconds: float) -> Temperatures:
+        """Return the temperatures `seconds` s later under a mean square torque of `square` (N m)^2.
+
+        Exact for constant power, which is that of the resistance at the beginning: keep the steps below a tenth of the
+        winding's time constant while the torque is on.
+        """
+        (r1, c1), (r2, c2) = self.winding, self.case
+        power = self.heat * square * (1.0 + self.copper * (state.winding - _REFERENCE))
+        end = (self.air + power * (r1 + r2), self.air + power * r2)
+        a, b, c = 1.0 / (r1 * c1), 1.0 / (r1 * c2), 1.0 / (r2 * c2)
+        mean, half = -0.5 * (a + b + c), math.sqrt(0.25 * (a - b - c) ** 2 + a * b)
+        slow, fast = math.exp((mean + half) * seconds), math.exp((mean - half) * seconds)
+        even, odd = 0.5 * (slow + fast), 0.5 * (slow - fast) / half
+        x, y = state.winding - end[0], state.case - end[1]
+        return Temperatures(
+            end[0] + even * x + odd * ((-a - mean) * x + a * y),
+            end[1] + even * y + odd * (b * x + (-b - c - mean) * y),
+        )
