@@ -40,7 +40,6 @@ from hil.stand.transmission import Transmission
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo
 from sim_backend.wire.canbus.bus import CanBus, CanNode, CanTiming
-from sim_backend.wire.canbus.loopback import CanLoopback
 from sim_backend.wire.cia402.device import Cia402Device
 from sim_backend.wire.commander.emulator import CommanderTiming, new_board
 from sim_backend.wire.dynamixel.device import DynamixelDevice
@@ -54,8 +53,9 @@ from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.moteus.device import MoteusDevice
 from sim_backend.wire.odrive.device import OdriveDevice
 from sim_backend.wire.packets.bus import PacketBus, PacketTiming
-from sim_backend.wire.uart.loopback import SerialLoopback
 from sim_backend.wire.uart.pty_line import PtyLine
+
+from ..loopback import CanLoopback, SerialLoopback
 
 
 @pytest.fixture(autouse=True)

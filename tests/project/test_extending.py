@@ -23,7 +23,8 @@ from hil.cli.app import run
 from hil.identification.identify import Search, identify
 from hil.recording.reader import Recording
 from hil.stand.devices import BACKENDS, Device
-from sim_backend.wire.uart.loopback import SerialLoopback
+
+from ..loopback import SerialLoopback
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 LIMITS = Limits(torque=0.01, velocity=50.0, temperature=80.0, position=(-3.0, 3.0))

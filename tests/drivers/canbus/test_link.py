@@ -18,7 +18,8 @@ from drivers.servo import BadReply, Command, DriverError, LinkLost, NoReply
 from sim_backend.wire.can_families import odrive as serve
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame, duration
-from sim_backend.wire.canbus.loopback import CanLoopback
+
+from ...loopback import CanLoopback
 
 
 class Scripted(can.BusABC):

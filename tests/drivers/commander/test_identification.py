@@ -25,7 +25,8 @@ from hil.stand.file import parse
 from hil.stand.servo import StandServo
 from sim_backend.parameters import CouplingParameters, FixtureParameters, SimParameters
 from sim_backend.wire.loadcell.emulator import SCALE, SETTLING, EmulatedLoadCell, LoadCellBoard
-from sim_backend.wire.uart.loopback import SerialLoopback
+
+from ...loopback import SerialLoopback
 
 STAND = """
 [stand]

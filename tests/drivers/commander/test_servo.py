@@ -38,8 +38,9 @@ from sim_backend.wire.faults import (
     TruncateReplies,
 )
 from sim_backend.wire.loadcell.emulator import EmulatedLoadCell
-from sim_backend.wire.uart.loopback import SerialLoopback
 from sim_backend.wire.uart.pty_line import PtyLine
+
+from ...loopback import SerialLoopback
 
 Rig = Any
 Make = Callable[..., Rig]

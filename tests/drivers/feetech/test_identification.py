@@ -25,7 +25,8 @@ from sim_backend.wire.feetech.device import FeetechDevice
 from sim_backend.wire.feetech.tables import MODELS
 from sim_backend.wire.loadcell.emulator import SCALE, EmulatedLoadCell, LoadCellBoard
 from sim_backend.wire.packets.regulator import joint_at_horn
-from sim_backend.wire.uart.loopback import SerialLoopback
+
+from ...loopback import SerialLoopback
 
 STAND = """
 [stand]

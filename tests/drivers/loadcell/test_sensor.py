@@ -31,8 +31,9 @@ from sim_backend.wire.faults import (
     Unplug,
 )
 from sim_backend.wire.loadcell.emulator import SCALE, SETTLING, EmulatedLoadCell, LoadCellBoard
-from sim_backend.wire.uart.loopback import SerialLoopback
 from sim_backend.wire.uart.pty_line import PtyLine
+
+from ...loopback import SerialLoopback
 
 SIGNS: tuple[Literal[1, -1], ...] = (1, -1)
 CONFIG = LoadCellConfig(port="loopback", scale=SCALE)

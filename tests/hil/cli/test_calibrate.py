@@ -17,8 +17,8 @@ from hil.cli.app import run
 from hil.stand.file import load
 from sim_backend.wire.faults import Unplug
 from sim_backend.wire.loadcell.emulator import EmulatedLoadCell, LoadCellBoard
-from sim_backend.wire.uart.loopback import SerialLoopback
 
+from ...loopback import SerialLoopback
 from ..conftest import Maker
 
 STAND = """\
