@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hil.diagnostics import Diagnostic
 from hil.identification.disk_table import DiskTable, Progress
 from hil.identification.model_choice import Choice
+from hil.recording.ahead import ahead
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Defects, Signals, glimpse, joined, prepare, stream
 from hil.signals.quality import assess, recording_diagnostics
@@ -135,7 +136,7 @@ def _to_disk(
     rows = sum(len(source.recording) for source in sources)
     for source, stretches in zip(sources, glimpses, strict=True):
         defects = Defects()
-        for part in (part.counted_from(reference) for part in stream(source.recording, source.table)):
+        for part in (part.counted_from(reference) for part in ahead(stream(source.recording, source.table))):
             table.extend(*_rows(choice, part, choice.described(part.motion)))
             defects += part.defects
             read += len(part)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.recording.ahead import ahead
 from hil.recording.output import check_space, writing
 from hil.uncertainty.blocks import Block, Blocks
 
@@ -32,6 +34,7 @@ class DiskTable:
         check_space(beside, rows * self._width * 8)
         with writing(beside):
             self._file = tempfile.TemporaryFile(dir=beside.parent, buffering=0)  # noqa: SIM115 - closed by __exit__
+        self._one_reader = threading.Lock()
         self.rows = 0
 
     def __enter__(self) -> Self:
@@ -53,11 +56,18 @@ class DiskTable:
         return Blocks(self.rows, self._read)
 
     def _read(self) -> Iterable[Block]:
+        done = 0
+        for columns, torque in ahead(self._stored()):
+            yield columns, torque
+            done += len(torque)
+            if self._progress is not None:
+                self._progress("reading the samples again", done / self.rows)
+
+    def _stored(self) -> Iterator[Block]:
         for start in range(0, self.rows, _ROWS):
             count = min(_ROWS, self.rows - start)
-            self._file.seek(start * self._width * 8)
-            data = self._file.read(count * self._width * 8)
+            with self._one_reader:
+                self._file.seek(start * self._width * 8)
+                data = self._file.read(count * self._width * 8)
             table = np.frombuffer(data, dtype=np.float64).reshape(count, self._width)
             yield np.ascontiguousarray(table[:, :-1]), np.ascontiguousarray(table[:, -1])
-            if self._progress is not None:
-                self._progress("reading the samples again", (start + count) / self.rows)
