@@ -36,8 +36,8 @@ from sim_backend.servo import SimServo  # noqa: E402
 from sim_backend.wire.faults import follow  # noqa: E402
 from tests.drivers import conftest as rigs  # noqa: E402
 
-RATE = 200.0
-RAMP_AT = 60  # tick at which the run with a ramp-down is stopped
+RATE = 400.0
+RAMP_AT = 100  # tick at which the run with a ramp-down is stopped
 LASTS = 0.4  # s of a fault of the link that would be over at once
 AFTER = 0.5  # s after the run in which a watchdog may act
 PHASES = (Phase.REST, Phase.ARMING, Phase.FADE_IN, Phase.RUN, Phase.RAMP_DOWN)
@@ -48,7 +48,7 @@ STAND = """
 torque_stays_on_if_host_dies = true
 [limits]
 torque = {torque}
-deflection = 3.0
+deflection = 1.0
 velocity = {velocity}
 temperature = {temperature}
 """
@@ -144,7 +144,7 @@ def driven(stand: Stand, *, stopped: bool) -> Outcome:
     quantity = Quantity.TORQUE if Quantity.TORQUE in stand.servo.info.quantities else Quantity.POSITION
     size = 0.05 * limits.torque if quantity is Quantity.TORQUE else 0.05
     profile = excitation.make(
-        "sine", quantity, amplitude=size, default_amplitude=size, duration=0.5, band=(4.0, 4.0), rate=RATE, fade=0.1
+        "sine", quantity, amplitude=size, default_amplitude=size, duration=0.35, band=(4.0, 4.0), rate=RATE, fade=0.1
     )
     stop = StopRequest()
     servo = Watched(stand, stop, RAMP_AT if stopped else math.inf)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Hashable, Iterable
 from typing import TYPE_CHECKING, Any
 
 from canopen import Network, ObjectDictionary, RemoteNode, SdoAbortedError, SdoCommunicationError
+from canopen.nmt import NMT_STATES
 from canopen.sdo.client import SdoClient
 
 from drivers.canbus.link import frame
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # its errors are raised; it would also print them
 
 SYNC = 0x080
+_HEARTBEAT = 0x700  # and the node's id
 _TRIES = 3
 _SDO_TIMEOUT = 0.1
 """s that an SDO may take: drives process them with low priority."""
@@ -158,8 +160,8 @@ class LinkedNetwork(Network):
         return self._kinds.get(ident, ident) if ident in self._kinds or ident in self.subscribers else None
 
     def _on_cyclic(self, kind: Hashable, data: bytes) -> None:
-        """Pass a frame of the node to canopen; a frame too short for it is ignored."""
-        if isinstance(kind, int) and data:
+        """Pass a frame of the node to canopen; one too short for it, or a heartbeat of no known state, is ignored."""
+        if isinstance(kind, int) and data and (kind < _HEARTBEAT or data[0] & 0x7F in NMT_STATES):
             try:
                 self.notify(kind, bytearray(data), self._clock.now())
             except struct.error:

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING
 
 from drivers.canbus.link import frame
 from drivers.canbus.requests import Requests, garbled
-from drivers.moteus.frames import INT32, answers, console_read, console_text, console_write, filled, is_console, read
+from drivers.moteus.frames import (
+    INT32,
+    Registers,
+    answers,
+    console_read,
+    console_text,
+    console_write,
+    filled,
+    is_console,
+    read,
+)
 from drivers.retry import retry
 from drivers.servo import BadReply, DriverError, NoReply
 from drivers.settings import Settings
@@ -45,7 +55,7 @@ class Controller:
         )
         self.settings: Settings[str, float] = Settings(self.get, self._set, same=_same)
 
-    def exchange(self, *subframes: bytes) -> dict[str, float]:
+    def exchange(self, *subframes: bytes) -> Registers:
         """Send subframes and return the registers of the reply. Raises DriverError for one that is refused."""
         return answers(self.requests.ask([self._frame(*subframes)], ["registers"])["registers"])
 
@@ -61,7 +71,7 @@ class Controller:
         """Return the frames that restore the settings that were changed."""
         return [self._line(_setting(name, value)) for name, value in self.settings.changed()]
 
-    def identify(self) -> dict[str, float]:
+    def identify(self) -> Registers:
         """Return model, firmware, register map and serial number.
 
         Raises NoReply where no controller replies, BadReply where several do.

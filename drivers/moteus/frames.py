@@ -116,12 +116,26 @@ def console_text(data: bytes) -> bytes:
     return bytes(data[3 : 3 + data[2]])
 
 
-def answers(data: bytes) -> dict[str, float]:
+class Registers(dict[str, float]):
+    """The registers of a reply, in their units; one that the reply lacks is BadReply."""
+
+    def __missing__(self, name: str) -> float:
+        raise BadReply(f"a reply of the moteus has no register {name}: the sample is dropped")
+
+    def whole(self, name: str) -> int:
+        """Return a register that is a whole number. Raises BadReply where the reply has no value of it."""
+        value = self[name]
+        if not math.isfinite(value):
+            raise BadReply(f"a reply of the moteus has no value in register {name}: the sample is dropped")
+        return int(value)
+
+
+def answers(data: bytes) -> Registers:
     """Return the registers in a reply, in their units; NaN where the controller has no value.
 
     Raises BadReply where the reply cannot be decoded, DriverError where it refuses a register.
     """
-    out: dict[str, float] = {}
+    out = Registers()
     place = 0
     while place < len(data):
         kind = data[place]

@@ -24,6 +24,7 @@ from drivers.moteus.frames import (
     POSITION,
     STOPPED,
     TIMEOUT,
+    Registers,
     fault,
     limiting,
     read,
@@ -86,11 +87,13 @@ class MoteusServo:
             state = self._controller.exchange(_STATE)
             self._gate.live = state["mode"] not in {STOPPED, FAULT}  # a stop would clear a fault that `arm` must report
             self.disarm()
-        firmware = int(identity["firmware"])
+        firmware = identity.whole("firmware")
         self.info = ServoInfo(
             backend="moteus",
-            model=f"moteus, model number {int(identity['model'])}",
-            serial="".join(f"{int(identity[f'serial_{part}']) & 0xFFFFFFFF:08x}" for part in ("high", "middle", "low")),
+            model=f"moteus, model number {identity.whole('model')}",
+            serial="".join(
+                f"{identity.whole(f'serial_{part}') & 0xFFFFFFFF:08x}" for part in ("high", "middle", "low")
+            ),
             firmware=f"{firmware >> 16 & 0xFF}.{firmware >> 8 & 0xFF}.{firmware & 0xFF}",
             quantities=quantities,
             watchdog=config.watchdog,
@@ -106,7 +109,7 @@ class MoteusServo:
         with self._gate.arming(limits):
             state = self._controller.exchange(_STATE)
             if state["mode"] == FAULT:
-                raise fault(int(state["fault"]))
+                raise fault(state.whole("fault"))
             self._stop()
             self._prepare(limits)
             self._milliseconds.restart()
@@ -168,7 +171,7 @@ class MoteusServo:
         for _ in range(_PREPARATION):
             state = self._controller.exchange(*command, _STATE)
             if state["mode"] == FAULT:
-                raise fault(int(state["fault"]))
+                raise fault(state.whole("fault"))
             if state["mode"] == POSITION:
                 return
             self.clock.sleep_until(self.clock.now() + 0.005)
@@ -204,18 +207,18 @@ class MoteusServo:
         self._last_position = value / math.tau
         return self._position(self._last_position, limits)
 
-    def _sample(self, state: dict[str, float], sent: float, received: float, *, saturated: bool) -> Sample:
+    def _sample(self, state: Registers, sent: float, received: float, *, saturated: bool) -> Sample:
         missing = {"mode", "position", "velocity", "torque", "fault", "milliseconds"} - state.keys()
         if missing:
             raise BadReply(f"the reply lacks {', '.join(sorted(missing))}: the sample is dropped")
         self._check_mode(state)
-        freshness = self._milliseconds.judge(int(state["milliseconds"]) % WRAP, sent, received)
+        freshness = self._milliseconds.judge(state.whole("milliseconds") % WRAP, sent, received)
         if freshness is Freshness.IMPOSSIBLE:
             self._refuse_impossible()
         self._impossible = 0
         if not all(math.isfinite(state[name]) for name in ("position", "velocity", "torque")):
             raise BadReply("the controller reports a reading that is not a number: the sample is dropped")
-        status = Status.SATURATED if saturated or limiting(int(state["fault"])) else Status(0)
+        status = Status.SATURATED if saturated or limiting(state.whole("fault")) else Status(0)
         if freshness is Freshness.STILL:
             status |= Status.STALE
         sign = self._config.sign
@@ -231,11 +234,11 @@ class MoteusServo:
             status=status,
         )
 
-    def _check_mode(self, state: dict[str, float]) -> None:
+    def _check_mode(self, state: Registers) -> None:
         """Raise DeviceFault where the controller left the mode that it was armed into."""
         mode = state["mode"]
         if mode == FAULT:
-            raise fault(int(state["fault"]))
+            raise fault(state.whole("fault"))
         if not self._gate.armed or mode == POSITION:
             return
         # a restarted controller would start again with the next command: that must not look like running on

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,3 +60,41 @@ def test_whatever_arrives_only_named_errors_come_out_and_the_torque_goes_off(
     assert rig.device.motor.torque == 0.0
     assert not rig.device.motor.enabled
     servo.close()
+
+
+def damaged(frame: CanFrame, rng: np.random.Generator) -> CanFrame:
+    """A reply that is cut short, empty, changed, or a heartbeat of any node in any state."""
+    kind = int(rng.integers(4))
+    if kind == 0:
+        return replace(frame, data=frame.data[: int(rng.integers(len(frame.data) + 1))])
+    if kind == 1:
+        return replace(frame, data=b"")
+    if kind == 2:
+        return replace(frame, ident=0x700 + int(rng.integers(128)), data=rng.bytes(int(rng.integers(9))))
+    return mangled(frame, rng)
+
+
+@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus", "cia402"])
+def test_damaged_replies_while_it_is_opened_armed_and_stopped_raise_only_named_errors(
+    request: pytest.FixtureRequest, kind: str
+) -> None:
+    make: Callable[..., Any] = request.getfixturevalue(f"make_{kind}")
+    opened = 0
+    for seed in range(30):
+        rng, rig = np.random.default_rng(seed), make()
+        share = (0.02, 0.1, 0.3)[seed % 3]
+
+        rig.bus.receive = partial(damaging, rig.bus.receive, rng, share)
+        with contextlib.suppress(DriverError):
+            servo = rig.open()
+            opened += 1
+            for call in (partial(servo.arm, LIMITS), partial(servo.exchange, PUSH), servo.disarm) * 2:
+                with contextlib.suppress(DriverError):
+                    call()
+            servo.close()
+    assert opened >= 10
+
+
+def damaging(receive: Any, rng: np.random.Generator, share: float, frame: CanFrame, now: float) -> list[CanDelivery]:
+    """The replies to a frame, of which a share is damaged."""
+    return [CanDelivery(at, damaged(one, rng) if rng.random() < share else one) for at, one in receive(frame, now)]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import signal
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -16,14 +18,16 @@ import numpy as np
 import pytest
 
 from hil.cli import app as cli
-from hil.errors import WrongUse
-from hil.recording import output
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording import output, reader
 from hil.recording import writer as writer_module
 from hil.recording.channels import ROW, Row
 from hil.recording.final import finalise
 from hil.recording.output import atomic_write, check_unfinished, remove_unfinished
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
+from hil.signals.inspection import inspect
+from hil.stand.file import SIMULATED
 
 HEADER = Header(profile={"kind": "chirp"})
 
@@ -147,6 +151,36 @@ def test_rows_that_an_older_version_reserved_and_did_not_mark_are_no_rows(tmp_pa
         file["live"] = np.zeros(5, dtype=ROW)
     with Recording(part.path) as recording:
         assert len(recording) == 0
+
+
+def test_every_number_of_rows_is_read_and_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The trial in a copy of the process, which every opening begins with, is left out: it is the same for each."""
+    monkeypatch.setattr(reader, "in_child", lambda work, **_: work())
+    part = RecordingWriter(tmp_path / "a.h5", HEADER, 200, batch=1)
+    for rows in range(201):
+        with Recording(part.path) as recording:
+            assert (len(recording), recording.damaged, recording.verify()) == (rows, 0, True)
+        if rows % 10 == 0:
+            assert finalise(part.path, tmp_path / "b.h5", force=True) == (rows, 0, True)
+        if rows < 200:
+            part.append(Row(rows, time=rows / 100.0, torque=0.5))
+    part.close()
+
+
+def test_a_recording_of_few_rows_is_looked_at_or_refused_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reader, "in_child", lambda work, **_: work())
+    header = Header(profile={"kind": "sine", "mode": "torque", "rate": 500.0}, stand_toml=SIMULATED)
+    part = RecordingWriter(tmp_path / "a.h5", header, 70, batch=1)
+    seen = []
+    for seq in range(66):
+        with suppress(Untrustworthy):
+            seen.append(inspect(part.path).samples)
+        t, swing = seq / 500.0, math.sin(seq / 9.0)
+        part.append(Row(seq, time=t, read_time=t, torque=0.006 * swing, dtheta=0.3 * swing, temperature=30.0))
+    part.close()
+    assert seen == list(range(16, 66))
 
 
 # --- a name that is lost ---------------------------------------------------------------------------------------------
