@@ -1,17 +1,22 @@
-"""The checks of a recording: a hash of its header, and in a recording in progress a checksum of every row and event."""
+"""The checks of a recording: the file may be opened, and its header, rows and events are as they were written."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import stat
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import END_MARK, ROW, Row, Rows
 
 LIVE = np.dtype([*ROW.descr, ("crc", "<u4")])
@@ -102,3 +107,68 @@ def _plain(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.decode(errors="replace")
     return value.item() if isinstance(value, np.generic) else value
+
+
+@contextmanager
+def legible(path: Path) -> Iterator[None]:
+    """Turn any exception from damaged metadata into a WrongUse: HDF5 and h5py raise many kinds."""
+    try:
+        yield
+    except (WrongUse, Untrustworthy):
+        raise
+    except Exception as error:
+        raise WrongUse(f"{path} is damaged and cannot be read ({first_line(error)}): use a copy of it") from error
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of an error, which HDF5 follows up with its own stack."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def check_regular(path: Path) -> None:
+    """Raise WrongUse for all but an ordinary file; a FIFO or a device would block the reader."""
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise WrongUse(f"{path} cannot be opened ({error.strerror}): check the name") from None
+    if not stat.S_ISREG(mode):
+        raise WrongUse(f"{path} is not a file: name a recording such as recordings/run1.h5")
+
+
+def open_file(path: Path) -> h5py.File:
+    """Open a file of HDF5 for reading. Raises WrongUse."""
+    with legible(path):
+        try:
+            return h5py.File(path, "r")
+        except PermissionError:
+            raise WrongUse(f"{path} cannot be opened (permission denied)") from None
+        except OSError as error:
+            hint = (
+                "it has no row that can be read, and `hil record --force` replaces it"
+                if path.suffix == ".part"
+                else "bring CSV data in with `hil import`"
+            )
+            raise WrongUse(f"{path} is not HDF5, or is cut off: {hint}") from error
+
+
+def refuse_foreign_storage(file: h5py.File, path: Path) -> None:
+    """Raise WrongUse for links out of the file, external or virtual storage: it must not read other files."""
+    for group in (file, *(file.get(name) for name in ("samples", "events") if _is_hard(file, name))):
+        for name in group if isinstance(group, h5py.Group) else ():
+            if not _is_hard(group, name):
+                raise WrongUse(f"{path}: {name} is a link to somewhere else: such a file is not opened")
+            item = group[name]
+            if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
+                raise WrongUse(f"{path}: {name} keeps its data in another file: such a file is not opened")
+
+
+def _is_hard(group: h5py.Group, name: str) -> bool:
+    return isinstance(group.get(name, getlink=True), h5py.HardLink)
+
+
+def writer_of(attributes: Mapping[str, Any]) -> str:
+    """Return the name of the program that wrote a recording."""
+    try:
+        return f"hil {json.loads(attributes['software'])['hil']}"
+    except (KeyError, TypeError, ValueError):
+        return "an unknown version of hil"

@@ -30,11 +30,8 @@ Every reader here takes both layouts.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
-import stat
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
@@ -48,7 +45,19 @@ from drivers.servo import Status
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.ahead import ahead
 from hil.recording.channels import CHANNELS, LATER, ROW, Row, Rows
-from hil.recording.integrity import LIVE, header_hash, intact, plain, written_first
+from hil.recording.integrity import (
+    LIVE,
+    check_regular,
+    first_line,
+    header_hash,
+    intact,
+    legible,
+    open_file,
+    plain,
+    refuse_foreign_storage,
+    writer_of,
+    written_first,
+)
 from hil.recording.posix import in_child
 
 SCHEMA = "hil-recording/3"
@@ -96,11 +105,11 @@ class Recording:
         self.path = path
         self._absent: frozenset[str] = frozenset()
         self._damaged: NDArray[np.int64] = np.empty(0, dtype=np.int64)
-        _check_regular(path)
+        check_regular(path)
         self._try_out()
-        self._file = _open(path)
+        self._file = open_file(path)
         try:
-            with _legible(path):
+            with legible(path):
                 self._length = self._read_header()
                 if self.live:
                     self._length = self._count_live()
@@ -123,7 +132,7 @@ class Recording:
     def _refusal(self) -> bytes:
         """Return "ok", or the name of the error and the sentence with which reading the header ends."""
         try:
-            with _open(self.path) as self._file, _legible(self.path):
+            with open_file(self.path) as self._file, legible(self.path):
                 self._read_header()
                 self.events()
                 self.truth()
@@ -133,7 +142,7 @@ class Recording:
 
     def _read_header(self) -> int:
         """Read what stands before the rows, and return how many the file has room for."""
-        _refuse_foreign_storage(self._file, self.path)
+        refuse_foreign_storage(self._file, self.path)
         self.attributes = plain(self._file.attrs)
         names = self._renamed()
         profile = plain(self._group("profile").attrs)
@@ -181,7 +190,7 @@ class Recording:
 
     def events(self) -> list[Event]:
         """Return the events of the run, in order. Raises WrongUse for a damaged file."""
-        with _legible(self.path):
+        with legible(self.path):
             if self.live:
                 return self._live_events()
             group = self._group("events")
@@ -193,7 +202,7 @@ class Recording:
 
     def truth(self) -> dict[str, float]:
         """Return the simulator's own parameters, {} for a real stand. Identification never calls this."""
-        with _legible(self.path):
+        with legible(self.path):
             group = self._file.get("truth")
             return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
 
@@ -202,7 +211,7 @@ class Recording:
 
         Recordings of older schemas are held to the hash that they have; an unfinished one had none.
         """
-        with _legible(self.path):
+        with legible(self.path):
             intact_rows = not self.damaged if self.live else self._rows_hash() == self._stated("sha256")
             return intact_rows and self.header_intact()
 
@@ -258,7 +267,7 @@ class Recording:
         try:
             return self._file[name][start:stop]
         except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-            raise Untrustworthy(f"{self.path}: {name} is damaged and cannot be read ({_first_line(error)})") from error
+            raise Untrustworthy(f"{self.path}: {name} is damaged and cannot be read ({first_line(error)})") from error
 
     def _group(self, name: str) -> h5py.Group:
         group = self._file.get(name)
@@ -273,7 +282,7 @@ class Recording:
             raise WrongUse(f"{self.path} is HDF5 but not a recording of hil: bring its data in with `hil import`")
         if schema not in RENAMED:
             raise WrongUse(
-                f"{self.path} has schema {schema!r}, written by {_writer(self.attributes)}; this hil reads "
+                f"{self.path} has schema {schema!r}, written by {writer_of(self.attributes)}; this hil reads "
                 f"{', '.join(RENAMED)}: read it with the version that wrote it"
             )
         return RENAMED[schema]
@@ -333,66 +342,3 @@ class Recording:
                 raise WrongUse(
                     f"{self.path}: /samples/{name} has chunks of {chunk} bytes: no recording of hil has such"
                 )
-
-
-@contextmanager
-def _legible(path: Path) -> Iterator[None]:
-    """Turn any exception from damaged metadata into a WrongUse: HDF5 and h5py raise many kinds."""
-    try:
-        yield
-    except (WrongUse, Untrustworthy):
-        raise
-    except Exception as error:
-        raise WrongUse(f"{path} is damaged and cannot be read ({_first_line(error)}): use a copy of it") from error
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
-
-
-def _check_regular(path: Path) -> None:
-    """Raise WrongUse for all but an ordinary file; a FIFO or a device would block the reader."""
-    try:
-        mode = path.stat().st_mode
-    except OSError as error:
-        raise WrongUse(f"{path} cannot be opened ({error.strerror}): check the name") from None
-    if not stat.S_ISREG(mode):
-        raise WrongUse(f"{path} is not a file: name a recording such as recordings/run1.h5")
-
-
-def _open(path: Path) -> h5py.File:
-    with _legible(path):
-        try:
-            return h5py.File(path, "r")
-        except PermissionError:
-            raise WrongUse(f"{path} cannot be opened (permission denied)") from None
-        except OSError as error:
-            hint = (
-                "it has no row that can be read, and `hil record --force` replaces it"
-                if path.suffix == ".part"
-                else "bring CSV data in with `hil import`"
-            )
-            raise WrongUse(f"{path} is not HDF5, or is cut off: {hint}") from error
-
-
-def _refuse_foreign_storage(file: h5py.File, path: Path) -> None:
-    """Raise WrongUse for links out of the file, external or virtual storage: it must not read other files."""
-    for group in (file, *(file.get(name) for name in ("samples", "events") if _is_hard(file, name))):
-        for name in group if isinstance(group, h5py.Group) else ():
-            if not _is_hard(group, name):
-                raise WrongUse(f"{path}: {name} is a link to somewhere else: such a file is not opened")
-            item = group[name]
-            if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
-                raise WrongUse(f"{path}: {name} keeps its data in another file: such a file is not opened")
-
-
-def _is_hard(group: h5py.Group, name: str) -> bool:
-    return isinstance(group.get(name, getlink=True), h5py.HardLink)
-
-
-def _writer(attributes: Mapping[str, Any]) -> str:
-    """Return the name of the program that wrote a recording."""
-    try:
-        return f"hil {json.loads(attributes['software'])['hil']}"
-    except (KeyError, TypeError, ValueError):
-        return "an unknown version of hil"

@@ -642,6 +642,6 @@ def test_a_file_on_which_the_library_fails_is_refused_in_a_sentence(
         bytearray(1 << 31)
 
     monkeypatch.setattr(reader, "_TRIAL_TIME", 1)
-    monkeypatch.setattr(reader, "_refuse_foreign_storage", fail)
+    monkeypatch.setattr(reader, "refuse_foreign_storage", fail)
     with pytest.raises(WrongUse, match="is damaged"):
         Recording(path)
