@@ -12,12 +12,13 @@ from drivers.servo import Servo
 from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import longest_silence
 from hil.acquisition.interrupt import StopRequest
-from hil.acquisition.live_view import beside
 from hil.acquisition.phases import Phase
 from hil.acquisition.planned_faults import FaultyHost
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
 from hil.errors import WrongUse
 from hil.guardian.servo import Watch
+from hil.live.rerun import check as check_rerun
+from hil.live.viewer import beside
 from hil.recording.background import BackgroundWriter
 from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, part_path, remove_unfinished
 from hil.recording.writer import Header, RecordingWriter
@@ -47,6 +48,7 @@ def run(
     output: Path | None = None,
     force: bool = False,
     guardian: bool = True,
+    rerun: str = "",
     alarm: Callable[[str], object] | None = None,
     faults: FaultPlan | None = None,
 ) -> tuple[Path, Outcome]:
@@ -54,19 +56,13 @@ def run(
 
     Return the path of the recording and the outcome of the run. The servo is closed and its torque off in any case.
     force: replace a recording of that name, finished or not. guardian: whether another process switches the torque off
-    where this one is killed, frozen or late. seed: of the simulator. alarm: is called with a sentence,
-    once every row is with the operating system and before the file is made final, where the torque may still be on.
-    faults: what goes wrong on a simulated stand. Raises WrongUse before anything moves, DriverError where the servo
-    cannot be opened.
+    where this one is killed, frozen or late. rerun: "window" or a file .rrd, where Rerun shows the run, "" for nowhere.
+    seed: of the simulator. alarm: is called with a sentence, once every row is with the operating system and before the
+    file is made final, where the torque may still be on. faults: what goes wrong on a simulated stand. Raises WrongUse
+    before anything moves, DriverError where the servo cannot be opened.
     """
-    check_backend(stand.stand.backend)
     plan, host = faults or FaultPlan(), FaultyHost()
-    if output is not None:
-        inputs = stand.named_files()
-        check_output(output, force=force, inputs=inputs)
-        check_output(part_path(output), force=True, inputs=inputs)
-        if not force:
-            check_unfinished(output)
+    _check(stand, output, rerun, force=force)
     with StopRequest().listening() as stop:
         watch = Watch(longest_silence(), profile.duration + _OVERTIME) if guardian else None
         watched = "broken-watchdog" not in plan.kinds()
@@ -88,7 +84,7 @@ def run(
             begun = _begin(output, header, tick_count(profile, rate), max(1, int(_HELD_BACK * rate)), force=force)
             writer = _behind(begun, servo, rate)
             try:
-                with beside(writer.path):
+                with beside(writer.path, rerun):
                     sink = writer if faults is None else host.sink(writer)
                     outcome = Recorder(stand, servo, profile, rate, sink, scratch=writer.path.parent).run(stop)
             except BaseException:
@@ -96,12 +92,29 @@ def run(
                 raise
         finally:
             _close_servo(servo, outcome)
-        if outcome.alarm and alarm is not None:
-            with suppress(Exception):  # the rows first, then the words, which must not cost a row
-                writer.flush()
-            with suppress(Exception):
-                alarm(outcome.alarm)
+        _raise_alarm(writer, outcome, alarm)
         return _finish(writer, outcome, force=force), outcome
+
+
+def _check(stand: Stand, output: Path | None, rerun: str, *, force: bool) -> None:
+    """Raise WrongUse for a backend that there is none of, and for outputs that cannot be written."""
+    check_backend(stand.stand.backend)
+    if rerun:
+        check_rerun(rerun, force=force)
+    if output is not None:
+        inputs = stand.named_files()
+        check_output(output, force=force, inputs=inputs)
+        check_output(part_path(output), force=True, inputs=inputs)
+        if not force:
+            check_unfinished(output)
+
+
+def _raise_alarm(writer: Writer, outcome: Outcome, alarm: Callable[[str], object] | None) -> None:
+    if outcome.alarm and alarm is not None:
+        with suppress(Exception):  # the rows first, then the words, which must not cost a row
+            writer.flush()
+        with suppress(Exception):
+            alarm(outcome.alarm)
 
 
 def _begin(output: Path | None, header: Header, length: int, batch: int, *, force: bool) -> RecordingWriter:

@@ -100,6 +100,7 @@ def record(
     force: bool = False,
     guardian: bool = True,
     faults: str | os.PathLike[str] | None = None,
+    rerun: str = "",
     command_line: str = "",
     warn: Callable[[Sequence[Diagnostic]], object] | None = None,
     alarm: Callable[[str], object] | None = None,
@@ -111,9 +112,10 @@ def record(
     setpoints: the CSV of profile "file". seed: of everything random. realtime: simulate in wall time. output: the
     recording (None: the next free recordings/runN.h5); force: replace it. guardian: whether a process of its own
     switches the torque of a real drive off where this one is killed, frozen or late; faults: a TOML file of what goes
-    wrong on a simulated stand (docs/reliability.md for both). command_line: kept in the recording. warn: is called with
-    the warnings that are known before anything moves. alarm: is called with a sentence at once where the torque may
-    still be on. ended: is called with the run before a fault that ended it is raised.
+    wrong on a simulated stand (docs/reliability.md for both). rerun: "window" or a file .rrd, where Rerun shows the run
+    as it goes. command_line: kept in the recording. warn: is called with the warnings that are known before anything
+    moves. alarm: is called with a sentence at once where the torque may still be on. ended: is called with the run
+    before a fault that ended it is raised.
 
     The torque is off on return. Ctrl-C ramps it to zero and keeps the rows: `outcome.signal` is set. Raises WrongUse
     before anything moves; DriverError where the drive fails; `hil.acquisition.limits.LimitReached` where a safety limit
@@ -123,10 +125,7 @@ def record(
     size = (amplitude, band, duration)
     made = excitation(opened, profile, quantity_of(mode), size, rate=rate, setpoints=setpoints, fade=fade, seed=seed)
     _check_amplitude(opened, made)
-    foreseen = _foreseen(opened, made, guardian=guardian)
-    if foreseen and warn is not None:
-        warn(foreseen)
-    plan = None if faults is None else _plan(opened, Path(faults))
+    foreseen = _warned(_foreseen(opened, made, guardian=guardian), warn)
     path, outcome = acquisition.run(
         opened,
         made,
@@ -138,15 +137,26 @@ def record(
         output=None if output is None else Path(output),
         force=force,
         guardian=guardian,
+        rerun=rerun,
         alarm=alarm,
-        faults=plan,
+        faults=None if faults is None else _plan(opened, Path(faults)),
     )
-    moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
-    return _reported(Run(path, outcome, (*foreseen, *moved, *lateness(outcome.late, outcome.samples))), ended)
+    return _reported(path, outcome, foreseen, ended)
 
 
-def _reported(run: Run, ended: Callable[[Run], object] | None) -> Run:
+def _warned(foreseen: list[Diagnostic], warn: Callable[[Sequence[Diagnostic]], object] | None) -> list[Diagnostic]:
+    """Return the warnings that `warn` was called with."""
+    if foreseen and warn is not None:
+        warn(foreseen)
+    return foreseen
+
+
+def _reported(
+    path: Path, outcome: Outcome, foreseen: Sequence[Diagnostic], ended: Callable[[Run], object] | None
+) -> Run:
     """Return a run that `ended` was called with. Raises the fault that ended it."""
+    moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
+    run = Run(path, outcome, (*foreseen, *moved, *lateness(outcome.late, outcome.samples)))
     try:
         if ended is not None:
             ended(run)

@@ -18,7 +18,7 @@ from hil.cli.design import design
 from hil.cli.doctor import doctor
 from hil.cli.emulate import emulate
 from hil.cli.examples import below_help, below_main_help
-from hil.cli.files import export_data, import_data, inspect, recover
+from hil.cli.files import export_data, import_data, inspect, recover, view
 from hil.cli.identify import identify
 from hil.cli.many.campaign import campaign
 from hil.cli.many.compare import compare
@@ -60,6 +60,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "identify": identify,
     "compare": compare,
     "inspect": inspect,
+    "view": view,
     "import": import_data,
     "export": export_data,
     "recover": recover,

@@ -16,6 +16,7 @@ EXAMPLES = MappingProxyType(
         ),
         "compare": ("hil compare monday.h5 tuesday.h5 friday.h5 --report week.html",),
         "inspect": ("hil inspect run1.h5 --plot run1.png",),
+        "view": ("hil view run1.h5", "hil view run1.h5 -o run1.rrd"),
         "import": (
             "hil import log.csv --time t --torque tau --torque-unit mN*m --dtheta q --dtheta-unit deg -o log.h5",
         ),

@@ -1,4 +1,4 @@
-"""`hil inspect`, `hil import`, `hil export`, `hil recover`: the commands that work on files."""
+"""`hil inspect`, `hil view`, `hil import`, `hil export`, `hil recover`: the commands that work on files."""
 
 from __future__ import annotations
 
@@ -49,6 +49,24 @@ def inspect(
         out_table(inspection_table(seen))
     if not seen.usable:
         raise typer.Exit(UNTRUSTWORTHY)
+
+
+def view(
+    recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="A file .rrd in place of a window.")] = None,
+    force: options.Force = False,
+) -> None:
+    """Open a recording in the window of Rerun, or write it into a file that Rerun opens (pip install 'hil[view]').
+
+    Example: hil view run1.h5
+    """
+    from hil.api.recordings import load
+    from hil.live import rerun
+
+    place = rerun.WINDOW if output is None else str(output)
+    rerun.check(place, force=force)
+    rerun.show(load(recording).channels, place)
+    out(f"{recording}: shown in {'a window of Rerun' if output is None else output}")
 
 
 def _verify(path: Path, *, as_json: bool) -> None:

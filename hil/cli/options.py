@@ -86,6 +86,9 @@ NoGuardian = Annotated[
         "drive's own watchdog does.",
     ),
 ]
+Rerun = Annotated[
+    str, typer.Option(metavar="PLACE", help="Stream the run to Rerun: window, or a file .rrd (hil[view]).")
+]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, the rest on standard error.")]
 
 

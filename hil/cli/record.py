@@ -36,6 +36,7 @@ def record(
     output: options.Output = None,
     force: options.Force = False,
     no_guardian: options.NoGuardian = False,
+    rerun: options.Rerun = "",
     as_json: options.Json = False,
     list_profiles: Annotated[bool, typer.Option("--list-profiles", help="List the excitations.")] = False,
     list_backends: Annotated[bool, typer.Option("--list-backends", help="List the backends.")] = False,
@@ -67,11 +68,17 @@ def record(
         force=force,
         guardian=not no_guardian,
         faults=faults,
+        rerun=rerun,
         command_line=command_line(),
         warn=print_diagnostics,
         alarm=say,
         ended=_print_json if as_json else _print_line,
     )
+    _end(run)
+
+
+def _end(run: Run) -> None:
+    """End the command with the status that the run asks for."""
     if run.outcome.signal:
         raise typer.Exit(128 + run.outcome.signal)
     print_diagnostics([one for one in run.diagnostics if one.code in {"file-moved", "many-late"}])

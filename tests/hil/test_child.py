@@ -32,7 +32,7 @@ def test_nothing_from_the_working_directory_runs_in_the_live_view(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(tmp_path) if entry == "here" else entry for entry in path] + sys.path)
     monkeypatch.setenv("PYTHONPATH", f"{os.pathsep}{tmp_path}")
-    words = command("hil.acquisition.live_view", "none.h5.part")
+    words = command("hil.live.viewer", "none.h5.part", "-1", "0", "utf-8", "")
     ended = subprocess.run(words, check=False, input="", capture_output=True, text=True)
     assert "none.h5.part" in ended.stderr  # the view itself ran: it misses its file
     assert not mark.exists()

@@ -13,7 +13,19 @@ import pytest
 PACKAGES = ("hil", "ga", "drivers", "sim_backend")
 ALLOWED = {
     "hil": {"hil", "ga", "drivers", "sim_backend", "numpy", "h5py", "rich", "typer", "click", "pydantic", "matplotlib"}
-    | {"scipy", "pyarrow", "jinja2", "markupsafe", "pint", "tomlkit", "threadpoolctl", "distributed", "rosbags"}
+    | {
+        "scipy",
+        "pyarrow",
+        "jinja2",
+        "markupsafe",
+        "pint",
+        "tomlkit",
+        "threadpoolctl",
+        "distributed",
+        "plotext",
+        "rerun",
+        "rosbags",
+    }
     | {"mcap_ros2"},
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},

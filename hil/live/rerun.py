@@ -1,0 +1,93 @@
+"""Rerun (extra `view`): a run in progress or a recording as time series in its viewer, or in a file that it opens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+from hil.live.state import State
+from hil.recording.output import check_output
+
+Array = NDArray[np.float64]
+
+WINDOW = "window"
+_SHOWN = ("command", "torque", "dtheta", "dtheta_dot", "temperature")
+
+
+def check(place: str, *, force: bool) -> None:
+    """Raise WrongUse for a place that is neither "window" nor a new file .rrd, and where Rerun is not installed.
+
+    force: a file that is there is replaced.
+    """
+    _rerun()
+    if place == WINDOW:
+        return
+    if Path(place).suffix != ".rrd":
+        raise WrongUse(f"--rerun {place}: write {WINDOW}, or a file that ends in .rrd")
+    check_output(Path(place), force=force)
+
+
+def show(channels: Mapping[str, Array], place: str) -> None:
+    """Show a recording's channels (n,), SI, among them time, in a window or a file. Raises WrongUse."""
+    stream = _Columns(place)
+    stream.send({name: channels[name] for name in ("time", *_SHOWN) if name in channels})
+
+
+class Stream:
+    """A run in progress, sent as its rows come. place: as `check`."""
+
+    def __init__(self, place: str) -> None:
+        self._columns = _Columns(place)
+        self._sent = 0
+
+    def update(self, state: State) -> None:
+        """Send the rows since the last call, and the estimates of Kc and Bc."""
+        rows = state.since(self._sent)
+        if not len(rows):
+            return
+        self._sent += len(rows)
+        self._columns.send({name: np.array(rows[name]) for name in ("time", *_SHOWN)})
+        if state.fit.estimate is not None:
+            last = np.array([float(rows["time"][-1])])
+            for name, value in zip(("Kc", "Bc"), state.fit.estimate, strict=True):
+                self._columns.send({"time": last, f"preliminary/{name}": np.array([value])})
+
+
+class _Columns:
+    def __init__(self, place: str) -> None:
+        self._rerun = _rerun()
+        self._recording = self._rerun.RecordingStream("hil")
+        try:
+            if place == WINDOW:
+                self._recording.spawn()
+            else:
+                self._recording.save(place)
+        except (RuntimeError, OSError) as error:
+            raise WrongUse(f"--rerun {place}: Rerun cannot show it ({error}): try a file, such as run.rrd") from None
+
+    def send(self, channels: Mapping[str, Array]) -> None:
+        time = channels["time"]
+        for name, values in channels.items():
+            good = np.isfinite(time) & np.isfinite(values)
+            if name == "time" or not good.any():
+                continue
+            self._rerun.send_columns(
+                name,
+                indexes=[self._rerun.TimeColumn("time", duration=time[good])],
+                columns=self._rerun.Scalars.columns(scalars=values[good]),
+                recording=self._recording,
+            )
+        self._recording.flush()
+
+
+def _rerun() -> Any:
+    try:
+        return import_module("rerun")
+    except ImportError:
+        raise WrongUse("Rerun is not installed, and this needs it: pip install 'hil[view]'") from None

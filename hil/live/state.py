@@ -1,0 +1,172 @@
+"""What the rows of a run say so far: rate, jitter, losses, margins of the limits, and first estimates of Kc and Bc."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.servo import Status
+from hil.recording.channels import Rows
+
+Array = NDArray[np.float64]
+
+WINDOW = 5.0
+"""s of the traces."""
+
+_LOST = np.uint64(int(Status.NO_REPLY | Status.BAD_REPLY))
+_RECENT = 500  # intervals from which rate and jitter are taken
+_FEWEST = 100  # rows for an estimate
+_DISTINCT = 1e-8  # reciprocal condition from which the three columns are distinct
+
+
+@dataclass(slots=True)
+class LeastSquares:
+    """Kc, Bc and an offset of the torque, by recursive least squares over all rows so far.
+
+    Kept in the information form (sums of products), which is the recursive estimate without forgetting and needs no
+    starting covariance (Ljung 1999, section 11.2).
+    """
+
+    products: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    targets: Array = field(default_factory=lambda: np.zeros(3))
+    count: int = 0
+
+    def add(self, dtheta: Array, rate: Array, torque: Array) -> None:
+        """Take rows (n,) of deflection, rad, its rate, rad/s, and torque, N m; those with a NaN are left out."""
+        columns = np.stack([dtheta, rate, np.ones_like(dtheta)], axis=1)
+        good = np.isfinite(columns).all(axis=1) & np.isfinite(torque)
+        self.products += columns[good].T @ columns[good]
+        self.targets += columns[good].T @ torque[good]
+        self.count += int(good.sum())
+
+    @property
+    def estimate(self) -> tuple[float, float] | None:
+        """Kc, N m/rad, and Bc, N m s/rad; None while the rows do not determine them."""
+        size = np.sqrt(np.diag(self.products))
+        if self.count < _FEWEST or not (size > 0.0).all():
+            return None
+        scaled = self.products / np.outer(size, size)
+        if np.linalg.cond(scaled) > 1.0 / _DISTINCT:
+            return None
+        kc, bc, _ = np.linalg.solve(scaled, self.targets / size) / size
+        return float(kc), float(bc)
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """How much of a limit is used: name, reading, limit and unit, SI."""
+
+    name: str
+    reading: float
+    limit: float
+    unit: str
+
+    @property
+    def used(self) -> float:
+        """The share of the limit, 0 to 1, beyond which the run ends."""
+        return self.reading / self.limit
+
+
+class State:
+    """The state of a run of `duration` s. limits: by name, SI at the joint."""
+
+    def __init__(self, rows: Rows, duration: float, limits: Mapping[str, float]) -> None:
+        self._rows, self._limits = rows, limits
+        self._duration = duration
+        self.count = 0
+        self.lost = 0
+        self.fit = LeastSquares()
+        self._peaks: dict[str, float] = {}
+
+    def update(self) -> None:
+        """Take the rows that were written since."""
+        before, self.count = self.count, self._written()
+        new = self._rows[before : self.count]
+        if not len(new):
+            return
+        self.lost += int(np.count_nonzero(new["status"] & _LOST))
+        # from the row before on, so that the rate has its difference
+        part = self._rows[max(0, before - 1) : self.count]
+        rate = np.array(part["dtheta_dot"])
+        if not np.isfinite(rate).any() and len(part) > 2:
+            rate = np.gradient(part["dtheta"], part["time"])
+        self.fit.add(np.array(part["dtheta"]), rate, np.array(part["torque"]))
+        for name, values in (("torque", new["torque"]), ("deflection", new["dtheta"]), ("velocity", new["dtheta_dot"])):
+            self._peaks[name] = max(self._peaks.get(name, 0.0), _largest(values))
+        warm = new["temperature"][np.isfinite(new["temperature"])]
+        if len(warm):
+            self._peaks["temperature"] = float(warm[-1])
+
+    def since(self, first: int) -> Rows:
+        """Return the rows from number `first` on."""
+        return self._rows[first : self.count]
+
+    @property
+    def left(self) -> float:
+        """s until the planned end."""
+        return max(0.0, self._duration - self._elapsed)
+
+    @property
+    def _elapsed(self) -> float:
+        return float(np.nanmax(self._recent)) if self.count else 0.0
+
+    @property
+    def _recent(self) -> Array:
+        return np.array(self._rows[max(0, self.count - _RECENT) : self.count]["time"])
+
+    @property
+    def rate(self) -> float:
+        """Samples a second, over the last ones; NaN before there are two."""
+        recent = self._recent
+        return (len(recent) - 1) / float(np.nanmax(recent) - np.nanmin(recent)) if len(recent) > 1 else math.nan
+
+    @property
+    def jitter(self) -> float:
+        """By how much 99 % of the last intervals between samples differ at most from the usual one, s; NaN before."""
+        steps = np.diff(self._recent)
+        return float(np.nanquantile(np.abs(steps - np.nanmedian(steps)), 0.99)) if len(steps) else math.nan
+
+    @property
+    def margins(self) -> list[Margin]:
+        """The largest reading so far against each limit; of the temperature the last one."""
+        units = {"torque": "N m", "deflection": "rad", "velocity": "rad/s", "temperature": "degC"}
+        return [
+            Margin(name, self._peaks[name], limit, units[name])
+            for name, limit in self._limits.items()
+            if name in self._peaks and limit > 0.0
+        ]
+
+    def points(self, first: str, second: str, most: int) -> tuple[Array, Array]:
+        """Return two channels (m,) over the last `WINDOW` s, at most about `most` rows of them, without NaN."""
+        begin = self.count - 1
+        while begin > 0 and not self._elapsed - float(self._rows["time"][begin]) > WINDOW:
+            begin -= min(begin, _RECENT)
+        part = self._rows[max(0, begin) : self.count]
+        part = part[:: max(1, len(part) // most)]
+        good = np.isfinite(part[first]) & np.isfinite(part[second])
+        return np.array(part[first][good]), np.array(part[second][good])
+
+    @property
+    def last(self) -> tuple[float, float]:
+        """The last torque, N m, and deflection, rad; NaN where a reply was lost."""
+        return (float(self._rows["torque"][self.count - 1]), float(self._rows["dtheta"][self.count - 1]))
+
+    def _written(self) -> int:
+        """The number of rows whose `seq` is their index, by bisection: they are written in order."""
+        low, high = self.count, len(self._rows)
+        while low < high:
+            middle = (low + high) // 2
+            if self._rows["seq"][middle] == middle:
+                low = middle + 1
+            else:
+                high = middle
+        return low
+
+
+def _largest(values: Array) -> float:
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if len(finite) else 0.0
