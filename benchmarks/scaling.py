@@ -20,7 +20,7 @@ from page import DOCS, machine, write_section
 
 from ga.bounds import bounds_from_data
 from ga.evolution.evolution import PRESETS, advance, begin
-from ga.fitness.cell_tree import grow
+from ga.fitness.cells import grow
 from ga.fitness.dense import pack
 from ga.fitness.engine import evaluate
 from ga.lad.exact import least_absolute_deviations

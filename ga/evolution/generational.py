@@ -25,7 +25,7 @@ from ga.evolution.operators import (
     weighted_centre,
 )
 from ga.evolution.population import Population, Record, Rules, due_after, has_settled, recorded, remember
-from ga.fitness.cell_tree import Tree
+from ga.fitness.cells import Tree
 from ga.fitness.dense import Samples
 from ga.fitness.engine import error_of
 

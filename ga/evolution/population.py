@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ga.compiled import compiled_inline, compiled_no_refcount
 from ga.evolution.generator import State, load, store, uniform
 from ga.evolution.operators import REDRAWS, Genes, Order, clamp, copy, is_inside
-from ga.fitness.cell_tree import Tree
+from ga.fitness.cells import Tree
 from ga.fitness.dense import Samples
 from ga.fitness.engine import error_of
 from ga.start import Start

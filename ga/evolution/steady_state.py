@@ -30,7 +30,7 @@ from ga.evolution.population import (
     recorded,
     remember,
 )
-from ga.fitness.cell_tree import Tree
+from ga.fitness.cells import Tree
 from ga.fitness.dense import ROUNDING, Samples
 from ga.fitness.engine import error_of, exact_error, tangent_of
 

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 
 from ga.compiled import compiled_inline, compiled_no_refcount
-from ga.fitness.cell_tree import Tree, another, grow, tree_error, tree_tangent
+from ga.fitness.cell_tree import tree_error, tree_tangent
+from ga.fitness.cells import Tree, another, grow
 from ga.fitness.dense import Samples, collapse, dense_error, dense_tangent, pack, shared
 
 if TYPE_CHECKING:

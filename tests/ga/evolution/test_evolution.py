@@ -9,7 +9,7 @@ import pytest
 from ga.bounds import PAPER_BOUNDS, Bounds
 from ga.evolution.evolution import PRESETS, Settings, advance, begin
 from ga.evolution.population import Population
-from ga.fitness.cell_tree import grow
+from ga.fitness.cells import grow
 from ga.fitness.dense import Samples, pack
 from ga.fitness.engine import Engine, evaluate
 

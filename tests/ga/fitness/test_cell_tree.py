@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
-from ga.fitness.cell_tree import Tree, another, grow, tree_tangent
+from ga.fitness.cell_tree import tree_tangent
+from ga.fitness.cells import Tree, another, grow
 from ga.fitness.dense import pack
 from ga.fitness.engine import engine_for, evaluate
 from ga.lad.exact import least_absolute_deviations

@@ -1,0 +1,188 @@
+"""The cells of the sub-linear engine: the data in coordinates in which they are cubes, and room for those to be grown.
+
+The cells are cubes of v = forward . (genes - origin), coordinates in which the columns are orthogonal, because in them
+no direction needs finer cells than another. `ga.fitness.cell_tree` grows them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.compiled import compiled
+from ga.samples import check, resolution
+
+if TYPE_CHECKING:
+    from ga.bounds import Bounds
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+LEAF: Final = 16
+"""Undecided rows up to which a cell is not split further."""
+
+LANES: Final = 8
+"""Rows of a leaf summed side by side."""
+
+BITS: Final = 48
+"""Binary digits of a place in the root cube; below, doubles are too coarse to separate two sides."""
+
+RECENT: Final = 8
+"""Leaves that are tried first."""
+
+_FINEST: Final = 1e-6
+"""The least part of the largest direction's weight that a direction is given: collinear columns have one of none."""
+
+_LISTED: Final = 1 << 25
+"""Places for undecided rows, 128 MiB, beyond which no more are provided than are needed."""
+
+_NODES: Final = 1 << 16
+
+PARENT, CODE, SHIFT, START, COUNT, KIND, CELL = range(7)
+"""Columns of `nodes`; from CELL on come the p coordinates of the cell in units of its own size."""
+
+INNER, LEAVES, LIST = range(3)
+"""Kinds: to be split; rows copied to `leaves`; too small to split, rows in `undecided`."""
+
+USED_NODES, USED_UNDECIDED, USED_LEAVES, NEXT_RECENT = range(4)
+"""Entries of `used`."""
+
+
+class Tree(NamedTuple):
+    """The data, and the cells grown so far. One thread at a time may use it; `another` makes one over the same data.
+
+    rows: (n, p + 2), the residual at the origin, the columns, and how fast the residual can change as v moves in the
+    largest of its coordinates. length: how many samples the mean is over. floor: N m, the least fitness that relative
+    comparisons divide by. origin (p,), forward and backward (p, p), its inverse: the change of coordinates. corner (p,)
+    and width: the root cube. blur: by how much cells overlap, against rounding.
+    The rest is working space.
+    """
+
+    rows: Matrix
+    length: int
+    floor: float
+    origin: Vector
+    forward: Matrix
+    backward: Matrix
+    corner: Vector
+    width: float
+    blur: float
+    nodes: Whole
+    sums: Matrix
+    undecided: NDArray[np.int32]
+    leaves: NDArray[np.float64]
+    table: NDArray[np.int32]
+    recent: Whole
+    used: Whole
+    place: Vector
+    at: Whole
+    total: Vector
+    left: Vector
+    centre: Vector
+    carry: Vector
+
+
+def grow(columns: Matrix, torque: Vector, bounds: Bounds) -> Tree:
+    """A tree of one cell, the root, for columns (n, p) and torque (n,), N m, within the bounds.
+
+    Outside them every sample is looked at. Raises ValueError as `check` does.
+    """
+    check(columns, torque)
+    origin = _near_solution(columns, torque)
+    half = (bounds.high - bounds.low) / 2.0
+    forward = _orthogonal_coordinates(columns, half)
+    backward = np.asarray(np.linalg.inv(forward), dtype=np.float64)
+    extent = 1.001 * float((np.abs(forward) @ half).max())
+    centre = forward @ (bounds.low + half - origin)
+    rows = np.empty((len(torque), columns.shape[1] + 2))
+    fill(columns, torque, origin, backward, rows)
+    condition = float((np.abs(forward) @ np.abs(backward)).sum(axis=1).max())
+    blur = 8.0 * float(np.finfo(np.float64).eps) * condition * (extent + float(np.abs(centre).max()))
+    return Tree(
+        rows=rows,
+        length=len(torque),
+        floor=resolution(torque),
+        origin=origin,
+        forward=forward,
+        backward=backward,
+        corner=centre - extent,
+        width=2.0 * extent,
+        blur=blur,
+        **_space(*columns.shape),
+    )
+
+
+def another(tree: Tree) -> Tree:
+    """A tree over the same samples for another thread."""
+    return tree._replace(**_space(len(tree.rows), len(tree.origin)))
+
+
+def _space(n: int, p: int) -> dict[str, Any]:
+    """The working space of a tree over n samples of p columns, with the root alone."""
+    nodes = np.zeros((_NODES, CELL + p), np.int64)
+    nodes[0, SHIFT], nodes[0, START], nodes[0, COUNT] = BITS, -1, n  # a start of -1: all rows
+    return {
+        "nodes": nodes,
+        "sums": np.zeros((_NODES, p + 1)),
+        # a path holds n at most: each list is half as long as the one before; and there is room for one under way
+        "undecided": np.empty(max(3 * n, min(max(20 * n, 1 << 19), _LISTED)), np.int32),
+        "leaves": np.empty((_NODES * LEAF // LANES, p + 1, LANES)),
+        "table": np.full(2 * _NODES, -1, np.int32),
+        "recent": np.full(RECENT, -1),
+        "used": np.array([1, 0, 0, 0]),
+        "place": np.empty(p),
+        "at": np.empty(p, np.int64),
+        "total": np.empty(LANES),
+        "left": np.empty(LANES),
+        "centre": np.empty(p),
+        "carry": np.empty(p + 1),
+    }
+
+
+def _near_solution(columns: Matrix, torque: Vector) -> Vector:
+    """Genes (p,) near the optimum: residuals are kept relative to them, lest large sums cancel.
+
+    Rounded to single precision, so that libraries that differ in the last bits give the same ones.
+    """
+    scale = np.abs(columns).max(axis=0)
+    scale[scale == 0.0] = 1.0
+    found = np.linalg.lstsq(columns / scale, torque, rcond=1e-10)[0] / scale
+    return np.asarray(found.astype(np.float32).astype(np.float64))
+
+
+def _orthogonal_coordinates(columns: Matrix, half: Vector) -> Matrix:
+    """The triangular matrix (p, p) to coordinates in which the columns are orthogonal, of mean square 1.
+
+    Rounded to single precision: any matrix near it serves, but it must be the same everywhere.
+    """
+    p = columns.shape[1]
+    live = np.flatnonzero(np.abs(columns).max(axis=0) > 0.0)
+    matrix = np.zeros((p, p))
+    if live.size:
+        scale = np.abs(columns[:, live]).max(axis=0)
+        triangle = np.linalg.qr(columns[:, live] / scale, mode="r") * scale / np.sqrt(len(columns))
+        matrix[np.ix_(live[: len(triangle)], live)] = triangle
+    weight = np.abs(matrix) @ half
+    least = _FINEST * (float(weight.max()) or 1.0) / half
+    diagonal = np.abs(np.diag(matrix))
+    matrix[np.diag_indices(p)] = np.where(diagonal > least, np.diag(matrix), least)
+    return np.asarray(matrix.astype(np.float32).astype(np.float64))
+
+
+@compiled
+def fill(columns: Matrix, torque: Vector, origin: Vector, backward: Matrix, rows: Matrix) -> None:
+    """Fill in the rows of a tree."""
+    n, p = columns.shape
+    for i in range(n):
+        residual, speed = torque[i], 0.0
+        for k in range(p):
+            residual -= columns[i, k] * origin[k]
+            rows[i, k + 1] = columns[i, k]
+            along = 0.0
+            for j in range(p):
+                along += columns[i, j] * backward[j, k]
+            speed += abs(along)
+        rows[i, 0], rows[i, p + 1] = residual, speed
