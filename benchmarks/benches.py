@@ -41,11 +41,12 @@ Law = Callable[[Motion, float, float], Array]
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """One bench; SI. kind: "multisine", "chirp", "prbs" or "ramp". law: the coupling.
+    """One bench; SI. kind: "multisine", "chirp", "prbs" or "ramp". law: the coupling. rate: Hz, of the samples.
 
     stiffness, damping: what the result is held against, NaN where the coupling has none. torque_noise: N m, of colour
     "white", "ar" (first order, 20 samples long) or "heavy" (Student, 3 degrees of freedom). bits: of the encoder, a
-    turn; 0: exact. lag: s, of the torque cell. cell_rate: Hz, of a slower torque cell, 0: as fast as the angle;
+    turn; 0: exact. delay: s, of the torque reading; lag: s,
+    of its cell. cell_rate: Hz, of a slower torque cell, 0: as fast as the angle;
     interpolated: whether its readings are joined by lines instead of held. zero: rad, added to the angle. torque_unit
     and angle_unit: what a reading is multiplied by, wrongly. frozen: s, from which on the angle stands still.
     """
@@ -57,10 +58,12 @@ class Bench:
     peak: float = PEAK
     band: tuple[float, float] = (0.2, 12.0)
     duration: float = DURATION
+    rate: float = RATE
     torque_noise: float = NOISE
     colour: str = "white"
     angle_noise: float = 0.0
     bits: int = 0
+    delay: float = 0.0
     lag: float = 0.0
     cell_rate: float = 0.0
     interpolated: bool = False
@@ -111,7 +114,7 @@ def write_recording(reading: Reading, path: Path) -> None:
 
 
 def _grid(bench: Bench) -> Array:
-    return np.arange(round(bench.duration * RATE) * FINER) / (RATE * FINER)
+    return np.arange(round(bench.duration * bench.rate) * FINER) / (bench.rate * FINER)
 
 
 def _multisine(bench: Bench, rng: np.random.Generator) -> Motion:
@@ -122,7 +125,7 @@ def _multisine(bench: Bench, rng: np.random.Generator) -> Motion:
     for speed, phase in zip(speeds, phases, strict=True):
         wave = np.exp(1j * (speed * time + phase))
         parts += np.stack([wave.real, -speed * wave.imag, -(speed**2) * wave.real])
-    return Motion(time, *(parts * bench.peak / np.abs(parts[0]).max()), 1.0 / (RATE * FINER))
+    return Motion(time, *(parts * bench.peak / np.abs(parts[0]).max()), 1.0 / (bench.rate * FINER))
 
 
 def _chirp(bench: Bench, _rng: np.random.Generator) -> Motion:
@@ -130,13 +133,13 @@ def _chirp(bench: Bench, _rng: np.random.Generator) -> Motion:
     growth = math.log(high / low) / bench.duration
     phase, speed = 2.0 * np.pi * low * np.expm1(growth * time) / growth, 2.0 * np.pi * low * np.exp(growth * time)
     sine, cosine = bench.peak * np.sin(phase), bench.peak * np.cos(phase)
-    return Motion(time, sine, cosine * speed, cosine * growth * speed - sine * speed**2, 1.0 / (RATE * FINER))
+    return Motion(time, sine, cosine * speed, cosine * growth * speed - sine * speed**2, 1.0 / (bench.rate * FINER))
 
 
 def _prbs(bench: Bench, rng: np.random.Generator) -> Motion:
     """A random binary sequence through a second-order filter at the upper end of the band."""
     time, speed = _grid(bench), 2.0 * np.pi * bench.band[1]
-    steps = np.repeat(rng.choice([-1.0, 1.0], int(bench.duration * 10.0) + 1), round(RATE * FINER / 10.0))
+    steps = np.repeat(rng.choice([-1.0, 1.0], int(bench.duration * 10.0) + 1), round(bench.rate * FINER / 10.0))
     return _driven(time, steps[: len(time)], bench.peak, speed)
 
 
@@ -177,6 +180,8 @@ def _low_pass(values: Array, constant: float, step: float) -> Array:
 
 def _cell(bench: Bench, motion: Motion, torque: Array, rng: np.random.Generator) -> Array:
     """The readings of the torque cell at the samples, with its lag, noise and rate."""
+    if bench.delay:
+        torque = np.interp(motion.time - bench.delay, motion.time, torque)
     if bench.lag:
         torque = _low_pass(torque, bench.lag, motion.step)
     time = motion.time[::FINER]
@@ -297,6 +302,66 @@ def inertia(moment: float) -> Law:
     """An inertia of `moment` kg m^2 left in the torque."""
     return lambda m, k, b: k * m.deflection + b * m.rate + moment * m.acceleration
 
+
+def drawn(seed: int) -> tuple[str, Bench]:
+    """Return a bench drawn at random, with two of the effects that benches have, and their names.
+
+    Drawn are also: stiffness over four decades, the corner of the damping, sampling rate, band, amplitude, duration,
+    noise and its colour.
+    """
+    rng = np.random.default_rng([seed, 815])
+    stiffness, peak = 10.0 ** rng.uniform(math.log10(0.02), math.log10(500.0)), 10.0 ** rng.uniform(-1.3, -0.3)
+    bench = Bench(
+        kind=str(rng.choice(["multisine", "chirp"])),
+        stiffness=stiffness,
+        damping=stiffness / (2.0 * math.pi * rng.uniform(10.0, 50.0)),
+        peak=peak,
+        band=(rng.uniform(0.1, 0.5), rng.uniform(6.0, 15.0)),
+        duration=rng.uniform(10.0, 30.0),
+        rate=float(rng.choice([250.0, 500.0, 1000.0])),
+        torque_noise=stiffness * peak * 10.0 ** rng.uniform(-3.0, -1.7),
+        colour=str(rng.choice(["white", "ar", "heavy"])),
+    )
+    names = sorted(rng.choice(list(_EFFECTS), 2, replace=False).tolist())
+    for name in names:
+        bench = _EFFECTS[name](bench, rng)
+    return " and ".join(names), bench
+
+
+def _also(bench: Bench, law: Law) -> Bench:
+    """The bench with what a law adds to spring and damper."""
+
+    def both(m: Motion, k: float, b: float) -> Array:
+        return np.asarray(bench.law(m, k, b) + law(m, k, b) - (k * m.deflection + b * m.rate))
+
+    return replace(bench, law=both)
+
+
+_Drawn = Callable[[Bench, np.random.Generator], Bench]
+
+_EFFECTS: Mapping[str, _Drawn] = {
+    "friction": lambda b, r: _also(b, friction(r.uniform(0.01, 0.1) * b.stiffness * b.peak)),
+    "cubic": lambda b, r: _also(b, cubic(r.uniform(-0.2, 0.4) * b.stiffness / b.peak**2)),
+    "delay": lambda b, r: replace(b, delay=r.uniform(2e-4, 3e-3)),
+    "lag": lambda b, r: replace(b, lag=10.0 ** r.uniform(-3.5, -2.2)),
+    "viscoelastic": lambda b, r: _also(b, viscoelastic(r.uniform(0.05, 0.5), 10.0 ** r.uniform(-2.3, -1.0))),
+    "bristles": lambda b, r: _also(
+        b,
+        bristles(
+            *(np.array([1.0, 1.3]) * r.uniform(0.01, 0.1) * b.stiffness * b.peak), r.uniform(0.01, 0.1) * b.peak, b.peak
+        ),
+    ),
+    "capstan": lambda b, r: _also(b, capstan(r.uniform(0.03, 0.2))),
+    "quadratic": lambda b, r: _also(b, quadratic(r.uniform(0.1, 1.0) * b.damping / (30.0 * b.peak))),
+    "dead band": lambda b, r: _also(b, dead_band(r.uniform(0.02, 0.2) * b.peak)),
+    "fading": lambda b, r: _also(b, fading(r.uniform(-0.2, 0.2))),
+    "inertia": lambda b, r: _also(b, inertia(r.uniform(0.02, 0.2) * b.stiffness / (2.0 * math.pi * b.band[1]) ** 2)),
+    "angle noise": lambda b, r: replace(b, angle_noise=10.0 ** r.uniform(-3.3, -1.7) * b.peak),
+    "counts": lambda b, r: replace(b, bits=round(math.log2(math.pi / b.peak * 10.0 ** r.uniform(1.6, 3.3)))),
+    "slow cell": lambda b, r: replace(b, cell_rate=r.uniform(60.0, 150.0), interpolated=bool(r.integers(2))),
+    "far zero": lambda b, r: replace(b, zero=r.uniform(-6.0, 6.0)),
+}
+"""What a bench may have, drawn at random in proportion to it."""
 
 _ONE = Bench()
 

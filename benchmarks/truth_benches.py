@@ -1,9 +1,10 @@
 """Is `hil identify` ever confidently wrong on the benches people have? `python benchmarks/truth_benches.py`.
 
-Each bench of `benches` is recorded `--seeds` times and identified as `hil identify REC.h5 --json` does it. A result is
-confidently wrong where the command ends with 0, warns of no misfit, and Kc or Bc is further from the truth than 1.5
-times half its interval. `--short` takes few seeds; both end with 1 where a bench breaks a promise: at most 2 % of a
-bench confidently wrong, and at most 1 % of the benches that a model describes flagged as misfit.
+Each bench of `benches`, and one with two effects drawn at random for each seed, is recorded `--seeds` times and
+identified as `hil identify REC.h5 --json` does it. A result is confidently wrong where the command ends with 0, warns
+of no misfit, and Kc or Bc is further from the truth than 1.5 times half its interval. `--short` takes few seeds; both
+end with 1 where a bench breaks a promise: at most 2 % of a bench confidently wrong, and at most 1 % of the benches that
+a model describes flagged as misfit.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from benches import DESCRIBED, ROWS, record, write_recording
+from benches import DESCRIBED, ROWS, drawn, record, write_recording
 
 from hil.cli import app as cli
 
@@ -29,6 +30,8 @@ SEEDS, SHORT = 200, 3
 WRONG, ALARMS = 0.02, 0.01  # shares that are allowed
 BEYOND = 1.5  # times half the interval
 BENCHES = {**DESCRIBED, **ROWS}
+DRAWN = "two effects drawn"  # a bench of its own for each seed
+NAMES = (*BENCHES, DRAWN)
 
 
 class Job(NamedTuple):
@@ -65,7 +68,8 @@ def _parameter(found: dict[str, Any], name: str) -> dict[str, float] | None:
 
 def judge(job: Job) -> dict[str, Any]:
     """Record one bench, identify it and hold the result against the truth."""
-    bench, began = BENCHES[job.bench], time.perf_counter()
+    effects, bench = drawn(job.seed) if job.bench == DRAWN else (job.bench, BENCHES[job.bench])
+    began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "one.h5"
         write_recording(record(bench, job.seed), path)
@@ -76,6 +80,7 @@ def judge(job: Job) -> dict[str, Any]:
     return {
         **job._asdict(),
         **found,
+        "effects": effects,
         "errors": errors,
         "flagged": flagged,
         "wrong": wrong and found["status"] == 0 and not flagged,
@@ -94,7 +99,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         "| bench | n | model (share) | Kc error | Bc error | exit 0 | misfit | confidently wrong |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for name in BENCHES:
+    for name in NAMES:
         mine = [row for row in rows if row["bench"] == name]
         if mine:
             lines.append(_line(name, mine))
@@ -124,11 +129,12 @@ def _typical(rows: list[dict[str, Any]], name: str) -> str:
 def breaches(rows: list[dict[str, Any]]) -> list[str]:
     """Return a sentence for each promise that is broken."""
     found = []
-    for name in BENCHES:
+    for name in NAMES:
         mine = [row for row in rows if row["bench"] == name]
         wrong = sum(row["wrong"] for row in mine)
         if wrong > max(WRONG * len(mine), 0):
-            found.append(f"{name}: {wrong} of {len(mine)} are confidently wrong")
+            which = ", ".join(f"{row['effects']} ({row['seed']})" for row in mine if row["wrong"])
+            found.append(f"{name}: {wrong} of {len(mine)} are confidently wrong: {which}")
     described = [row for row in rows if row["bench"] in DESCRIBED]
     alarms = sum(row["flagged"] for row in described)
     if alarms > max(1, ALARMS * len(described)):
@@ -140,12 +146,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Truth study of hil identify on the benches people have")
     parser.add_argument("--seeds", type=int, help=f"recordings of each bench; {SEEDS}, or {SHORT} with --short")
     parser.add_argument("--short", action="store_true", help="few seeds")
-    parser.add_argument("--bench", action="append", choices=list(BENCHES), help="only these")
+    parser.add_argument("--bench", action="append", choices=NAMES, help="only these")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--results", type=Path, help="file that one JSON line a recording is appended to")
     options = parser.parse_args()
     seeds = options.seeds or (SHORT if options.short else SEEDS)
-    jobs = [Job(seed, name) for seed in range(seeds) for name in options.bench or BENCHES]
+    jobs = [Job(seed, name) for seed in range(seeds) for name in options.bench or NAMES]
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     rows = []
     with multiprocessing.get_context("spawn").Pool(options.workers) as pool:

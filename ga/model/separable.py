@@ -271,15 +271,14 @@ def compass_search(problem: Problem, best: Fit) -> Fit:
     return best
 
 
-def polished(problem: Problem, best: Fit) -> Fit:
+def polished(problem: Problem, best: Fit, reach: float = _REACH) -> Fit:
     """Return the local minimum near a fit, where descents in all parameters at once end early.
 
     Two parameters that are much alike, as a skew and a lag, make a long, bent trough. It is followed by a search along
     each direction in which the data determine the parameters well or badly, as far as they leave them uncertain, with
-    steps back to the floor in the directions that are determined better.
+    steps back to the floor in the directions that are determined better. reach: how far, in standard errors.
     """
-    reach = _REACH if problem.low.size else 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if problem.low.size else 0):
         if reach < _NEAREST:
             break
         before, directions = best.fitness, reach * _weak_directions(problem, best)

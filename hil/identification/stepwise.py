@@ -113,16 +113,15 @@ def select(
     """
     selector = _Selector(motion, torque, highest, terms)
     selector.measure_noise()
-    chosen = _climbed(selector, selector.candidate(selector.smallest))
-    usual = selector.selection(chosen)
+    usual = _climbed(selector, selector.candidate(selector.smallest))
     if not rarer:
-        return usual
-    if describes(usual):
-        return selector.beside_lag(chosen, usual)
-    selector.consider(selector.likeliest(rarer, chosen.terms))
+        return selector.explained(usual)
+    if describes(selector.selection(usual)):
+        return selector.explained(selector.lagging(usual))
+    selector.consider(selector.likeliest(rarer, usual.terms))
     selector.measure_noise()
     richer = _climbed(selector, selector.candidate(selector.smallest))
-    return selector.selection(richer) if set(rarer).intersection(richer.terms) else usual
+    return selector.explained(richer if set(rarer).intersection(richer.terms) else usual)
 
 
 def _climbed(selector: _Selector, chosen: _Candidate) -> _Candidate:
@@ -153,16 +152,16 @@ class _Selector:
         """Consider some more terms, which may be much alike."""
         self._candidates, self._compared = (*self._candidates, *terms), _LIKELY
 
-    def beside_lag(self, chosen: _Candidate, usual: Selection) -> Selection:
-        """Return the selection, with a torque cell's lag in place of its skew where that fits clearly better."""
+    def lagging(self, chosen: _Candidate) -> _Candidate:
+        """Return the model with a torque cell's lag in place of its skew where that fits clearly better."""
         terms = tuple("lag" if term == "skew" else term for term in chosen.terms)
         if "skew" not in chosen.terms or self._fitness(terms) == np.inf:
-            return usual
+            return chosen
         lagging = self.candidate(terms)
         if self._ends(lagging, "lag") or _damping(lagging) < 0.0:
-            return usual
+            return chosen
         gain = float(self.ratio(chosen, lagging) / self._correlation(lagging, "lag"))
-        return self.selection(lagging) if gain > _STRONG else usual
+        return lagging if gain > _STRONG else chosen
 
     def _alternatives(self, chosen: _Candidate) -> tuple[Alternative, ...]:
         """The models with a skew, a lag of the torque cell or both, in place of those that the chosen one has."""
@@ -190,7 +189,10 @@ class _Selector:
             return None
         found = self.candidate(terms, beside)
         if beside is not None:
-            found = replace(found, fit=polished(found.problem, found.fit))
+            # much alike: roughly on some of the samples, then on all
+            rough = polished(found.problem.thinned(), found.fit)
+            near = polished(found.problem, descend(found.problem, rough.nonlinear), reach=1.0)
+            found = replace(found, fit=min(found.fit, near, key=lambda fit: fit.fitness))
         late = [term for term in _LATE if term in terms]
         impossible = any(self._ends(found, term) or _is_impossible(found, term) for term in late)
         return None if impossible or _damping(found) < 0.0 else found
@@ -360,13 +362,17 @@ class _Selector:
                     idle.append((self.gain(smaller, larger, term), smaller))
         return self.pruned(min(idle, key=lambda pair: pair[0])[1]) if idle else larger
 
+    def explained(self, chosen: _Candidate) -> Selection:
+        """Return the model selected, with the steps to it, the terms rejected and the alternatives."""
+        steps, alternatives = self._steps(chosen), self._alternatives(chosen)
+        return replace(self.selection(chosen), steps=steps, alternatives=alternatives)
+
     def selection(self, chosen: _Candidate) -> Selection:
-        """Return the model selected, with the steps to it and the terms rejected."""
+        """Return the model selected, without steps."""
         model, residuals = chosen.model.anchored(self._motion), chosen.problem.residuals(chosen.fit)
         columns, _ = chosen.problem.linearised(chosen.fit)
         delay = model.delay(chosen.fit.nonlinear)
-        alternatives = self._alternatives(chosen)
-        return Selection(model, self._steps(chosen), residuals, columns, chosen.fit.values, delay, alternatives)
+        return Selection(model, (), residuals, columns, chosen.fit.values, delay)
 
     def _steps(self, chosen: _Candidate) -> tuple[Step, ...]:
         """The steps up to the chosen model, then one with each rejected term on top of it."""

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _CONSTANTS: Final = (0.003, 0.01, 0.03, 0.1, 0.3)  # s, of a Maxwell branch
-_PARTS: Final = (0.02, 0.07, 0.25, 0.8)  # of the largest deflection, over which friction or a gap acts
+_PARTS: Final = (0.02, 0.07, 0.25, 0.8)  # of the largest deflection, over which friction acts
+_GAPS: Final = (0.01, 0.02, 0.035, 0.06, 0.1, 0.17, 0.3, 0.5, 0.8)  # of it, over which a gap may be open
+_SMALL: Final = 0.05  # part of the samples, those with the smallest torque
 _SOFT: Final = 0.02  # of the r.m.s. rate, within which friction turns
 _SIXTH: Final = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0]) / 20.0
 NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
@@ -181,9 +183,12 @@ def _hysteresis(recorded: Recorded, _model: Array) -> list[Array]:
 
 
 def _gap(recorded: Recorded, _model: Array) -> list[Array]:
-    angle = recorded.centred()
+    angle, torque = recorded.centred(), np.abs(recorded.torque)
     reach = float(np.abs(angle).max())
-    return [_columns(np.clip(angle, -part * reach, part * reach)) for part in _PARTS]
+    # its middle is where the torque is small, or that of the range
+    middles = (float(np.median(angle[torque <= np.quantile(torque, _SMALL)])), 0.0)
+    found = [(angle - middle, part * reach) for middle in middles for part in _GAPS]
+    return [_columns(np.clip(values, -half, half)) for values, half in found]
 
 
 def _periodic(recorded: Recorded, _model: Array) -> list[Array]:
@@ -250,7 +255,7 @@ EFFECTS: Final = (
     Effect(
         "sensor-lag",
         "a torque cell with a low bandwidth",
-        "use a faster cell, or switch its filter off",
+        "try --model linear+offset+lag, or use a faster cell or switch its filter off",
         _sensor_lag,
     ),
     Effect(
@@ -268,7 +273,7 @@ EFFECTS: Final = (
     Effect(
         "viscoelastic",
         "a viscoelastic coupling, whose stiffness rises with frequency",
-        "read K'(f) and B'(f) with --verbose, or record the band that matters",
+        "try --model linear+offset+maxwell, read K'(f) and B'(f) with --verbose, or record the band that matters",
         _relaxing,
     ),
     Effect(
@@ -278,35 +283,40 @@ EFFECTS: Final = (
     Effect(
         "hysteresis",
         "friction that builds up over a distance (LuGre, Bouc-Wen)",
-        "record two amplitudes: Kc then falls with the larger one",
+        "try --model linear+offset+dahl, and record two amplitudes: Kc then falls with the larger one",
         _hysteresis,
     ),
     Effect(
         "capstan",
         "friction in proportion to the torque, as of a tendon in its sheath",
-        "record at several amplitudes and pre-loads",
+        "try --model linear+offset+capstan, and record at several amplitudes and pre-loads",
         lambda r, m: [_columns(np.abs(m - np.median(m)) * r.sign())],
     ),
     Effect(
         "quadratic-damping",
         "damping that rises with the rate",
-        "record at several amplitudes: Bc then rises with them",
+        "try --model linear+offset+quadratic, and record at several amplitudes: Bc then rises with them",
         lambda r, _m: [_columns(r.rate * np.abs(r.rate))],
     ),
     Effect(
         "cubic", "a spring that stiffens", "try --model linear+offset+cubic", lambda r, _m: [_columns(r.centred() ** 3)]
     ),
-    Effect("backlash", "a gap or dead band", "try --model linear+offset+backlash", _gap),
+    Effect(
+        "backlash",
+        "a gap or dead band",
+        "try --model linear+offset+backlash, or +deadband where the damper acts in the gap too",
+        _gap,
+    ),
     Effect(
         "asymmetry",
         "a stiffness that differs between the two directions",
-        "record each direction by itself; for a single tendon try --model linear+offset+slack",
+        "try --model linear+offset+asymmetric; for a single tendon linear+offset+slack",
         lambda r, _m: [_columns(np.abs(r.centred())), _columns(r.centred() ** 2)],
     ),
     Effect(
         "stiffness-drift",
         "a stiffness that changes during the recording",
-        "record for longer at one temperature, or identify parts of the recording",
+        "try --model linear+offset+softening, or record for longer at one temperature",
         lambda r, _m: [_columns(r.elapsed() * r.centred())],
     ),
     Effect(

@@ -33,6 +33,7 @@ _PIECES: Final = 16  # stretches that are taken of longer recordings
 _SHARE: Final = 0.02  # of the residuals' power, below which what is predicted is of no size
 _AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
 _EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
+_MOST_NOISE: Final = 4.0  # times what noise of the deflection's size adds to the residuals, that it may explain of them
 _ACCURATE: Final = 5e-4  # of Kc and Bc, within which the rate is known
 _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
 _GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
@@ -211,12 +212,19 @@ class _Tests:
 
     def _suspects(self, share: float) -> tuple[Suspect, ...]:
         """The effects that explain most of what can be predicted, the best first."""
-        found = [one for effect in EFFECTS if (one := self._suspect(effect)) is not None]
+        found = [one for effect in EFFECTS if (one := self._suspect(effect)) is not None and self._is_possible(one)]
         most = max((one.share for one in found), default=0.0)
         least = max(_AS_GOOD * most, _EXPLAINS * share)
         ranked = sorted((one for one in found if one.share >= least), key=lambda one: -one.share)
         # noise has more regressors than the others, and can be made of them
         return tuple(one for at, one in enumerate(ranked) if at == 0 or not one.effect.in_deflection)[:3]
+
+    def _is_possible(self, one: Suspect) -> bool:
+        """Whether noise of the deflection, if the effect is that, is large enough for what it explains."""
+        if not one.effect.in_deflection:
+            return True
+        noise = self._fitted.values[0] ** 2 * float(np.var(reading_noise(self._recorded))) / NOISE_GAIN
+        return one.share * float(np.mean(self._tested.residuals**2)) <= _MOST_NOISE * noise
 
     def _suspect(self, effect: Effect) -> Suspect | None:
         power, best = float(self._tested.residuals @ self._tested.residuals), None

@@ -71,6 +71,21 @@ def test_a_misfit_ends_with_status_1_and_names_the_effect(tmp_path: Path, capfd:
     assert "Kc may be wrong by" in message
 
 
+def test_the_advice_names_the_model_that_explains_the_residuals(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A gap whose middle is not that of the motion, and damping that grows with the rate."""
+    angle, rate = multisine(TIME)[:2]
+    beyond = np.sign(angle) * np.maximum(np.abs(angle) - 0.03 * np.abs(angle).max(), 0.0)
+    for torque, term in (
+        (plain() + KC * (beyond - angle), "+backlash"),
+        (plain() + 0.3 * BC / np.abs(rate).max() * rate * np.abs(rate), "+quadratic"),
+    ):
+        _, found = identified(capfd, recording(tmp_path / f"{term}.h5", torque), "--model", "linear+offset")
+        message = next(one["message"] for one in found["errors"] + found["warnings"] if one["code"] == "misfit")
+        assert f"try --model linear+offset{term}" in message
+
+
 def test_a_users_own_model_is_tested_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "own.py").write_text(
         "from typing import Annotated\n\n\n"
