@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -135,22 +135,33 @@ class Log:
         self._path = path
 
     def rows(self, since: float = -math.inf) -> list[tuple[float, float, bool]]:
-        """Return time, torque commanded and whether it is on, of the rows from `since` s on."""
+        """Return time, torque commanded and whether it is off, of the rows from `since` s on.
+
+        A commanded torque of zero alone is no end: a sine passes through it.
+        """
         with self._path.open(encoding="ascii", newline="") as file:
             lines = [line for line in csv.DictReader(file) if line["watchdog"] is not None]
-        rows = [(float(row["time_s"]), float(row["commanded_Nm"]), row["enabled"] == "1") for row in lines]
-        return [(at, torque, on and torque != 0.0) for at, torque, on in rows if at >= since]
+        rows = [
+            (
+                float(line["time_s"]),
+                float(line["commanded_Nm"]),
+                line["enabled"] == "0" or (line["watchdog"] == "tripped" and float(line["commanded_Nm"]) == 0.0),
+            )
+            for line in lines
+        ]
+        return [one for one in rows if one[0] >= since]
 
-    def ended(self, since: float) -> float:
-        """Return the time after `since`, s, from which on the torque is off; infinity where it is on at the end."""
-        before = [on for at, _, on in self.rows() if at < since]
-        states = [(since, bool(before and before[-1])), *((at, on) for at, _, on in self.rows(since))]
-        if states[-1][1]:
-            return math.inf
-        first = len(states)
-        while first > 0 and not states[first - 1][1]:
-            first -= 1
-        return states[first][0]
+    def ended(self, since: float) -> tuple[float, bool]:
+        """Return the time of the first torque-off after `since` s, infinity without one; and whether torque came back.
+
+        Where the torque was off already it is the time itself.
+        """
+        before = [off for at, _, off in self.rows() if at < since]
+        states = [(since, not before or before[-1]), *((at, off) for at, _, off in self.rows(since))]
+        first = next((place for place, (_, off) in enumerate(states) if off), None)
+        if first is None:
+            return math.inf, False
+        return states[first][0], not all(off for _, off in states[first:])
 
 
 @contextmanager
@@ -195,12 +206,14 @@ def trial(adapter: Adapter, output: Path, word: str, wait: float, settings: argp
         process.send_signal(getattr(signal, f"SIG{word}"))
         sent = time.monotonic()
         time.sleep(SETTLED)
-        off = log.ended(sent) - sent
+        off = log.ended(sent)[0] - sent
         if word == "STOP":
             process.send_signal(signal.SIGCONT)
             process.wait(PATIENCE)
-        again = math.isfinite(off) and any(on for _, _, on in log.rows(sent + off))
-        lost = math.nan if word == "STOP" else lost_seconds(output, log, begun, sent, threshold)
+        again = log.ended(sent)[1]
+        if word == "STOP":
+            return Trial(off, math.nan, again)
+        lost = settled(lambda: lost_seconds(output, log, begun, sent, threshold))
         return Trial(off, lost, again)
     finally:
         process.kill()
@@ -213,6 +226,16 @@ def await_torque(log: Log, process: subprocess.Popen[bytes], begun: float, torqu
         if process.poll() is not None or time.monotonic() > begun + PATIENCE:
             raise EndedBefore
         time.sleep(0.02)
+
+
+def settled(value: Callable[[], float]) -> float:
+    """Return a value once it is the same twice: the process that writes the rows outlives the recorder."""
+    end = time.monotonic() + PATIENCE / 4
+    before, now = math.nan, value()
+    while time.monotonic() < end and not now == before < math.inf:
+        time.sleep(0.5)
+        before, now = now, value()
+    return now
 
 
 def lost_seconds(output: Path, log: Log, begun: float, killed: float, torque: float) -> float:

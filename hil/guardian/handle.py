@@ -94,9 +94,9 @@ class Guardian:
         if said != "ready":
             raise _not_started(f"{name}: {said or 'it ended at once'}")
 
-    def beat(self) -> None:
-        """Give a sign of life; the next one is due within `silence`."""
-        self._words[Word.DUE] = time.monotonic_ns() + self._silence
+    def beat(self, takes: float = 0.0) -> None:
+        """Give a sign of life; the next one is due within `silence`, and the `takes` s of what is done first."""
+        self._words[Word.DUE] = time.monotonic_ns() + self._silence + int(takes * 1e9)
 
     def expect(self, seconds: float) -> None:
         """Let the next sign of life be due in `seconds` s; infinity: not at all, while the torque is off."""

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from statistics import median
 
 from drivers.clock import Clock, MonotonicClock
 from drivers.off_path import HasOffPath
@@ -14,6 +15,8 @@ from hil.guardian.handle import Guardian, available
 
 _SLICE = 5e-3  # s between two signs of life in a long wait
 _ARMING = 30.0  # s that arming may take; no set-point has been sent yet
+_REMEMBERED = 15  # round trips at rest
+_SLOWEST = 0.1  # s that a round trip of a slow line may usually take
 _SWITCHING_OFF = 1.5  # s until the guardian sends torque-off too
 _OTHER_WAY = 0.3  # s for it to do so
 
@@ -53,6 +56,8 @@ class GuardedServo:
         self._watch = watch
         self._guardian: Guardian | None = None
         self._beating = False
+        self._took: list[float] = []
+        self._usual = 0.0
         self._off_since = math.nan
         self._clock = GuardedClock(self.beat)
 
@@ -77,6 +82,7 @@ class GuardedServo:
             self._guardian = Guardian(self._path.off_path(), self._watch.silence)
         guardian = self._guardian
         guardian.check()
+        self._usual = min(median(self._took), _SLOWEST) if self._took else 0.0
         self._off_since = math.nan
         guardian.expect(_ARMING)
         guardian.limit(self._watch.longest)
@@ -91,8 +97,12 @@ class GuardedServo:
         """One round trip. Raises as the servo does, and GuardianFired, GuardianLost before anything is sent."""
         if self._beating and self._guardian is not None:
             self._guardian.check()
-            self._guardian.beat()
-        return self._servo.exchange(command)
+            self._guardian.beat(self._usual)
+            return self._servo.exchange(command)
+        before = self._clock.now()
+        sample = self._servo.exchange(command)
+        self._took = [*self._took[-_REMEMBERED:], self._clock.now() - before]
+        return sample
 
     def disarm(self) -> None:
         """Torque off. The guardian, where it has acted, is dismissed first: two senders would garble each other."""

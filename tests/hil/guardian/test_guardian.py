@@ -226,6 +226,7 @@ class Piped:
         self.line = line
         self.done: list[str] = []
         self.unconfirmed = 0
+        self.takes = 0.0
 
     def off_path(self) -> OffPath:
         return self.line.path()
@@ -236,6 +237,7 @@ class Piped:
 
     def exchange(self, command: Command) -> Sample:
         self.done.append(f"exchange {command.value:g}")
+        time.sleep(self.takes)
         return Sample(self.clock.now(), self.clock.now())
 
     def disarm(self) -> None:
@@ -288,6 +290,19 @@ def test_a_wait_between_two_set_points_gives_signs_of_life(line: Line) -> None:
     servo = GuardedServo(inner, inner, Watch(silence=0.4))
     servo.arm(LIMITS)
     servo.clock.sleep_until(servo.clock.now() + 0.7)  # longer than the silence
+    servo.exchange(HALF)
+    servo.disarm()
+    servo.close()
+    assert line.read() == b""
+
+
+def test_a_line_that_is_always_slow_is_not_taken_for_silence(line: Line) -> None:
+    inner = Piped(line)
+    inner.takes = 0.08
+    servo = GuardedServo(inner, inner, Watch(silence=0.05))
+    for _ in range(3):
+        servo.exchange(Command.rest())
+    servo.arm(LIMITS)
     servo.exchange(HALF)
     servo.disarm()
     servo.close()
