@@ -187,8 +187,9 @@ class Guardian:
         """Tell the person at the terminal, who may be the only one left."""
         self._said = True
         text = "the guardian sent torque-off" if self._sent else f"CUT THE POWER: torque-off failed ({self._error})"
-        with contextlib.suppress(OSError):
-            os.write(2, f"hil: {_WHY[reason]}: {text}\n".encode("utf-8", "replace"))
+        with contextlib.suppress(OSError, ValueError):
+            if select.select([], [2], [], 0.0)[1]:  # a terminal that was stopped must not stop the frames
+                os.write(2, f"hil: {_WHY[reason]}: {text}\n".encode("utf-8", "replace"))
 
 
 def main() -> None:
