@@ -51,12 +51,6 @@ CONSIDERED: Final = tuple(
 RARER: Final = tuple(t.name for t in _RECORDS if t.selection == "misfit")
 """The terms that it considers where a model of those does not describe the recording."""
 
-SYNTAX: Final = "linear" + "".join(f"[+{name}]" for name in TERMS if name != "linear")
-"""How a model is written."""
-
-MEANINGS: Final = "; ".join(f"{term.name}: {term.meaning}" for term in _RECORDS)
-"""What each term adds, for the help."""
-
 
 class UnknownTerm(ValueError):
     """A model names a term that there is none of; the message lists those there are."""

@@ -105,7 +105,9 @@ def import_data(
     dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
     topic: Annotated[str | None, typer.Option(help="Of a ROS 2 bag or PlotJuggler's CSV: /joint_states.")] = None,
     joint: Annotated[str | None, typer.Option(help="The joint's name in the joint states.")] = None,
-    where: Annotated[list[str] | None, typer.Option(help="Row filter: 'test_nr==100'; repeat for several.")] = None,
+    where: Annotated[
+        list[str] | None, typer.Option(metavar="FILTER", help="Rows to keep: 'test_nr==100'; repeat for several.")
+    ] = None,
     stand: options.StandFile = None,
     force: options.Force = False,
 ) -> None:

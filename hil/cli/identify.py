@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ga.model.terms import MEANINGS, SYNTAX
 from hil.cli import options
 from hil.cli.many.each import identify_each, refuse_with_each
 from hil.cli.progress import progress
@@ -44,8 +43,8 @@ def identify(
     model: Annotated[
         str | None,
         typer.Option(
-            help=f"auto: model selection; or {SYNTAX} ({MEANINGS}); or FILE.py:NAME [default: auto; linear with "
-            "--preset paper, --bounds, --checkpoint or --fixture]."
+            help="auto: model selection; or terms joined with +, as in linear+offset (see --list-models); or "
+            "FILE.py:NAME [default: auto; linear with --preset paper, --bounds, --checkpoint or --fixture]."
         ),
     ] = None,
     preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",

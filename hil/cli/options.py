@@ -62,7 +62,10 @@ Fixture = Annotated[
     Path | None,
     typer.Option(help="Subtract the compliance of the fixture: a recording of the empty rig, or a stand file."),
 ]
-Bounds = Annotated[list[str] | None, typer.Option(help="NAME=LOW:HIGH in SI, or Kc=10:30mN*m/rad; repeat for several.")]
+Bounds = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME=LOW:HIGH", help="In SI, or Kc=10:30mN*m/rad; repeat for several."),
+]
 Setpoints = Annotated[Path | None, typer.Option(help="CSV of time (s) and set-point, for --profile file.")]
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything random.")]
 Model = Annotated[str, typer.Option(help="auto: model selection; or terms, as in linear+offset; or FILE.py:NAME.")]

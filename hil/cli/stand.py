@@ -26,7 +26,8 @@ def new(
     backend: Annotated[str | None, typer.Option(help="The drive; see hil record --list-backends.")] = None,
     sensor: Annotated[str | None, typer.Option(help="The kind of a joint sensor on its own link.")] = None,
     answer: Annotated[
-        list[str] | None, typer.Option("--set", help="An answer: KEY=VALUE, such as dynamixel.port=/dev/ttyUSB0.")
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="An answer, such as dynamixel.port=/dev/ttyUSB0."),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: use the defaults.")] = False,
     force: options.Force = False,
