@@ -48,7 +48,7 @@ STAND = """
 torque_stays_on_if_host_dies = true
 [limits]
 torque = {torque}
-deflection = 1.0
+deflection = 1.5
 velocity = {velocity}
 temperature = {temperature}
 """

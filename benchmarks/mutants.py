@@ -1,37 +1,45 @@
-"""Change one byte of a recording, many times over, and see whether it is noticed: python benchmarks/mutants.py
+"""Change bytes of the files that hil reads, many times over: python benchmarks/mutants.py
 
 Every mutant of a finished recording, and of one in progress, must be refused or reported as changed, or else give the
-same rows, stand, profile and attributes; a recovered one gives its rows as they were, or as lost. Prints a table and
-ends with status 1 on a breach: a change that is not noticed, an error that is not a sentence, a crash, a hang.
+same rows, stand, profile and attributes; a recovered one gives its rows as they were, or as lost. One to eight bytes of
+a table (CSV, .mat) or of a stand file change; these have no checksum, so that each must be read or refused in a
+sentence. Prints a table and ends with status 1 on a breach: a change that is not noticed, an error that is not a
+sentence, a crash, a hang.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import random
 import signal
+import string
 import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+from scipy.io import savemat
 
 from hil.errors import Untrustworthy, WrongUse
+from hil.exchange.importer import Column, import_table
 from hil.recording.channels import Row
 from hil.recording.final import finalise
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.signals.source import open_sources
-from hil.stand.file import SIMULATED
+from hil.stand.file import SIMULATED, load
 
 LIMIT = 20  # s that a mutant may take on a busy computer; opening one has 2 s of processor time
 BATCH = 200  # mutants in one process
-GOOD = ("refused", "reported as changed", "rows reported as lost", "without effect")
+GOOD = ("refused", "read", "reported as changed", "rows reported as lost", "without effect")
 
 Content = tuple[object, ...]
+Judge = Callable[[Path, Content], str]
 
 
 def main() -> int:
@@ -40,17 +48,17 @@ def main() -> int:
     parser.add_argument("--times", type=int, default=10_000, help="mutants of each kind of file")
     parser.add_argument("--rows", type=int, default=400)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="of wall time; then it ends with what it has")
     options = parser.parse_args()
-    breaches = 0
+    breaches, seconds = 0, 60.0 * options.minutes / len(FILES)
     with tempfile.TemporaryDirectory() as folder:
-        for path, judge in (
-            (finished(Path(folder), options.rows), judged),
-            (cut_off(Path(folder), options.rows), recovered),
-        ):
-            counts = Counter(outcomes(path, judge, options.times, options.seed))
-            print(f"{path.name}, {path.stat().st_size} bytes, {options.times} mutants of one byte")
+        for make, judge, most in FILES:
+            path = make(Path(folder), options.rows)
+            until = time.monotonic() + seconds
+            counts = Counter(outcomes(path, judge, Mutants(path, options.times, options.seed, most), until))
+            print(f"{path.name}, {path.stat().st_size} bytes, {counts.total()} mutants of {most} byte(s) at most")
             for outcome, count in counts.most_common():
-                print(f"  {outcome:24} {count:6}")
+                print(f"  {outcome:24} {count:6}", flush=True)
                 breaches += 0 if outcome in GOOD else count
     print("no breach" if not breaches else f"{breaches} BREACHES")
     return 1 if breaches else 0
@@ -83,14 +91,54 @@ def cut_off(folder: Path, rows: int) -> Path:
     return made.path
 
 
-def outcomes(path: Path, judge: Callable[[Path, Content], str], times: int, seed: int) -> Iterator[str]:
-    """Yield the outcome of each mutant, made and judged in processes of their own."""
-    data, original = path.read_bytes(), content(path)
-    generator = random.Random(seed)  # noqa: S311 - no secret
-    mutants = [(generator.randrange(len(data)), generator.randrange(1, 256)) for _ in range(times)]
+def table(folder: Path, rows: int) -> Path:
+    """Return a table in text."""
+    path = folder / "table.csv"
+    lines = [f"{n / 500:.4f},{math.sin(n / 9):.6f},{0.3 * math.sin(n / 9):.6f}" for n in range(rows)]
+    path.write_text("\n".join(["t [s],q [mN*m],p [deg]", *lines]) + "\n")
+    return path
+
+
+def matlab(folder: Path, rows: int) -> Path:
+    """Return a table of MATLAB."""
+    path, t = folder / "table.mat", np.arange(rows) / 500.0
+    savemat(path, {"t": t, "q": 1e-3 * np.sin(55 * t), "p": 0.3 * np.sin(55 * t)})
+    return path
+
+
+def stand(folder: Path, rows: int) -> Path:
+    """Return a stand file."""
+    del rows
+    path = folder / "stand.toml"
+    path.write_text(SIMULATED)
+    return path
+
+
+class Mutants:
+    """Mutants of a file: `times` of them, each with 1 to `most` changed bytes; those of a text are printable."""
+
+    def __init__(self, path: Path, times: int, seed: int, most: int) -> None:
+        self.times = times
+        self._data = path.read_bytes()
+        self._seed, self._most = seed, most
+
+    def __getitem__(self, number: int) -> bytes:
+        generator = random.Random(f"{self._seed}, {number}")  # noqa: S311 - no secret
+        data = bytearray(self._data)
+        for _ in range(generator.randint(1, self._most)):
+            at = generator.randrange(len(data))
+            text = self._data.isascii()
+            data[at] = ord(generator.choice(string.printable)) if text else data[at] ^ generator.randrange(1, 256)
+        return bytes(data)
+
+
+def outcomes(path: Path, judge: Judge, mutants: Mutants, until: float) -> Iterator[str]:
+    """Yield the outcome of each mutant, made and judged in processes of their own, until the monotonic time `until`."""
+    original = content(path) if judge in {judged, recovered} else ()
     done = 0
-    while done < times:
-        lines, status = in_a_child(mutants[done : done + BATCH], data, path, judge, original)
+    while done < mutants.times and time.monotonic() < until:
+        batch = range(done, min(done + BATCH, mutants.times))
+        lines, status = in_a_child([mutants[number] for number in batch], path, judge, original)
         yield from lines
         done += len(lines)
         if status:
@@ -98,18 +146,14 @@ def outcomes(path: Path, judge: Callable[[Path, Content], str], times: int, seed
             done += 1
 
 
-def in_a_child(
-    mutants: list[tuple[int, int]], data: bytes, path: Path, judge: Callable[[Path, Content], str], original: Content
-) -> tuple[list[str], int]:
+def in_a_child(mutants: list[bytes], path: Path, judge: Judge, original: Content) -> tuple[list[str], int]:
     """Return the outcomes of the mutants up to the one that killed the process, and the signal that did (0: none)."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(reading)
-        for at, change in mutants:
+        for mutant in mutants:
             signal.alarm(LIMIT)
-            mutant = bytearray(data)
-            mutant[at] ^= change
             place = path.with_name(f"mutant{path.suffixes[-1]}")
             place.write_bytes(mutant)
             os.write(writing, f"{judge(place, original)}\n".encode())
@@ -175,6 +219,44 @@ def original_rows(original: Content) -> np.ndarray[tuple[int], np.dtype[np.void]
     data = original[0]
     assert isinstance(data, bytes)
     return np.frombuffer(data, dtype=ROW)
+
+
+def imported(path: Path, original: Content) -> str:
+    """Return the outcome for a table that is imported."""
+    del original
+    units = {"time": "s", "torque": "mN*m", "dtheta": "deg"}
+    columns = {channel: Column(name, units[channel]) for channel, name in COLUMNS[path.suffix].items()}
+    return in_a_sentence(lambda: import_table(path, path.with_name("imported.h5"), columns, [], force=True))
+
+
+def parsed(path: Path, original: Content) -> str:
+    """Return the outcome for a stand file."""
+    del original
+    return in_a_sentence(lambda: load(path))
+
+
+def in_a_sentence(work: Callable[[], object]) -> str:
+    """Return whether `work` reads or refuses a file."""
+    try:
+        work()
+    except (WrongUse, Untrustworthy) as error:
+        return "refused" if str(error).strip() else "NO SENTENCE"
+    except Exception as error:  # noqa: BLE001 - which is a breach
+        return f"NO SENTENCE: {type(error).__name__}: {error}".splitlines()[0]
+    return "read"
+
+
+COLUMNS = {
+    ".csv": {"time": "t [s]", "torque": "q [mN*m]", "dtheta": "p [deg]"},
+    ".mat": {"time": "t", "torque": "q", "dtheta": "p"},
+}
+FILES: tuple[tuple[Callable[[Path, int], Path], Judge, int], ...] = (
+    (finished, judged, 1),
+    (cut_off, recovered, 1),
+    (table, imported, 8),
+    (matlab, imported, 8),
+    (stand, parsed, 8),
+)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from hil.recording.channels import CHANNELS, ROW
 from hil.recording.integrity import header_hash, plain
 from hil.recording.lateness import Lateness
 from hil.recording.output import atomic_write, check_space
-from hil.recording.reader import SCHEMA, Event, Recording
+from hil.recording.reader import BLOCK, SCHEMA, Event, Recording
 
 OVERHEAD = 1 << 18
 """Bytes of a file that are not samples, generously."""
@@ -85,29 +85,46 @@ def sign(file: h5py.File, truth: Mapping[str, float], events: list[Event]) -> No
 
 
 def _write_samples(file: h5py.File, recording: Recording) -> dict[str, str | float]:
-    """Write the rows; return the attributes that follow from them."""
+    """Write the rows; return the attributes that follow from them.
+
+    The torque of a cell is that at the joint: it is stored once and has both names.
+    """
     group = file.create_group("samples")
-    length = len(recording)
-    for name, (unit, description) in CHANNELS.items():
-        dataset = group.create_dataset(
-            name,
-            shape=(length,),
-            maxshape=(length or None,),  # HDF5 has no chunks for what is empty and must stay so
-            dtype=ROW[name],
-            chunks=(min(4096, max(length, 1)),),
-            shuffle=True,
-            compression="gzip",
-            compression_opts=4,
-            fletcher32=True,
-        )
-        dataset.attrs.update(unit=unit, description=description)
+    names = [name for name in CHANNELS if name != "joint_torque" or not _from_cell(recording)]
+    for name in names:
+        _create_channel(group, name, len(recording))
+    if "joint_torque" not in names:
+        group["joint_torque"] = group["torque"]
     digest, lateness = hashlib.sha256(), Lateness(_rate(recording))
     for start, rows in recording.rows():
-        for name in CHANNELS:
+        for name in names:
             group[name][start : start + len(rows)] = rows[name]
         digest.update(rows.tobytes())
         lateness.add(rows)
     return {"sha256": digest.hexdigest(), **lateness.attributes()}
+
+
+def _create_channel(group: h5py.Group, name: str, length: int) -> None:
+    dataset = group.create_dataset(
+        name,
+        shape=(length,),
+        maxshape=(length or None,),  # HDF5 has no chunks for what is empty and must stay so
+        dtype=ROW[name],
+        chunks=(min(BLOCK, max(length, 1)),),  # the deflation needs a long stretch to learn from
+        shuffle=True,
+        compression="gzip",
+        compression_opts=6,
+        fletcher32=True,
+    )
+    unit, description = CHANNELS[name]
+    dataset.attrs.update(unit=unit, description=description)
+
+
+def _from_cell(recording: Recording) -> bool:
+    """Return whether the torque is that of the cell at the joint, to the last bit, in every row."""
+    return len(recording) > 0 and all(
+        rows["torque"].tobytes() == rows["joint_torque"].tobytes() for _, rows in recording.rows()
+    )
 
 
 def _rate(recording: Recording) -> float:

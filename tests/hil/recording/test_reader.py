@@ -82,6 +82,19 @@ def test_the_schema_in_the_docstring_is_the_schema_of_a_written_file(tmp_path: P
         assert file.attrs["schema"] == SCHEMA
 
 
+def test_the_torque_of_a_cell_is_stored_once_and_has_both_names(tmp_path: Path) -> None:
+    for source in ("cell", "motor"):
+        torque = np.random.default_rng(0).normal(size=2000)
+        channels = {"time": np.arange(2000) / 500.0, "torque": torque}
+        write(tmp_path / f"{source}.h5", HEADER, channels | ({"joint_torque": torque} if source == "cell" else {}))
+        with h5py.File(tmp_path / f"{source}.h5") as file:
+            assert (file["samples/torque"] == file["samples/joint_torque"]) == (source == "cell")
+        with Recording(tmp_path / f"{source}.h5") as recording:
+            assert recording.verify()
+            assert np.array_equal(recording.channel("torque"), torque)
+            assert np.isnan(recording.channel("joint_torque")).all() == (source == "motor")
+
+
 @pytest.mark.parametrize("stage", ["live", "final"])
 def test_both_stages_read_the_same(tmp_path: Path, stage: str) -> None:
     part = recorded(tmp_path / "a.h5", 30, planned=30 if stage == "final" else 50)
