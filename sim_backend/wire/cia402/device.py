@@ -128,7 +128,7 @@ class Cia402Device:
             self.objects.put(0x603F, 0, code)
         self.node.emergency(code)
 
-    # -- canopen_node.Application -----------------------------------------------------------------------------------
+    # -- canopen.node.Application -----------------------------------------------------------------------------------
 
     def receive(self, index: int, _sub: int, value: int, now: float) -> None:
         """Obey a mapped object that came in a PDO."""

@@ -39,7 +39,7 @@ _PWM_LSB = 1.0 / 885.0
 
 
 class DynamixelDevice:
-    """A servo of `model` (a key of `dynamixel_tables.MODELS`) with the plant of `parameters` behind its horn.
+    """A servo of `model` (a key of `tables.MODELS`) with the plant of `parameters` behind its horn.
 
     Times are s on the bus's clock, `now` when it is powered. Raises KeyError for a model that is not in the table.
     """

@@ -43,7 +43,7 @@ _AK_HOTTEST = 100.0
 
 
 class MitDevice:
-    """A motor of `model` (a key of `mit_tables.MODELS`). Times are s on the bus's clock.
+    """A motor of `model` (a key of `tables.MODELS`). Times are s on the bus's clock.
 
     reply_id: the identifier of its replies; None: its own for an AK, 0 for a Damiao, as delivered.
     Raises KeyError for a model that is not in the table.
