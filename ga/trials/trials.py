@@ -38,6 +38,9 @@ _CHILD: Final = 200
 _TYPICAL: Final = 1000
 """Generations after which the stop rule has ended nearly every search of the `default` preset."""
 
+_SHORT: Final = 3_000_000
+"""Generations by which the duration of many more is judged."""
+
 _POLL: Final = 0.1
 """s between two reports of progress."""
 
@@ -184,6 +187,30 @@ def run_trials(
     finally:
         keep()
     return _outcome(running, run.grid, before, time.process_time() - began)
+
+
+def duration(
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    bounds: Bounds,
+    settings: Settings,
+    *,
+    trials: int,
+    workers: int,
+) -> float:
+    """Return how long `trials` searches of a child a generation will take, s, judged by a short one for each worker.
+
+    It overestimates: the first generations are the slowest.
+    """
+    short, at_once = replace(settings, generations=_SHORT), min(workers, trials)
+    took = np.inf
+    for _ in range(2):  # the first may have compiled
+        began = time.perf_counter()
+        done = run_trials(columns, torque, bounds, short, trials=at_once, seed=0, workers=at_once)
+        took = min(took, (time.perf_counter() - began) / done.made)
+        if took * done.made < 1.0:
+            break
+    return float(trials * settings.generations * took)
 
 
 def _start(

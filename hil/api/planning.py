@@ -14,6 +14,7 @@ from hil.diagnostics import Diagnostic
 from hil.experiment_design import advice
 from hil.experiment_design.assessment import Assessment, Task, assess, check_limits, task_of
 from hil.experiment_design.search import best
+from hil.recording.ahead import Progress
 from hil.report.design import as_json, headline
 from hil.stand.file import Stand
 
@@ -70,12 +71,14 @@ def design(
     mode: Quantity | str = Quantity.TORQUE,
     setpoints: str | os.PathLike[str] | None = None,
     model: str = "auto",
+    progress: Progress | None = None,
 ) -> DesignResult:
     """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest ones.
 
     kc N m/rad and bc N m s/rad: rough values, and torque_noise, N m at the joint, one standard deviation; None: the
     simulator's. model: terms to estimate, or "auto": all that model selection considers. The others: as `hil.record`.
-    Nothing moves. Raises WrongUse, also where the excitation would exceed a limit of the stand.
+    progress: called with what is being tried, and the share that is done. Nothing moves. Raises WrongUse, also where
+    the excitation would exceed a limit of the stand.
     """
     opened, quantity = opened_stand(stand), quantity_of(mode)
     made = excitation(opened, profile, quantity, (amplitude, band, duration), rate=rate, setpoints=setpoints)
@@ -83,7 +86,7 @@ def design(
     given = assess(task, made)
     check_limits(task, given)
     stated = torque_noise is not None or opened.stand.backend == "sim" or "[sim.sensors]" in opened.text
-    judged = {"given": given, "best": best(task, made.duration)}
+    judged = {"given": given, "best": best(task, made.duration, progress)}
     return DesignResult(task, judged, _words(stand), tuple(advice.of_task(task, noise_stated=stated)))
 
 

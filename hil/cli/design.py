@@ -8,6 +8,7 @@ import typer
 
 from drivers.servo import Quantity
 from hil.cli import options
+from hil.cli.progress import progress
 from hil.cli.terminal import detail, out, out_table, print_diagnostics, print_json
 
 
@@ -46,20 +47,22 @@ def design(
     from hil.api import planning
     from hil.report.design import design_lines, error_table, limit_table
 
-    found = planning.design(
-        options.stand_of(backend, stand),
-        profile,
-        kc=kc,
-        bc=bc,
-        torque_noise=torque_noise,
-        amplitude=options.amplitude_of(amplitude, mode),
-        band=options.band_of(band),
-        duration=duration,
-        rate=rate,
-        mode=mode,
-        setpoints=setpoints,
-        model=model,
-    )
+    with progress() as show:
+        found = planning.design(
+            options.stand_of(backend, stand),
+            profile,
+            kc=kc,
+            bc=bc,
+            torque_noise=torque_noise,
+            amplitude=options.amplitude_of(amplitude, mode),
+            band=options.band_of(band),
+            duration=duration,
+            rate=rate,
+            mode=mode,
+            setpoints=setpoints,
+            model=model,
+            progress=show,
+        )
     if as_json:
         print_json(found.as_json())
     else:

@@ -39,7 +39,8 @@ def inspect(
         check_output(check_picture_name(plot), force=force, inputs=[recording])
         save_picture(load(recording).plot(), plot, force=force)
         note(f"wrote {plot}")
-    seen = look(recording)
+    with progress() as show:
+        seen = look(recording, show)
     if as_json:
         print_json(to_json(seen))
     else:

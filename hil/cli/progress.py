@@ -13,6 +13,7 @@ from hil.cli.terminal import is_quiet, printable, say
 
 Show = Callable[[str, float], None]
 _QUIET = 10.0  # s between two lines
+_LONG = 60.0  # s after which a line is due though no tenth is done
 
 
 @contextmanager
@@ -76,20 +77,22 @@ class Lines:
         self._now = now
         self._what, self._tenths, self._first = "", 0, 0.0
         self._began = self._said = now()
-        self._waited = -math.inf
+        self._unknown, self._waited = "", -math.inf
 
     def __call__(self, what: str, done: float) -> None:
         """Print the progress of the phase `what`, if a line is due."""
         now = self._now()
         if math.isnan(done):
-            if now - self._waited >= _QUIET:
-                self._waited = now
+            name = what.partition(" (")[0]
+            if name != self._unknown or now - self._waited >= _QUIET:
+                self._unknown, self._waited = name, now
                 say(what)
             return
         tenths = int(10.0 * done)
         if what != self._what or tenths < self._tenths:
             self._what, self._tenths, self._first, self._began = what, tenths, done, now
-        if tenths == self._tenths or now - self._said < _QUIET:
+        is_due = tenths != self._tenths or now - self._said >= _LONG
+        if not is_due or now - self._said < _QUIET or done <= self._first:
             return
         self._tenths, self._said = tenths, now
         left = (now - self._began) * (1.0 - done) / (done - self._first)

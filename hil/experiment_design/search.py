@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import TypeVar
 
 from hil.acquisition import excitation
 from hil.acquisition.excitation import EXCITATIONS, Profile
@@ -16,6 +18,9 @@ from hil.errors import WrongUse
 from hil.experiment_design.assessment import Assessment, Task, assess, rounded, worst_shares
 from hil.experiment_design.fisher import predict
 from hil.experiment_design.response import respond
+from hil.recording.ahead import Progress
+
+T = TypeVar("T")
 
 _SEED = 0  # of a PRBS, the default of `hil record`
 
@@ -27,12 +32,12 @@ _FADE, _SHORTEST_FADE = 1.0, 0.1  # s, the default of `hil record` and its minim
 _LONGEST = 5.0  # s of the runs in the search; standard errors fall with the root of the duration, a bias does not
 
 
-def best(task: Task, duration: float) -> Assessment:
+def best(task: Task, duration: float, progress: Progress | None = None) -> Assessment:
     """Return the excitation of `duration` s with the smallest relative error of Kc and Bc within the limits, assessed.
 
     A grid over kind and band, an octave apart; then, for each kind, steps of the best band's two ends, halved until
-    they matter no more; then the best of each kind at the whole duration. Raises WrongUse where no band fits the rate
-    and the duration, or where the terms cannot be distinguished by any motion.
+    they matter no more; then the best of each kind at the whole duration. progress is called on the way. Raises
+    WrongUse where no band fits the rate and the duration, or where the terms cannot be distinguished by any motion.
     """
     span = min(duration, _LONGEST)
     lowest, highest = rounded(_PERIODS / span), rounded(task.rate / _TICKS, down=True)
@@ -43,18 +48,27 @@ def best(task: Task, duration: float) -> Assessment:
         )
     search = _Search(task, duration, (lowest, highest))
     ends = _octaves(lowest, highest)
-    for kind, low, high in itertools.product(_KINDS, ends, ends):
+    for kind, low, high in _followed(itertools.product(_KINDS, ends, ends), "trying bands", progress):
         search.judge(kind, low, high)
     if math.isinf(min(search.errors.values())):
         raise WrongUse(
             f"no excitation identifies Kc and Bc with --model {task.model}: some of its terms look the same in every "
             "motion (skew is the sum of a damping and an inertia); leave one out"
         )
-    for kind in _KINDS:
+    for kind in _followed(_KINDS, "refining the best", progress):
         search.refine(kind)
     chosen = [min((key for key in search.errors if key[0] == kind), key=search.errors.__getitem__) for kind in _KINDS]
     whole = [assess(task, _largest(task, _made(task, kind, band, duration, _FADE))) for kind, band in chosen]
     return min(whole, key=lambda one: one.relative)
+
+
+def _followed(items: Iterable[T], what: str, progress: Progress | None) -> Iterator[T]:
+    """Yield the items, and call `progress` after each is done."""
+    every = list(items)
+    for number, item in enumerate(every, 1):
+        yield item
+        if progress is not None:
+            progress(what, number / len(every))
 
 
 class _Search:

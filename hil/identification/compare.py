@@ -12,12 +12,12 @@ import numpy as np
 
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
-from hil.identification.disk_table import Progress
 from hil.identification.each import Result, Task, identify_each
 from hil.identification.identify import Search
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Identification, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
+from hil.recording.ahead import Progress
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
-from hil.identification.disk_table import DiskTable, Progress
+from hil.identification.disk_table import DiskTable
 from hil.identification.model_choice import Choice
-from hil.recording.ahead import ahead
+from hil.recording.ahead import Progress, ahead
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Defects, Signals, glimpse, joined, prepare, stream
 from hil.signals.quality import assess, recording_diagnostics
@@ -66,7 +66,7 @@ def open_dataset(
     WrongUse, Untrustworthy as `Source.verify`, reading and `prepare`.
     """
     for source in sources:
-        source.verify()
+        source.verify(progress)
     rows = sum(len(source.recording) for source in sources)
     if rows <= IN_MEMORY:
         yield _in_memory(sources, choose, centred=centred)

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.recording.ahead import ahead
+from hil.recording.ahead import Progress, ahead
 from hil.recording.output import check_space, writing
 from hil.uncertainty.blocks import Block, Blocks
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
-"""Called with what is being done, in a few words, and the fraction of it that is done."""
 
 _ROWS = 1 << 18  # rows read at a time
 

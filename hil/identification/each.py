@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hil.errors import Untrustworthy, WrongUse
-from hil.identification.disk_table import Progress
 from hil.identification.fixture import identify_without_fixture
 from hil.identification.identify import Search, identify
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Identification
 from hil.identification.user_model import of_package
+from hil.recording.ahead import Progress
 from hil.workers.executor import executor, results
 
 _WORTH = 3.0  # s that one recording must take, for processes to be started for the others

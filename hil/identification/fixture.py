@@ -9,11 +9,11 @@ from pathlib import Path
 
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
-from hil.identification.disk_table import Progress
 from hil.identification.identify import Search, identify_sources
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Fixture, Identification, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
+from hil.recording.ahead import Progress
 from hil.recording.reader import Recording
 from hil.signals.source import open_sources
 from hil.stand.file import load

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,19 +22,19 @@ from ga.model.record import Parameter
 from ga.model.separable import Problem, descend
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_nonlinear
-from ga.trials.trials import Trials, run_trials
+from ga.trials.trials import Trials, duration, run_trials
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
-from hil.identification.disk_table import Progress
 from hil.identification.identifiability import Evidence, estimates, judge, rivals
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification, Validation
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
 from hil.identification.stepwise import Step
+from hil.recording.ahead import Progress
 from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.blocks import Blocks
@@ -44,6 +45,7 @@ from hil.uncertainty.stationarity import pooled_intervals, stationarity_errors
 Array = NDArray[np.float64]
 
 _FOLDS = 10  # blocks in time; every fifth is held out
+_LONG_SEARCH = 5_000_000  # generations from which a search says how long it will take
 _TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
 _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable motion
 
@@ -300,6 +302,8 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
     """
     _check_population(search, len(bounds.low))
     columns, torque = data.in_memory if data.whole else (reduced.columns, reduced.torque)
+    if progress is not None and search.settings.scheme == "steady-state":
+        _announce(columns, torque, bounds, search, progress)
     try:
         trials = run_trials(
             columns,
@@ -319,6 +323,23 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
     except OSError as error:
         raise WrongUse(f"--checkpoint {search.checkpoint}: {error.strerror}: name another file") from error
     return trials if data.whole else trials.scaled(reduced.share)
+
+
+def _announce(columns: Array, torque: Array, bounds: Bounds, search: Search, progress: Progress) -> None:
+    """Say how long a search that makes a child a generation will take, where that is long: by the rate of a short one.
+
+    Of a search that is resumed, the part that is done already is counted too.
+    """
+    trials = search.trials or _TRIALS
+    if search.settings.generations < _LONG_SEARCH:
+        return
+    seconds = duration(columns, torque, bounds, search.settings, trials=trials, workers=search.workers)
+    count = f"{trials * search.settings.generations:,} evaluations"
+    progress(f"searching with {count}: about {_in_words(seconds)}; Ctrl-C ends it and keeps its result", math.nan)
+
+
+def _in_words(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} minutes"
 
 
 def _bounds(model: Coupling, search: Search, columns: Array, torque: Array) -> Bounds:

@@ -14,9 +14,9 @@ from ga.fitness.engine import REPAID, WORTHWHILE
 from ga.model.coupling import parse as parse_model
 from hil.acquisition import excitation
 from hil.acquisition.run import run
-from hil.identification.disk_table import Progress
 from hil.identification.identify import Search, identify
 from hil.identification.result import Identification
+from hil.recording.ahead import Progress
 from hil.recording.output import next_free
 from hil.recording.reader import Recording
 from hil.signals.prepare import Signals

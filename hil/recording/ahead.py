@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 T = TypeVar("T")
+Progress = Callable[[str, float], None]
+"""Called with what is being done, in a few words, and the share of it that is done, 0 to 1; NaN: not known."""
 
 
 def ahead(items: Iterable[T]) -> Iterator[T]:

@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from drivers.servo import Status
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.ahead import ahead
+from hil.recording.ahead import Progress, ahead
 from hil.recording.channels import CHANNELS, LATER, ROW, Row, Rows
 from hil.recording.integrity import (
     LIVE,
@@ -207,13 +207,14 @@ class Recording:
             group = self._file.get("truth")
             return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
 
-    def verify(self) -> bool:
+    def verify(self, progress: Progress | None = None) -> bool:
         """Return whether all is as it was written: header, rows and events. Raises as reading them does.
 
-        Recordings of older schemas are held to the hash that they have; an unfinished one had none.
+        progress is called with the share of the rows that is checked. Recordings of older schemas are held to the
+        hash that they have; an unfinished one had none.
         """
         with legible(self.path):
-            intact_rows = not self.damaged if self.live else self._rows_hash() == self._stated("sha256")
+            intact_rows = not self.damaged if self.live else self._rows_hash(progress) == self._stated("sha256")
             return intact_rows and self.header_intact()
 
     def header_intact(self) -> bool:
@@ -234,11 +235,13 @@ class Recording:
     def _stated(self, name: str) -> str:
         return str(self.attributes.get(name, ""))
 
-    def _rows_hash(self) -> str:
+    def _rows_hash(self, progress: Progress | None) -> str:
         digest = hashlib.sha256()
         present = [name for name in CHANNELS if name not in self._absent]
-        for _, rows in ahead(self.rows()):
+        for start, rows in ahead(self.rows()):
             digest.update(repack_fields(rows[present]).tobytes())
+            if progress is not None:
+                progress("checking that it is as it was written", (start + len(rows)) / self._length)
         return digest.hexdigest()
 
     def _column(self, name: str, start: int, stop: int) -> Any:

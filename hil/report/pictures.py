@@ -177,7 +177,7 @@ def _loop(shown: _Shown) -> Figure:
 
 def _residuals(found: Identification) -> Figure:
     """Their spectrum and autocorrelation, each with the bounds within which 95 % of white noise lies."""
-    from scipy.signal import welch
+    from matplotlib.mlab import psd  # scipy.signal would cost a second to import
     from scipy.special import gammaincinv
 
     factor, unit = people_unit("N*m", milli=milli(found))
@@ -186,7 +186,7 @@ def _residuals(found: Identification) -> Figure:
     rate = 1.0 / float(np.median(np.diff(found.signals.motion.time)))
     segment = min(len(values) // 4, 1024)
     drawn, (spectrum, correlation) = _panels(1, 2, (9, 3.6))
-    frequency, power = welch(values, rate, nperseg=segment, noverlap=0)
+    power, frequency = map(np.asarray, psd(values, segment, rate, detrend="mean", window=np.hanning(segment + 1)[:-1]))
     spectrum.loglog(frequency[1:], power[1:], lw=0.8)
     count = len(values) // segment  # chi-squared with two degrees of freedom a segment
     level = 2.0 * float(values.var()) / rate

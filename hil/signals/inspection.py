@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from hil.diagnostics import Diagnostic
+from hil.recording.ahead import Progress
 from hil.recording.reader import Recording
 from hil.signals.prepare import prepare
 from hil.signals.quality import assess, recording_diagnostics
@@ -58,10 +60,16 @@ class Inspection:
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
 
-def inspect(path: Path) -> Inspection:
-    """Summarise one recording, finished or not. Raises WrongUse, and Untrustworthy where no signals can be made."""
+def inspect(path: Path, progress: Progress | None = None) -> Inspection:
+    """Summarise one recording, finished or not.
+
+    progress: called with a phase and its share, NaN: unknown. Raises WrongUse, and Untrustworthy where no signals can
+    be made.
+    """
     with open_sources([path]) as (source,):
-        source.verify()
+        source.verify(progress)
+        if progress is not None:
+            progress("computing the signals", math.nan)
         recording = source.recording
         signals = prepare(recording, source.table)
         intervals = np.diff(signals.motion.time)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.errors import Untrustworthy
+from hil.recording.ahead import Progress
 from hil.recording.reader import Recording
 from hil.stand.file import LimitsTable, Stand, StandTable, parse
 
@@ -39,14 +40,14 @@ class Source:
         """Uncertainty of the torque's scale, relative, one standard deviation; 0 where no stand gives one."""
         return 0.0 if self.table is None else self.table.torque_uncertainty
 
-    def verify(self) -> None:
-        """Raise Untrustworthy where the recording is not as it was written."""
+    def verify(self, progress: Progress | None = None) -> None:
+        """Raise Untrustworthy where the recording is not as it was written; progress as in `Recording.verify`."""
         if self.recording.damaged:
             raise Untrustworthy(
                 f"{self.path}: {self.recording.damaged} rows are not the ones that were written: make a recording in "
                 f"which they count as lost with `hil recover {self.path}`"
             )
-        if not self.recording.verify():
+        if not self.recording.verify(progress):
             raise Untrustworthy(
                 f"{self.path} is not as it was written (its SHA-256 differs), so Kc and Bc cannot be identified from "
                 "it: use another copy of the file, or record again"

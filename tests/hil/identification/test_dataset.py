@@ -19,6 +19,7 @@ from hil.identification.dataset import open_dataset
 from hil.identification.identify import Search, identify
 from hil.identification.model_choice import Choice
 from hil.identification.result import Identification
+from hil.recording.ahead import Progress
 from hil.recording.reader import Array, Recording
 from hil.signals import source
 from hil.signals.prepare import Signals, glimpse
@@ -94,9 +95,9 @@ def test_each_recording_is_opened_and_verified_once(recordings: list[Path], monk
             opened[path] += 1
             super().__init__(path)
 
-        def verify(self) -> bool:
+        def verify(self, progress: Progress | None = None) -> bool:
             verified[self.path] += 1
-            return super().verify()
+            return super().verify(progress)
 
     monkeypatch.setattr(source, "Recording", Counted)
     identified(recordings, "linear")

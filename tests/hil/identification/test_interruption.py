@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -129,5 +130,16 @@ def test_what_the_first_run_compiles_is_said_at_once_and_goes_on(capfd: pytest.C
     seconds = iter(range(0, 100, 4))
     lines = Lines(now=lambda: float(next(seconds)))
     for count in range(6):
-        lines(f"compiling {count}", math.nan)
-    assert capfd.readouterr().err.splitlines() == ["compiling 0", "compiling 3"]
+        lines(f"compiling ({count})", math.nan)
+    assert capfd.readouterr().err.splitlines() == ["compiling (0)", "compiling (3)"]
+
+
+def test_a_search_of_many_generations_says_first_how_long_it_will_take(
+    make_recording: Maker, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = ["identify", str(make_recording()), "--preset", "paper", "--trials", "1", "--workers", "1", "--json"]
+    run([*words, "--generations", "5000000"])
+    said = capfd.readouterr().err
+    assert re.search(r"searching with 5,000,000 evaluations: about \d+ (s|minutes); Ctrl-C ends it", said)
+    run([*words, "--generations", "10000"])
+    assert "evaluations: about" not in capfd.readouterr().err
