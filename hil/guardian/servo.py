@@ -36,12 +36,13 @@ class GuardedClock(MonotonicClock):
         self._beat = beat
 
     def sleep_until(self, t: float) -> None:
-        """Return at `t` s or later; at once where `t` has passed."""
+        """Return at `t` s or later; at once where `t` has passed. Raises as `GuardedServo.beat`."""
         while self.now() + _SLICE < t:
             self._beat()
             time.sleep(_SLICE)
         self._beat()
         super().sleep_until(t)
+        self._beat()
 
 
 class GuardedServo:
@@ -72,8 +73,9 @@ class GuardedServo:
         return self._clock
 
     def beat(self) -> None:
-        """Give a sign of life while the servo is armed."""
+        """Give a sign of life while the servo is armed. Raises GuardianFired, GuardianLost."""
         if self._beating and self._guardian is not None:
+            self._guardian.check()
             self._guardian.beat()
 
     def arm(self, limits: Limits) -> None:
