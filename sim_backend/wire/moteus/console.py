@@ -1,44 +1,18 @@
 """The diagnostic console of a moteus: lines in, lines out, and the configuration behind them.
 
-Source: mjbots/moteus docs/protocol/diagnostic.md and docs/reference/configuration.md; defaults are those of the
-reference where it names them. Of the commands there are conf get, set, enumerate, load, default and write; d stop,
-nearest, rezero, exact and cfg-set-output; tel list, schema, fmt, get and stop, in the binary format; others are
-answered with an error, as unknown ones are.
+Source: mjbots/moteus docs/protocol/diagnostic.md and docs/reference/configuration.md. Of the commands there are conf
+get, set, enumerate, load, default and write; d stop, nearest, rezero, exact and cfg-set-output; tel list, schema, fmt,
+get and stop, in the binary format; others are answered with an error, as unknown ones are.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 
+from drivers.tables import table
 from sim_backend.wire.moteus.telemetry import Field, announced, data, schema
 
-_DEFAULTS: dict[str, float] = {
-    "can.prefix": 0,
-    "servopos.position_min": math.nan,
-    "servopos.position_max": math.nan,
-    "servo.pid_position.kp": 4.0,
-    "servo.pid_position.ki": 1.0,
-    "servo.pid_position.kd": 0.05,
-    "servo.pid_position.ilimit": 0.0,
-    "servo.default_velocity_limit": math.nan,
-    "servo.default_accel_limit": math.nan,
-    "servo.max_voltage": 46.0,
-    "servo.max_power_W": 450.0,
-    "servo.temperature_margin": 20.0,
-    "servo.fault_temperature": 75.0,
-    "servo.enable_motor_temperature": 0,
-    "servo.motor_temperature_margin": 20.0,
-    "servo.motor_fault_temperature": math.nan,
-    "servo.fault_position_error": math.nan,
-    "servo.fault_velocity_error": math.nan,
-    "servo.max_current_A": 100.0,
-    "servo.max_velocity": 500.0,
-    "servo.max_velocity_derate": 2.0,
-    "servo.default_timeout_s": 0.1,
-    "servo.timeout_max_torque_Nm": 5.0,
-    "servo.timeout_mode": 12,
-}
+_DEFAULTS: dict[str, float] = table("moteus", "sim_backend.wire")["configuration"]
 _WHOLE = {"id.id", "can.prefix", "servo.timeout_mode", "servo.enable_motor_temperature"}
 
 

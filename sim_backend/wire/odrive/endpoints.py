@@ -6,36 +6,13 @@ and a client that takes them from anywhere else than the file is wrong on a real
 
 from __future__ import annotations
 
-import math
 import struct
 
-_PARAMETERS: tuple[tuple[str, str, float, bool], ...] = (
-    ("vbus_voltage", "float", 24.0, False),
-    ("serial_number", "uint32", 0x3A5B12, False),
-    ("axis0.active_errors", "uint32", 0, False),
-    ("axis0.disarm_reason", "uint32", 0, False),
-    ("axis0.current_state", "uint8", 1, False),
-    ("axis0.config.enable_watchdog", "bool", 0, True),
-    ("axis0.config.watchdog_timeout", "float", 0.0, True),
-    ("axis0.config.torque_soft_min", "float", -math.inf, True),
-    ("axis0.config.torque_soft_max", "float", math.inf, True),
-    ("axis0.config.motor.torque_constant", "float", 0.04, True),
-    ("axis0.config.motor.current_soft_max", "float", 50.0, True),
-    ("axis0.config.motor.current_hard_max", "float", 70.0, True),
-    ("axis0.config.can.node_id", "uint32", 0, True),
-    ("axis0.config.can.heartbeat_msg_rate_ms", "uint32", 100, True),
-    ("axis0.config.can.encoder_msg_rate_ms", "uint32", 10, True),
-    ("axis0.config.can.torques_msg_rate_ms", "uint32", 0, True),
-    ("axis0.controller.config.control_mode", "uint8", 3, True),
-    ("axis0.controller.config.input_mode", "uint8", 1, True),
-    ("axis0.controller.config.vel_limit", "float", 10.0, True),
-    ("axis0.controller.config.vel_limit_tolerance", "float", 1.2, True),
-    ("axis0.controller.config.vel_gain", "float", 0.1667, True),
-    ("axis0.controller.config.vel_integrator_gain", "float", 0.333, True),
-    ("axis0.controller.config.pos_gain", "float", 20.0, True),
-    ("axis0.controller.config.enable_torque_mode_vel_limit", "bool", 1, True),
-    ("axis0.motor.motor_thermistor.config.temp_limit_upper", "float", 120.0, True),
-    ("axis0.motor.fet_thermistor.config.temp_limit_upper", "float", 120.0, True),
+from drivers.tables import table
+
+_PARAMETERS: tuple[tuple[str, str, float, bool], ...] = tuple(
+    (name, kind, value, writable)
+    for name, (kind, value, writable) in table("odrive", "sim_backend.wire")["parameters"].items()
 )
 """Name, type, value as delivered, whether it can be written."""
 _LAYOUTS = {"float": "<f", "bool": "<?", "uint8": "<B", "uint32": "<I"}
