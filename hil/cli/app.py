@@ -17,7 +17,7 @@ from hil.cli.demo import demo
 from hil.cli.design import design
 from hil.cli.doctor import doctor
 from hil.cli.emulate import emulate
-from hil.cli.examples import below_help, below_main_help
+from hil.cli.examples import Command, below_help, below_main_help
 from hil.cli.files import export_data, import_data, inspect, recover, view
 from hil.cli.identify import identify
 from hil.cli.many.campaign import campaign
@@ -37,6 +37,7 @@ from hil.cli.terminal import (
     say,
 )
 from hil.errors import Untrustworthy, WrongUse
+from hil.stand.sentences import names_the_value, sentence
 
 app = typer.Typer(
     name="hil",
@@ -72,7 +73,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "doctor": doctor,
 }
 for _name, _command in _COMMANDS.items():
-    app.command(_name, epilog=below_help(_name))(_command)
+    app.command(_name, cls=Command, epilog=below_help(_name))(_command)
 app.add_typer(stand, name="stand")
 app.add_typer(calibrate, name="calibrate")
 
@@ -111,9 +112,7 @@ def run(words: list[str]) -> int:
             [word for word in words if word not in {"--debug", "--quiet"}], prog_name="hil", standalone_mode=False
         )
     except _UsageError as error:
-        shown = io.StringIO()
-        cast("Any", error).show(file=shown)
-        say(shown.getvalue().rstrip("\n"))
+        say(_usage(error))
         return WRONG_USE
     except typer.Exit as error:
         return error.exit_code
@@ -126,6 +125,16 @@ def run(words: list[str]) -> int:
         say(f"hil: {error}")
         return _status_of(error)
     return answer if isinstance(answer, int) else DONE
+
+
+def _usage(error: Exception) -> str:
+    """Return what is wrong with the options, in a sentence of our own where the parser has one of pydantic's."""
+    shown, raised, cause = io.StringIO(), cast("Any", error), cast("Any", error.__cause__)
+    if hasattr(cause, "errors"):
+        item = cause.errors()[0]
+        raised.message = f"{item['input']!r} {sentence(item)}" if names_the_value(item) else sentence(item)
+    raised.show(file=shown)
+    return shown.getvalue().rstrip("\n")
 
 
 def _status_of(error: Exception) -> int:

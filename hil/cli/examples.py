@@ -1,8 +1,12 @@
-"""The examples below the help of every command, and the exit statuses below that of `hil`."""
+"""The help of the commands: its names of types, the examples below it, and the exit statuses below that of `hil`."""
 
 from __future__ import annotations
 
+import re
 from types import MappingProxyType
+from typing import Any
+
+from typer.core import TyperCommand
 
 EXAMPLES = MappingProxyType(
     {
@@ -18,9 +22,10 @@ EXAMPLES = MappingProxyType(
         "inspect": ("hil inspect run1.h5 --plot run1.png",),
         "view": ("hil view run1.h5", "hil view run1.h5 -o run1.rrd"),
         "import": (
-            "hil import log.csv --time t --torque tau --torque-unit mN*m --dtheta q --dtheta-unit deg -o log.h5",
+            "hil import log.csv --time time_s --torque tau --torque-unit mN*m --dtheta q --dtheta-unit deg -o log.h5",
+            "hil import bag --topic /joint_states --joint finger -o bag.h5",
         ),
-        "export": ("hil export run1.h5 -o run1.csv",),
+        "export": ("hil export run1.h5 -o run1.csv", "hil export run1.h5 -o finger.xml"),
         "recover": ("hil recover run1.h5.part",),
         "campaign": ("hil campaign examples/hand.toml --dry-run",),
         "demo": ("hil demo",),
@@ -56,3 +61,11 @@ def below_help(command: str) -> str:
 def below_main_help() -> str:
     """Return the text below the help of `hil`."""
     return "\b\nExit status:\n" + "\n".join(f"  {line}" for line in STATUSES)
+
+
+class Command(TyperCommand):
+    """A command of typer without Python's types in its help: several files are <path>, not <list[Path]>."""
+
+    def get_help(self, ctx: Any) -> str:
+        """Return the help. ctx: typer's context."""
+        return re.sub(r"<list\[(\w+)\]>", lambda found: f"<{found[1].lower()}>", super().get_help(ctx))

@@ -79,6 +79,8 @@ def _rosbags(source: Path) -> _Library:
 def _files(source: Path) -> list[Path]:
     if not source.is_dir():
         return [source]
+    if not (source / "metadata.yaml").is_file():
+        raise WrongUse(f"{source} is a folder without metadata.yaml: name the one that `ros2 bag record` made")
     found = [path for path in source.iterdir() if path.name == "metadata.yaml" or path.suffix in SUFFIXES]
     if len(found) > _MOST_FILES:
         raise WrongUse(f"{source} holds {len(found)} files: check the name")

@@ -67,6 +67,8 @@ def open_table(source: Path, *, topic: str | None = None, joint: str | None = No
     if bags.is_bag(source):
         found = bags.columns(source, topic, joint)
         return _whole(source, _Columns(list(found), found.__getitem__))
+    if source.suffix.lower() in {".h5", ".hdf5", ".part"}:
+        raise WrongUse(f"{source} is HDF5 by its name: hil identify reads a recording as it is; export others as CSV")
     if source.suffix.lower() in _FILES and topic is None and joint is None:
         return _whole(source, _columns(source))
     written = delimited.titles(source)

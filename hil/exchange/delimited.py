@@ -154,8 +154,10 @@ def _text(source: Path) -> Iterator[TextIO]:
             yield text
     except UnicodeDecodeError:
         raise WrongUse(f"{source} cannot be read as text: save the table as CSV in UTF-8") from None
-    except (OSError, EOFError, zlib.error) as error:
-        reason = getattr(error, "strerror", None) or str(error)
+    except (gzip.BadGzipFile, EOFError, zlib.error):
+        raise WrongUse(f"{source} cannot be read (it is no gzip file, or is cut off): check the name") from None
+    except OSError as error:
+        reason = error.strerror or str(error)
         raise WrongUse(f"{source} cannot be read ({reason}): check the name, and that it is CSV or .csv.gz") from None
 
 

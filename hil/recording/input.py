@@ -26,6 +26,8 @@ def open_input(path: Path, *, largest: int) -> BufferedReader:
         found = os.fstat(file)
         if not stat.S_ISREG(found.st_mode):
             raise WrongUse(f"{path} is not a file, but a folder, a pipe or a device: name an ordinary file")
+        if not found.st_size:
+            raise WrongUse(f"{path} is empty: check that it was written to the end, or name another file")
         if found.st_size > largest:
             raise WrongUse(
                 f"{path} has {found.st_size / 1e6:.0f} MB and may have {largest / 1e6:.0f} MB: check the name"
@@ -43,7 +45,7 @@ def read_text(path: Path, *, largest: int) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise WrongUse(f"{path} cannot be read as text ({error}): save it in UTF-8") from None
+        raise WrongUse(f"{path} cannot be read as text (byte {error.start} is none): save it in UTF-8") from None
 
 
 @contextmanager

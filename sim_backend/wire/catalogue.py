@@ -106,6 +106,9 @@ def make(name: str, options: Mapping[str, Any]) -> Served:
         raise ValueError(f"hil emulate {name} needs {_listed(needed)}")
     try:
         return function(**words)
+    except OSError as error:
+        place = next((f" on {words[key]}" for key in ("link", "channel", "bus") if words.get(key)), "")
+        raise ValueError(f"hil emulate {name}{place}: {error.strerror or error}") from error
     except Exception as error:
         raise ValueError(f"hil emulate {name}: {error}") from error
 

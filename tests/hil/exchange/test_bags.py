@@ -118,7 +118,7 @@ def test_a_damaged_bag_is_one_sentence(tmp_path: Path, damage: str) -> None:
         data[200:2000:7] = bytes(len(data[200:2000:7]))
     broken = {"cut": data[: len(data) // 2], "junk": b"junk" * 999, "empty": b"", "bytes": data}[damage]
     (tmp_path / "b.mcap").write_bytes(bytes(broken))
-    with pytest.raises(WrongUse, match=r"b\.mcap is damaged, or no ROS 2 bag|it has no messages") as refusal:
+    with pytest.raises(WrongUse, match=r"b\.mcap.*(damaged, or no ROS 2 bag|is empty|it has no mess)") as refusal:
         imported(tmp_path, tmp_path / "b.mcap")
     assert "Errno" not in str(refusal.value)
 

@@ -176,7 +176,7 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
         (TABLE, ("run=1",), "write a column, one of"),
         (TABLE, ("run==one",), "write a column, one of"),
         ("TIME,POS,TAU\n", (), "no rows"),
-        ("", (), "no column"),
+        ("", (), r"a\.csv is empty"),
     ],
 )
 def test_what_is_wrong_with_a_table_is_said_with_its_row(
@@ -368,7 +368,7 @@ def test_vectors_of_a_matlab_file_are_columns_a_structs_too(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"MATLAB 7.3 MAT-file", "save it with"), (b"junk" * 64, "not a MAT-file"), (b"", "not a MAT-file")],
+    [(b"MATLAB 7.3 MAT-file", "save it with"), (b"junk" * 64, "not a MAT-file"), (b"", "is empty")],
 )
 def test_a_matlab_file_that_cannot_be_read_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "a.mat").write_bytes(content)
