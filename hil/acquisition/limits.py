@@ -53,15 +53,20 @@ class Limit(Protocol):
 
 
 class Persistence:
-    """Whether something was so in `_TIMES` of the last `_OF` readings."""
+    """Whether something was so in `_TIMES` of the last `_OF` readings.
+
+    seen: 0 where it was so in none of them; then a reading in which it is not so changes nothing and may be left out.
+    """
+
+    __slots__ = ("seen",)
 
     def __init__(self) -> None:
-        self._seen = 0
+        self.seen = 0
 
     def __call__(self, now: bool) -> bool:
         """Take a reading; return whether it is so again, for the `_TIMES`-th time."""
-        self._seen = (self._seen << 1 | now) & ((1 << _OF) - 1)
-        return now and self._seen.bit_count() >= _TIMES
+        self.seen = (self.seen << 1 | now) & ((1 << _OF) - 1)
+        return now and self.seen.bit_count() >= _TIMES
 
 
 class Presence:
@@ -72,10 +77,15 @@ class Presence:
         self._missing = Persistence()
         self.expected = False
 
+    @property
+    def settled(self) -> bool:
+        """Whether no reading was missing of late."""
+        return not self._missing.seen
+
     def check(self, value: float) -> bool:
         """Return whether there is a reading. Raises BadReply where it is missing for the third time."""
         present = math.isfinite(value)
-        if self._missing(not present) and self.expected:
+        if (self._missing.seen or not present) and self._missing(not present) and self.expected:
             raise BadReply(f"the {self._name} was missing from {_TIMES} replies: check its sensor and cable")
         return present
 
@@ -90,6 +100,8 @@ class Level:
         self._beyond = Persistence()
         self._last = math.nan
         self._spent = 0.0  # s slightly beyond
+        self._settled = False  # whether nothing was missing or beyond of late
+        self._slightly = _SLIGHTLY * limit
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
         """See `Limit`."""
@@ -99,6 +111,13 @@ class Level:
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
         """See `Limit`."""
         value = at_joint[self._field]
+        if self._settled and -self._slightly < value < self._slightly:  # false for a NaN
+            self._last = sample.t
+            return
+        self._check_closely(value, sample)
+        self._settled = self._present.settled and not self._beyond.seen and not self._spent
+
+    def _check_closely(self, value: float, sample: Sample) -> None:
         if not self._present.check(value):
             return
         size = abs(value) / self._limit
@@ -174,7 +193,8 @@ class Supply:
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
         """See `Limit`."""
         del at_joint
-        if self._away(abs(sample.voltage - self._at_rest) > _SUPPLY * self._at_rest):  # false where one is NaN
+        away = abs(sample.voltage - self._at_rest) > _SUPPLY * self._at_rest  # false where one is NaN
+        if (away or self._away.seen) and self._away(away):
             raise LimitReached(
                 f"the supply voltage went from {self._at_rest:.3g} V at rest to {sample.voltage:.3g} V: the torque is "
                 "not what was commanded; use a supply with more current, or with a brake resistor"
@@ -242,11 +262,12 @@ class ImplausibleEncoder:
 
     def _check_jump(self, angle: float, rate: float, t: float) -> None:
         passed = t - self._t
-        self._t, fastest = t, max(rate if math.isfinite(rate) else self._velocity, self._rate)
-        self._rate = rate if math.isfinite(rate) else self._velocity
+        rate = rate if math.isfinite(rate) else self._velocity
+        fastest = max(rate, self._rate)
+        self._t, self._rate = t, rate
         moved = abs(angle - self._trusted)
         jumped = passed <= _JUMP_WITHIN and moved > self._jump + 3.0 * passed * fastest
-        if self._untrusted(jumped):
+        if (jumped or self._untrusted.seen) and self._untrusted(jumped):
             raise BadReply(f"the deflection jumped by {moved:.3g} rad between two readings: check the encoder")
         if not jumped:
             self._trusted = angle
@@ -324,7 +345,8 @@ class Lock:
         """See `Limit`."""
         del at_joint
         turned = abs(sample.joint_position - self._at_rest)
-        if self._turned(turned > self._most):  # false where one is NaN
+        moved = turned > self._most  # false where one is NaN
+        if (moved or self._turned.seen) and self._turned(moved):
             raise LimitReached(
                 f"the joint turned by {turned:.2g} rad: it is not locked, so Kc would be too small; lock it"
             )
