@@ -44,7 +44,7 @@ class Coupling:
             f"the coupling was identified as {self.model}, and this format has no place for {', '.join(terms)}: a "
             "simulation with Kc and Bc alone differs by these; export as JSON to keep them"
         )
-        return [Diagnostic("left-out", message)]
+        return [Diagnostic("terms-left-out", message)]
 
 
 def of_result(path: Path) -> Coupling:

@@ -121,7 +121,7 @@ def test_names_of_files_end_no_comment(write: Any) -> None:
 def test_terms_that_a_joint_of_a_simulator_does_not_have_are_warned_of() -> None:
     assert COUPLING.left_out() == []
     found = of_json(result(model="linear+offset+cubic+backlash"), "a.json").left_out()
-    assert [one.code for one in found] == ["left-out"]
+    assert [one.code for one in found] == ["terms-left-out"]
     assert "no place for cubic, backlash" in found[0].message
 
 
