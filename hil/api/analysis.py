@@ -222,9 +222,9 @@ def identify_each(
 ) -> list[IdentificationResult | NoResult]:
     """Identify each recording on its own, several at a time, and return the results in their order.
 
-    workers: processes of this computer, None: one a core; they are started where the first recording takes longer than
-    a few seconds. The numbers do not depend on them, nor on the cluster. The other arguments: as `identify`. A
-    recording that cannot be used has a NoResult in its place. Raises WrongUse.
+    workers: processes of this computer, None: one a core; they are started where the work takes longer than about 10 s.
+    The numbers do not depend on them, nor on the cluster. The other arguments: as `identify`. A recording that cannot
+    be used has a NoResult in its place. Raises WrongUse.
     """
     search = _search(preset, {}, trials=trials, bounds=bounds, seed=seed, workers=workers, checkpoint=None)
     tasks = _tasks([[path] for path in _paths(recordings)], model, search, fixture)

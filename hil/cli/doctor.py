@@ -49,6 +49,7 @@ def doctor(
     checks = CheckList()
     if not as_json:
         if opened is None:
+            out(_summary(ports, interfaces))
             _print_ports("serial port", ports)
             _print_ports("CAN interface", interfaces)
         checks.on_check = _print_check
@@ -62,9 +63,18 @@ def doctor(
         raise typer.Exit(STAND_FAILED)
 
 
+def _summary(ports: list[Port], interfaces: list[Port]) -> str:
+    """Return the answer in one line: what is there, and whether something is wrong with it."""
+    wrong = sum(bool(port.problem) for port in (*ports, *interfaces))
+    seen = f"{len(ports)} serial port(s), {len(interfaces)} CAN interface(s)"
+    if wrong:
+        return f"{seen}: {wrong} cannot be used as they are"
+    if not (ports or interfaces):
+        return f"nothing is wrong: {seen} are connected; the simulated servo needs none (hil demo)"
+    return f"nothing is wrong: {seen}; look at a drive with: hil doctor stand.toml"
+
+
 def _print_ports(kind: str, ports: list[Port]) -> None:
-    if not ports:
-        out(f"no {kind} found")
     for port in ports:
         out(f"{kind} {port.name}" + (f" ({port.described})" if port.described else ""))
         if port.problem:

@@ -105,11 +105,44 @@ def out_table(table: Table) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
+    from hil.report.html_page import table_rows
+
     console = Console()
+    rows = table_rows(table)
+    widths = _widths(rows, console.width - 3 * len(rows[0]) - 1)
+    if not widths:
+        out("\n".join(_as_records(str(table.title or ""), rows)))
+        return
+    for column, width in zip(table.columns, widths, strict=True):
+        column.width = width
     with console.capture() as drawn:
         parts = [Segment(printable(text), style, control) for text, style, control in console.render(table)]
         console.print(Segments(parts), end="")
     out(drawn.get().rstrip("\n"), is_drawn=True)
+
+
+def _widths(rows: Sequence[Sequence[str]], room: int) -> list[int]:
+    """Return the width of each column so that all fit into `room` and no word is broken; [] where they cannot."""
+    cells = [[line for cell in column for line in cell.splitlines()] for column in zip(*rows, strict=True)]
+    least = [max((len(word) for line in lines for word in line.split()), default=0) for lines in cells]
+    widths = [max(map(len, lines), default=0) for lines in cells]
+    while sum(widths) > room:
+        spare = [width - word for width, word in zip(widths, least, strict=True)]
+        if max(spare) <= 0:
+            return []
+        widths[spare.index(max(spare))] -= 1
+    return widths
+
+
+def _as_records(title: str, rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return a table for a narrow terminal: each row as lines of a heading and a value."""
+    headings, *records = rows
+    lines = [title] if title else []
+    for first, *others in records:
+        lines.append(f"{headings[0]}: {first}" if headings[0] else first)
+        pairs = zip(headings[1:], others, strict=True)
+        lines += [f"  {heading}: {cell}" if heading else f"  {cell}" for heading, cell in pairs if cell]
+    return lines
 
 
 def print_json(table: dict[str, Any]) -> None:

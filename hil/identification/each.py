@@ -17,7 +17,7 @@ from hil.identification.user_model import of_package
 from hil.recording.ahead import Progress
 from hil.workers.executor import executor, results
 
-_WORTH = 3.0  # s that one recording must take, for processes to be started for the others
+_WORTH = 10.0  # s that the other recordings must take, for processes to be started for them
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ def identify_each(tasks: Sequence[Task], cluster: str | None = None, progress: P
     """Return the result of each task, in their order.
 
     The search of the first task says how many may run at a time. cluster: the address of a Dask scheduler, or "local";
-    None: processes of this computer, which are started where the first task takes long enough. Raises WrongUse.
+    None: processes of this computer, which are started where the tasks after one take long enough. Raises WrongUse.
     """
     found: list[Result] = []
     workers = tasks[0].search.workers if tasks else 1
@@ -88,7 +88,7 @@ def _here(tasks: Sequence[Task], workers: int, progress: Progress | None) -> tup
         began = time.perf_counter()
         found.append(identified(task, _share(progress, index, len(tasks))))
         left = tasks[index + 1 :]
-        if workers > 1 and len(left) > 1 and time.perf_counter() - began > _WORTH:
+        if workers > 1 and len(left) > 1 and (time.perf_counter() - began) * len(left) > _WORTH:
             return found, left
     return found, ()
 
