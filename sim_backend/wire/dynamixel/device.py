@@ -65,8 +65,8 @@ class DynamixelDevice:
         self._firmware = self.registers.get("firmware_version")
         self._powered = now
         self._booted = now
-        self._ready = now
-        self._heard = now
+        self.ready = now
+        self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self._turns_off = 0
         self.registers.put("goal_position", self._position())
@@ -105,23 +105,15 @@ class DynamixelDevice:
         """Whether current can flow."""
         return self.motor.enabled
 
-    def listens(self, now: float) -> bool:
-        """Whether it is awake, and not booting."""
-        return now >= self._ready
-
     def advance(self, now: float) -> None:
         """Carry motor and watchdog to `now`."""
         period = self.registers.get("bus_watchdog") * 0.02
-        if self.motor.enabled and period > 0.0 and now - self._heard > period:
-            self.motor.run(self._heard + period - self._powered)
+        if self.motor.enabled and period > 0.0 and now - self.heard > period:
+            self.motor.run(self.heard + period - self._powered)
             self._trip()
         self.motor.run(now - self._powered)
         if self.motor.temperature > self.registers.get("temperature_limit"):
             self.fail(OVERHEAT)
-
-    def feed_watchdog(self, now: float) -> None:
-        """Feed the watchdog, as any instruction on the bus does, whatever its id."""
-        self._heard = now
 
     def fail(self, bits: int) -> None:
         """Latch hardware errors; those in Shutdown(63) take the torque away."""
@@ -137,7 +129,7 @@ class DynamixelDevice:
         self.registers.put("goal_position", self._position())
         self._registered = None
         self._booted = now
-        self._ready = now + BOOT
+        self.ready = now + BOOT
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
         """Execute `frame`, sent to this id or to all; return error and parameters, None where it does not reply."""

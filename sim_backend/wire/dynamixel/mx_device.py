@@ -58,7 +58,7 @@ class MxDevice:
         """Hardware errors that hold: bits of the error byte."""
         self.ignores_torque_off = False
         """Torque-off is acknowledged and not done."""
-        self._powered = self._booted = self._ready = now
+        self._powered = self._booted = self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self.put("id", ident)
         self.put("baud_rate", next(code for code, rate in MX_BAUD.items() if rate == baudrate))
@@ -78,13 +78,6 @@ class MxDevice:
     def torque_on(self) -> bool:
         """Whether current can flow."""
         return self.motor.enabled
-
-    def listens(self, now: float) -> bool:
-        """Whether it is awake, and not booting."""
-        return now >= self._ready
-
-    def feed_watchdog(self, now: float) -> None:
-        """Do nothing: it has no watchdog."""
 
     def advance(self, now: float) -> None:
         """Carry the motor to `now`; heat is an error as long as it lasts."""
@@ -110,7 +103,7 @@ class MxDevice:
         self.registers.reset(MX_EEPROM_END)
         self.put("torque_limit", self.get("max_torque"))
         self.put("goal_position", self._position())
-        self._booted, self._ready = now, now + BOOT
+        self._booted, self.ready = now, now + BOOT
 
     def alerted(self, error: int) -> int:
         """The error byte: what went wrong with the instruction, and the hardware errors."""

@@ -72,7 +72,7 @@ class FeetechDevice:
         """Errors that hold: bits of the status."""
         self.ignores_torque_off = False
         """Torque-off is acknowledged and not done."""
-        self._powered = self._ready = now
+        self._powered = self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self._centre = 1023 // 2 if self.model.big else 0
         major, minor = firmware or self.model.firmware
@@ -99,13 +99,6 @@ class FeetechDevice:
     def eeprom(self) -> bytes:
         """Return the bytes that survive a loss of power."""
         return bytes(self._flash)
-
-    def listens(self, now: float) -> bool:
-        """Whether it is awake, and not booting."""
-        return now >= self._ready
-
-    def feed_watchdog(self, now: float) -> None:
-        """Do nothing: it has no watchdog."""
 
     def mean(self, begin: float, end: float) -> float:
         """Return the mean torque at the joint from `begin` to `end`, N m, as a torque cell there measures it."""
@@ -138,7 +131,7 @@ class FeetechDevice:
         self.put("torque_limit", self.get("max_torque"))
         self.put("goal_torque", self.get("protection_current"))
         self.put("goal_position", self._position())
-        self._ready = now + BOOT
+        self.ready = now + BOOT
 
     def alerted(self, error: int) -> int:
         """Return the error byte of a reply: the errors that hold; an instruction has none of its own."""

@@ -61,20 +61,17 @@ class LineSettings(NamedTuple):
 
 
 class PacketServo(Watched, Protocol):
-    """A servo as the line sees it."""
+    """A servo as the line sees it. ready: s, from when on it is awake. heard: s, when a request last passed by."""
+
+    ready: float
+    heard: float
 
     @property
     def line(self) -> LineSettings:
         """Its part on the line, as its registers are now."""
 
-    def listens(self, now: float) -> bool:
-        """Whether it is awake at `now`, s."""
-
     def advance(self, now: float) -> None:
         """Carry it to `now`, s."""
-
-    def feed_watchdog(self, now: float) -> None:
-        """Note that a request passed on the line at `now`, s."""
 
     def reboot(self, now: float) -> None:
         """Lose power for a moment at `now`, s."""
@@ -140,9 +137,9 @@ class PacketBus:
 
     def _execute(self, frame: Frame, now: float, baudrate: int | None) -> list[Reply]:
         self.advance(now)
-        awake = [d for d in self.devices if d.listens(now) and baudrate in {None, d.line.baudrate}]
+        awake = [d for d in self.devices if now >= d.ready and baudrate in {None, d.line.baudrate}]
         for device in awake:
-            device.feed_watchdog(now)
+            device.heard = now
         if frame.id != BROADCAST:
             return self._addressed(frame, awake, now)
         if not frame.sound:

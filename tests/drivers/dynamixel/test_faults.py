@@ -181,7 +181,7 @@ def test_a_line_that_never_falls_silent_is_named_and_does_not_hold_us(rig: Rig, 
         rig.clock.sleep_until(rig.clock.now() + 1e-5 * length)
         return b"\xff\xff\xfd\x00\x01\x08\x00\x55"[:length].ljust(length, b"\xff")
 
-    rig.port.read = noise
+    rig.port.ser.read = noise
     begin = rig.clock.now()
     with pytest.raises((BadReply, NoReply)):
         servo.exchange(PUSH)
