@@ -8,12 +8,14 @@ out, and so is a model that the client does not know.
 from __future__ import annotations
 
 import asyncio
+import importlib
 import io
 import os
 import subprocess
 import sys
 import tempfile
 import time
+import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -29,6 +31,8 @@ UNKNOWN = "model not known to it"
 X_MODELS = [f"xl330-m{n}" for n in ("077", "288")] + ["xc330-t181", "xc330-t288", "xc330-m181", "xc330-m288"]
 X_MODELS += ["xl430-w250", "xm430-w210", "xm430-w350", "xm540-w150", "xm540-w270"]
 MX_MODELS = ["mx-64", "mx-106"]
+LEROBOT_X = ["xl330-m077", "xl330-m288", "xl430-w250", "xm430-w350", "xm540-w270"]
+FEETECH_MODELS = ["sts3215", "sts3250", "hls3606m", "hls2915m", "hls3930m", "scs0009"]
 DAMIAO = {"dm-j4310": "4310", "dm-j4340": "4340", "dm-j6006": "6006", "dm-j8009": "8009", "dm-h3510": "H3510"}
 
 
@@ -180,14 +184,82 @@ def of_damiao_motor(link: str, model: str) -> None:
         require(state()["status_code"] == 0, "it is not disabled")
 
 
+def lerobot_bus(kind: str, model: str, link: str) -> Any:
+    """LeRobot's bus of a kind for one motor.
+
+    Its buses need two functions of a module that loads torch; stand-ins are in their place, for they only ask a person.
+    """
+    utilities: Any = types.ModuleType("lerobot.utils.utils")
+    utilities.enter_pressed, utilities.move_cursor_up = (lambda: False), (lambda _lines: None)
+    sys.modules.setdefault("lerobot.utils.utils", utilities)
+    from lerobot.motors.motors_bus import Motor, MotorNormMode
+
+    module = importlib.import_module(f"lerobot.motors.{kind}")
+    motors = {"joint": Motor(1, model, MotorNormMode.RANGE_M100_100)}
+    if kind == "dynamixel":
+        return module.DynamixelMotorsBus(link, motors)
+    return module.FeetechMotorsBus(link, motors, protocol_version=1 if model.startswith("scs") else 0)
+
+
+def of_lerobot(kind: str) -> Callable[[str, str], None]:
+    """LeRobot's motor bus, as its robots use it."""
+
+    def talk(link: str, model: str) -> None:
+        bus = lerobot_bus(kind, model, link)
+        bus.connect()
+        try:
+            bus.configure_motors()
+            for on in (1, 0):
+                bus.enable_torque() if on else bus.disable_torque()
+                require(bus.read("Torque_Enable", "joint", normalize=False) == on, "torque is not read back")
+            here = bus.read("Present_Position", "joint", normalize=False)
+            bus.write("Goal_Position", "joint", here, normalize=False)
+            if not model.startswith("scs"):  # they have no Sync Read, and it refuses them one
+                require(bus.sync_read("Present_Position", normalize=False) == {"joint": here}, "another position")
+        finally:
+            bus.disconnect()
+
+    return talk
+
+
+def of_feetech_sdk(link: str, model: str) -> None:
+    """The vendor's SDK."""
+    import scservo_sdk as sdk
+
+    class Patient(sdk.PortHandler):  # type: ignore[misc]  # it has no types
+        """Its own time-out is in the wrong unit: gitee.com/ftservo/SCServoSDK IBY2S6."""
+
+        def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802 - the SDK's name
+            self.packet_start_time = self.getCurrentTime()
+            self.packet_timeout = self.tx_time_per_byte * (packet_length + 3.0) + 500.0
+
+    port, packets = Patient(link), sdk.PacketHandler(1 if model.startswith("scs") else 0)
+    require(port.openPort() and port.setBaudRate(BAUD), "the port does not open")
+    try:
+        require(packets.ping(port, 1)[1] == sdk.COMM_SUCCESS, "no answer to a ping")
+        for on in (1, 0):
+            require(packets.write1ByteTxRx(port, 1, 40, on)[0] == sdk.COMM_SUCCESS, "torque is not set")
+            require(packets.read1ByteTxRx(port, 1, 40)[0] == on, "torque is not read back")
+        require(packets.read2ByteTxRx(port, 1, 56)[1] == sdk.COMM_SUCCESS, "no position")
+    finally:
+        port.closePort()
+
+
 SESSIONS = [
     Session("dynamixel-sdk", "dynamixel", X_MODELS + MX_MODELS, of_dynamixel_sdk),
     Session("rustypot", "dynamixel", X_MODELS + MX_MODELS, of_rustypot),
+    Session("lerobot", "dynamixel", LEROBOT_X, of_lerobot("dynamixel")),
+    Session("lerobot", "feetech", ["sts3215", "sts3250", "scs0009"], of_lerobot("feetech")),
+    Session("feetech-servo-sdk", "feetech", FEETECH_MODELS, of_feetech_sdk),
     Session("moteus", "moteus", ["moteus"], of_moteus),
     Session("odrive-can", "odrive", ["0.5.6"], of_odrive_can),
     Session("canopen", "cia402", ["epos4", "epos2", "generic"], of_canopen),
     Session("damiao-motor", "mit", list(DAMIAO), of_damiao_motor),
 ]
+
+
+INSTALL = {"lerobot": "--no-deps lerobot && pip install deepdiff tqdm"}
+"""How a client is installed where its name is not enough: all that LeRobot asks for is torch and more."""
 
 
 def installed(client: str) -> str:
@@ -243,7 +315,8 @@ def main() -> None:
         "Written by `python benchmarks/compatibility.py`.\n\n"
     )
     page = Path(__file__).parent.parent / "docs" / "compatibility.md"
-    page.write_text(intro + "\n".join(rows) + "\n", encoding="utf-8")
+    behind = page.read_text(encoding="utf-8").partition("## A chirp")  # benchmarks/chirps.py writes that
+    page.write_text(f"{intro}{chr(10).join(rows)}\n\n{''.join(behind[1:])}", encoding="utf-8")
 
 
 if __name__ == "__main__":

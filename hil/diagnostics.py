@@ -36,8 +36,8 @@ def driven_by_position(*, is_error: bool) -> Diagnostic:
     return Diagnostic(
         "motor-side",
         "the torque is the motor's and its drive held positions: between two ticks the drive's own loop moves the "
-        "torque, which the readings do not show, and Bc is not the joint's; record with --mode torque, or with a "
-        "torque cell at the joint",
+        "torque, which the readings do not show, and Bc is not the joint's, while Kc is nearly right "
+        "(docs/position_loop.md); record with --mode torque --profile chirp, or with a torque cell at the joint",
         "Bc",
         is_error=is_error,
     )

@@ -27,10 +27,11 @@ COMPATIBILITY = script()
 
 
 @pytest.mark.filterwarnings("ignore:Exception ignored in.*ODriveCAN:pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("session", COMPATIBILITY.SESSIONS, ids=lambda session: session.client)
+@pytest.mark.parametrize("session", COMPATIBILITY.SESSIONS, ids=lambda session: f"{session.client} {session.backend}")
 def test_a_client_that_is_not_ours_accepts_the_drive(session: Any) -> None:
     if not COMPATIBILITY.installed(session.client):
-        pytest.skip(f"{session.client} is not installed")
+        how = COMPATIBILITY.INSTALL.get(session.client, session.client)
+        pytest.skip(f"CLIENT NOT TESTED: {session.client} is not installed, pip install {how}")
     with COMPATIBILITY.emulated(session.backend, session.models[0]) as link:
         session.talk(link, session.models[0])
         gc.collect()  # odrive-can closes its bus a second time when it is collected

@@ -194,6 +194,7 @@ class FeetechDevice:
         if wanted == _RECENTRE:
             self._centre += (_TURN // 2 if not self.model.big else 511) - self._position()
             self.put("torque_enable", int(self.motor.enabled))
+            self.put("goal_position", self._position())  # it stays where it is
         elif wanted == 1 and not self.errors & self.get("unloading_condition") & ~OVERLOAD:
             if not self.motor.enabled:
                 self.motor.enable()

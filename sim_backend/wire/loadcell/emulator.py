@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import xor
@@ -131,10 +131,19 @@ def _misread(line: bytes, ratio: float) -> bytes:
     return bytes(0x80 | (byte * 37 & 0x7F) for byte in line)[: max(1, round(len(line) / max(1.0, ratio)))]
 
 
-def of(sensors: SensorParameters) -> LoadCellBoard:
+BOARDS: Mapping[str, LoadCellBoard] = {
+    "hx711": LoadCellBoard(),
+    "hx711-checked": LoadCellBoard(checksum=True),
+    "value": LoadCellBoard(form="value"),
+    "adc-1khz": LoadCellBoard(rate=1000.0, checksum=True, baudrate=921_600),
+}
+"""The boards there are; the last is one with a 24 bit converter of 1000 readings a second."""
+
+
+def of(sensors: SensorParameters, board: LoadCellBoard = BOARDS["hx711"]) -> LoadCellBoard:
     """A board with the torque cell of [sim.sensors]: its noise, offset and drift, and a count no coarser than its."""
     return replace(
-        LoadCellBoard(),
+        board,
         scale=min(SCALE, sensors.torque_cell_lsb),
         noise=sensors.torque_cell_noise,
         offset=sensors.torque_cell_offset,
@@ -146,23 +155,23 @@ def serve(
     link: Path,
     model: str = "hx711",
     *,
-    baudrate: int = 115200,
+    baudrate: int | None = None,
     parameters: SimParameters | None = None,
     faults: FaultPlan | None = None,
 ) -> PtyLine:
     """Return a cell at a joint at rest, at `link`, a symlink to a pty.
 
     model: "hx711" prints `micros,raw`, "hx711-checked" ends its lines with a checksum, "value" prints counts as plain
-    numbers. A cell at a joint that a motor turns comes with `hil emulate commander`. faults: that happen. Raises
-    ValueError for an unknown model or a baud rate that is not above 0.
+    numbers, "adc-1khz" 1000 lines a second with a checksum. baudrate: bit/s, None: the model's. A cell at a joint that
+    a motor turns comes with `hil emulate commander`. faults: that happen. Raises ValueError for an unknown model or
+    a baud rate that is not above 0.
     """
-    kinds = {"hx711": ("micros,raw", False), "hx711-checked": ("micros,raw", True), "value": ("value", False)}
-    if model not in kinds:
-        raise ValueError(f"model {model!r} is not known: choose one of {', '.join(kinds)}")
-    if baudrate <= 0:
+    if model not in BOARDS:
+        raise ValueError(f"model {model!r} is not known: choose one of {', '.join(BOARDS)}")
+    if baudrate is not None and baudrate <= 0:
         raise ValueError(f"baud rate {baudrate}: it must be above 0")
-    form, checksum = kinds[model]
-    board = replace(of((parameters or SimParameters()).sensors), form=form, checksum=checksum, baudrate=baudrate)
+    board = of((parameters or SimParameters()).sensors, BOARDS[model])
+    board = replace(board, baudrate=baudrate or board.baudrate)
     now = time.monotonic()
     cell = EmulatedLoadCell(board, now=now)
     if faults is not None:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,7 +31,7 @@ from sim_backend.wire.faults import (
     TruncateReplies,
     Unplug,
 )
-from sim_backend.wire.loadcell.emulator import SCALE, SETTLING, EmulatedLoadCell, LoadCellBoard
+from sim_backend.wire.loadcell.emulator import BOARDS, SCALE, SETTLING, EmulatedLoadCell, LoadCellBoard
 from sim_backend.wire.uart.pty_line import PtyLine
 
 from ...loopback import SerialLoopback
@@ -332,3 +333,18 @@ def test_a_table_that_cannot_be_is_refused_at_its_key(change: dict[str, Any], ke
     with pytest.raises(ValidationError) as caught:
         TypeAdapter(LoadCellConfig).validate_python(good | change)
     assert [error["loc"][0] for error in caught.value.errors()] == [key]
+
+
+def test_a_converter_with_1000_readings_a_second_gives_every_one_of_them() -> None:
+    rig = Rig(BOARDS["adc-1khz"], replace(CONFIG, baudrate=921_600))
+    rig.joint.torque = lambda t: 1e-3 if t > 2.0 else 0.0
+    cell = rig.open()
+    read: list[tuple[float, float]] = []
+    while rig.clock.now() < 3.0:
+        rig.wait(5e-3)
+        read += cell.readings()
+    times = [t for t, _ in read]
+    assert all(0.9e-3 < later - earlier < 1.1e-3 for earlier, later in pairwise(times))
+    stepped = next(t for t, torque in read if torque > 0.5e-3)
+    assert 0.0 <= stepped - 0.5 * SETTLING / 1000 - 2.0 < 3.5e-3  # a period, and the adapter's millisecond
+    assert cell.read()[1] == pytest.approx(1e-3, abs=SCALE)
