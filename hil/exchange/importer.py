@@ -98,6 +98,7 @@ def import_table(
     if table.joins_topics:
         numbers, rows = _with_readings(source, numbers, rows)
     channels = dict(zip(names, numbers, strict=True))
+    _check_readings(source, channels, columns)
     used = _all_stated(source, channels, columns, understood)
     for channel, unit in used.items():
         channels[channel] = channels[channel] * (columns[channel].scale * units.factor(DIMENSION[channel], unit))
@@ -131,6 +132,13 @@ def _all_stated(
             "'torque [mN*m]': a wrong one makes Kc wrong by its factor"
         )
     return {channel: unit for channel, unit in stated.items() if unit is not None}
+
+
+def _check_readings(source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column]) -> None:
+    """Raise WrongUse for a named column without a number: its cells are empty, or were filtered out."""
+    for channel, column in columns.items():
+        if not np.isfinite(channels[channel]).any():
+            raise WrongUse(f"{source}: column {column.name!r} holds no number: name another, or check --where")
 
 
 def _raw_range(values: Array) -> str:
@@ -229,7 +237,8 @@ def _unit(channel: str, title: str, column: Column) -> str | None:
 
 def _give(channel: str) -> str:
     option = channel.replace("motor_torque", "torque").replace("motor_position", "dtheta").replace("_", "-")
-    return f"give it with --{option}-unit, one of {', '.join(units.COMMON[DIMENSION[channel]])}"
+    own = "" if channel == "time" else f" (for counts or volts also the factor to it: --{option}-scale)"
+    return f"give it with --{option}-unit, one of {', '.join(units.COMMON[DIMENSION[channel]])}{own}"
 
 
 def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:

@@ -61,7 +61,7 @@ def _range(swing: Swing, unit: str) -> str:
     scale, prefix = next(
         (pair for pair in _PREFIXES if size >= 0.9995 * pair[0]), _PREFIXES[-1] if size else _PREFIXES[0]
     )
-    return f"{swing.least / scale:.3g} to {swing.largest / scale:.3g} {prefix}{unit}"
+    return f"{swing.least / scale + 0.0:.3g} to {swing.largest / scale + 0.0:.3g} {prefix}{unit}"
 
 
 def implausible(torque: Swing, deflection: Swing, limits: LimitsTable | None) -> list[Diagnostic]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import re
 import sys
 from pathlib import Path
 
@@ -273,6 +274,18 @@ def test_columns_whose_units_nobody_states_are_refused_together_with_their_range
     ):
         assert part in said
     assert not (tmp_path / "a.h5").exists()
+
+
+def test_a_column_without_a_number_is_refused(tmp_path: Path) -> None:
+    empty = re.sub(r",\d+,", ",,", TABLE)
+    with pytest.raises(WrongUse, match=r"column 'TAU' holds no number"):
+        imported(tmp_path, empty)
+
+
+def test_a_sensors_own_unit_is_answered_with_the_option_of_its_factor(tmp_path: Path) -> None:
+    columns = {"dtheta": Column("POS [counts]")}
+    with pytest.raises(WrongUse, match=r"'counts', an unknown unit of angle: .* counts or volts .* --dtheta-scale"):
+        imported(tmp_path, TABLE.replace("POS", "POS [counts]"), (), **columns)
 
 
 def test_units_in_a_line_below_the_headings_are_read(tmp_path: Path) -> None:
