@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +10,9 @@ from drivers.servo import Quantity
 from hil.cli import options
 from hil.cli.progress import progress
 from hil.cli.terminal import detail, out, out_table, print_diagnostics, print_json
+
+if TYPE_CHECKING:
+    from hil.api.planning import DesignResult
 
 
 def design(
@@ -45,7 +48,6 @@ def design(
 ) -> None:
     """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest ones."""
     from hil.api import planning
-    from hil.report.design import design_lines, error_table, limit_table
 
     with progress() as show:
         found = planning.design(
@@ -69,7 +71,14 @@ def design(
         out(str(found))
     print_diagnostics(found.diagnostics)
     if not as_json:
-        out_table(error_table(found.task, found.judged))
-        out_table(limit_table(found.task, found.judged))
-        for line in design_lines(found.task, found.judged, found.stand):
-            detail(line)
+        _show_work(found)
+
+
+def _show_work(found: DesignResult) -> None:
+    """Print the tables below the answer, and the commands that record the excitations."""
+    from hil.report.design import design_lines, error_table, limit_table
+
+    out_table(error_table(found.task, found.judged))
+    out_table(limit_table(found.task, found.judged))
+    for line in design_lines(found.task, found.judged, found.stand):
+        detail(line)
