@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
+from hil.signals.windows import is_smooth
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
 from hil.uncertainty.lack_of_fit import Fitted, LackOfFit, lack_of_fit
@@ -53,7 +54,9 @@ def tested(described: Described) -> LackOfFit | None:
     skew = names.index("skew") if "skew" in names else None
     if described.averaged:
         columns = np.concatenate([columns, *_of_every_bench(described, residuals)], axis=1)
-    fitted = Fitted(residuals, columns, coupling, values, half_width, skew, described.kept)
+    recorded = described.recorded
+    kept = described.kept & is_smooth(recorded.time, recorded.deflection, recorded.rate)
+    fitted = Fitted(residuals, columns, coupling, values, half_width, skew, kept)
     return lack_of_fit(described.recorded, fitted)
 
 

@@ -111,7 +111,10 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
 
 
 def _describes(found: Selection, signals: Signals) -> bool:
-    """Whether the model selected passes the tests of its fit, however small what it lacks is."""
+    """Whether the model selected passes the tests of its fit, however small what it lacks is.
+
+    Noise of the deflection is no lack of a term, and rarer ones would be made of it.
+    """
     motion, kept = signals.motion, np.ones(len(signals), dtype=bool)
     if _is_sticking(found.model, motion, found.delay, found.residuals):
         kept = found.model.described(motion, found.delay)
@@ -129,7 +132,8 @@ def _describes(found: Selection, signals: Signals) -> bool:
             averaged=True,
         )
     )
-    return fit is None or not fit.misfit
+    noisy = fit is not None and fit.suspects and fit.suspects[0].effect.in_deflection
+    return fit is None or not fit.misfit or bool(noisy)
 
 
 def _is_sticking(model: Coupling, motion: Motion, delay: float, residuals: Array) -> bool:

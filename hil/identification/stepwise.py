@@ -23,6 +23,7 @@ from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum, polished
 from ga.model.terms import CONSIDERED, RARER, TERMS, is_addable
 from ga.model.trajectory import Motion
+from hil.signals.windows import is_smooth
 from hil.uncertainty.residual_spectrum import measure
 
 Array = NDArray[np.float64]
@@ -143,7 +144,10 @@ class _Selector:
         self._motion, self._torque, self._highest, self._candidates = motion, torque, highest, terms
         self._fitted: dict[tuple[str, ...], _Candidate] = {}
         self._previews: dict[tuple[str, ...], Fit | None] = {}
-        self._size = float(np.mean(np.abs(torque)))
+        self._size, self._smooth = (
+            float(np.mean(np.abs(torque))),
+            is_smooth(motion.time, motion.dtheta, motion.dtheta_dot),
+        )
         smallest = [name for name, term in TERMS.items() if term.selection == "smallest"]
         self.smallest = tuple(name for name in smallest if name == "linear" or name in terms)
         self._rich, self._compared = self.smallest, 1
@@ -295,10 +299,13 @@ class _Selector:
                 errors[number] = left[block[out] == number].mean()
         return errors
 
-    def gain(self, smaller: _Candidate, larger: _Candidate, term: str) -> float:
-        """Return the gain beyond chance of the term that the larger model has and the smaller has not."""
-        count, ratio = len(self._torque), self.ratio(smaller, larger)
-        alike = self._correlation(larger, term)
+    def gain(self, smaller: _Candidate, larger: _Candidate, term: str, share: float = 1.0) -> float:
+        """Return the gain beyond chance of the term that the larger model has and the smaller has not.
+
+        share: of the samples, to which both are fitted.
+        """
+        count, ratio = share * len(self._torque), share * self.ratio(smaller, larger)
+        alike = self._correlation(self._fitted[larger.terms], term)
         chosen_from = np.log(len(self._candidates))  # their gamma of 1/2
         return float(ratio / alike - len(_own(term)) * np.log(max(count / alike, math.e)) - chosen_from)
 
@@ -321,7 +328,18 @@ class _Selector:
         least, gain = (_BETTER, _STRONG) if breaks else (-_WORSE, 0.0)
         if better.mean() < least * better.std(ddof=1) / np.sqrt(_FOLDS):
             return False
-        return self.gain(smaller, larger, term) > gain
+        return self.gain(smaller, larger, term) > gain and self._pays_where_smooth(smaller, larger, term)
+
+    def _pays_where_smooth(self, smaller: _Candidate, larger: _Candidate, term: str) -> bool:
+        """Whether a linear term pays without the samples in which the rate is wrong too: those make a cubic."""
+        if not TERMS[term].linear or self._smooth.all():
+            return True
+        less, more = (self._where_smooth(one) for one in (smaller, larger))
+        return self.gain(less, more, term, float(np.mean(self._smooth))) > 0.0
+
+    def _where_smooth(self, one: _Candidate) -> _Candidate:
+        part = one.problem.of(self._smooth)
+        return replace(one, problem=part, fit=part.solve(one.fit.nonlinear, one.fit))
 
     def _own_columns(self, fitted: _Candidate, term: str) -> Iterator[tuple[Array, Array]]:
         """For each parameter of the term: its column (n,), and the part of it orthogonal to all other columns."""

@@ -17,6 +17,8 @@ _FAST = 0.9  # quantile of the speed above which a sample is a fast one
 _NARROWEST = 6  # samples on each side of a window
 _WIDEST = 250  # samples on each side of a window
 _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
+_WIDER = 9  # samples on each side of a window, beside which a narrower one shows where the rate is wrong
+_UNSURE, _BEYOND_NOISE = 0.01, 8.0  # of the r.m.s. rate, and times the usual difference, from which it is
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
 _TAPER = 0.02  # of a recording at each end
 
@@ -86,6 +88,18 @@ def is_whole(time: Array, window: Window) -> NDArray[np.bool_]:
     whole = np.zeros(len(time), dtype=bool)
     whole[half : len(time) - half] = time[width:] - time[:-width] <= 1.5 * width * window.step
     return whole
+
+
+def is_smooth(time: Array, dtheta: Array, rate: Array) -> NDArray[np.bool_]:
+    """Return whether (n,) the rate hardly depends on the window that it is computed in, as it does beside a jerk.
+
+    time s; dtheta rad; rate rad/s. Noise of the deflection, which the wider window averages too, does not count.
+    """
+    if len(time) <= 2 * _WIDER:
+        return np.ones(len(time), dtype=bool)
+    apart = np.abs(local_polynomial(time, dtheta, _WIDER, 1) - rate)
+    usual = float(np.sqrt(np.mean(rate**2)))
+    return np.asarray(apart <= max(_UNSURE * usual, _BEYOND_NOISE * float(np.median(apart))))
 
 
 def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
