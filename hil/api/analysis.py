@@ -202,6 +202,8 @@ def identify(
     options: dict[str, Any] = {"generations": generations, "population": population, "mutation": mutation}
     options |= {"selection": selection, "weights": weights, "replacement": replacement}
     search = _search(preset, options, trials=trials, bounds=bounds, seed=seed, workers=workers, checkpoint=checkpoint)
+    if cluster is not None and checkpoint is not None:
+        raise WrongUse("--checkpoint is a file of this computer: leave it out, or --cluster")
     [task] = _tasks([_paths(recordings)], model, search, fixture)
     [found] = [identified(task, progress)] if cluster is None else identify_spread([task], cluster, progress)
     return _result(task, found)

@@ -76,9 +76,18 @@ def identify_each(tasks: Sequence[Task], cluster: str | None = None, progress: P
         if progress is not None:
             progress(f"identified {done + more} of {count}", (done + more) / count)
 
-    with executor(min(workers, len(alone)), cluster) as on:
+    others = min(workers, len(alone)) if cluster else workers - 1  # here this process is one of them
+    with executor(others, cluster) as on:
         on_done(0)
-        return [*found, *results(on, identified, alone, on_done)]
+        return [*found, *results(on, _whole, alone, on_done, helping=cluster is None)]
+
+
+def _whole(task: Task, progress: Progress | None = None) -> Result:
+    """Return the result of a task. Raises KeyboardInterrupt where Ctrl-C ended its search: it ends the others too."""
+    found = identified(task, progress)
+    if isinstance(found, Identification) and found.trials.interrupted:
+        raise KeyboardInterrupt
+    return found
 
 
 def _here(tasks: Sequence[Task], workers: int, progress: Progress | None) -> tuple[list[Result], Sequence[Task]]:
@@ -86,7 +95,7 @@ def _here(tasks: Sequence[Task], workers: int, progress: Progress | None) -> tup
     found: list[Result] = []
     for index, task in enumerate(tasks):
         began = time.perf_counter()
-        found.append(identified(task, _share(progress, index, len(tasks))))
+        found.append((_whole if len(tasks) > 1 else identified)(task, _share(progress, index, len(tasks))))
         left = tasks[index + 1 :]
         if workers > 1 and len(left) > 1 and (time.perf_counter() - began) * len(left) > _WORTH:
             return found, left

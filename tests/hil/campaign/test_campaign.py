@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -139,6 +140,14 @@ def test_checks_of_the_drift_repeat_the_first_recording(plan: Path) -> None:
 def test_the_example_has_twenty_two_joints() -> None:
     plan = load(ROOT / "examples" / "hand.toml")
     assert len({run.joint.name for run in plan.runs}) == 22
+
+
+def test_the_plan_of_the_page_can_be_loaded(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
+    block = re.search(r"<!-- plan -->\n```toml\n(.+?)```", page, re.DOTALL)
+    assert block is not None
+    (tmp_path / "plan.toml").write_text(block[1])
+    assert len(load(tmp_path / "plan.toml").runs) == 9
 
 
 def test_every_pretension_is_asked_for_before_its_first_recording(plan: Path) -> None:

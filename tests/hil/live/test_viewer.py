@@ -208,12 +208,11 @@ class Terminal:
 RUN = ["record", "--backend", "sim", "--realtime", "--duration", "30", "--band", "0.5:5", "-o", "a.h5"]
 
 
-@pytest.mark.parametrize("key", [b" ", b"q"])
-def test_a_key_ends_the_run_softly_and_the_terminal_is_as_it_was(key: bytes, tmp_path: Path) -> None:
+def test_a_key_ends_the_run_softly_and_the_terminal_is_as_it_was(tmp_path: Path) -> None:
     terminal = Terminal(RUN, tmp_path)
     try:
         terminal.read_until("preliminary: Kc|late|hil:")
-        terminal.press(key)
+        terminal.press(b" ")
     finally:
         status = terminal.close()
     if "LimitReached" not in terminal.text and "a tick came" not in terminal.text:  # a busy machine ended it before
@@ -228,7 +227,8 @@ def test_a_terminal_without_colours_and_unicode_gets_plain_ascii(tmp_path: Path)
         terminal.read_until("preliminary: Kc|a tick came")
         terminal.press(b"q")
     finally:
-        terminal.close()
+        status = terminal.close()
+    assert status == 130 or "a tick came" in terminal.text
     assert terminal.text.isascii()
     assert "Traceback" not in terminal.text
     assert not re.search(r"\x1b\[3\dm", terminal.text)

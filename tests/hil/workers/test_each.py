@@ -104,6 +104,11 @@ def test_an_option_of_one_identification_is_refused_with_each(hil: Hil, make_rec
     assert (ended.status, "--checkpoint" in ended.err) == (2, True)
 
 
+def test_a_checkpoint_is_refused_with_a_cluster_that_would_not_write_it_here(hil: Hil, make_recording: Maker) -> None:
+    ended = hil("identify", *files(make_recording)[:1], "--cluster", "local", "--checkpoint", "a.npz")
+    assert (ended.status, "--checkpoint" in ended.err) == (2, True)
+
+
 def test_a_scheduler_that_is_not_there_is_one_sentence(make_recording: Maker) -> None:
     pytest.importorskip("distributed", reason="DASK NOT TESTED: it is not installed")
     words = ["identify", *files(make_recording)[:1], "--cluster", "tcp://127.0.0.1:9"]

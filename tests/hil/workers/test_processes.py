@@ -24,6 +24,21 @@ def test_results_come_in_the_order_of_the_tasks_from_other_processes() -> None:
     assert on_done[-1] == 3
 
 
+def test_the_caller_helps_with_the_tasks_that_no_process_has_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "who_did.py").write_text(
+        "import os, time\ndef it(_task):\n    time.sleep(0.05)\n    return os.getpid()\n"
+    )
+    it = import_module("who_did").it
+    with processes(1) as on:
+        found = results(on, it, range(40), helping=True)
+    assert len(found) == 40
+    assert {os.getpid()} < set(found)
+    assert found[-1] == os.getpid() != found[0]
+
+
 def test_a_task_raises_what_its_function_raises() -> None:
     with processes(1) as on:
         with pytest.raises(ZeroDivisionError):
