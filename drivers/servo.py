@@ -133,6 +133,8 @@ class Limits:
         if not math.isfinite(command.value):
             raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
         low, high = self.position if command.quantity is Quantity.POSITION else (-self.torque, self.torque)
+        if low <= command.value <= high:
+            return command
         return replace(command, value=max(low, min(high, command.value)))
 
 

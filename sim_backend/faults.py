@@ -75,7 +75,7 @@ Fault = (
 
 def within(plan: tuple[Fault, ...], kind: type[_Interval], t: float) -> bool:
     """Whether an interval of this kind holds at `t`, s; its end does not belong to it."""
-    return any(isinstance(fault, kind) and fault.start <= t < fault.end for fault in plan)
+    return bool(plan) and any(isinstance(fault, kind) and fault.start <= t < fault.end for fault in plan)
 
 
 def link_ends(plan: tuple[Fault, ...]) -> float:
