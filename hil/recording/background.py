@@ -105,7 +105,7 @@ class BackgroundWriter:
         if waiting > self._half:
             raise Untrustworthy(
                 f"{self.path} cannot be written any further (the disk has not answered while {waiting} rows came): its "
-                "rows so far are kept in memory"
+                "rows so far are kept"
             )
         if not self._rows % self._look:
             self._check()
