@@ -201,21 +201,35 @@ def lerobot_bus(kind: str, model: str, link: str) -> Any:
     return module.FeetechMotorsBus(link, motors, protocol_version=1 if model.startswith("scs") else 0)
 
 
+def connected(bus: Any) -> None:
+    """Connect and configure; it asks once for each answer, and a busy machine may be later than the 50 ms it waits."""
+    for last in (False, False, True):
+        try:
+            bus.connect()
+            bus.configure_motors()
+        except (ConnectionError, RuntimeError):
+            if last:
+                raise
+            bus.port_handler.closePort()
+        else:
+            return
+
+
 def of_lerobot(kind: str) -> Callable[[str, str], None]:
     """LeRobot's motor bus, as its robots use it."""
 
     def talk(link: str, model: str) -> None:
         bus = lerobot_bus(kind, model, link)
-        bus.connect()
+        connected(bus)
+        raw: Any = {"normalize": False, "num_retry": 5}  # a busy machine is later than its 50 ms
         try:
-            bus.configure_motors()
             for on in (1, 0):
-                bus.enable_torque() if on else bus.disable_torque()
-                require(bus.read("Torque_Enable", "joint", normalize=False) == on, "torque is not read back")
-            here = bus.read("Present_Position", "joint", normalize=False)
-            bus.write("Goal_Position", "joint", here, normalize=False)
+                (bus.enable_torque if on else bus.disable_torque)(num_retry=5)
+                require(bus.read("Torque_Enable", "joint", **raw) == on, "torque is not read back")
+            here = bus.read("Present_Position", "joint", **raw)
+            bus.write("Goal_Position", "joint", here, **raw)
             if not model.startswith("scs"):  # they have no Sync Read, and it refuses them one
-                require(bus.sync_read("Present_Position", normalize=False) == {"joint": here}, "another position")
+                require(bus.sync_read("Present_Position", **raw) == {"joint": here}, "another position")
         finally:
             bus.disconnect()
 
