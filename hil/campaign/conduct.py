@@ -17,14 +17,12 @@ from hil.campaign.plan import Plan, Run
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.output import writing
 
-_SLICE = 0.2  # s between two looks at the clock while a joint cools down
-
 
 @dataclass(frozen=True, slots=True)
 class Desk:
     """The person at the stand. say: shows a line. ask: shows what is to be done and returns when it has been done.
 
-    progress: is called with the phase and the share that is done. sleep: waits so many s.
+    progress: is called with the phase of the identifications and the share that is done. sleep: waits so many s.
     """
 
     say: Callable[[str], object]
@@ -50,7 +48,6 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
     with writing(plan.folder):
         plan.folder.mkdir(parents=True, exist_ok=True)
     for at, run in enumerate(due):
-        desk.progress(f"recording {run.name}, {at + 1} of {len(due)}", at / len(due))
         if run.asks:
             desk.ask(run.asks)
         if at and run.joint.stand != "sim":
@@ -68,7 +65,7 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
             journal.keep(run, "stopped on request")
             raise Stopped(ended.outcome.signal)
         journal.keep(run)
-        desk.say(f"{run.name}: {ended.outcome.samples} samples, {ended.outcome.lost} lost")
+        desk.say(f"{at + 1} of {len(due)}, {run.name}: {ended.outcome.samples} samples, {ended.outcome.lost} lost")
 
 
 def _recorded(plan: Plan, run: Run, alarms: list[str]) -> Recorded:
@@ -87,11 +84,9 @@ def _recorded(plan: Plan, run: Run, alarms: list[str]) -> Recorded:
 
 
 def _cool_down(seconds: float, desk: Desk) -> None:
-    left = seconds
-    while left > 0.0:
-        desk.progress(f"cooling down, {left:.0f} s left", 1.0 - left / seconds)
-        desk.sleep(min(_SLICE, left))
-        left -= _SLICE
+    if seconds > 0.0:
+        desk.say(f"cooling down for {seconds:.0f} s")
+        desk.sleep(seconds)
 
 
 def identify_all(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -43,14 +44,14 @@ def campaign(
     if dry_run:
         _show_plan(loaded, journal)
         return
+    desk = conduct.Desk(say, lambda text: _ask(text, yes=yes))
+    try:
+        conduct.record_all(loaded, journal, desk)  # without a bar: the live view has the terminal
+    except conduct.Stopped as stopped:
+        say(str(stopped))
+        raise typer.Exit(128 + stopped.signal) from None
     with progress() as show:
-        desk = conduct.Desk(say, lambda text: _ask(text, yes=yes), show)
-        try:
-            conduct.record_all(loaded, journal, desk)
-        except conduct.Stopped as stopped:
-            say(str(stopped))
-            raise typer.Exit(128 + stopped.signal) from None
-        conduct.identify_all(loaded, journal, desk, workers=workers, cluster=cluster)
+        conduct.identify_all(loaded, journal, replace(desk, progress=show), workers=workers, cluster=cluster)
     found = results(loaded, journal)
     if as_json:
         print_json(page.as_json(loaded, found))

@@ -5,10 +5,15 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from drivers.servo import DriverError
+from hil.acquisition.limits import LimitReached
+from hil.campaign.conduct import Desk, record_all
+from hil.campaign.journal import Journal
 from hil.campaign.plan import line_of, load
 from hil.campaign.results import standing_out
 from hil.errors import WrongUse
@@ -79,6 +84,46 @@ def test_a_joint_that_fails_is_noted_and_the_next_one_is_recorded(hil: Hil, plan
     assert ended.json["joints"][1]["parameters"]["Kc"]["value"] == pytest.approx(0.03, rel=0.05)
     runs = json.loads((tmp_path / "out" / "campaign.json").read_text())["runs"]
     assert [bool(entry["failure"]) for entry in runs.values()] == [True, False]
+
+
+def test_a_drive_that_may_still_have_torque_ends_the_campaign_at_once(
+    plan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan.write_text(
+        PLAN.replace('name = "soft"\n[joint.sim.coupling]\nstiffness = 0.015', 'name = "soft"\nstand = "a.toml"')
+    )
+    loaded, recorded = load(plan), []
+
+    def failing(stand: object, profile: str, *, alarm: Callable[[str], object], **settings: object) -> None:
+        del stand, profile
+        recorded.append(settings["output"])
+        alarm("the torque may still be on")
+        raise DriverError("no reply\nthe torque may still be on")
+
+    monkeypatch.setattr("hil.campaign.conduct.record", failing)
+    journal = Journal(loaded)
+    with pytest.raises(DriverError, match="may still be on"):
+        record_all(loaded, journal, Desk(lambda _text: None, lambda _text: None, sleep=lambda _seconds: None))
+    assert len(recorded) == 1
+    assert "may still be on" in journal.failure(loaded.runs[0])
+
+
+def test_recordings_of_a_real_joint_wait_for_it_to_cool_down(plan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = PLAN.replace("repeats = 2", "repeats = 3\ncool_down = 60.0")
+    plan.write_text(
+        text.replace('name = "soft"\n[joint.sim.coupling]\nstiffness = 0.015', 'name = "soft"\nstand = "a.toml"')
+    )
+
+    def failing(*words: object, **settings: object) -> None:
+        del words, settings
+        raise LimitReached("the winding is too warm")
+
+    monkeypatch.setattr("hil.campaign.conduct.record", failing)
+    monkeypatch.setattr("hil.campaign.conduct.simulate", failing)
+    loaded = load(plan)
+    waits: list[float] = []
+    record_all(loaded, Journal(loaded), Desk(lambda _text: None, lambda _text: None, sleep=waits.append))
+    assert waits == [60.0, 60.0]
 
 
 def test_a_dry_run_shows_what_would_be_recorded_and_makes_nothing(hil: Hil, plan: Path, tmp_path: Path) -> None:
