@@ -22,6 +22,7 @@ from hil.cli.files import export_data, import_data, inspect, recover, view
 from hil.cli.identify import identify
 from hil.cli.many.campaign import campaign
 from hil.cli.many.compare import compare
+from hil.cli.many.report import report
 from hil.cli.record import record
 from hil.cli.replicate import replicate
 from hil.cli.stand import stand
@@ -60,6 +61,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "record": record,
     "identify": identify,
     "compare": compare,
+    "report": report,
     "inspect": inspect,
     "view": view,
     "import": import_data,

@@ -19,6 +19,7 @@ EXAMPLES = MappingProxyType(
             "hil identify run1.h5 run2.h5 --model linear+offset+coulomb --json",
         ),
         "compare": ("hil compare monday.h5 tuesday.h5 friday.h5 --report week.html",),
+        "report": ("hil report monday.h5 tuesday.h5 friday.h5 -o week.html",),
         "inspect": ("hil inspect run1.h5 --plot run1.png",),
         "view": ("hil view run1.h5", "hil view run1.h5 -o run1.rrd"),
         "import": (

@@ -29,6 +29,7 @@ COMMANDS: dict[str, list[tuple[tuple[str, ...], str]]] = {  # words with @ for t
         (("identify", "good.h5", "--model", "@:NAME"), ".py"),
     ],
     "compare": [(("compare", "good.h5", "@"), ".h5")],
+    "report": [(("report", "@", "-o", "r.html"), ".h5")],
     "inspect": [(("inspect", "@"), ".h5"), (("inspect", "@", "--verify"), ".h5 .csv")],
     "import": [
         (("import", "@", *COLUMNS, "-o", "o.h5"), ".csv .csv.gz .parquet .mat .mcap .db3 .txt .h5"),

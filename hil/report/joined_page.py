@@ -1,0 +1,143 @@
+"""The report of many recordings in one page: a table of Kc and Bc, a picture of both, and each recording's fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.diagnostics import Diagnostic
+from hil.report.formatting import people_unit, rounded
+from hil.report.html_page import Page, Picture, Section, write
+from hil.report.identification import as_json, headline, milli
+from hil.report.pictures import pictures
+from hil.report.provenance import provenance
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hil.identification.result import Estimate, Identification
+
+PARAMETERS = ("Kc", "Bc")
+_PICTURES = 2  # of each recording: the fit over time, and the loop
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One recording: its identification, or why there is none with the JSON object that says so."""
+
+    path: Path
+    found: Identification | None
+    reason: str = ""
+    unusable: Mapping[str, Any] | None = None
+
+    @property
+    def trusted(self) -> bool:
+        """Whether both Kc and Bc may be trusted."""
+        return self.found is not None and all(map(self.found.trusted, PARAMETERS))
+
+    def estimate(self, name: str) -> Estimate | None:
+        """Return a parameter, None where it was not identified."""
+        estimates = () if self.found is None else self.found.estimates
+        return next((one for one in estimates if one.name == name), None)
+
+
+def write_page(entries: Sequence[Entry], path: Path, command: str = "", *, force: bool) -> Path:
+    """Write the report of recordings, each identified on its own, and return its path. Raises WrongUse."""
+    good = [entry for entry in entries if entry.found is not None]
+    names = ", ".join(entry.path.name for entry in entries)
+    page = Page(
+        title=f"{verdict(entries)}: {names}",
+        subject=f"Identification of {len(entries)} recordings, each on its own",
+        verdict=(verdict(entries),),
+        diagnostics=_diagnostics(entries),
+        sections=[Section("Kc and Bc, with 95 % intervals", table(entries))],
+        pictures=[picture for at, entry in enumerate(good) for picture in _pictures(at, entry)],
+        provenance=provenance([entry.path for entry in entries], command),
+        table={"schema": "hil-identifications/1", "results": [_json(entry) for entry in entries]},
+        failed=not good,
+    )
+    if len(good) > 1:
+        text = "; ".join(f"{row[0]}: Kc {row[1]}, Bc {row[2]}" for row in table(good)[1:])
+        together = Picture("together", "Kc and Bc of each recording", text, lambda: _figure(good))
+        page = replace(page, pictures=[together, *page.pictures])
+    return write(page, path, force=force)
+
+
+def verdict(entries: Sequence[Entry]) -> str:
+    """Return in one line how many of the recordings have a Kc and a Bc that can be trusted."""
+    counts = [sum(entry.found is not None and entry.found.trusted(name) for entry in entries) for name in PARAMETERS]
+    parts = " and ".join(f"{name} of {count}" for name, count in zip(PARAMETERS, counts, strict=True))
+    return f"{len(entries)} recordings: {parts} can be trusted"
+
+
+def table(entries: Sequence[Entry]) -> list[list[str]]:
+    """Return the rows of the table, its headings first: a row a recording."""
+    factor, units = _units(entries)
+    rows = [["recording", f"Kc [{units[0]}]", f"Bc [{units[1]}]", "model", "state"]]
+    for entry in entries:
+        cells = [_cell(entry.estimate(name), factor) for name in PARAMETERS]
+        rows.append([entry.path.name, *cells, "" if entry.found is None else entry.found.model.name, _state(entry)])
+    return rows
+
+
+def _units(entries: Sequence[Entry]) -> tuple[float, tuple[str, str]]:
+    small = all(milli(entry.found) for entry in entries if entry.found is not None)
+    factor, stiffness = people_unit("N*m/rad", milli=small)
+    return factor, (stiffness, people_unit("N*m*s/rad", milli=small)[1])
+
+
+def _cell(estimate: Estimate | None, factor: float) -> str:
+    if estimate is None:
+        return "no result"
+    low, high = estimate.ci95
+    return " ± ".join(rounded(0.5 * (high - low) * factor, estimate.value * factor))
+
+
+def _state(entry: Entry) -> str:
+    if entry.found is None:
+        return "no result"
+    doubtful = [name for name in PARAMETERS if not entry.found.trusted(name)]
+    return f"{' and '.join(doubtful)} cannot be trusted" if doubtful else "trusted"
+
+
+def _diagnostics(entries: Sequence[Entry]) -> list[Diagnostic]:
+    """Return the warnings and errors of all, each with the name of its recording."""
+    found = []
+    for entry in entries:
+        own = [Diagnostic("unusable", entry.reason, is_error=True)] if entry.found is None else entry.found.diagnostics
+        found += [replace(one, message=f"{entry.path.name}: {one.message}") for one in own]
+    return found
+
+
+def _pictures(at: int, entry: Entry) -> list[Picture]:
+    """Return the first pictures of a recording, as drawings: charts of many would make the page heavy."""
+    if entry.found is None:
+        return []
+    title = f"{entry.path.name}: {headline(entry.found)}"
+    return [
+        replace(one, name=f"r{at}-{one.name}", heading=f"{title}. {one.heading}", chart=None)
+        for one in pictures(entry.found)[:_PICTURES]
+    ]
+
+
+def _figure(entries: Sequence[Entry]) -> Figure:
+    """Return the picture of Kc and Bc over the recordings, each with its interval."""
+    from matplotlib.figure import Figure
+
+    factor, units = _units(entries)
+    drawn = Figure(figsize=(10, 5), layout="constrained")
+    for axes, name, unit in zip(drawn.subplots(2, 1, sharex=True), PARAMETERS, units, strict=True):
+        shown = [(at, one) for at, entry in enumerate(entries) if (one := entry.estimate(name)) is not None]
+        places, values = [at for at, _ in shown], [one.value * factor for _, one in shown]
+        halves = [0.5 * (one.ci95[1] - one.ci95[0]) * factor for _, one in shown]
+        axes.errorbar(places, values, yerr=halves, fmt="o", capsize=3)
+        axes.set_ylabel(f"{name} [{unit}]")
+        axes.grid(visible=True, lw=0.3)
+    axes.set_xticks(range(len(entries)), [entry.path.stem.replace("$", r"\$") for entry in entries], rotation=45)
+    return drawn
+
+
+def _json(entry: Entry) -> dict[str, Any]:
+    return dict(entry.unusable or {}) if entry.found is None else as_json(entry.found)
