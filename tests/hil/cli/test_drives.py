@@ -171,7 +171,7 @@ def test_an_emulator_that_cannot_be_is_refused_in_a_sentence(
 
 @pytest.mark.parametrize("name", EMULATORS)
 def test_an_emulators_function_takes_options_of_the_command_only(name: str) -> None:
-    options = {"link", "channel", "interface", "model", "firmware", "idents", "baudrate", "parameters", "log"}
+    options = {"link", "channel", "interface", "model", "firmware", "idents", "baudrate", "parameters", "log", "faults"}
     taken = set(inspect.signature(EMULATORS[name].function()).parameters)
     assert taken <= options | {"timing"}
     assert ("timing" in taken) == bool(EMULATORS[name].timing)
