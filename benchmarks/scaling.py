@@ -147,7 +147,7 @@ def main() -> None:
         f"\n\nMeasured on {machine()}; {time.perf_counter() - began:.0f} s in all, at most {peak:.0f} MiB resident.\n\n"
         f"![Cost of an evaluation](pictures/scaling.png)\n\n{_table(costs)}\n\n"
         f"An evaluation at 1,000,000 samples over one at 2,500, by the number of parameters: {', '.join(ratios)} (bar: "
-        f"4).{' Left out for time: ' + ', '.join(left_out) + '.' if left_out else ''}",
+        f"5).{' Left out for time: ' + ', '.join(left_out) + '.' if left_out else ''}",
     )
 
 
