@@ -152,16 +152,17 @@ class Log:
         return [one for one in rows if one[0] >= since]
 
     def ended(self, since: float) -> tuple[float, bool]:
-        """Return the time of the first torque-off after `since` s, infinity without one; and whether torque came back.
-
-        Where the torque was off already it is the time itself.
-        """
-        before = [off for at, _, off in self.rows() if at < since]
-        states = [(since, not before or before[-1]), *((at, off) for at, _, off in self.rows(since))]
+        """Return the time of the first torque-off from `since` s on, infinity without one; whether torque came back."""
+        states = [(at, off) for at, _, off in self.rows(since)]
         first = next((place for place, (_, off) in enumerate(states) if off), None)
         if first is None:
             return math.inf, False
         return states[first][0], not all(off for _, off in states[first:])
+
+    def off_at(self, time_: float) -> bool:
+        """Return whether the torque was off at a time, s."""
+        before = [off for at, _, off in self.rows() if at < time_]
+        return not before or before[-1]
 
 
 @contextmanager
@@ -190,7 +191,7 @@ def recorded(adapter: Adapter, stand: Path, output: Path, rate: float, *, guardi
 
 
 class EndedBefore(Exception):
-    """A run ended by itself before its signal."""
+    """A run ended by itself before its signal, or was about to: its torque was off."""
 
 
 def trial(adapter: Adapter, output: Path, word: str, wait: float, settings: argparse.Namespace) -> Trial:
@@ -206,6 +207,8 @@ def trial(adapter: Adapter, output: Path, word: str, wait: float, settings: argp
         process.send_signal(getattr(signal, f"SIG{word}"))
         sent = time.monotonic()
         time.sleep(SETTLED)
+        if log.off_at(sent):
+            raise EndedBefore
         off = log.ended(sent)[0] - sent
         if word == "STOP":
             process.send_signal(signal.SIGCONT)
