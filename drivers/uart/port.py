@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 from typing import Protocol
 
 import serial
@@ -60,8 +61,10 @@ def open_port(name: str, baudrate: int) -> serial.Serial:
         number = getattr(error, "errno", None)
         if number is None and "lock" in str(error):
             number = errno.EWOULDBLOCK
-        remedy = REMEDIES.get(number or 0, "it cannot be opened")
-        raise DriverError(f"{name}: {remedy} ({error})") from None
+        known = REMEDIES.get(number or 0, "")
+        raise DriverError(
+            f"{name}: {known or f'it cannot be opened ({os.strerror(number) if number else error})'}"
+        ) from None
     with contextlib.suppress(ValueError, OSError, NotImplementedError, AttributeError):
         port.set_low_latency_mode(True)  # a USB adapter may hold bytes back for 16 ms; a pty has no such mode
     return port

@@ -76,9 +76,9 @@ def fit(points: Sequence[Point], load_uncertainty: float = 0.0) -> Scale:
             "three points or more, better five on each side, while loading and while unloading"
         )
     slope, offset = np.polyfit(torque, value, 1)
-    _check_slope(float(slope), value)
     residuals = value - offset - slope * torque
     rms = float(np.sqrt(np.mean(residuals**2)))
+    _check_slope(float(slope), rms > abs(float(slope)) * float(np.ptp(torque)) / 4.0)
     if rms > _BENT * float(np.ptp(slope * torque)):
         worst = points[int(np.argmax(np.abs(residuals)))]
         raise Untrustworthy(
@@ -99,10 +99,11 @@ def fit(points: Sequence[Point], load_uncertainty: float = 0.0) -> Scale:
     )
 
 
-def _check_slope(slope: float, value: Array) -> None:
-    if np.ptp(value) == 0.0 or slope == 0.0:
+def _check_slope(slope: float, unrelated: bool) -> None:
+    if slope == 0.0 or unrelated:
         raise Untrustworthy(
-            "the reading is the same with every load: look at the cell's plugs, and whether the load passes through it"
+            "the reading does not follow the load, so it gives no scale for Kc and Bc: look at the cell's plugs, and "
+            "whether the load passes through it"
         )
     if slope < 0.0:
         raise Untrustworthy(
