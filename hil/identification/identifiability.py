@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,7 +133,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     found = _interruption(evidence.trials)
     for at, name in enumerate(evidence.names):
         found += _of_parameter(evidence, at, name)
-    found += _implausible_skew(evidence)
+    found += _implausible_skew(evidence) + other_stiffness(dict(zip(evidence.names, evidence.values, strict=True)))
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
             Diagnostic(
@@ -173,6 +174,26 @@ def rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> list[Diagnos
                     )
                 )
     return undecided
+
+
+def other_stiffness(values: Mapping[str, float]) -> list[Diagnostic]:
+    """Return a warning of each second stiffness beside Kc that a model with these values, SI, by name, has."""
+    found = []
+    if {"Kc", "Fd", "reach"} <= set(values) and values["reach"] > 0.0:
+        kc, reach, near = values["Kc"], values["reach"], values["Kc"] + values["Fd"] / values["reach"]
+        text = (
+            f"Kc is {kc:.3g} N m/rad once the friction slides, and {near:.3g} N m/rad just after a reversal: use the "
+            f"latter for motion of less than {reach:.2g} rad, and K'(f) of --verbose for other motion"
+        )
+        found.append(Diagnostic("two-stiffnesses", text, "Kc"))
+    if {"Kc", "K1", "tau1"} <= set(values):
+        fast = values["Kc"] + values["K1"] + values.get("K2", 0.0)
+        text = (
+            f"Kc is {values['Kc']:.3g} N m/rad once the coupling has relaxed, and {fast:.3g} N m/rad for motion much "
+            f"faster than tau1, {1e3 * values['tau1']:.3g} ms: use K'(f) and B'(f) of --verbose for motion between"
+        )
+        found.append(Diagnostic("two-stiffnesses", text, "Kc"))
+    return found
 
 
 def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:

@@ -8,7 +8,7 @@ from drivers.servo import Status
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
 from hil.diagnostics import Diagnostic
-from hil.identification.identifiability import rivals
+from hil.identification.identifiability import other_stiffness, rivals
 from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.stepwise import Step
@@ -179,3 +179,13 @@ def test_the_last_included_step_of_model_selection_is_the_result(make_recording:
     last = [step for step in found.steps if step.included][-1]
     assert last.model == found.model.name
     assert (last.Kc, last.Bc, last.fitness) == (found["Kc"].exact, found["Bc"].exact, found.optimum)
+
+
+def test_a_model_with_two_stiffnesses_says_both() -> None:
+    """0.24 N m/rad left, and 1.2 mN m over 20 mrad: 0.3 N m/rad after a reversal."""
+    (sliding,) = other_stiffness({"Kc": 0.24, "Bc": 3e-3, "Fd": 1.2e-3, "reach": 0.02})
+    (relaxed,) = other_stiffness({"Kc": 0.3, "Bc": 3e-3, "K1": 0.09, "tau1": 0.02})
+    assert "0.24 N m/rad once the friction slides, and 0.3 N m/rad" in sliding.message
+    assert "0.39 N m/rad for motion much faster than tau1, 20 ms" in relaxed.message
+    assert not any(one.is_error for one in (sliding, relaxed))
+    assert other_stiffness({"Kc": 0.3, "Bc": 3e-3}) == []
