@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
@@ -35,7 +36,9 @@ _MOST_FILES = 10_000
 
 def is_bag(source: Path) -> bool:
     """Return whether a path is one of a ROS 2 bag: its folder, or one of its files."""
-    return source.suffix.lower() in SUFFIXES or (source / "metadata.yaml").is_file()
+    with suppress(OSError):  # a name that is too long
+        return source.suffix.lower() in SUFFIXES or (source / "metadata.yaml").is_file()
+    return False
 
 
 def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Array]:
