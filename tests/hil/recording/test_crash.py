@@ -69,7 +69,7 @@ def killing(monkeypatch: pytest.MonkeyPatch, at: int, *, after: bool) -> None:
 
     for name in ("open", "fsync", "link", "unlink", "close"):
         monkeypatch.setattr(os, name, fatal(getattr(os, name)))
-    for name in ("write_at", "_write_header", "_sign", "_reserve_contiguous"):
+    for name in ("write_at", "_write_header", "sign", "_reserve_contiguous"):
         monkeypatch.setattr(writer_module, name, fatal(getattr(writer_module, name)))
 
 
