@@ -169,7 +169,8 @@ def test_identification_never_looks_at_the_truth(hil: Hil) -> None:
     assert before == after
 
 
-LOCKED = ("--time", "TIME", "--torque", "TORQUE", "--dtheta", "POSITION", "--dtheta-unit", "rev")
+UNITS = ("--time-unit", "s", "--torque-unit", "N*m", "--dtheta-unit", "rev")
+LOCKED = ("--time", "TIME", "--torque", "TORQUE", "--dtheta", "POSITION", *UNITS)
 
 
 @pytest.mark.parametrize(
@@ -423,7 +424,7 @@ def test_an_unusable_recording_is_reported_in_the_json_too(
         (("identify", "a.h5", "--trials", "0"), "--trials"),
         (("identify", "a.h5", "--population", "3"), "--population: population of 3"),
         (("identify",), "Missing argument"),
-        (("import", "a.csv", "-o", "b.h5", "--time", "t", "--torque", "q"), "name the columns"),
+        (("import", "a.csv", "-o", "b.h5", "--time", "t", "--torque", "q"), "cannot be read"),
         (("import", "a.csv", "-o", "b.h5", "--time", "t", "--torque", "q", "--dtheta", "p"), "cannot be read"),
         (("recover", "a.h5"), "does not end in .part"),
         (("frobnicate",), "No such command"),

@@ -137,7 +137,7 @@ def test_recordings_that_agree_more_closely_than_their_errors_are_said_to(make_r
 
 def test_the_real_runs_of_one_actuator_agree(tmp_path: Path, locked_output: Path) -> None:
     """Two ramps of base_onyx of +-25 to 40 N m, whose friction is a term of its own."""
-    columns = {"time": Column("TIME"), "torque": Column("TORQUE"), "dtheta": Column("POSITION", "rev")}
+    columns = {"time": Column("TIME", "s"), "torque": Column("TORQUE", "N*m"), "dtheta": Column("POSITION", "rev")}
     paths = [tmp_path / f"{run}.h5" for run in (100, 101)]
     for path in paths:
         where = [RowFilter.parse(f"test_nr=={path.stem}")]
