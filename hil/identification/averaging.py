@@ -84,7 +84,7 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
 def _around(model: Alternative, doubtful: Sequence[str], data: Signals) -> dict[str, Averaged]:
     """Kc and Bc averaged over one model with and without the effects that every bench has; {} where none can be."""
     largest = _largest(model, doubtful, data)
-    if largest is None:
+    if largest is None or not _contains(largest, model, data):
         return {}
     added, names, sampling = largest.added, largest.names, largest.sampling
     scales = np.full(len(names), np.inf)
@@ -145,6 +145,30 @@ def _largest(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> _L
         if not alike:
             return _Largest(tuple(added), names, values, sampling)
         added.remove(alike[-1])
+
+
+def _contains(largest: _Largest, smaller: Alternative, data: Signals) -> bool:
+    """Return whether the larger fit, with what was added set to zero, is the smaller fit, within its interval.
+
+    Both are of the same data. Where they differ, the error of the larger one does not say how its parameters move
+    together (residuals that last longer than what is averaged over), and an average would lead away from both.
+    """
+    columns = smaller.model.columns(data.motion, smaller.nonlinear)
+    target = smaller.model.target(data.motion, data.torque, smaller.nonlinear)
+    own = dict(zip((one.name for one in smaller.model.linear), _fitted(columns, target), strict=True))
+    names, matrix = largest.names, largest.sampling.matrix
+    added = [names.index(name) for term in largest.added for name in _own(term)]
+    if not added:
+        return True
+    gain = np.linalg.lstsq(matrix[np.ix_(added, added)], matrix[added], rcond=None)[0]  # (added, p)
+    restricted = largest.values - largest.values[added] @ gain
+    variance = matrix.diagonal() - np.einsum("ap,ap->p", matrix[added], gain)
+    reach = largest.sampling.quantile * np.sqrt(np.maximum(variance, 0.0))
+    return all(abs(restricted[names.index(name)] - own[name]) <= reach[names.index(name)] for name in COUPLING)
+
+
+def _fitted(columns: Array, target: Array) -> Array:
+    return least_absolute_deviations(columns, target).genes
 
 
 def _is_doubtful(step: Step) -> bool:

@@ -15,6 +15,8 @@ from hil.signals.prepare import prepare
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import open_sources
 
+_LONG = 500_000  # rows of a recording whose signals take more than a moment
+
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
@@ -68,9 +70,9 @@ def inspect(path: Path, progress: Progress | None = None) -> Inspection:
     """
     with open_sources([path]) as (source,):
         source.verify(progress)
-        if progress is not None:
-            progress("computing the signals", math.nan)
         recording = source.recording
+        if progress is not None and len(recording) > _LONG:
+            progress("computing the signals", math.nan)
         signals = prepare(recording, source.table)
         intervals = np.diff(signals.motion.time)
         read = recording.channel("read_time")
