@@ -96,7 +96,9 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         terms = tuple(term for term in terms if TERMS[term].linear)
     # an inertia hides behind a skew, but where neither is enough it may be there, whoever read the torque
     rarer = () if linear_only else (*RARER, *(name for name, one in TERMS.items() if one.selection == "motor torque"))
-    rarer = tuple(term for term in rarer if term not in terms)
+    # a motor's torque comes through no cell: what it is late by is the time to its next set-point
+    absent = {"lag"} if signals.torque_from == "motor" else set()
+    rarer = tuple(term for term in rarer if term not in terms and term not in absent)
     motion, highest = signals.motion, signals.band[1]
     found = stepwise.select(
         motion, signals.torque, highest, terms, rarer=rarer, describes=lambda found: _describes(found, signals)

@@ -118,7 +118,7 @@ def select(
     if not rarer:
         return selector.explained(usual)
     if describes(selector.selection(usual)):
-        return selector.explained(selector.lagging(usual))
+        return selector.explained(selector.lagging(usual) if "lag" in rarer else usual)
     selector.consider(selector.likeliest(rarer, usual.terms))
     selector.measure_noise()
     richer = _climbed(selector, selector.candidate(selector.smallest))

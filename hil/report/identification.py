@@ -276,7 +276,7 @@ def identification_lines(found: Identification) -> list[str]:
 
 
 def summary_lines(found: Identification) -> list[str]:
-    """Return three lines on what was done: the model and its other parameters, the fit, the work."""
+    """Return a line each on the model and its other parameters, the fit, and the work; more for several recordings."""
     factor, unit = people_unit("N*m", milli=milli(found))
     others = [_verdict(found, estimate) for estimate in found.estimates[2:]]
     chosen = f", selected from {len(found.steps)} candidates" if found.steps else ""
@@ -284,6 +284,8 @@ def summary_lines(found: Identification) -> list[str]:
         f"model {found.model.name}{chosen}" + (f": {',  '.join(others)}" if others else ""),
         f"mean |torque error| {found.optimum * factor:.3g} {unit} over {found.samples} samples; "
         f"RMS {found.validation.nrmse:.2%} of the torque's on held-out data; optimiser gap {found.optimiser_gap:.1e}",
+        *_component_lines(found),
+        *_fixture_lines(found),
         f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s; more with --verbose",
     ]
