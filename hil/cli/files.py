@@ -65,8 +65,9 @@ def view(
     from hil.live import rerun
 
     place = rerun.WINDOW if output is None else str(output)
+    loaded = load(recording)
     rerun.check(place, force=force)
-    rerun.show(load(recording).channels, place)
+    rerun.show(loaded.channels, place)
     out(f"{recording}: shown in {'a window of Rerun' if output is None else output}")
 
 
