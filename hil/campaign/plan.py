@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from hil.errors import WrongUse
-from hil.recording.input import read_text
 from hil.stand.sentences import names_the_value, sentence
+from hil.stand.toml_table import line_of, load_table
 
-_LARGEST = 1 << 20  # bytes of a plan
-_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 .-]*$")]
 
@@ -122,16 +118,7 @@ class Plan:
 
 def load(path: Path) -> Plan:
     """Return the plan in a TOML file. Raises WrongUse with every error of it, each with its line and key."""
-    text = read_text(path, largest=_LARGEST)
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise WrongUse(f"{path} is not TOML: {error}") from None
-    try:
-        file = _File.model_validate(table)
-    except ValidationError as error:
-        lines = [f"  {_message(text, item)}" for item in error.errors()]
-        raise WrongUse(f"{path} has {len(lines)} error(s):\n" + "\n".join(lines)) from None
+    file = load_table(path, _File, _message)
     plan = Plan(path, file.campaign, path.parent / file.campaign.output, ())
     return Plan(path, file.campaign, plan.folder, tuple(_runs(plan, file)))
 
@@ -197,22 +184,3 @@ def _message(text: str, item: Any) -> str:
 def _keys(place: list[Any]) -> list[str]:
     tables: dict[str, type[BaseModel]] = {"campaign": CampaignTable, "profile": ProfileTable, "joint": JointTable}
     return list((_File if len(place) == 1 else tables.get(str(place[0]), _File)).model_fields)
-
-
-def line_of(text: str, place: list[Any]) -> int:
-    """Return the line, from 1, of a key in TOML, such as ["joint", 2, "stand"]; its table's where it is not there."""
-    names = [str(part) for part in place if isinstance(part, str)]
-    number = next((part for part in place if isinstance(part, int)), 0)
-    counts: dict[str, int] = {}
-    here: list[str] = []
-    found, is_it = 1, len(names) == 1
-    for at, line in enumerate(text.splitlines(), 1):
-        if header := _HEADER.match(line):
-            here = [part.strip(" \"'") for part in header[2].split(".")]
-            if header[1] == "[[":
-                counts[here[0]] = counts.get(here[0], -1) + 1
-            is_it = here == names[: len(here)] and counts.get(here[0], 0) == number
-            found = at if is_it else found
-        elif is_it and [*here, line.partition("=")[0].strip(" \"'")] == names:
-            return at
-    return found

@@ -72,6 +72,7 @@ class _Columns:
             raise WrongUse(f"--rerun {place}: Rerun cannot show it ({error}): try a file, such as run.rrd") from None
 
     def send(self, channels: Mapping[str, Array]) -> None:
+        """Send channels (n,), SI, at their "time"; what is not finite is left out."""
         time = channels["time"]
         for name, values in channels.items():
             good = np.isfinite(time) & np.isfinite(values)

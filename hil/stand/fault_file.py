@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from hil.errors import WrongUse
-from hil.recording.input import read_text
 from hil.stand.sentences import names_the_value, sentence
+from hil.stand.toml_table import line_of, load_table
 from sim_backend.fault_plan import KINDS, FaultPlan, PlannedFault
 
-_LARGEST = 1 << 20  # bytes
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
@@ -62,33 +58,12 @@ class _File(_Table):
 
 def load_plan(path: Path) -> FaultPlan:
     """Return the plan in a file. Raises WrongUse with every error of it, each with its line and key."""
-    text = read_text(path, largest=_LARGEST)
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise WrongUse(f"{path} is not TOML: {error}") from None
-    try:
-        file = _File.model_validate(table)
-    except ValidationError as error:
-        errors = [_message(text, item) for item in error.errors()]
-        raise WrongUse(f"{path} has {len(errors)} error(s):\n" + "\n".join(f"  {one}" for one in errors)) from None
+    file = load_table(path, _File, _message)
     return FaultPlan([fault.planned() for fault in file.fault], file.seed)
 
 
 def _message(text: str, item: Any) -> str:
     place = [part for part in item["loc"] if isinstance(part, str | int)]
-    number = next((part for part in place if isinstance(part, int)), None)
     key = str(place[-1]) if place and isinstance(place[-1], str) else "fault"
     value = f"{item['input']!r} " if names_the_value(item) else ""
-    return f"line {_line(text, number, key)}: {key}: {value}{sentence(item)}"
-
-
-def _line(text: str, number: int | None, key: str) -> int:
-    """Return the line, from 1, of `key` in the [[fault]] of that number, from 0; of the table where there is none."""
-    lines = text.splitlines()
-    heads = [place for place, line in enumerate(lines) if re.match(r"\s*\[\[\s*fault\s*\]\]", line)]
-    first, last = 0, len(lines)
-    if number is not None and number < len(heads):
-        first, last = heads[number], (*heads, len(lines))[number + 1]
-    pattern = re.compile(rf"""\s*["']?{re.escape(key)}["']?\s*=""")
-    return 1 + next((place for place in range(first, last) if pattern.match(lines[place])), first)
+    return f"line {line_of(text, place)}: {key}: {value}{sentence(item)}"

@@ -14,9 +14,10 @@ from drivers.servo import DriverError
 from hil.acquisition.limits import LimitReached
 from hil.campaign.conduct import Desk, record_all
 from hil.campaign.journal import Journal
-from hil.campaign.plan import line_of, load
+from hil.campaign.plan import load
 from hil.campaign.results import standing_out
 from hil.errors import WrongUse
+from hil.stand.toml_table import line_of
 
 from ..conftest import Hil
 

@@ -1,0 +1,55 @@
+"""A TOML file that a person writes, as a checked table: every error of it with its line and key."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from hil.errors import WrongUse
+from hil.recording.input import read_text
+
+_LARGEST = 1 << 20  # bytes
+_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
+
+Table = TypeVar("Table", bound=BaseModel)
+
+
+def load_table(path: Path, kind: type[Table], message: Callable[[str, Any], str]) -> Table:
+    """Return the table in a TOML file. Raises WrongUse with every error of it.
+
+    message: makes a line of the text of the file and one of a ValidationError's errors.
+    """
+    text = read_text(path, largest=_LARGEST)
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise WrongUse(f"{path} is not TOML: {error}") from None
+    try:
+        return kind.model_validate(table)
+    except ValidationError as error:
+        lines = [f"  {message(text, item)}" for item in error.errors()]
+        raise WrongUse(f"{path} has {len(lines)} error(s):\n" + "\n".join(lines)) from None
+
+
+def line_of(text: str, place: list[Any]) -> int:
+    """Return the line, from 1, of a key in TOML, such as ["joint", 2, "stand"]; its table's where it is not there."""
+    names = [str(part) for part in place if isinstance(part, str)]
+    number = next((part for part in place if isinstance(part, int)), 0)
+    counts: dict[str, int] = {}
+    here: list[str] = []
+    found, is_it = 1, len(names) == 1
+    for at, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            here = [part.strip(" \"'") for part in header[2].split(".")]
+            if header[1] == "[[":
+                counts[here[0]] = counts.get(here[0], -1) + 1
+            is_it = here == names[: len(here)] and counts.get(here[0], 0) == number
+            found = at if is_it else found
+        elif is_it and [*here, line.partition("=")[0].strip(" \"'")] == names:
+            return at
+    return found
