@@ -99,9 +99,9 @@ def record(bench: Bench, seed: int) -> Reading:
 
 
 def write_csv(reading: Reading, path: Path) -> None:
-    """Write a recording as a table for `hil import`, with units in its headings."""
+    """Write a recording as a table for `hil import`. Its headings name no unit, as those of most tables."""
     table = np.column_stack([reading.time, reading.torque, reading.deflection])
-    np.savetxt(path, table, delimiter=",", header="time [s],torque [N*m],dtheta [rad]", comments="", fmt="%.10g")
+    np.savetxt(path, table, delimiter=",", header="time,torque,dtheta", comments="", fmt="%.10g")
 
 
 def write_recording(reading: Reading, path: Path) -> None:

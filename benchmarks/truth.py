@@ -4,6 +4,9 @@ Every case of `truth_cases` is recorded `--seeds` times by the simulated stand a
 each recording is identified as `hil identify --json --model MODEL` does it, and by plain least squares with a gradient.
 Results are appended to a file of JSON lines, one recording each, so that a study that was stopped goes on where it was;
 the file's name carries the fingerprint of the code that it judges. The tables and a picture go into docs/accuracy.md.
+
+`--short` takes a few seeds and goes on with the benches of `truth_benches.py`; it writes no page. Either ends with 1
+where more of a case or bench is confidently wrong than chance explains with 2 % of it.
 """
 
 from __future__ import annotations
@@ -23,15 +26,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import truth_benches
 from truth_cases import CASES, RATE, case_named
-from truth_page import UNIDENTIFIABLE, write_page
-from truth_recordings import SOURCES
+from truth_page import UNIDENTIFIABLE, is_confidently_wrong, most_by_chance, tables, write_page
+from truth_recordings import SOURCES, can_make
 
 from drivers.servo import Status
 from hil.cli import app as cli
 from hil.signals.source import open_sources
 
 ROOT = Path(__file__).parent.parent
+SEEDS, SHORT = 500, 6
 UNIDENTIFIABLE_PART = 5  # one seed in so many also makes the recordings that cannot identify the parameters
 REPORT_EVERY = 5.0  # s between two lines of progress
 
@@ -112,7 +117,7 @@ def fingerprint() -> str:
     for folder in ("hil", "ga", "drivers", "sim_backend"):
         for path in sorted((ROOT / folder).rglob("*.py")):
             digest.update(path.read_bytes())
-    for name in ("truth.py", "truth_cases.py", "truth_recordings.py"):
+    for name in ("truth.py", "truth_cases.py", "truth_mujoco.py", "truth_recordings.py"):
         digest.update((Path(__file__).parent / name).read_bytes())
     return digest.hexdigest()[:10]
 
@@ -158,7 +163,8 @@ def _with_progress(rows: Iterator[dict[str, Any]], count: int) -> Iterator[dict[
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Monte Carlo truth study of hil identify")
     parser.add_argument("--model", default="auto", help="as hil identify takes it")
-    parser.add_argument("--seeds", type=int, default=500, help="recordings of each case from each source")
+    parser.add_argument("--seeds", type=int, help=f"recordings of each case from each source: {SEEDS} where not given")
+    parser.add_argument("--short", action="store_true", help=f"{SHORT} seeds, then the benches; no page is written")
     parser.add_argument("--case", action="append", choices=[case.name for case in CASES], help="only these")
     parser.add_argument("--source", action="append", choices=list(SOURCES), help="only these")
     parser.add_argument("--workers", type=int, default=2, help="processes")
@@ -166,25 +172,47 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
+def wanted_jobs(options: argparse.Namespace, seeds: int) -> list[Job]:
+    """The recordings of the study, seed by seed."""
+    return [
+        Job(seed, source, case.name, options.model)
+        for seed in range(seeds)
+        for case in CASES
+        for source in options.source or SOURCES
+        if case.name in (options.case or [case.name])
+        and can_make(source, case)
+        and (case.bars != UNIDENTIFIABLE or seed * UNIDENTIFIABLE_PART < seeds)  # a few suffice
+    ]
+
+
+def breaches(rows: list[dict[str, Any]]) -> list[str]:
+    """A sentence for each case and source with more confidently wrong results than 2 % and chance explain."""
+    found = []
+    for case, source in sorted({(row["case"], row["source"]) for row in rows}):
+        mine = [row for row in rows if (row["case"], row["source"]) == (case, source)]
+        wrong = [row["seed"] for row in mine if is_confidently_wrong(row)]
+        if len(wrong) > most_by_chance(len(mine)):
+            found.append(f"{case}, {source}: {len(wrong)} of {len(mine)} are confidently wrong: seeds {wrong}")
+    return found
+
+
 def main() -> None:
     options = _options()
     where = Path(tempfile.gettempdir()) / "hil-truth" / f"{options.model}-{fingerprint()}.jsonl"
     results = options.results or where
-    wanted = [
-        Job(seed, source, case.name, options.model)
-        for seed in range(options.seeds)
-        for case in CASES
-        for source in options.source or SOURCES
-        if case.name in (options.case or [case.name])
-        and (case.bars != UNIDENTIFIABLE or seed * UNIDENTIFIABLE_PART < options.seeds)  # a few suffice
-    ]
+    wanted = wanted_jobs(options, options.seeds or (SHORT if options.short else SEEDS))
     jobs = missing(rows_of(results), wanted)
     print(f"{len(wanted)} recordings of {RATE:g} Hz, {len(wanted) - len(jobs)} done before; results in {results}")
     if jobs:
         study(jobs, options.workers, results)
     asked = {tuple(job) for job in wanted}
     rows = [row for row in rows_of(results) if (row["seed"], row["source"], row["case"], row["asked"]) in asked]
-    print(write_page(options.model, rows))
+    print(tables(options.model, rows) if options.short else write_page(options.model, rows))
+    broken = breaches(rows)
+    if options.short:
+        broken += truth_benches.study(truth_benches.NAMES, truth_benches.SHORT, options.workers)
+    print("\n".join(broken) or "no promise is broken")
+    sys.exit(1 if broken else 0)
 
 
 if __name__ == "__main__":

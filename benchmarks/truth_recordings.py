@@ -1,7 +1,7 @@
-"""The two sources of recordings of the truth study: the simulated stand, and a closed form that shares nothing with it.
+"""The sources of recordings of the truth study, which share nothing: simulated stand, closed form and MuJoCo.
 
 `simulated` runs a servo through the recorder, as `hil record` does. `closed_form` writes down what would have been
-read. The same case and seed give the same samples.
+read, `mujoco` what would have been read of MuJoCo's joint. The same case and seed give the same samples.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+import truth_mujoco
 from truth_cases import (
     GEAR,
     MOTOR_DAMPING,
@@ -23,6 +24,7 @@ from truth_cases import (
     coupling_torque,
     simulated_tables,
 )
+from truth_mujoco import Driven
 
 from drivers.clock import Clock
 from drivers.servo import Command, Limits, Quantity, Sample, Servo, ServoInfo, Status
@@ -128,7 +130,13 @@ def closed_form(case: Case, seed: int, path: Path) -> None:
     write(path, _header(case, seed), closed_form_channels(case, rng_of(case, seed)))
 
 
-def _header(case: Case, seed: int) -> Header:
+def mujoco(case: Case, seed: int, path: Path) -> None:
+    """Write what sensors read of MuJoCo's joint. Raises ValueError for a case that it has no parameter for."""
+    channels = closed_form_channels(case, rng_of(case, seed), truth_mujoco.driven(case))
+    write(path, _header(case, seed, "MuJoCo"), channels)
+
+
+def _header(case: Case, seed: int, source: str = "closed form") -> Header:
     profile: dict[str, str | float] = {"kind": "prescribed", "band_low": case.band[0], "band_high": case.band[1]}
     truth = {name: float(getattr(case.truth, name)) for name in ("Kc", "Bc", *case.free)}
     return Header(
@@ -136,19 +144,21 @@ def _header(case: Case, seed: int) -> Header:
         stand_toml=stand_text(case, {}) if case.motor_side else "",
         truth=truth,
         seed=seed,
-        operator_note=f"closed form, {case.name}",
+        operator_note=f"{source}, {case.name}",
     )
 
 
-def closed_form_channels(case: Case, rng: np.random.Generator) -> dict[str, Array]:
+def closed_form_channels(case: Case, rng: np.random.Generator, driven: Driven | None = None) -> dict[str, Array]:
     """What would have been read, (n,) each: torque with noise, outliers and skew; angle in counts; stamps with jitter.
 
+    driven: how the joint moved and what its coupling carried; None: as the closed form of the case says.
     A lost sample keeps its row, as the recorder keeps it: no value, and a status that says so.
     """
     planned = np.arange(SAMPLES) / RATE
     time = planned + case.jitter * rng.standard_normal(SAMPLES)
     stamp = time + case.jitter * rng.standard_normal(SAMPLES)
-    motion = case.motion(time)
+    joint = driven or case
+    motion = joint.motion(time)
     noise = NOISE * rng.standard_normal(SAMPLES)
     hit = rng.random(SAMPLES) < case.outliers
     spikes = np.where(hit, OUTLIER * rng.choice([-1.0, 1.0], SAMPLES), 0.0)
@@ -161,7 +171,7 @@ def closed_form_channels(case: Case, rng: np.random.Generator) -> dict[str, Arra
         shaft += coupling_torque(motion, case.truth) / GEAR + noise / GEAR
         channels |= {"motor_torque": shaft, "motor_position": angle * GEAR, "torque": shaft * GEAR}
     else:
-        channels["torque"] = case.torque(time) + noise + spikes
+        channels["torque"] = joint.torque(time) + noise + spikes
     if case.with_rate:
         channels["dtheta_dot"] = motion.rate
     lost = rng.random(SAMPLES) < case.lost
@@ -175,4 +185,13 @@ def _counted(angle: Array, lsb: float) -> Array:
     return np.round(angle / lsb) * lsb if lsb else angle
 
 
-SOURCES: Mapping[str, Callable[[Case, int, Path], None]] = {"simulator": simulated, "closed form": closed_form}
+SOURCES: Mapping[str, Callable[[Case, int, Path], None]] = {
+    "simulator": simulated,
+    "closed form": closed_form,
+    "MuJoCo": mujoco,
+}
+
+
+def can_make(source: str, case: Case) -> bool:
+    """Return whether a source can make the recordings of a case."""
+    return source != "MuJoCo" or case.name not in truth_mujoco.WITHOUT

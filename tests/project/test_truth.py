@@ -1,4 +1,4 @@
-"""The truth study of benchmarks/truth.py: its two sources of recordings, its bound, and how it goes on."""
+"""The truth study of benchmarks/truth.py: its sources of recordings, its bound, and how it goes on."""
 
 from __future__ import annotations
 
@@ -122,6 +122,51 @@ def test_the_clean_simulator_is_clean_and_reaches_the_amplitude_at_15_hz(study: 
     assert float(np.std(left)) == pytest.approx(NOISE, rel=0.03)
     assert abs(found[0] / KC - 1.0) < 5.0 * 0.0005
     assert abs(found[1] / BC - 1.0) < 5.0 * 0.0015
+
+
+def test_mujocos_joint_has_the_spring_damper_and_friction_of_the_case(study: Study, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="MUJOCO AS A SOURCE NOT TESTED: mujoco is not installed")
+    study.recordings.mujoco(study.cases.case_named("coulomb"), 0, tmp_path / "one.h5")
+    with Recording(tmp_path / "one.h5") as recording:
+        time, angle, rate, torque = (
+            recording.channel(name) for name in ("read_time", "dtheta", "dtheta_dot", "torque")
+        )
+    assert np.abs(make_interp_spline(time, angle, k=5)(time, 1) - rate)[20:-20].max() < 1e-3 * np.abs(rate).max()
+    columns = np.stack([angle, rate, np.sign(rate)], axis=1)
+    found = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    assert found == pytest.approx([KC, BC, 1e-3], rel=0.01)
+    assert float(np.std(torque - columns @ found)) == pytest.approx(NOISE, rel=0.1)
+
+
+def test_a_case_that_mujoco_has_no_parameter_for_is_not_asked_of_it(study: Study) -> None:
+    cases = study.cases.CASES
+    assert [case.name for case in cases if study.recordings.can_make("MuJoCo", case)] == [
+        "clean",
+        "encoder",
+        "skew",
+        "coulomb",
+        "drops",
+        "outliers",
+        "all at once",
+    ]
+    with pytest.raises(ValueError, match="no parameter for the case 'cubic'"):
+        study.recordings.mujoco(study.cases.case_named("cubic"), 0, Path("none.h5"))
+
+
+def test_more_confidently_wrong_results_than_chance_explains_are_a_breach(study: Study) -> None:
+    def row(seed: int, error: float, status: int = 0, *codes: str) -> dict[str, object]:
+        ci95 = [KC * (1.0 + error - 1e-3), KC * (1.0 + error + 1e-3)]
+        one = {"value": KC * (1.0 + error), "ci95": ci95}
+        where = {"case": "clean", "source": "MuJoCo", "seed": seed}
+        return {**where, "status": status, "codes": list(codes), "Kc": one, "Bc": {"value": None}}
+
+    rows = [row(seed, 1.4e-3) for seed in range(20)]
+    assert study.truth.breaches([*rows, row(20, 1.6e-3)]) == []
+    assert study.truth.breaches([*rows, *(row(seed, 1.6e-3, 1) for seed in (20, 21, 22, 23))]) == []
+    assert study.truth.breaches([*rows, *(row(seed, 1.6e-3, 0, "misfit") for seed in (20, 21, 22, 23))]) == []
+    assert study.truth.breaches([*rows, *(row(seed, 1.6e-3) for seed in (20, 21, 22, 23))]) == [
+        "clean, MuJoCo: 4 of 24 are confidently wrong: seeds [20, 21, 22, 23]"
+    ]
 
 
 def test_a_seed_makes_the_same_recording_again_and_another_does_not(study: Study) -> None:
