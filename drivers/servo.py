@@ -89,9 +89,9 @@ class UnsafeCommand(DriverError, ValueError):
     """A set-point that must not reach a drive: not finite, or sent while disarmed."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, unsafe_hash=True)  # not frozen: that takes three times as long to make, once a tick
 class Command:
-    """A set-point at the motor shaft: N m for torque, rad (the drive's own zero) for position."""
+    """A set-point at the motor shaft: N m for torque, rad (the drive's own zero) for position. Never changed."""
 
     quantity: Quantity
     value: float
@@ -138,9 +138,9 @@ class Limits:
         return replace(command, value=max(low, min(high, command.value)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, unsafe_hash=True)  # not frozen: see Command
 class Sample:
-    """The result of one round trip; NaN where the stand has no such sensor.
+    """The result of one round trip, which nobody changes; NaN where the stand has no such sensor.
 
     t: s, when the set-point was sent. t_read: s, the midpoint of the bus read. t_joint: s, when another device read the
     joint; NaN where none does. All on the servo's clock.

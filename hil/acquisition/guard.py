@@ -23,7 +23,7 @@ from hil.stand.file import LimitsTable
 _REPEATS = 3  # lost or stale replies in a row
 _SILENCE = 0.02  # s without a reply, and at least _REPEATS of them, before a run is ended
 _STALE = 0.05  # s of replies that repeat the drive's own clock, and at least _REPEATS of them
-_STALE_FLAG = int(Status.STALE)
+_STALE_FLAG, _GOOD = int(Status.STALE), Status(0)
 _LATE_RAMP, _LATE_OFF = 0.01, 0.05  # s by which a tick may be late before the run is ramped down, is ended at once
 
 
@@ -51,6 +51,7 @@ class Guard:
             Lock(limits.deflection),
             *more,
         )
+        self._checks = tuple(limit.check for limit in self.limits)
         self._last_reply = math.nan
         self._fresh_reply = math.nan
         self._stale_in_row = 0
@@ -65,14 +66,14 @@ class Guard:
         """Check one reply. Raises LimitReached, and BadReply where the readings are not reliable any more."""
         self._last_reply = sample.t
         self._lost_in_row = 0
-        for limit in self.limits:
-            limit.check(sample, at_joint)
-        self._check_fresh(sample)
+        for check in self._checks:
+            check(sample, at_joint)
+        if sample.status is _GOOD or not int(sample.status) & _STALE_FLAG:
+            self._fresh_reply, self._stale_in_row = sample.t, 0
+        else:
+            self._check_fresh(sample)
 
     def _check_fresh(self, sample: Sample) -> None:
-        if not int(sample.status) & _STALE_FLAG:
-            self._fresh_reply, self._stale_in_row = sample.t, 0
-            return
         self._stale_in_row += 1
         if self._stale_in_row >= _REPEATS and not sample.t - self._fresh_reply < _STALE:
             raise BadReply(

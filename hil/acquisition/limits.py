@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 from drivers.servo import BadReply, Sample
@@ -160,6 +161,9 @@ class Temperature:
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
         """See `Limit`."""
         value = sample.temperature
+        if value == self._same and -self._loaded <= at_joint.torque <= self._loaded and self._present.settled:
+            self._last = sample.t  # it was below its limit, and need not change while the motor is idle
+            return
         if not self._present.check(value):
             return
         if value > self._limit - _COOL_RUN:
@@ -245,44 +249,39 @@ class ImplausibleEncoder:
         self._jump, self._rough, self._velocity = _JUMP * limit, _NOISE_SIZE * limit, velocity
         self._t = self._trusted = self._rate = math.nan
         self._untrusted = Persistence()
-        self._before, self._step = math.nan, math.nan
-        self._steps = self._bends = 0.0
-        self._count = 0
+        self._angles: list[float] = []
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
         """See `Limit`."""
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
         """See `Limit`."""
-        angle = at_joint.dtheta
+        angle, rate, t = at_joint.dtheta, abs(at_joint.dtheta_dot), sample.t
         if not math.isfinite(angle):
             return
-        self._check_jump(angle, abs(at_joint.dtheta_dot), sample.t)
-        self._check_noise(angle)
-
-    def _check_jump(self, angle: float, rate: float, t: float) -> None:
-        passed = t - self._t
-        rate = rate if math.isfinite(rate) else self._velocity
-        fastest = max(rate, self._rate)
+        if not math.isfinite(rate):
+            rate = self._velocity
+        passed, fastest = t - self._t, self._rate if self._rate > rate else rate
         self._t, self._rate = t, rate
         moved = abs(angle - self._trusted)
         jumped = passed <= _JUMP_WITHIN and moved > self._jump + 3.0 * passed * fastest
-        if (jumped or self._untrusted.seen) and self._untrusted(jumped):
-            raise BadReply(f"the deflection jumped by {moved:.3g} rad between two readings: check the encoder")
+        if jumped or self._untrusted.seen:
+            self._check_repeated(jumped, moved)
         if not jumped:
             self._trusted = angle
+        self._angles.append(angle)
+        if len(self._angles) > _NOISE_OVER + 1:
+            self._check_noise()
 
-    def _check_noise(self, angle: float) -> None:
-        step = angle - self._before
-        if math.isfinite(step) and math.isfinite(self._step):
-            self._steps += abs(step)
-            self._bends += abs(step - self._step)
-            self._count += 1
-        self._before, self._step = angle, step
-        if self._count < _NOISE_OVER:
-            return
-        size, ratio = self._bends / self._count, self._bends / (self._steps or 1.0)
-        self._steps, self._bends, self._count = 0.0, 0.0, 0
+    def _check_repeated(self, jumped: bool, moved: float) -> None:
+        if self._untrusted(jumped):
+            raise BadReply(f"the deflection jumped by {moved:.3g} rad between two readings: check the encoder")
+
+    def _check_noise(self) -> None:
+        steps = [after - before for before, after in pairwise(self._angles)]
+        size = sum(abs(after - before) for before, after in pairwise(steps)) / _NOISE_OVER
+        ratio = size * _NOISE_OVER / (sum(map(abs, steps[1:])) or 1.0)
+        del self._angles[:-2]
         if size > self._rough and ratio > _ROUGH:
             raise BadReply(
                 f"the deflection changes to and fro by {size:.3g} rad from reading to reading: check the encoder, its "
@@ -310,7 +309,8 @@ class StuckCell:
         if not (math.isfinite(torque) and math.isfinite(angle)):
             return
         if torque != self._torque:
-            self._low, self._high = min(angle, self._low), max(angle, self._high)
+            if not self._low <= angle <= self._high:
+                self._low, self._high = min(angle, self._low), max(angle, self._high)
             self._torque, self._since, self._same = torque, sample.t, 0
             self._from = self._to = angle
             return
