@@ -1,0 +1,56 @@
+"""How benchmarks/real_ramps.py judges its rows; the ramps themselves take half an hour."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def script() -> Iterator[ModuleType]:
+    folder = str(Path(__file__).parent.parent.parent / "benchmarks")
+    sys.path.insert(0, folder)
+    yield importlib.import_module("real_ramps")
+    sys.path.remove(folder)
+
+
+def row(number: int, **other: Any) -> dict[str, Any]:
+    usual = {
+        "file": "a",
+        "number": number,
+        "status": 0,
+        "model": "linear",
+        "Kc": 200.0,
+        "unexplained": 0.05,
+        "codes": [],
+    }
+    return usual | other
+
+
+def test_ramps_of_one_model_and_one_stiffness_miss_no_bar(script: ModuleType) -> None:
+    found = script.groups([row(101, Kc=205.0), row(0), row(100)])
+    assert list(found) == ["a, play", "a, stiffness"]
+    assert script.misses(found) == []
+    expected = "| a, stiffness | 100 to 101 | linear (2) | 200 to 205 | 1.02 | 5.0 | 0 | 2 |"
+    assert script.line("a, stiffness", found["a, stiffness"]) == expected
+
+
+def test_every_bar_that_is_missed_is_said_with_its_number(script: ModuleType) -> None:
+    rows = [row(100), row(101, model="linear+offset", Kc=300.0, unexplained=0.3), row(102, unexplained=0.3)]
+    assert script.misses(script.groups(rows)) == [
+        "the same model in 0% of the files, not in 80%",
+        "Kc differs 1.50 times (median), more than 1.05",
+        "30.0% of the torque's spread is unexplained (median), more than 8 %",
+        "2 ramps with more than 8 % unexplained carry no misfit",
+    ]
+
+
+def test_a_ramp_that_is_flagged_or_refused_is_not_silent(script: ModuleType) -> None:
+    rows = [row(100), row(101), row(102, unexplained=0.3, codes=["misfit"]), row(103, unexplained=0.3, status=1)]
+    assert script.misses(script.groups(rows)) == ["17.5% of the torque's spread is unexplained (median), more than 8 %"]
