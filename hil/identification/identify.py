@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -14,24 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
+from ga.bounds import Bounds
 from ga.evolution.evolution import PRESETS, Settings
 from ga.lad.exact import Optimum
-from ga.lad.out_of_core import Reduced, reduce
+from ga.lad.out_of_core import Reduced
 from ga.model.record import Parameter
 from ga.model.separable import Problem, descend
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_nonlinear
 from ga.trials.trials import Trials, duration, run_trials
 from hil.diagnostics import Diagnostic
-from hil.errors import Untrustworthy, WrongUse
+from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
+from hil.identification.fitting.bounds import bounds_for, narrowed
+from hil.identification.fitting.exact import solved, unproven
+from hil.identification.fitting.validation import validated
 from hil.identification.identifiability import Evidence, estimates, judge, rivals
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
-from hil.identification.result import Estimate, Identification, Validation
+from hil.identification.result import Estimate, Identification
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
 from hil.identification.stepwise import Step
 from hil.recording.ahead import Progress
@@ -44,7 +47,6 @@ from hil.uncertainty.stationarity import pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
 
-_FOLDS = 10  # blocks in time; every fifth is held out
 _LONG_SEARCH = 5_000_000  # generations from which a search says how long it will take
 _TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
 _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable motion
@@ -184,7 +186,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         low=solution.low,
         high=solution.high,
         gap=solution.gap,
-        holdout=_validation(data, solution, np.isfinite(sampling.half_width)),
+        holdout=validated(data, solution.blocks, solution.values, np.isfinite(sampling.half_width)),
         unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
     )
 
@@ -242,8 +244,8 @@ def _stationarity(data: Dataset, solution: _Solution) -> list[Diagnostic]:
 def _linear(data: Dataset, search: Search, progress: Progress | None) -> _Solution:
     """The solution of a model that is linear in its parameters: all of them are searched."""
     columns, torque = data.in_memory
-    bounds = _bounds(data.choice.model, search, columns, torque)
-    reduced = _exact(data.blocks)
+    bounds = bounds_for(data.choice.model, search.bounds, columns, torque, papers=search.preset == "paper")
+    reduced = solved(data.blocks)
     began = time.perf_counter()
     trials = _search(data, reduced, bounds, search, progress)
     seconds = time.perf_counter() - began
@@ -259,7 +261,7 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Sol
         raise WrongUse(f"--checkpoint: the search for {names} takes seconds and is not kept: leave the option out")
     unbounded, p = np.full(len(model.linear), np.nan), len(model.linear)
     low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
-    low, high = _narrowed(low, high, search, _names((*model.linear, *model.nonlinear)), model.name)
+    low, high = narrowed(low, high, search.bounds, _names((*model.linear, *model.nonlinear)), model.name)
     _check_population(search, len(model.nonlinear))
     problem = Problem(model, motion, data.signals.torque, low[p:], high[p:]).of(data.used)
     began = time.perf_counter()
@@ -277,22 +279,11 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Sol
         near = problem.solve(best.nonlinear) if model.linear else descend(problem, best.nonlinear)
         exact = min(near, best, key=lambda found: found.fitness)
     except RuntimeError as error:
-        raise _unproven(error) from error
+        raise unproven(error) from error
     columns, target = problem.linearised(exact)
     blocks = Blocks.of(columns, target)
     gap = exact.optimum.relative_gap(best.fitness)
     return _Solution(exact.values, exact.optimum, gap, low, high, trials, seconds, columns, blocks)
-
-
-def _exact(blocks: Blocks) -> Reduced:
-    try:
-        return reduce(blocks, blocks.rows)
-    except RuntimeError as error:
-        raise _unproven(error) from error
-
-
-def _unproven(error: RuntimeError) -> Untrustworthy:
-    return Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model")
 
 
 def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, progress: Progress | None) -> Trials:
@@ -342,26 +333,8 @@ def _in_words(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} minutes"
 
 
-def _bounds(model: Coupling, search: Search, columns: Array, torque: Array) -> Bounds:
-    """The bounds of the search: the given ranges, else the paper's for its preset, else those from the data."""
-    found = bounds_from_data(columns, torque)
-    low, high = found.low.copy(), found.high.copy()
-    if search.preset == "paper":
-        low[:2], high[:2] = PAPER_BOUNDS.low, PAPER_BOUNDS.high
-    names = _names(model.linear)
-    return Bounds(*_narrowed(low, high, search, names, model.name), names)
-
-
-def _narrowed(low: Array, high: Array, search: Search, names: tuple[str, ...], model: str) -> tuple[Array, Array]:
-    """The bounds (p,) with the given ranges. Raises WrongUse for an unknown parameter or an empty range."""
-    low, high = low.copy(), high.copy()
-    for name, (lowest, highest) in search.bounds.items():
-        if name not in names:
-            raise WrongUse(f"--bounds {name}: model {model!r} has no such parameter; it has {', '.join(names)}")
-        if not (np.isfinite(lowest) and np.isfinite(highest) and lowest < highest):
-            raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: write the lower one first, both as numbers in SI")
-        low[names.index(name)], high[names.index(name)] = lowest, highest
-    return low, high
+def _names(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:
+    return tuple(parameter.name for parameter in parameters)
 
 
 def _check_population(search: Search, count: int) -> None:
@@ -369,43 +342,3 @@ def _check_population(search: Search, count: int) -> None:
         search.settings.population_for(count)
     except ValueError as error:
         raise WrongUse(f"--population: {error}") from None
-
-
-def _names(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:
-    return tuple(parameter.name for parameter in parameters)
-
-
-def _validation(data: Dataset, solution: _Solution, distinct: NDArray[np.bool_]) -> Validation:
-    """Fit 80 % of the samples and compute the error of the other 20 %, blocks in time.
-
-    distinct (p + q,): the parameters that are fitted; the others, which no data could decide, keep their values.
-    """
-
-    def is_out(number: NDArray[np.int64]) -> NDArray[np.bool_]:
-        return np.asarray(number * _FOLDS // data.samples % 5 == 2)
-
-    def is_in(number: NDArray[np.int64]) -> NDArray[np.bool_]:
-        return ~is_out(number)
-
-    blocks = solution.blocks if distinct.all() else solution.blocks.searching(distinct, solution.values)
-    genes = _exact(blocks.where(is_in)).optimum.genes
-    count, absolute, square = 0, 0.0, 0.0
-    for columns, target in blocks.where(is_out)():
-        residuals = target - columns @ genes
-        count += len(target)
-        absolute += float(np.abs(residuals).sum())
-        square += float(residuals @ residuals)
-    if data.whole:  # the torque itself: of a nonlinear model, the blocks hold the target of its linearisation
-        variance = _variance([data.signals.coupling_torque[data.used][is_out(np.arange(data.samples))]])
-    else:
-        variance = _variance(torque for _, torque in data.blocks.where(is_out)())
-    return Validation(absolute / count, float(np.sqrt(square / count / variance)) if variance > 0.0 else np.nan)
-
-
-def _variance(parts: Iterable[Array]) -> float:
-    count, total, power = 0, 0.0, 0.0
-    for part in parts:
-        count += len(part)
-        total += float(part.sum())
-        power += float(part @ part)
-    return power / count - (total / count) ** 2
