@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 Array = NDArray[np.float64]
 
@@ -20,5 +19,7 @@ def is_fresh(joint_time: Array) -> NDArray[np.bool_]:
 
 def interpolated(at: Array, time: Array, value: Array, slope: Array) -> Array:
     """Return a value (n,) with slope (n,) at `time` (n,) s, interpolated at `at` (m,) s: (m,), NaN outside."""
+    from scipy.interpolate import CubicHermiteSpline
+
     found: Array = CubicHermiteSpline(time, value, slope, extrapolate=False)(at)
     return found

@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_inline, compiled_no_refcount
-
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 DEGREE = 7
 """The polynomial's: high, so that a wide window, which averages noise, has a flat gain over the excited band."""
@@ -65,10 +64,16 @@ def _is_even(time: Array) -> bool:
 
 def _fitted(time: Array, values: Array, half: int, order: int) -> Array:
     """Return the derivative of a fit to each window, whatever the stamps."""
-    found, together = np.empty(len(time)), _together(half)
+    found = np.empty(len(time))
 
     def fit(first: int, last: int) -> None:
-        fit_all(time, values, half, order, together, first, last, found, _room(half))
+        begin = np.arange(first, last, _together(half))
+        windows = np.minimum(begin[:, None] + np.arange(_together(half)), last - 1)
+        together = _are_alike(time, half, windows)
+        alone = np.unique(windows[~together])[:, None]
+        with np.errstate(all="ignore"):  # across a gap in time there may be no fit
+            for block in (windows[together], alone):
+                found[block] = _derivatives(time, values, half, order, block)
 
     _in_parts(fit, 0, len(time))
     return found
@@ -88,13 +93,6 @@ def _in_parts(work: Callable[[int, int], None], first: int, last: int) -> None:
 def _together(half: int) -> int:
     """Return how many windows share a basis and sums: the more they are, the less of its interval each covers."""
     return max(half // _SHARE, 1)
-
-
-def _room(half: int) -> Room:
-    p, samples = DEGREE + 1, 2 * half + 1 + _together(half)
-    return Room(
-        np.empty((samples, 2 * p - 1)), np.empty(2 * p - 1), np.empty((p, p)), np.empty((2, p)), np.empty((3, p))
-    )
 
 
 def kernel(half: int, order: int) -> Array:
@@ -124,119 +122,91 @@ def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
     return half
 
 
-class Room(NamedTuple):
-    """Working space: the basis at the samples of a block, its sums over a window, and the equations of a fit."""
-
-    basis: Array
-    sums: Array
-    normal: Array
-    right: Array
-    at: Array
+def _first(half: int, sample: Index, count: int) -> Index:
+    """Return where the window of each sample begins."""
+    return np.clip(sample - half, 0, count - 2 * half - 1)
 
 
-@compiled_no_refcount
-def fit_all(  # noqa: PLR0917 - compiled functions take their parts by position
-    time: Array, values: Array, half: int, order: int, together: int, first: int, last: int, found: Array, room: Room
-) -> None:
-    """`local_polynomial` of the samples from first to last in machine code, written to `found` (n,)."""
-    width = 2 * half + 1
-    end = first
-    while end < last:
-        begin, end = end, _block(time, half, end, min(end + together, last))
-        low, high = _window(begin, half, time.size), _window(end - 1, half, time.size) + width
-        middle, scale = 0.5 * (time[low] + time[high - 1]), 0.5 * (time[high - 1] - time[low])
-        base = values[begin]
-        for j in range(low, high):
-            _chebyshev((time[j] - middle) / scale, room.basis[j - low])
-        _clear(room.sums)
-        _clear(room.right[0])
-        for j in range(low, low + width):
-            _add(room, j - low, values[j] - base, 1.0)
-        start, is_solved = low, False
-        for i in range(begin, end):
-            while start < _window(i, half, time.size):
-                _add(room, start - low, values[start] - base, -1.0)
-                _add(room, start + width - low, values[start + width] - base, 1.0)
-                start, is_solved = start + 1, False
-            if not is_solved:
-                _solve(room)
-                is_solved = True
-            _derivatives((time[i] - middle) / scale, room.at)
-            total = 0.0
-            for k in range(room.at.shape[1]):
-                total += room.at[order, k] * room.right[1, k]
-            found[i] = total / scale**order + (base if order == 0 else 0.0)
+def _are_alike(time: Array, half: int, windows: Index) -> NDArray[np.bool_]:
+    """Return which blocks (b,) of windows (b, m) can share a basis: each window covers most of its block."""
+    start = _first(half, windows, len(time))
+    end = time[start + 2 * half]
+    return np.asarray(end[:, -1] - time[start[:, 0]] <= _WIDER * (end - time[start]).min(axis=1))
 
 
-@compiled_no_refcount
-def _block(time: Array, half: int, begin: int, most: int) -> int:
-    """Return the first sample after a block: up to `most`, but so that each of its windows covers most of it."""
-    low, end = _window(begin, half, time.size), begin
-    shortest = np.inf
-    while end < most:
-        start = _window(end, half, time.size)
-        shortest = min(shortest, time[start + 2 * half] - time[start])
-        if end > begin and time[start + 2 * half] - time[low] > _WIDER * shortest:
-            break
-        end += 1
-    return end
+def _derivatives(time: Array, values: Array, half: int, order: int, windows: Index) -> Array:
+    """Return the derivative at the samples (b, m), each the centre of a window; (b, m).
+
+    The windows of a block share a basis, and the sums over one window are those over the one before it, less the sample
+    that left it, plus the one that came. All blocks are computed side by side: there are many, and each is short.
+    """
+    width, found = 2 * half + 1, np.empty(windows.shape)
+    starts = _first(half, windows, len(time))
+    low, high = time[starts[:, 0]], time[starts[:, -1] + width - 1]
+    middle, scale, base = 0.5 * (low + high), 0.5 * (high - low), values[windows[:, 0]]
+    sums, right = np.zeros((2 * DEGREE + 1, len(windows))), np.zeros((DEGREE + 1, len(windows)))
+
+    def add(sample: Index, sign: Array | None = None) -> None:
+        basis = _chebyshev((time[sample] - middle) / scale, len(sums))
+        if sign is not None:
+            basis *= sign
+        np.add(sums, basis, out=sums)
+        basis = basis[: len(right)]
+        basis *= values[sample] - base
+        np.add(right, basis, out=right)
+
+    for at in range(width):
+        add(starts[:, 0] + at)
+    for number, sample in enumerate(windows.T):
+        if number:
+            before = starts[:, number - 1]
+            moved = (starts[:, number] - before).astype(np.float64)  # at the ends of a recording windows stay
+            add(before, -moved)
+            add(np.minimum(before + width, len(time) - 1), moved)
+        at_sample = _chebyshev_derivative((time[sample] - middle) / scale, order)
+        found[:, number] = (at_sample * _solved(sums, right)).sum(axis=0) / scale**order + (base if order == 0 else 0.0)
+    return found
 
 
-@compiled_inline
-def _window(i: int, half: int, count: int) -> int:
-    """The first sample of the window of sample i."""
-    return min(max(i - half, 0), count - 2 * half - 1)
+def _chebyshev(x: Array, count: int) -> Array:
+    """Return the first polynomials at x (b,): (count, b)."""
+    basis, twice = np.empty((count, len(x))), 2.0 * x
+    basis[0], basis[1] = 1.0, x
+    for k in range(2, count):
+        np.multiply(twice, basis[k - 1], out=basis[k])
+        basis[k] -= basis[k - 2]
+    return basis
 
 
-@compiled_inline
-def _add(room: Room, j: int, value: float, sign: float) -> None:
-    """Add a sample to the sums, or with a sign of -1 take it out."""
-    for k in range(room.sums.size):
-        room.sums[k] += sign * room.basis[j, k]
-    for k in range(room.at.shape[1]):
-        room.right[0, k] += sign * value * room.basis[j, k]
+def _chebyshev_derivative(x: Array, order: int) -> Array:
+    """Return a derivative of the polynomials up to the fit's degree at x (b,): (p, b)."""
+    at = _chebyshev(x, DEGREE + 1)
+    for number in range(1, order + 1):
+        before, at = at, np.zeros_like(at)
+        at[1] = before[0] if number == 1 else 0.0
+        for k in range(2, len(at)):
+            at[k] = 2.0 * number * before[k - 1] + 2.0 * x * at[k - 1] - at[k - 2]
+    return at
 
 
-@compiled_inline
-def _clear(values: Array) -> None:
-    for k in range(values.size):
-        values[k] = 0.0
+def _solved(sums: Array, right: Array) -> Array:
+    """Return the coefficients (p, b) of all fits, from the sums of the basis (2p-1, b) and of the values (p, b).
 
-
-@compiled_inline
-def _chebyshev(x: float, row: Array) -> None:
-    row[0], row[1] = 1.0, x
-    for k in range(2, row.size):
-        row[k] = 2.0 * x * row[k - 1] - row[k - 2]
-
-
-@compiled_inline
-def _derivatives(x: float, at: Array) -> None:
-    """The basis at x, its slope and its curvature (3, p)."""
-    at[0, 0], at[0, 1], at[1, 0], at[1, 1], at[2, 0], at[2, 1] = 1.0, x, 0.0, 1.0, 0.0, 0.0
-    for k in range(2, at.shape[1]):
-        at[0, k] = 2.0 * x * at[0, k - 1] - at[0, k - 2]
-        at[1, k] = 2.0 * at[0, k - 1] + 2.0 * x * at[1, k - 1] - at[1, k - 2]
-        at[2, k] = 4.0 * at[1, k - 1] + 2.0 * x * at[2, k - 1] - at[2, k - 2]
-
-
-@compiled_inline
-def _solve(room: Room) -> None:
-    """Solve the normal equations by Cholesky; the basis is so nearly orthogonal that no pivot is needed."""
-    normal, sums, right = room.normal, room.sums, room.right[1]
-    p = right.size
-    for k in range(p):
-        for m in range(k + 1):
-            total = 0.5 * (sums[k + m] + sums[k - m])  # the product T_k T_m
-            for j in range(m):
-                total -= normal[k, j] * normal[m, j]
-            normal[k, m] = math.sqrt(max(total, 1e-300)) if m == k else total / normal[m, m]
-    for k in range(p):
-        right[k] = room.right[0, k]
-        for j in range(k):
-            right[k] -= normal[k, j] * right[j]
-        right[k] /= normal[k, k]
-    for k in range(p - 1, -1, -1):
-        for j in range(k + 1, p):
-            right[k] -= normal[j, k] * right[j]
-        right[k] /= normal[k, k]
+    The equations are solved by Cholesky; the basis is so nearly orthogonal that no pivot is needed.
+    """
+    p, found = len(right), right.copy()
+    root = np.empty((p, p, right.shape[1]))
+    for m in range(p):
+        below = np.arange(m, p)
+        column = 0.5 * (sums[below + m] + sums[below - m])  # the product T_k T_m
+        for j in range(m):
+            column -= root[m:, j] * root[m, j]
+        diagonal = np.sqrt(np.maximum(column[0], 1e-300))
+        root[m:, m] = column / diagonal
+        root[m, m] = diagonal
+        found[m] /= diagonal
+        found[m + 1 :] -= root[m + 1 :, m] * found[m]
+    for k in reversed(range(p)):
+        found[k] /= root[k, k]
+        found[:k] -= root[k, :k] * found[k]
+    return found
