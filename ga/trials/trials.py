@@ -6,6 +6,7 @@ import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
+from functools import partial
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final
 
@@ -58,13 +59,21 @@ class History:
 
 
 @dataclass(frozen=True, eq=False)
+class Populations:
+    """The chromosomes of the best trial, SI: of its first generation and of its last, (population, p) each."""
+
+    first: NDArray[np.float64]
+    last: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class Trials:
     """The outcome of the trials.
 
     genes: (trials, p), the best chromosome of each, SI. fitness: (trials,), N m. evaluations: of all trials together,
     those known to be hopeless included. generations: (trials,). finished: (trials,), which were not cut short.
     made: how many of the evaluations were made by this run, not by the one it went on from. processor_seconds: what
-    they took, on all cores together.
+    they took, on all cores together. populations: None where the genes are not what was searched.
     """
 
     genes: NDArray[np.float64]
@@ -75,6 +84,7 @@ class Trials:
     finished: NDArray[np.bool_]
     made: int
     processor_seconds: float
+    populations: Populations | None = None
 
     @property
     def interrupted(self) -> bool:
@@ -186,7 +196,8 @@ def run_trials(
             raise
     finally:
         keep()
-    return _outcome(running, run.grid, before, time.process_time() - began)
+    again = partial(begin, engine, bounds, settings, seed, start=start)
+    return _outcome(running, run.grid, before, time.process_time() - began, again)
 
 
 def duration(
@@ -342,7 +353,14 @@ class _Watch:
             self.progress(sum(parts) / len(parts))
 
 
-def _outcome(running: list[_Trial], grid: NDArray[np.int64], before: int, seconds: float) -> Trials:
+def _outcome(
+    running: list[_Trial],
+    grid: NDArray[np.int64],
+    before: int,
+    seconds: float,
+    again: Callable[[int], Population],
+) -> Trials:
+    """The outcome. again: returns the first population of a trial, which its search has overwritten."""
     generations = np.array([t.population.generation for t in running], dtype=np.int64)
     fitness = np.array([t.population.best_fitness[0] for t in running])
     last = int(np.searchsorted(grid, generations.max())) + 1
@@ -360,4 +378,5 @@ def _outcome(running: list[_Trial], grid: NDArray[np.int64], before: int, second
         finished=np.array([t.finished for t in running]),
         made=evaluations - before,
         processor_seconds=seconds,
+        populations=Populations(again(int(fitness.argmin())).genes, running[int(fitness.argmin())].population.genes),
     )

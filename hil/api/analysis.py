@@ -23,7 +23,8 @@ from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Identification
 from hil.report import comparison as comparison_report
 from hil.report import identification as identification_report
-from hil.report import identification_page, pictures
+from hil.report import identification_page
+from hil.report.pictures import files, result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -96,7 +97,7 @@ class IdentificationResult:
 
     def plot(self) -> Figure:
         """Return a picture: the torque with its model, the residuals, the loop and the diagnostic checks."""
-        return pictures.figure(self.identification)
+        return result.figure(self.identification)
 
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
         """Write the report, HTML, and return its path. Raises WrongUse.
@@ -107,7 +108,7 @@ class IdentificationResult:
 
     def save_plots(self, folder: AnyPath, *, force: bool = False) -> list[Path]:
         """Write every picture of the report as a PNG into a folder, and return their paths. Raises WrongUse."""
-        return pictures.write_pictures(pictures.pictures(self.identification), Path(folder), force=force)
+        return files.write_pictures(result.pictures(self.identification), Path(folder), force=force)
 
 
 class NoResult(Untrustworthy):

@@ -80,7 +80,7 @@ class LoadedRecording:
 
     def plot(self) -> Figure:
         """Return a picture: command, torque and deflection over time, and torque against deflection."""
-        from hil.report.pictures import recording_figure
+        from hil.report.pictures.recording import recording_figure
 
         return recording_figure(self.channels, self.units)
 

@@ -29,7 +29,7 @@ def inspect(
     from hil.recording.output import check_output
     from hil.report.inspection import as_json as to_json
     from hil.report.inspection import inspection_table
-    from hil.report.pictures import check_picture_name, save_picture
+    from hil.report.pictures.files import check_picture_name, save_picture
     from hil.signals.inspection import inspect as look
 
     if verify:

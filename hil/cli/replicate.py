@@ -27,7 +27,7 @@ def replicate(
     """
     from hil.identification.replicate import replicate as run_replication
     from hil.report.replication import as_json as to_json
-    from hil.report.replication import draw_convergence, replication_lines
+    from hil.report.replication import replication_lines, write_convergence
 
     saved = checkpoint or output / f"search-{trials}x{evaluations}-seed{seed}.npz"
     with progress() as show:
@@ -45,7 +45,7 @@ def replicate(
         saved.unlink(missing_ok=True)
     recording = done.identification.recordings[0]
     picture = recording.with_suffix(".png")
-    draw_convergence(done, picture)
+    write_convergence(done, picture)
     if as_json:
         print_json(to_json(done))
     else:

@@ -155,6 +155,7 @@ def _identified(
                 + misfit_diagnostics(data.choice.model.name, fit, dynamic)
             ),
             signals=data.signals,
+            fitted=data.used,
             torque_uncertainty=data.uncertainty,
             lack_of_fit=fit,
             dynamic_stiffness=dynamic,

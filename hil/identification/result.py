@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ga.trials.trials import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
@@ -103,6 +106,7 @@ class Identification:
     search_seconds: for the trials alone. torque_uncertainty: of the torque's scale, relative, one standard deviation.
     lack_of_fit: the test whether the model describes the recordings; dynamic_stiffness: of the joint without a model;
     None where the recordings are too short. fixture: the fixture that was removed, None where it counts as rigid.
+    fitted (n,): which of the signals the model was fitted to.
     """
 
     recordings: tuple[Path, ...]
@@ -121,6 +125,7 @@ class Identification:
     validation: Validation
     diagnostics: tuple[Diagnostic, ...]
     signals: Signals
+    fitted: NDArray[np.bool_]
     torque_uncertainty: float = 0.0
     lack_of_fit: LackOfFit | None = None
     dynamic_stiffness: DynamicStiffness | None = None

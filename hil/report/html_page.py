@@ -115,6 +115,7 @@ def svg(picture: Picture) -> str:
     text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)
     # a tenth of a point is finer than a screen, and half as long to write
     text = re.sub(r' d="[^"]+"', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), text)
+    text = re.sub(r' id="image\w+"', "", text)  # the scales of two panels are the same image, and nothing refers to it
     for mark in (' id="', "url(#", 'href="#'):  # names are unique in a page, not only in a picture
         text = text.replace(mark, f"{mark}{picture.name}-")
     return text.replace(_INK, "currentColor")

@@ -21,7 +21,8 @@ from hil.report.identification import (
     repeatability_table,
     verdicts,
 )
-from hil.report.pictures import pictures, recording_figure
+from hil.report.pictures.recording import recording_figure
+from hil.report.pictures.result import pictures
 from hil.report.provenance import provenance
 
 if TYPE_CHECKING:

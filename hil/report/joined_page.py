@@ -11,7 +11,7 @@ from hil.diagnostics import Diagnostic
 from hil.report.formatting import people_unit, rounded
 from hil.report.html_page import Page, Picture, Section, write
 from hil.report.identification import as_json, headline, milli
-from hil.report.pictures import pictures
+from hil.report.pictures.result import fit_pictures
 from hil.report.provenance import provenance
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from hil.identification.result import Estimate, Identification
 
 PARAMETERS = ("Kc", "Bc")
-_PICTURES = 2  # of each recording: the fit over time, and the loop
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +117,7 @@ def _pictures(at: int, entry: Entry) -> list[Picture]:
     title = f"{entry.path.name}: {headline(entry.found)}"
     return [
         replace(one, name=f"r{at}-{one.name}", heading=f"{title}. {one.heading}", chart=None)
-        for one in pictures(entry.found)[:_PICTURES]
+        for one in fit_pictures(entry.found)
     ]
 
 

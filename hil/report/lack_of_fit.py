@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from hil.report.formatting import json_number, plain_table, rounded
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from rich.table import Table
 
     from hil.uncertainty.dynamic_stiffness import Bands, DynamicStiffness
@@ -89,42 +85,3 @@ def distortion_lines(found: DynamicStiffness) -> list[str]:
         return []
     level, noise, period = found.distortion.level, found.distortion.noise, found.distortion.period
     return [f"distortion {level:.2%} of the torque, noise {noise:.2%}; the excitation repeats every {period:.3g} s"]
-
-
-def draw_dynamic_stiffness(found: DynamicStiffness | None, stiffness: Axes, factor: float, unit: str) -> None:
-    """Draw K'(f) with its intervals; factor and unit: in which people read a stiffness."""
-    if found is None:
-        stiffness.set_axis_off()
-        return
-    groups = (("all", found.bands), *zip(("small", "large"), found.by_amplitude, strict=False))
-    for name, bands in groups:
-        half = factor * np.nan_to_num(bands.stiffness_half_width, posinf=0.0)
-        stiffness.errorbar(bands.frequency, factor * bands.stiffness, half, fmt=".-", lw=0.8, capsize=2, label=name)
-    stiffness.set(xscale="log", xlabel="frequency [Hz]", ylabel=f"K' [{unit}]", title="stiffness without a model")
-    if found.by_amplitude:
-        stiffness.legend(title="deflection")
-
-
-def draw_correlation(found: LackOfFit | None, panel: Axes) -> None:
-    """Draw the correlation of the residuals with the earlier deflection and rate, and the chance of it."""
-    if found is None:
-        panel.set_axis_off()
-        return
-    for values, name in zip(found.correlation.T, ("deflection", "rate"), strict=True):
-        panel.plot(found.lags * 1e3, values, lw=0.8, label=name)
-    chance = 1.96 / math.sqrt(found.samples)
-    panel.axhspan(-chance, chance, color="0.5", alpha=0.3, lw=0)
-    panel.set(xlabel="lag [ms]", title=f"residuals with the motion: {'misfit' if found.misfit else 'no misfit'}")
-    panel.legend()
-
-
-def draw_plane(found: LackOfFit | None, panel: Axes, factor: float, unit: str) -> None:
-    """Draw the mean residual over the plane of deflection and rate; factor and unit: in which people read a torque."""
-    if found is None:
-        panel.set_axis_off()
-        return
-    values = factor * found.plane
-    limit = float(np.nanmax(np.abs(values))) or 1.0
-    image = panel.imshow(values, origin="lower", cmap="RdBu", vmin=-limit, vmax=limit, extent=(0, 1, 0, 1))
-    panel.figure.colorbar(image, ax=panel, label=f"mean residual [{unit}]")
-    panel.set(xlabel="quantile of the rate", ylabel="quantile of the deflection")

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from hil.identification.replicate import PAPER
 from hil.report.formatting import diagnostics_json, json_number
-from hil.report.pictures import save_picture
+from hil.report.pictures.canvas import canvas
+from hil.report.pictures.files import save_picture
+from hil.report.pictures.search import draw_convergence
 
 if TYPE_CHECKING:
     from hil.identification.replicate import Replication
@@ -74,25 +74,13 @@ def _mean(mean: float, std: float) -> str:
     return f"{mean * 1e3:.4g} ± {std * 1e3:.2g}"
 
 
-def draw_convergence(done: Replication, path: Path) -> None:
+def write_convergence(done: Replication, path: Path) -> None:
     """Write Figure 8 as a PNG: the best fitness of every trial against the generation, above the exact optimum.
 
     Raises WrongUse where the file cannot be written.
     """
-    from matplotlib.figure import Figure
-
     found = done.identification
-    history = found.trials.history
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    panels = figure.subplots(1, 2)
-    generation = np.maximum(history.generation, 1)
-    for fitness in history.fitness:
-        panels[0].plot(generation, fitness * 1e3, lw=0.7)
-        panels[1].plot(generation, np.maximum(fitness / found.optimum - 1.0, 1e-16), lw=0.7)
-    panels[0].axhline(found.optimum * 1e3, color="k", ls="--", lw=1, label="exact optimum")
-    panels[0].set(xscale="log", yscale="log", xlabel="generation", ylabel="best fitness [mN m]", title="Figure 8")
-    panels[0].legend()
-    panels[1].set(xscale="log", yscale="log", xlabel="generation", ylabel="optimiser gap")
-    for panel in panels:
-        panel.grid(visible=True, lw=0.3)
+    figure, panels = canvas(1, 2, (9, 4.5))
+    draw_convergence(found.trials, found.optimum, panels, 1e3, "mN m")
+    panels[0].set(title="Figure 8")
     save_picture(figure, path, force=True)

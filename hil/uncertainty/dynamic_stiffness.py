@@ -76,6 +76,11 @@ class DynamicStiffness:
     instrument: str
     distortion: Distortion | None
 
+    @property
+    def groups(self) -> list[tuple[str, Bands]]:
+        """The bands by what they are of: "all" segments, and those of "small" and "large" deflection."""
+        return [("all", self.bands), *zip(("small", "large"), self.by_amplitude, strict=False)]
+
 
 @dataclass(frozen=True, eq=False)
 class _Spectra:

@@ -28,7 +28,7 @@ from hil.report.identification import (
     upgraded,
 )
 from hil.report.identification_page import write_page
-from hil.report.pictures import figure
+from hil.report.pictures.result import figure
 
 from ..conftest import Maker
 

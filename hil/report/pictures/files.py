@@ -1,0 +1,39 @@
+"""Pictures written as PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hil.errors import WrongUse
+from hil.recording.output import atomic_write, check_output, writing
+from hil.report.html_page import Picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def write_pictures(drawn: Sequence[Picture], folder: Path, *, force: bool) -> list[Path]:
+    """Write each picture as NAME.png into a folder, made where it is missing; return their paths. Raises WrongUse."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{one.name}.png" for one in drawn]
+    for path in paths:
+        check_output(path, force=force)
+    for one, path in zip(drawn, paths, strict=True):
+        save_picture(one.draw(), path, force=force)
+    return paths
+
+
+def check_picture_name(path: Path) -> Path:
+    """Return the path of a picture. Raises WrongUse for a suffix that says another format."""
+    if path.suffix.lower() != ".png":
+        raise WrongUse(f"{path} is no name of a picture, which is PNG: name it {path.with_suffix('.png')}")
+    return path
+
+
+def save_picture(figure: Figure, path: Path, *, force: bool) -> None:
+    """Write a figure as a PNG. force: in place of one that is there. Raises WrongUse where it cannot be written."""
+    with atomic_write(path, force=force) as temporary:
+        figure.savefig(temporary, format="png", dpi=110)

@@ -1,0 +1,31 @@
+"""The picture of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.report.pictures.canvas import GRID
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def recording_figure(channels: Mapping[str, NDArray[np.float64]], units: Mapping[str, str]) -> Figure:
+    """Return the picture of channels (n,), SI: command, torque, deflection over time, and torque over deflection."""
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(10, 6), layout="constrained")
+    panels = drawn.subplot_mosaic([["command", "loop"], ["torque", "loop"], ["dtheta", "loop"]], width_ratios=[2, 1])
+    for channel, label in (("command", "command"), ("torque", "torque at the joint"), ("dtheta", "deflection")):
+        panels[channel].plot(channels["time"], channels[channel], lw=0.7)
+        panels[channel].set(ylabel=f"{label} [{units[channel].replace('*', ' ')}]")
+    panels["dtheta"].set(xlabel="time [s]")
+    panels["loop"].plot(channels["dtheta"], channels["torque"], lw=0.4)
+    panels["loop"].set(xlabel="deflection [rad]", ylabel="torque at the joint [N m]", title="torque over deflection")
+    for panel in panels.values():
+        panel.grid(visible=True, lw=GRID)
+    return drawn

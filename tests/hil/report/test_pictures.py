@@ -1,0 +1,119 @@
+"""The pictures show the numbers of the result: of the search, the fitness around it, the terms and the residuals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.patches import Rectangle
+
+from ga.model.coupling import parse
+from hil.identification.identify import Search, identify
+from hil.identification.result import Identification
+from hil.recording.writer import Header, write
+from hil.report.pictures.result import pictures
+from hil.report.pictures.search import Landscape, has_landscape, landscape
+from hil.report.pictures.traces import modelled
+
+
+def recording(path: Path, gap: float = 0.0) -> Path:
+    """A joint of 20 mN m/rad with noise; gap: backlash, rad."""
+    time, generator = np.arange(2000) / 500.0, np.random.default_rng(0)
+    dtheta = 0.2 * np.sin(8.0 * time) + 0.1 * np.sin(45.0 * time)
+    rate = 1.6 * np.cos(8.0 * time) + 4.5 * np.cos(45.0 * time)
+    outside = np.abs(dtheta) > gap / 2.0
+    pushed = np.sign(dtheta) * np.maximum(np.abs(dtheta) - gap / 2.0, 0.0)
+    torque = 0.02 * pushed + 2e-4 * rate * outside + 2e-4 * generator.standard_normal(2000)
+    write(path, Header(profile={"kind": "imported"}), {"time": time, "torque": torque, "dtheta": dtheta})
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Identification:
+    path = recording(tmp_path_factory.mktemp("pictures") / "a.h5")
+    return identify([path], parse("linear+offset"), Search(trials=4, seed=0, workers=1))
+
+
+def error(found: Identification, kc: float, bc: float) -> float:
+    """The mean absolute error, N m, by the definition."""
+    motion, (stiffness, damping, offset) = found.signals.motion, found.estimates
+    assert (stiffness.name, damping.name) == ("Kc", "Bc")
+    model = kc * motion.dtheta + bc * motion.dtheta_dot + offset.exact
+    return float(np.mean(np.abs(found.signals.torque - model)))
+
+
+@pytest.mark.parametrize("reach", [1e-3, 0.5])
+def test_the_landscape_is_the_mean_absolute_error(found: Identification, reach: float) -> None:
+    """Near the optimum most residuals keep their sign, far away none does."""
+    kc, bc = found["Kc"].exact, found["Bc"].exact
+    seen = landscape(found, ((kc * (1.0 - reach), kc * (1.0 + reach)), (bc * (1.0 - reach), bc * (1.0 + reach))))
+    for row in (0, 20, 33):
+        for column in (0, 20, 40):
+            expected = error(found, float(seen.Kc[column]), float(seen.Bc[row]))
+            assert seen.error[row, column] == pytest.approx(expected, rel=1e-9)
+    np.testing.assert_allclose(lowest(seen), (kc, bc), rtol=1e-9)
+    assert seen.error.min() == pytest.approx(found.optimum, rel=1e-9)
+
+
+def lowest(seen: Landscape) -> tuple[float, float]:
+    row, column = np.unravel_index(int(seen.error.argmin()), seen.error.shape)
+    return float(seen.Kc[column]), float(seen.Bc[row])
+
+
+def test_the_first_and_the_last_generation_of_the_best_trial_are_handed_over(found: Identification) -> None:
+    populations, trials = found.trials.populations, found.trials
+    assert populations is not None
+    best = int(trials.fitness.argmin())
+    errors = [
+        [float(np.mean(np.abs(found.signals.torque - columns @ one))) for one in genes]
+        for columns in [found.model.columns(found.signals.motion)]
+        for genes in (populations.first, populations.last)
+    ]
+    assert min(errors[0]) == pytest.approx(trials.history.fitness[best, 0], rel=1e-9)
+    assert min(errors[1]) == pytest.approx(trials.fitness[best], rel=1e-9)
+    assert np.ptp(populations.last, axis=0)[0] < 1e-3 * np.ptp(populations.first, axis=0)[0]
+
+
+@pytest.mark.parametrize("model", ["linear+backlash", "linear+slack", "linear+offset+skew"])
+def test_the_modelled_torque_has_the_error_that_was_found(tmp_path: Path, model: str) -> None:
+    """Of a model with nonlinear parameters too, some of which change what the others multiply."""
+    result = identify([recording(tmp_path / "a.h5", gap=0.05)], parse(model), Search(trials=1, seed=0, workers=1))
+    residuals = (result.signals.torque - modelled(result))[result.fitted]
+    assert float(np.mean(np.abs(residuals))) == pytest.approx(result.optimum, rel=2e-3)
+    assert has_landscape(result)
+    assert result.trials.populations is None
+
+
+def test_every_picture_names_its_numbers(found: Identification) -> None:
+    shown = {one.name: one.alt for one in pictures(found)}
+    assert list(shown) == ["traces", "loop", "residuals", "fit", "intervals", "dynamic", "convergence", "landscape"]
+    optimum = f"{1e3 * found.optimum:.5g} mN m"
+    assert f"the exact optimum is {optimum}" in shown["convergence"]
+    assert f"{found.optimiser_gap:.1e} above it" in shown["convergence"]
+    assert f"{1e3 * found.optimum:.4g} mN m at the exact optimum" in shown["landscape"]
+    assert "coherence 0.9" in shown["dynamic"]
+    assert "95 % bounds" in shown["residuals"]
+
+
+def test_the_convergence_has_a_line_for_each_trial_their_mean_and_the_optimum(found: Identification) -> None:
+    drawn = {one.name: one.draw for one in pictures(found)}["convergence"]()
+    fitness, history = drawn.axes[0], found.trials.history
+    lines = [np.asarray(line.get_ydata()) for line in fitness.get_lines()]
+    for trial in range(4):
+        np.testing.assert_allclose(lines[trial], 1e3 * history.fitness[trial])
+    np.testing.assert_allclose(lines[5], 1e3 * history.fitness.mean(axis=0))
+    np.testing.assert_allclose(lines[6], 1e3 * found.optimum)
+
+
+def test_model_selection_is_drawn_with_the_gain_of_each_term(tmp_path: Path) -> None:
+    result = identify([recording(tmp_path / "a.h5")], None, Search(trials=1, seed=0, workers=1))
+    picture = {one.name: one for one in pictures(result)}["selection"]
+    gains = picture.draw().axes[0]
+    tried = [step for step in result.steps if np.isfinite(step.gain)]
+    assert len(tried) > 2
+    widths = [bar.get_width() for bar in gains.patches if isinstance(bar, Rectangle)]
+    np.testing.assert_allclose(widths, [step.gain for step in tried])
+    for step in tried:
+        decision = "included" if step.included else "rejected"
+        assert f"{step.term} {step.gain:.3g} ({decision})" in picture.alt
