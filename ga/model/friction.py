@@ -77,6 +77,18 @@ def _presliding(regressors: Regressors) -> tuple[Array, ...]:
     return (regressors.motion.presliding(float(regressors.own[0])),)
 
 
+def _yielding(regressors: Regressors) -> tuple[Array, ...]:
+    return (regressors.motion.yielding(float(regressors.own[0])),)
+
+
+def _yielding_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
+
+    (load,), length = _yielding(regressors), float(regressors.own[0])
+    rate = regressors.motion.dtheta_dot
+    return (rate * (1.0 - np.where(rate * load > 0.0, np.abs(load), 0.0)) / length,)
+
+
 COULOMB: Final = Term(
     "coulomb",
     "dry friction",
@@ -108,6 +120,38 @@ DAHL: Final = Term(
     forgets=lambda m, own: m.fading(m.travelled(), float(own[0])),
     excludes=("coulomb",),
     reason="coulomb is dahl without the build-up",
+    selection="misfit",
+)
+
+BOUC_WEN: Final = Term(
+    "boucwen",
+    "a spring beside Kc that yields, as in hysteresis",
+    (
+        Parameter(
+            "Fy",
+            "N*m",
+            "torque of the spring that yields, long after a reversal",
+            presence=True,
+            friction=True,
+            positive=True,
+        ),
+        Parameter(
+            "yield",
+            "rad",
+            "deflection over which the spring yields",
+            scales=False,
+            absent=None,
+            positive=True,
+            nonlinear=True,
+            starts=(0.005, 0.02, 0.06, 0.2, 0.6),
+        ),
+    ),
+    columns=_yielding,
+    rates=_yielding_on,
+    bounds=_dahl_bounds,
+    forgets=lambda m, own: m.fading(m.travelled(), float(own[0])),
+    excludes=("coulomb", "dahl"),
+    reason="coulomb is boucwen without the build-up, and dahl another law of it",
     selection="misfit",
 )
 

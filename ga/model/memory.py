@@ -1,4 +1,4 @@
-"""Signals that remember: a first-order lag and the friction of Dahl, exact over uneven stamps."""
+"""Signals that remember: a lag, and the frictions of Dahl and of Bouc and Wen, exact over uneven stamps."""
 
 from __future__ import annotations
 
@@ -44,6 +44,14 @@ def presliding(time: Array, rate: Array, length: float) -> Array:
     return _recursion(keep, ((1.0 - keep) * np.sign(moves))[:, None], np.zeros(1))[:, 0]
 
 
+def yielding(time: Array, rate: Array, length: float) -> Array:
+    """Return Bouc and Wen's friction (n,), -1 to 1, of a rate (n,) rad/s, zero at first.
+
+    dz/dx = 1/length where the motion takes load off, and (1 - |z|)/length where it adds load.
+    """
+    return _yielding(np.diff(time) * 0.5 * (rate[:-1] + rate[1:]) / length)
+
+
 def without_beginnings(values: Array, left: Array, stretch: NDArray[np.int64]) -> Array:
     """Return values (n,) or (n, p) without what is in proportion to each of `left` (n, k) within each stretch.
 
@@ -56,6 +64,20 @@ def without_beginnings(values: Array, left: Array, stretch: NDArray[np.int64]) -
         rows = near[stretch[near] == number]
         basis = np.linalg.qr(left[rows])[0]
         found[rows] -= basis @ (basis.T @ found[rows])
+    return found
+
+
+@compiled
+def _yielding(moves: Array) -> Array:
+    """The states (n + 1,) from zero on, for moves (n,) in parts of the length."""
+    found = np.zeros(len(moves) + 1)
+    for at in range(len(moves)):
+        way, load = abs(moves[at]), found[at] if moves[at] >= 0.0 else -found[at]
+        unloading = min(way, max(-load, 0.0))
+        load += unloading
+        if way > unloading:
+            load = 1.0 - (1.0 - load) * np.exp(unloading - way)
+        found[at + 1] = load if moves[at] >= 0.0 else -load
     return found
 
 

@@ -19,6 +19,7 @@ _RECORDS: Final = (
     sensors.DRIFT,
     friction.COULOMB,
     friction.DAHL,
+    friction.BOUC_WEN,
     friction.QUADRATIC,
     springs.CUBIC,
     springs.ASYMMETRIC,

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
     from scipy.interpolate import CubicSpline
 
@@ -88,8 +90,16 @@ class Motion:
         """The friction of Dahl (1976), (n,) -1 to 1, that builds up over `length` rad after a reversal."""
         from ga.model import memory
 
-        parts = [memory.presliding(self.time[a:b], self.dtheta_dot[a:b], length) for a, b in self._stretches()]
-        return np.concatenate(parts)
+        return self._frictional(memory.presliding, length)
+
+    def yielding(self, length: float) -> Array:
+        """The friction of Bouc and Wen, (n,) -1 to 1, that builds up over `length` rad."""
+        from ga.model import memory
+
+        return self._frictional(memory.yielding, length)
+
+    def _frictional(self, law: Callable[[Array, Array, float], Array], length: float) -> Array:
+        return np.concatenate([law(self.time[a:b], self.dtheta_dot[a:b], length) for a, b in self._stretches()])
 
     def fading(self, clock: Array, constant: float) -> Array:
         """What is left (n,), 1 to 0, of the state at the beginning of each stretch, as a clock (n,) goes on.

@@ -3,12 +3,14 @@
 Model selection leaves out what is not significant, but no bench is without offset, drift, friction and skew: the
 interval given the selected model is too narrow. The average is over that model with and without those effects, and the
 terms without strong evidence for or against them. An offset and a skew are always there, the latter of a size that one
-recorder can produce, because the two readings of one tick never have quite the same age.
+recorder can produce, because the two readings of one tick never have quite the same age. Dry friction never turns at
+once: what holds it is about as stiff as the coupling, so that it builds up over some Fc/Kc (Dahl 1976), which stiffens
+small motion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +20,7 @@ from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Problem
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, is_addable
+from ga.model.trajectory import Motion
 from hil.identification.model_choice import Choice
 from hil.identification.stepwise import Alternative, Step
 from hil.signals.prepare import Signals
@@ -29,7 +32,9 @@ from hil.uncertainty.model_average import average
 Array = NDArray[np.float64]
 
 _ALWAYS = ("offset", "skew")
-_SELECTED, _NORMAL = 0.05, 1.96  # the least weight of the selected model; half a 95 % interval in standard errors
+_NORMAL = 1.96  # half a 95 % interval in standard errors
+_PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
+_SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
 _BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
 
 
@@ -39,16 +44,6 @@ class Averaged:
 
     value: float
     half_width: float
-
-    def beside(self, value: float, half_width: float) -> Averaged:
-        """Return the average with an estimate of the selected model, SI, which weighs 5 %, its half width included.
-
-        Selection by prediction and the average by likelihood need not agree: what they differ by is in the width.
-        """
-        apart = value - self.value
-        variance = (1.0 - _SELECTED) * (self.half_width / _NORMAL) ** 2 + _SELECTED * (half_width / _NORMAL) ** 2
-        variance += _SELECTED * (1.0 - _SELECTED) * apart**2
-        return Averaged(self.value + _SELECTED * apart, _NORMAL * float(np.sqrt(variance)))
 
 
 def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinear: Array) -> dict[str, Averaged]:
@@ -87,16 +82,18 @@ def _around(model: Alternative, doubtful: Sequence[str], data: Signals) -> dict[
     if largest is None or not _contains(largest, model, data):
         return {}
     added, names, sampling = largest.added, largest.names, largest.sampling
-    scales = np.full(len(names), np.inf)
+    likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
     if "skew" in added:
-        scales[names.index("skew")] = TICK_SHARE * float(np.median(np.diff(data.motion.time)))
+        likely[1, names.index("skew")] = TICK_SHARE * float(np.median(np.diff(data.motion.time)))
+    if _PRESLIDING in names:
+        likely[:, names.index(_PRESLIDING)] = 1.0
     optional = {name for term in (*added, *doubtful) if term not in _ALWAYS for name in _own(term)}
     found = average(
         largest.values,
         sampling.matrix,
         [at for at, name in enumerate(names) if name in optional],
-        [at for at, name in enumerate(names) if PARAMETERS[name].positive],
-        scales,
+        [at for at, name in enumerate(names) if name in PARAMETERS and PARAMETERS[name].positive],
+        likely,
     )
     if found is None:
         return {}
@@ -135,16 +132,33 @@ def _largest(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> _L
         problem = Problem(larger, data.motion, data.torque, *larger.bounds(data.motion, data.band[1]))
         try:
             fit = problem.solve(np.array([start[p.name] for p in larger.nonlinear], dtype=np.float64))
-            blocks = Blocks.of(*problem.linearised(fit))
-            values = least_absolute_deviations(*next(iter(blocks())), fit.values).genes
+            names = [parameter.name for parameter in larger.parameters]
+            columns, target = problem.linearised(fit)
+            if (building := _building_up(dict(zip(names, fit.values, strict=True)), data.motion)) is not None:
+                names, columns = [*names, _PRESLIDING], np.column_stack([columns, building])
+            first = np.append(fit.values, np.zeros(len(names) - len(fit.values)))
+            values = least_absolute_deviations(columns, target, first).genes
         except RuntimeError:  # some columns are dependent
             return None
-        sampling = covariance(blocks, values)
-        names = [parameter.name for parameter in larger.parameters]
+        sampling = covariance(Blocks.of(columns, target), values)
         alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in _own(term))]
         if not alike:
             return _Largest(tuple(added), names, values, sampling)
         added.remove(alike[-1])
+
+
+def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
+    """The torque (n,), N m, by which friction that builds up over Fc/Kc differs from one that turns at once.
+
+    None where the model, whose values are given by name, has no Coulomb friction, or that is too short to be seen.
+    """
+    friction, stiffness = values.get("Fc", 0.0), values["Kc"]
+    if friction <= 0.0 or stiffness <= 0.0:
+        return None
+    whole, rows = motion.whole
+    seen = whole.delayed(values.get("skew", 0.0))
+    found = friction * (seen.presliding(friction / stiffness) - np.sign(seen.dtheta_dot))[rows]
+    return found if np.count_nonzero(np.abs(found) > _SEEN * friction) >= _FEWEST else None
 
 
 def _contains(largest: _Largest, smaller: Alternative, data: Signals) -> bool:
@@ -157,7 +171,8 @@ def _contains(largest: _Largest, smaller: Alternative, data: Signals) -> bool:
     target = smaller.model.target(data.motion, data.torque, smaller.nonlinear)
     own = dict(zip((one.name for one in smaller.model.linear), _fitted(columns, target), strict=True))
     names, matrix = largest.names, largest.sampling.matrix
-    added = [names.index(name) for term in largest.added for name in _own(term)]
+    extra = [name for term in largest.added for name in _own(term)]
+    added = [names.index(name) for name in (*extra, _PRESLIDING) if name in names]
     if not added:
         return True
     gain = np.linalg.lstsq(matrix[np.ix_(added, added)], matrix[added], rcond=None)[0]  # (added, p)

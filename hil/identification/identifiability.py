@@ -43,6 +43,7 @@ class Evidence:
     columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters. exact: the values and
     half the intervals given the model, where `values` and `errors` are averaged over models. scattered: the variance
     components of pooled recordings. gap: of the optimiser, relative. unmoved: why nothing moved, "" where it did.
+    selected: whether the model was selected, and not named.
     """
 
     model: Coupling
@@ -58,6 +59,7 @@ class Evidence:
     holdout: Validation
     exact: tuple[Array, Array]
     unmoved: str = ""
+    selected: bool = False
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -133,7 +135,8 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     found = _interruption(evidence.trials)
     for at, name in enumerate(evidence.names):
         found += _of_parameter(evidence, at, name)
-    found += _implausible_skew(evidence) + other_stiffness(dict(zip(evidence.names, evidence.values, strict=True)))
+    exact = dict(zip(evidence.names, evidence.exact[0].tolist(), strict=True))
+    found += _implausible_skew(evidence) + other_stiffness(exact, selected=evidence.selected)
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
             Diagnostic(
@@ -176,16 +179,34 @@ def rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> list[Diagnos
     return undecided
 
 
-def other_stiffness(values: Mapping[str, float]) -> list[Diagnostic]:
-    """Return a warning of each second stiffness beside Kc that a model with these values, SI, by name, has."""
+def sliding(values: Mapping[str, float]) -> tuple[float, float] | None:
+    """Return by how much Kc is higher before friction slides, N m/rad, and over which deflection, rad; None without.
+
+    values: of a model, SI, by name.
+    """
+    for force, length in (("Fd", "reach"), ("Fy", "yield")):
+        if force in values and values[length] > 0.0:
+            return values[force] / values[length], values[length]
+    return None
+
+
+def other_stiffness(values: Mapping[str, float], *, selected: bool = False) -> list[Diagnostic]:
+    """Return what is to know of each second stiffness beside Kc that a model with these values, SI, by name, has.
+
+    selected: whether the model was selected. Nobody has then asked for a stiffness of sliding: there is no single Kc.
+    """
     found = []
-    if {"Kc", "Fd", "reach"} <= set(values) and values["reach"] > 0.0:
-        kc, reach, near = values["Kc"], values["reach"], values["Kc"] + values["Fd"] / values["reach"]
+    if (before := sliding(values)) is not None:
+        kc, (more, reach) = values["Kc"], before
         text = (
-            f"Kc is {kc:.3g} N m/rad once the friction slides, and {near:.3g} N m/rad just after a reversal: use the "
-            f"latter for motion of less than {reach:.2g} rad, and K'(f) of --verbose for other motion"
+            f"Kc depends on how far the joint moves: it is {kc:.3g} N m/rad once the friction slides, and "
+            f"{kc + more:.3g} N m/rad for motion of less than {reach:.2g} rad"
         )
-        found.append(Diagnostic("two-stiffnesses", text, "Kc"))
+        model = "boucwen" if "Fy" in values else "dahl"
+        remedy = f"its interval spans both; name --model linear+offset+{model} for the former"
+        use = "use the latter for such motion, and K'(f) of --verbose for other motion"
+        text += f": {remedy if selected else use}"
+        found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=selected))
     if {"Kc", "K1", "tau1"} <= set(values):
         fast = values["Kc"] + values["K1"] + values.get("K2", 0.0)
         text = (

@@ -31,7 +31,7 @@ from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.exact import solved, unproven
 from hil.identification.fitting.validation import validated
-from hil.identification.identifiability import Evidence, estimates, judge, rivals
+from hil.identification.identifiability import Evidence, estimates, judge, rivals, sliding
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification
@@ -188,19 +188,26 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         high=solution.high,
         gap=solution.gap,
         holdout=validated(data, solution.blocks, solution.values, np.isfinite(sampling.half_width)),
+        selected=bool(data.choice.steps),
         unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
     )
 
 
 def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Array, Array]:
-    """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected."""
+    """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected.
+
+    Where friction that builds up was selected, the interval of Kc spans the stiffness before and after it slides.
+    """
     values, half_width = solution.values.copy(), half_width.copy()
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
     nonlinear = values[len(data.choice.model.linear) :]
     for name, one in (averaged(data.choice, data.signals, data.used, nonlinear) if data.whole else {}).items():
         at = names.index(name)
-        with_selected = one.beside(float(values[at]), float(half_width[at]))
-        values[at], half_width[at] = with_selected.value, with_selected.half_width
+        values[at], half_width[at] = one.value, one.half_width
+    before = sliding(dict(zip(names, solution.values.tolist(), strict=True)))
+    if data.choice.steps and before is not None and before[0] > 0.0:
+        values[names.index("Kc")] += 0.5 * before[0]
+        half_width[names.index("Kc")] += 0.5 * before[0]
     return values, half_width
 
 

@@ -283,7 +283,7 @@ EFFECTS: Final = (
     Effect(
         "hysteresis",
         "friction that builds up over a distance (LuGre, Bouc-Wen)",
-        "try --model linear+offset+dahl, and record two amplitudes: Kc then falls with the larger one",
+        "try --model linear+offset+dahl or +boucwen, and record two amplitudes: Kc then falls with the larger one",
         _hysteresis,
     ),
     Effect(

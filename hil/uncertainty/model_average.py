@@ -32,18 +32,20 @@ class Average:
 
 
 def average(
-    values: Array, covariance: Array, doubtful: Sequence[int], positive: Sequence[int], scales: Array
+    values: Array, covariance: Array, doubtful: Sequence[int], positive: Sequence[int], likely: Array
 ) -> Average | None:
     """Return the average over all models with and without the doubtful parameters; None where none is possible.
 
     values (p,) and covariance (p, p): of the model with all of them. positive: parameters of which a negative estimate
-    makes a model impossible. scales (p,): how large a parameter is likely to be at most, one standard deviation around
-    zero, infinite where nothing is known: where the data say less, this does (ridge regression).
+    makes a model impossible. likely (2, p): what a parameter is likely to be, and one standard deviation of that,
+    infinite where nothing is known: where the data say less, this does (ridge regression).
     """
     size = np.sqrt(np.diag(covariance))
     if not (np.isfinite(size).all() and (size > 0.0).all()):
         return None
-    values, covariance = _penalised(values / size, covariance / np.outer(size, size), size / scales)
+    values, covariance = _penalised(
+        values / size, covariance / np.outer(size, size), likely[0] / size, size / likely[1]
+    )
     found = []
     for count in range(len(doubtful) + 1):
         for left_out in combinations(doubtful, count):
@@ -61,14 +63,14 @@ def average(
     return Average(mean * size, np.sqrt(variance) * size, tuple(one[0] for one in found), weights)
 
 
-def _penalised(values: Array, covariance: Array, precision: Array) -> tuple[Array, Array]:
-    """Values (p,) and covariance (p, p) with the penalty of parameters around zero of these precisions (p,)."""
+def _penalised(values: Array, covariance: Array, centres: Array, precision: Array) -> tuple[Array, Array]:
+    """Values (p,) and covariance (p, p) with the penalty of parameters around centres (p,) of precisions (p,)."""
     known = np.flatnonzero(precision > 0.0)
     if not known.size:
         return values, covariance
     prior = np.diag(precision[known] ** -2.0)
     gain = np.linalg.solve(covariance[np.ix_(known, known)] + prior, covariance[known]).T
-    return values - gain @ values[known], covariance - gain @ covariance[known]
+    return values - gain @ (values[known] - centres[known]), covariance - gain @ covariance[known]
 
 
 def _without(values: Array, covariance: Array, left_out: list[int]) -> tuple[Array, Array, float]:

@@ -87,7 +87,9 @@ def test_a_lag_begins_anew_in_every_stretch() -> None:
     assert lagged[len(MOTION) :] - 5.0 == pytest.approx(lagged[: len(MOTION)], abs=1e-9)
 
 
-@pytest.mark.parametrize("name", ["linear+offset+lag", "linear+offset+skew+lag", "linear+maxwell", "linear+dahl"])
+@pytest.mark.parametrize(
+    "name", ["linear+offset+lag", "linear+offset+skew+lag", "linear+maxwell", "linear+dahl", "linear+boucwen"]
+)
 def test_some_rows_remember_the_samples_between_them(name: str) -> None:
     model = parse(name).anchored(MOTION)
     nonlinear, _ = model.bounds(MOTION, 11.0)
@@ -168,6 +170,25 @@ def test_friction_that_builds_up_is_that_of_an_integrator() -> None:
     assert errors.max() < 0.03
 
 
+def test_a_spring_that_yields_is_that_of_an_integrator() -> None:
+    """Bouc and Wen's dz/dx = (1 - (1/2 + sign(z dx)/2) |z|)/length, in steps 50 times finer."""
+    length, last = 0.02, len(MOTION) - 1
+    fine = np.interp(np.linspace(0.0, last, 50 * last + 1), np.arange(last + 1), MOTION.time)
+    moves, load, found = np.diff(CubicSpline(MOTION.time, MOTION.dtheta)(fine)) / length, 0.0, [0.0]
+    for move in moves.tolist():
+        load += move * (1.0 - (0.5 + 0.5 * np.sign(move * load)) * abs(load))
+        found.append(load)
+    errors = np.abs(MOTION.yielding(length) - np.array(found)[::50])
+    assert errors.mean() < 2e-3
+    assert errors.max() < 0.03
+
+
+def test_a_spring_that_yields_comes_back() -> None:
+    torque = spring_and_damper() + 0.005 * MOTION.yielding(0.02) + NOISES
+    expected = {"Kc": KC, "Bc": BC, "Fy": 0.005, "yield": 0.02}
+    assert identified("linear+boucwen", torque) == pytest.approx(expected, rel=0.04)
+
+
 def test_friction_that_builds_up_comes_back() -> None:
     torque = spring_and_damper() + 0.005 * MOTION.presliding(0.02) + NOISES
     expected = {"Kc": KC, "Bc": BC, "Fd": 0.005, "reach": 0.02}
@@ -242,7 +263,7 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
 @pytest.mark.parametrize(
     "name",
     ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
-     "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew"],
+     "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew"],
 )  # fmt: skip
 def test_the_jacobian_is_the_derivative_of_the_torque(name: str) -> None:
     even = moving(np.linspace(0.0, 4.0, 1601))

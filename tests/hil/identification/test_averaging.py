@@ -7,7 +7,6 @@ import pytest
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
-from hil.identification.averaging import Averaged
 from hil.identification.identify import Search, identify
 from hil.recording.reader import Array
 from hil.report.identification import as_json
@@ -55,14 +54,6 @@ def test_the_json_keeps_the_conditional_interval_and_says_what_the_choice_adds(m
     assert low < said["conditional"]["value"] < high
     assert said["choice_share"] == pytest.approx(1.0 - (high - low) / (said["ci95"][1] - said["ci95"][0]))
     assert 0.1 < said["choice_share"] < 0.9
-
-
-def test_the_estimate_of_the_selected_model_weighs_a_twentieth() -> None:
-    """By the variance of a mixture: 0.95 of N(1, 0.1^2) and 0.05 of N(2, 0.3^2)."""
-    mixed = Averaged(1.0, 0.196).beside(2.0, 0.588)
-    assert mixed.value == pytest.approx(1.05)
-    second_moment = 0.95 * (0.1**2 + 1.0) + 0.05 * (0.3**2 + 4.0)
-    assert (mixed.half_width / 1.96) ** 2 == pytest.approx(second_moment - 1.05**2)
 
 
 def test_a_named_model_keeps_its_own_interval(make_recording: Maker) -> None:

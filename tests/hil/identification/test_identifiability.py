@@ -7,6 +7,7 @@ import numpy as np
 from drivers.servo import Status
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
+from ga.model.memory import yielding
 from hil.diagnostics import Diagnostic
 from hil.identification.identifiability import other_stiffness, rivals
 from hil.identification.identify import Search, identify
@@ -185,7 +186,33 @@ def test_a_model_with_two_stiffnesses_says_both() -> None:
     """0.24 N m/rad left, and 1.2 mN m over 20 mrad: 0.3 N m/rad after a reversal."""
     (sliding,) = other_stiffness({"Kc": 0.24, "Bc": 3e-3, "Fd": 1.2e-3, "reach": 0.02})
     (relaxed,) = other_stiffness({"Kc": 0.3, "Bc": 3e-3, "K1": 0.09, "tau1": 0.02})
+    (yielding,) = other_stiffness({"Kc": 0.24, "Bc": 3e-3, "Fy": 1.2e-3, "yield": 0.02}, selected=True)
     assert "0.24 N m/rad once the friction slides, and 0.3 N m/rad" in sliding.message
+    assert "--model linear+offset+boucwen" in yielding.message
+    assert yielding.is_error
     assert "0.39 N m/rad for motion much faster than tau1, 20 ms" in relaxed.message
     assert not any(one.is_error for one in (sliding, relaxed))
     assert other_stiffness({"Kc": 0.3, "Bc": 3e-3}) == []
+
+
+def test_hysteresis_that_nobody_named_leaves_no_single_stiffness(make_recording: Maker) -> None:
+    """A joint of which 30 % yields over 20 mrad: the interval holds what is left, 0.21, and the whole, 0.3 N m/rad."""
+
+    def yields(channels: dict[str, Array]) -> None:
+        time = channels["time"]
+        angle, rate = (0.2 * part for part in (np.sin(9.0 * time) + np.sin(2.3 * time), 9.0 * np.cos(9.0 * time)))
+        rate = rate + 0.46 * np.cos(2.3 * time)
+        load = yielding(time, rate, 0.02)
+        channels["dtheta"], channels["dtheta_dot"] = angle, rate
+        noise = np.random.default_rng(1).standard_normal(len(time))
+        channels["torque"] = 0.21 * angle + 3e-3 * rate + 0.09 * 0.02 * load + 1e-4 * noise
+
+    path = make_recording(samples=1000, rate=250.0, change=yields)
+    found, named = (identify([path], model, SEARCH) for model in (None, parse("linear+offset+boucwen")))
+    assert "boucwen" in found.model.name
+    assert not found.trusted("Kc")
+    low, high = found["Kc"].ci95
+    assert low < 0.21
+    assert high > 0.3
+    assert named.trusted("Kc")
+    assert named["Kc"].ci95[1] - named["Kc"].ci95[0] < 0.01

@@ -10,7 +10,7 @@ import pytest
 from hil.uncertainty.model_average import Array, average
 
 NOISE = 0.3
-NOTHING = np.full(4, np.inf)
+NOTHING = np.stack([np.zeros(4), np.full(4, np.inf)])
 
 
 def regression(seed: int, truth: tuple[float, ...] = (2.0, 1.0, 0.02, 0.0)) -> tuple[Array, Array]:
@@ -50,10 +50,11 @@ def test_the_average_is_that_of_refits_of_every_submodel_weighted_by_akaike() ->
 
 def test_a_scale_gives_the_estimate_of_ridge_regression() -> None:
     columns, torque = regression(2)
-    found = average(*fitted(columns, torque), [], [], np.array([np.inf, np.inf, 0.01, np.inf]))
+    found = average(*fitted(columns, torque), [], [], np.array([[0.0, 0.0, 0.5, 0.0], [np.inf, np.inf, 0.01, np.inf]]))
     assert found is not None
     precision = columns.T @ columns / NOISE**2 + np.diag([0.0, 0.0, 0.01**-2, 0.0])
-    np.testing.assert_allclose(found.values, np.linalg.solve(precision, columns.T @ torque / NOISE**2), rtol=1e-9)
+    pulled = columns.T @ torque / NOISE**2 + np.array([0.0, 0.0, 0.5 * 0.01**-2, 0.0])
+    np.testing.assert_allclose(found.values, np.linalg.solve(precision, pulled), rtol=1e-9)
     np.testing.assert_allclose(found.errors, np.sqrt(np.diag(np.linalg.inv(precision))), rtol=1e-9)
 
 
