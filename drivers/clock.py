@@ -47,4 +47,5 @@ class VirtualClock:
 
     def sleep_until(self, t: float) -> None:
         """Let time pass until `t` s; no time passes where `t` is not later."""
-        self._t = max(self._t, t)
+        if t > self._t:  # noqa: PLR1730 - `max` takes five times as long, once a tick
+            self._t = t

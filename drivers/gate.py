@@ -58,7 +58,7 @@ class Gate:
     ) -> None:
         self.live = True
         self._name = name
-        self._quantities = quantities
+        self._quantities = tuple(sorted(quantities))  # a tuple compares identities first, a set computes a hash
         self._torque_off = torque_off
         self._release = release
         self._remedy = f"; set {mode_key} otherwise" if mode_key else ""
@@ -89,23 +89,24 @@ class Gate:
         """
         if not math.isfinite(command.value):
             raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
-        at_rest = command == Command.rest()
         limits = self._limits
+        unsupported = command.quantity not in self._quantities
+        if limits is not None and not unsupported:
+            self.require_open()
+            bounded = limits.bound(command)
+            return Admitted(bounded, bounded is not command)
+        at_rest = command == Command.rest()
         if limits is None and not at_rest:
             raise UnsafeCommand(
                 f"{command.quantity} set-point {command.value} while disarmed: nothing was sent; arm first"
             )
-        unsupported = command.quantity not in self._quantities
-        if unsupported and not at_rest:
+        if not at_rest:
             raise UnsafeCommand(
-                f"{command.quantity} set-point, but this servo is driven by {' or '.join(sorted(self._quantities))} "
+                f"{command.quantity} set-point, but this servo is driven by {' or '.join(self._quantities)} "
                 f"only: nothing was sent{self._remedy}"
             )
         self.require_open()
-        if limits is None or unsupported:
-            return Admitted(None, clipped=False)
-        bounded = limits.bound(command)
-        return Admitted(bounded, clipped=bounded != command)
+        return Admitted(None, clipped=False)
 
     @contextlib.contextmanager
     def opening(self, stop_unconfirmed: Callable[[], None] = lambda: None) -> Iterator[None]:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
 from drivers.servo import Command, Limits, Quantity
 from ga.compiled import compiled
-from sim_backend.integrator import TIME, Path, integrate, recall, start
+from sim_backend.integrator import SIZE, TIME, Path, integrate, path_in, recall, start
 from sim_backend.plant import (
     CELL,
     JOINT,
@@ -68,6 +68,9 @@ MAX_VELOCITY = 10
 MAX_TEMPERATURE = 11
 PLACES = 12
 
+_AGES = 4
+"""s since what each sensor shows: motor position, motor torque, joint position, joint torque."""
+
 
 class Settings(NamedTuple):
     """The firmware's constants. period, watchdog s; lsb rad; the rest as in `DriveParameters`."""
@@ -78,6 +81,13 @@ class Settings(NamedTuple):
     gain: float
     integral_gain: float
     damping_gain: float
+
+
+_SETTINGS = np.dtype([(name, np.float64) for name in Settings._fields])
+_CONSTANTS = np.dtype([(name, np.float64) for name in Constants._fields])
+_TO_SETTINGS = PLACES + len(Settings._fields)
+_TO_CONSTANTS = _TO_SETTINGS + len(Constants._fields)
+_HEAD = _TO_CONSTANTS + _AGES
 
 
 @compiled
@@ -126,11 +136,50 @@ def _beat(path: Path, memory: Vector, settings: Settings) -> None:
         _regulate(path, memory, settings)
 
 
+class _Parts(NamedTuple):
+    """The one memory of a drive, which is passed to a compiled function in a twentieth of the time of its parts."""
+
+    memory: Vector
+    settings: Packed
+    constants: Packed
+    ages: Vector
+    path: Path
+
+
 @compiled
-def _run(path: Path, memory: Vector, packed_settings: Packed, packed_constants: Packed, until: float) -> None:
+def _parts(drive: Vector) -> _Parts:
+    return _Parts(
+        drive[:PLACES],
+        drive[PLACES:_TO_SETTINGS].view(_SETTINGS),
+        drive[_TO_SETTINGS:_TO_CONSTANTS].view(_CONSTANTS),
+        drive[_TO_CONSTANTS:_HEAD],
+        path_in(drive[_HEAD:]),
+    )
+
+
+@compiled
+def _run(drive: Vector, until: float) -> None:
     """Carry plant and firmware to `until`, s."""
-    settings: Settings = packed_settings[0]
-    c: Constants = packed_constants[0]
+    parts = _parts(drive)
+    _carry(parts.path, parts.memory, parts.settings[0], parts.constants[0], until)
+
+
+@compiled
+def _follow(drive: Vector, at: float, position: float, value: float) -> None:
+    """Carry plant and firmware to `at`, s, and set a torque, N m, or a position, rad, which acts from the next beat."""
+    _run(drive, at)
+    memory = drive[:PLACES]
+    if memory[ENABLED] == 0.0:
+        return
+    if position != 0.0 and memory[POSITION_MODE] == 0.0:
+        memory[INTEGRAL] = 0.0
+    memory[POSITION_MODE] = position
+    memory[SETPOINT] = value
+
+
+@compiled
+def _carry(path: Path, memory: Vector, settings: Settings, c: Constants, until: float) -> None:
+    """Carry plant and firmware to `until`, s."""
     while memory[ENABLED] != 0.0:
         # The millionth of a period keeps a beat that has just been struck from being struck again.
         beat = (math.floor(path.now[TIME] / settings.period + 1e-6) + 1.0) * settings.period
@@ -142,9 +191,10 @@ def _run(path: Path, memory: Vector, packed_settings: Packed, packed_constants: 
 
 
 @compiled
-def _look(path: Path, ages: Vector) -> tuple[float, float, float, float, float, float]:
+def _look(drive: Vector) -> tuple[float, float, float, float, float, float]:
     """The fields of `Seen`; NaN where the past has been forgotten."""
-    state = np.empty_like(path.state)
+    parts = _parts(drive)
+    path, ages, state = parts.path, parts.ages, parts.path.trial
     now = path.now[TIME]
     known = recall(path, now - ages[0], state)
     angle, velocity, temperature = state[MOTOR], state[VELOCITY], state[WINDING]
@@ -173,6 +223,11 @@ class Seen(NamedTuple):
     temperature: float
 
 
+def _numbers(array: Vector) -> memoryview[float]:
+    """Return the numbers of an array, of which one is read in a third of the array's time."""
+    return cast("memoryview[float]", array.data)
+
+
 class Drive:
     """A drive on the plant, commanded without a link. Times are in s since it was switched on.
 
@@ -182,10 +237,7 @@ class Drive:
     def __init__(self, parameters: SimParameters, *, watchdog: float) -> None:
         drive, sensors = parameters.drive, parameters.sensors
         self.constants = constants(parameters)
-        self.path = start(self.constants)
         self._ceiling = drive.torque_limit
-        self._memory = np.zeros(PLACES)
-        self._memory[FROZEN] = math.nan
         self._lsb = 2.0 * math.pi / sensors.motor_counts
         settings = Settings(
             period=1.0 / drive.loop_rate,
@@ -195,26 +247,28 @@ class Drive:
             integral_gain=float(drive.position_integral_gain),
             damping_gain=float(drive.position_damping_gain),
         )
-        self._settings = packed(settings, Settings._fields)
-        self._constants = packed(self.constants, Constants._fields)
-        self._ages = np.array(
-            [
-                sensors.motor_position_delay,
-                sensors.motor_torque_delay,
-                sensors.joint_position_delay,
-                sensors.joint_torque_delay,
-            ]
+        ages = (
+            sensors.motor_position_delay,
+            sensors.motor_torque_delay,
+            sensors.joint_position_delay,
+            sensors.joint_torque_delay,
         )
+        self._drive = np.zeros(_HEAD + SIZE)
+        self._drive[PLACES:_HEAD] = (*settings, *self.constants, *ages)
+        self.path = start(self.constants, self._drive[_HEAD:])
+        self._memory = _numbers(self._drive[:PLACES])
+        self._now = _numbers(self.path.now)
+        self._memory[FROZEN] = math.nan
 
     @property
     def time(self) -> float:
         """The time that plant and firmware have been carried to, s."""
-        return float(self.path.now[TIME])
+        return self._now[TIME]
 
     @property
     def enabled(self) -> bool:
         """Whether current can flow."""
-        return bool(self._memory[ENABLED])
+        return self._memory[ENABLED] != 0.0
 
     @property
     def fault(self) -> int:
@@ -224,21 +278,21 @@ class Drive:
     @property
     def demand(self) -> float:
         """The motor torque the current loop is asked for now, N m."""
-        return float(self._memory[DEMAND])
+        return self._memory[DEMAND]
 
     @property
     def coupling_torque(self) -> float:
         """sigma_c now, N m."""
-        return float(coupling_torque(self.path.state, self._constants[0]))
+        return float(coupling_torque(self.path.state, packed(self.constants, Constants._fields)[0]))
 
     def run(self, until: float) -> None:
         """Carry plant and firmware to `until`; nothing happens where that is past."""
-        _run(self.path, self._memory, self._settings, self._constants, until)
+        _run(self._drive, until)
 
     def enable(self, limits: Limits) -> None:
         """Set the limits and let current flow, at zero torque; the watchdog starts now."""
         memory = self._memory
-        _trip(self.path, memory, 0.0)
+        self._trip(0)
         memory[MAX_TORQUE] = min(limits.torque, self._ceiling)
         memory[MAX_VELOCITY] = limits.velocity
         memory[MAX_TEMPERATURE] = limits.temperature
@@ -246,32 +300,28 @@ class Drive:
         memory[FED] = self.time
         memory[ENABLED] = 1.0
 
+    def _trip(self, code: int) -> None:
+        _trip(self.path, self._drive[:PLACES], float(code))
+
     def disable(self) -> None:
         """No current from now on."""
-        _trip(self.path, self._memory, 0.0)
+        self._trip(0)
 
     def latch(self, code: int) -> None:
         """Latch a fault from outside and open the output stage."""
-        _trip(self.path, self._memory, float(code))
+        self._trip(code)
 
     def feed(self) -> None:
         """Tell the watchdog that the host is alive."""
-        self._memory[FED] = self.time
+        self._memory[FED] = self._now[TIME]
 
-    def follow(self, command: Command) -> None:
-        """Set a set-point, which acts from the next beat. No effect while disabled."""
-        memory = self._memory
-        if memory[ENABLED] == 0.0:
-            return
-        position = command.quantity is Quantity.POSITION
-        if position and memory[POSITION_MODE] == 0.0:
-            memory[INTEGRAL] = 0.0
-        memory[POSITION_MODE] = float(position)
-        memory[SETPOINT] = command.value
+    def follow(self, command: Command, at: float) -> None:
+        """Run until `at` and set a set-point there, which acts from the next beat. No effect while disabled."""
+        _follow(self._drive, at, 1.0 if command.quantity is Quantity.POSITION else 0.0, command.value)
 
     def take_saturated(self) -> bool:
         """Whether the torque limit has acted since this was last asked."""
-        acted = bool(self._memory[SATURATED])
+        acted = self._memory[SATURATED] != 0.0
         self._memory[SATURATED] = 0.0
         return acted
 
@@ -282,14 +332,14 @@ class Drive:
     @property
     def frozen(self) -> float:
         """The angle that a frozen motor encoder repeats, rad; NaN while it works."""
-        return float(self._memory[FROZEN])
+        return self._memory[FROZEN]
 
     def look(self) -> Seen:
         """The quantity at each sensor now.
 
         Raises RuntimeError where one shows an instant further back than the plant remembers.
         """
-        seen = _look(self.path, self._ages)
+        seen = _look(self._drive)
         if math.isnan(seen[0]):
             raise RuntimeError(
                 "a sensor shows an instant the plant no longer remembers: "

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled
+from ga.compiled import compiled, compiled_no_refcount
 from sim_backend.plant import STATES, Constants, Vector, at_rest, derivatives
 
 RELATIVE = 1e-8
@@ -23,6 +23,9 @@ SHORTEST = 1e-12
 REMEMBERED = 4096
 """Steps kept for a sensor that shows an earlier instant."""
 
+SIZE = 3 + 9 * STATES + REMEMBERED * (1 + 2 * STATES)
+"""Numbers that a path takes."""
+
 Counter = NDArray[np.int64]
 
 TIME = 0
@@ -32,7 +35,8 @@ STEP = 1
 class Path(NamedTuple):
     """The state now, the recent past, and room to work in: arrays only, all written in place.
 
-    now: time, s, and the next step to try, s. state: (STATES,). slopes: (7, STATES). trial: (STATES,).
+    All are parts of one memory, which is passed to a compiled function in a twentieth of their time. now: time, s, and
+    the next step to try, s. state: (STATES,). slopes: (7, STATES). trial: (STATES,).
     times: (REMEMBERED,), states and rates: (REMEMBERED, STATES), a ring. written: entries ever written, (1,).
     """
 
@@ -46,23 +50,42 @@ class Path(NamedTuple):
     written: Counter
 
 
-def start(c: Constants) -> Path:
-    """A path that begins at rest at time zero."""
-    path = Path(
-        now=np.array([0.0, 1e-5]),
-        state=at_rest(c),
-        slopes=np.zeros((7, STATES)),
-        trial=np.zeros(STATES),
-        times=np.zeros(REMEMBERED),
-        states=np.zeros((REMEMBERED, STATES)),
-        rates=np.zeros((REMEMBERED, STATES)),
-        written=np.zeros(1, dtype=np.int64),
-    )
-    _remember(path)
+def start(c: Constants, memory: Vector | None = None) -> Path:
+    """A path that begins at rest at time zero, in `memory`, (SIZE,) zeros, or in one of its own."""
+    path = path_in(np.zeros(SIZE) if memory is None else memory)
+    path.now[STEP] = 1e-5
+    path.state[:] = at_rest(c)
+    _begin(path)
     return path
 
 
 @compiled
+def _begin(path: Path) -> None:
+    _remember(path)
+
+
+@compiled
+def path_in(memory: Vector) -> Path:
+    """Return the path that `memory` holds."""
+    state = memory[3:]
+    slopes = state[STATES:]
+    trial = slopes[7 * STATES :]
+    times = trial[STATES:]
+    states = times[REMEMBERED:]
+    rates = states[REMEMBERED * STATES :]
+    return Path(
+        memory[0:2],
+        state[:STATES],
+        slopes[: 7 * STATES].reshape((7, STATES)),
+        trial[:STATES],
+        times[:REMEMBERED],
+        states[: REMEMBERED * STATES].reshape((REMEMBERED, STATES)),
+        rates[: REMEMBERED * STATES].reshape((REMEMBERED, STATES)),
+        memory[2:3].view(np.int64),
+    )
+
+
+@compiled_no_refcount
 def _remember(path: Path) -> None:
     """Write where the path is, and its slope there, into the ring."""
     entry = path.written[0] % REMEMBERED
@@ -73,7 +96,7 @@ def _remember(path: Path) -> None:
     path.written[0] += 1
 
 
-@compiled
+@compiled_no_refcount
 def _stages(path: Path, demand: float, h: float, c: Constants) -> None:
     """One step of `h` s: the slopes of the seven stages, and the solution of order 5 in `trial`.
 
@@ -103,7 +126,7 @@ def _stages(path: Path, demand: float, h: float, c: Constants) -> None:
     derivatives(x, demand, c, k[6])
 
 
-@compiled
+@compiled_no_refcount
 def _attempt(path: Path, demand: float, h: float, c: Constants) -> float:
     """Try one step of `h` s; the result is left in `trial`, its slope in the last of `slopes`. Error over tolerance."""
     _stages(path, demand, h, c)
@@ -117,7 +140,7 @@ def _attempt(path: Path, demand: float, h: float, c: Constants) -> float:
     return worst
 
 
-@compiled
+@compiled_no_refcount
 def integrate(path: Path, demand: float, until: float, c: Constants) -> None:
     """Carry the path to `until`, s, with the motor torque demand held at `demand`, N m.
 
@@ -137,14 +160,15 @@ def integrate(path: Path, demand: float, until: float, c: Constants) -> None:
             path.now[STEP] = max(step * factor, SHORTEST)
             continue
         path.now[TIME] = until if step == left else path.now[TIME] + step
-        path.state[:] = path.trial
-        path.slopes[0] = path.slopes[6]
+        for i in range(STATES):
+            path.state[i] = path.trial[i]
+            path.slopes[0, i] = path.slopes[6, i]
         _remember(path)
         if step == proposed:
             path.now[STEP] = max(SHORTEST, min(LONGEST, step * factor))
 
 
-@compiled
+@compiled_no_refcount
 def recall(path: Path, t: float, out: Vector) -> bool:
     """Write the state at the earlier time `t`, s, into `out`, (STATES,); cubic between the steps remembered.
 
@@ -157,7 +181,8 @@ def recall(path: Path, t: float, out: Vector) -> bool:
         entry -= 1
     first = entry % REMEMBERED
     if entry == newest or path.times[first] > t:
-        out[:] = path.states[first]
+        for i in range(STATES):
+            out[i] = path.states[first, i]
         return bool(entry == newest or oldest == 0)
     second = (entry + 1) % REMEMBERED
     span = path.times[second] - path.times[first]

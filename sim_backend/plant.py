@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled
+from ga.compiled import compiled_no_refcount
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
@@ -143,7 +143,7 @@ def at_rest(c: Constants) -> Vector:
     return state
 
 
-@compiled
+@compiled_no_refcount
 def elastic_torque(deflection: float, rate: float, c: Constants) -> float:
     """Torque in spring and damper, N m, from the deflection, rad, and its rate, rad/s (equation 2 and what it lacks).
 
@@ -161,7 +161,7 @@ def elastic_torque(deflection: float, rate: float, c: Constants) -> float:
     return float(max(torque, 0.0) if stretch > 0.0 else min(torque, 0.0))
 
 
-@compiled
+@compiled_no_refcount
 def bristle_rate(bristle: float, rate: float, c: Constants) -> float:
     """Return the rate at which the friction's bristles bend, rad/s (LuGre); zero without dry friction."""
     if c.coulomb == 0.0:
@@ -170,7 +170,7 @@ def bristle_rate(bristle: float, rate: float, c: Constants) -> float:
     return rate - c.bristle_stiffness * abs(rate) * bristle / level
 
 
-@compiled
+@compiled_no_refcount
 def hysteresis_rate(load: float, rate: float, c: Constants) -> float:
     """Return the rate of the Bouc-Wen element's relative load, 1/s: linear on unloading, yielding on loading."""
     if c.hysteresis_torque == 0.0:
@@ -179,14 +179,14 @@ def hysteresis_rate(load: float, rate: float, c: Constants) -> float:
     return rate * (1.0 - yielded) / c.hysteresis_yield
 
 
-@compiled
+@compiled_no_refcount
 def passed_on(state: Vector, deflection: float, rate: float, bending: float, c: Constants) -> float:
     """sigma_c, N m, where the deflection, rad, its rate and the bristles' rate, rad/s, are known already."""
     friction = c.bristle_stiffness * state[BRISTLE] + c.bristle_damping * bending
     return float(elastic_torque(deflection, rate, c) + friction + c.hysteresis_torque * state[HYSTERESIS])
 
 
-@compiled
+@compiled_no_refcount
 def coupling_torque(state: Vector, c: Constants) -> float:
     """sigma_c, N m: everything the cable passes on to the joint."""
     deflection = state[MOTOR] / c.gear_ratio - state[JOINT]
@@ -194,7 +194,7 @@ def coupling_torque(state: Vector, c: Constants) -> float:
     return passed_on(state, deflection, rate, bristle_rate(state[BRISTLE], rate, c), c)
 
 
-@compiled
+@compiled_no_refcount
 def derivatives(state: Vector, demand: float, c: Constants, out: Vector) -> None:
     """Write the rate of change of `state` into `out`, both of shape (STATES,).
 

@@ -44,10 +44,13 @@ from sim_backend.plant import (
     TORQUE,
     WINDING,
 )
-from sim_backend.sensors import Noise, Reading, Sensors
+from sim_backend.sensors import Draw, Noise, Reading, Sensors
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
+
+
+_GOOD = Status(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +83,8 @@ class SimServo:
 
     def __init__(self, parameters: SimParameters, *, seed: int, clock: Clock, faults: tuple[Fault, ...] = ()) -> None:
         self._parameters = parameters.resolved()
+        self._link, self._delay = self._parameters.link, self._parameters.drive.command_delay
+        self._one_way = 0.5 * self._link.round_trip
         self.clock: Clock = clock
         self._opened = clock.now()
         broken = any(isinstance(fault, WatchdogBroken) for fault in faults)
@@ -134,35 +139,42 @@ class SimServo:
         admitted = self._gate.admit(command)
         draw = self._noise.draw()
         sent = self._reach()
-        link = self._parameters.link
-        outbound = max(0.0, 0.5 * link.round_trip + link.jitter * draw.outbound)
-        inbound = max(0.0, 0.5 * link.round_trip + link.jitter * draw.inbound)
-        arrived = sent + outbound
-        returned = arrived + inbound
+        link = self._link
+        outbound, inbound = self._one_way + link.jitter * draw.outbound, self._one_way + link.jitter * draw.inbound
+        arrived = sent + (outbound if outbound > 0.0 else 0.0)
+        returned = arrived + (inbound if inbound > 0.0 else 0.0)
         self._advance(arrived)
         self._drive.feed()
         if not self._gate.armed and self._drive.enabled:
             self._drive.disable()  # the request for torque-off did not reach the drive; this one does
             self._gate.live = False
-        due = arrived + self._parameters.drive.command_delay
-        self._under_way.append((due, admitted.command or Command.rest()))
+        self._under_way.append((arrived + self._delay, admitted.command or Command.rest()))
         if draw.lost < link.lost_reply or returned - sent > link.reply_timeout:
             self._time_out(sent)
         self.clock.sleep_until(returned)
-        self._raise_fault()
-        if within(self._plan, CorruptReplies, arrived - self._opened):
-            raise BadReply("the reply failed its checksum: the sample is dropped")
-        status = Status(0)
-        if self._answered is not None and within(self._plan, RepliesRepeat, arrived - self._opened):
-            reading, status = self._answered, Status.STALE
-        else:
-            reading = self._answered = self._sensors.read(self._drive, draw)
-        if within(self._plan, TorqueUnreadable, arrived - self._opened):
-            reading = reading._replace(motor_torque=math.nan, joint_torque=math.nan)
+        if self._drive.fault:
+            self._raise_fault()
+        reading, status = self._read(draw, arrived - self._opened) if self._plan else self._fresh(draw)
         saturated = self._drive.take_saturated() or (command.quantity is Quantity.TORQUE and admitted.clipped)
         if saturated:
             status |= Status.SATURATED
         return Sample(sent, 0.5 * (sent + returned), *reading, status)
+
+    def _fresh(self, draw: Draw) -> tuple[Reading, Status]:
+        self._answered = self._sensors.read(self._drive, draw)
+        return self._answered, _GOOD
+
+    def _read(self, draw: Draw, t: float) -> tuple[Reading, Status]:
+        """Return what the drive answers at `t` s under the plan. Raises BadReply."""
+        if within(self._plan, CorruptReplies, t):
+            raise BadReply("the reply failed its checksum: the sample is dropped")
+        if self._answered is not None and within(self._plan, RepliesRepeat, t):
+            reading, status = self._answered, Status.STALE
+        else:
+            reading, status = self._fresh(draw)
+        if within(self._plan, TorqueUnreadable, t):
+            reading = reading._replace(motor_torque=math.nan, joint_torque=math.nan)
+        return reading, status
 
     def disarm(self) -> None:
         """Switch the torque off. Raises as `Gate.disarm`; the drive's watchdog then switches it off."""
@@ -260,6 +272,5 @@ class SimServo:
     def _deliver(self, until: float) -> None:
         while self._under_way and self._under_way[0][0] - self._opened <= until:
             due, command = self._under_way.popleft()
-            self._drive.run(due - self._opened)
-            self._drive.follow(command)
+            self._drive.follow(command, due - self._opened)
         self._drive.run(until)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -23,13 +24,35 @@ PERMISSION = (
 
 @contextmanager
 def real_time(clock: Clock) -> Iterator[None]:
-    """Give the block that drives a motor in real time what the system permits; nothing where time is virtual.
+    """Give the block that drives a motor in real time what the system permits; where time is virtual, it may wait.
 
     No child process inherits the real-time class or the locked memory.
     """
-    if isinstance(clock, VirtualClock):
+    with _quiet_collector():
+        if isinstance(clock, VirtualClock):
+            yield
+            return
+        gc.collect()
+        gc.freeze()
+        try:
+            with _urgent():
+                yield
+        finally:
+            gc.unfreeze()
+
+
+@contextmanager
+def _quiet_collector() -> Iterator[None]:
+    """Switch garbage collection off: a full one can stop the loop for 100 ms."""
+    gc.disable()
+    try:
         yield
-        return
+    finally:
+        gc.enable()
+
+
+@contextmanager
+def _urgent() -> Iterator[None]:
     interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH)
     slack = _prctl(_GET_TIMER_SLACK)

@@ -6,11 +6,10 @@ turned off before anything else, and the rows so far are kept.
 
 from __future__ import annotations
 
-import gc
 import math
 import tempfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean, median
@@ -29,7 +28,7 @@ from hil.acquisition.real_time import real_time
 from hil.acquisition.setpoints import SetPoints
 from hil.acquisition.sink import Sink
 from hil.errors import WrongUse
-from hil.recording.channels import Row
+from hil.recording.channels import Row, row_of
 from hil.stand.file import Stand
 from hil.stand.opening import require_watchdog
 from hil.stand.transmission import Transmission, Zero
@@ -39,8 +38,10 @@ _REST_TRIES = 100
 _TOO_LONG = 1.5  # periods that an answer at rest may take; some drives answer sooner once they are armed
 _RAMP_DOWN = 0.1  # s; a first request to stop ramps the torque to zero over this long
 _BLOCK = 512  # set-points computed at a time
-_LATE, _SATURATED = int(Status.LATE), int(Status.SATURATED)
+_GOOD, _LATE, _SATURATED = Status(0), int(Status.LATE), int(Status.SATURATED)
 _MISSED = Status.MISSED | Status.LATE | Status.NO_REPLY
+
+_Readings = Callable[[Sample], AtJoint]
 
 
 class _Stopped(Exception):
@@ -93,8 +94,8 @@ class Recorder:
         self._has_joint = False
         self._servo = servo
         self._profile = profile
-        self._rate = rate
-        self._sink = sink
+        self._rate, self._late = rate, 0.5 / rate  # s after its time from which a tick is late
+        self._sink, self._append = sink, sink.append
         self._scratch = Path(tempfile.gettempdir()) if scratch is None else scratch
         # a profile of torque swings by twice its amplitude; for a profile of position only the limit is known
         by_torque = profile.mode is Quantity.TORQUE
@@ -104,8 +105,10 @@ class Recorder:
             moves=profile.amplitude if by_torque else 0.5 * limits.torque,
             more=() if self._heat is None else (self._heat,),
         )
+        self._check = self._guard.check
         self._outcome = Outcome()
         self._start = math.nan
+        self._stopping_at = math.inf  # s of the run at which the ramp-down begins
         self._off_asked = False
         self._off_error: BaseException | None = None
 
@@ -139,7 +142,7 @@ class Recorder:
                 set_points.extend(self._profile.at(times))
             zero = self._find_zero(stop)
             limits = self._transmission.motor_limits(self._limits, zero.motor)
-            with _quiet_collector(), real_time(self._servo.clock):
+            with real_time(self._servo.clock):
                 _check_stop(stop)
                 try:
                     self._enter(Phase.ARMING)
@@ -166,7 +169,7 @@ class Recorder:
             raise BadReply("the drive reports no position: a deflection cannot be recorded")
         self._has_joint = math.isfinite(joint)
         zero = Zero(motor, joint if self._has_joint else 0.0)
-        at_rest = [self._at_joint(sample, zero) for sample in samples]
+        at_rest = [*map(self._readings(zero), samples)]
         if not any(math.isfinite(one.torque) for one in at_rest):
             raise BadReply(
                 f"the stand file says torque_source = {self._torque_source!r}, but no torque is reported there"
@@ -201,34 +204,44 @@ class Recorder:
 
     def _loop(self, set_points: Iterable[float], zero: Zero, stop: StopRequest) -> None:
         clock = self._servo.clock
+        sleep_until, now_of, check_late, tick = clock.sleep_until, clock.now, self._guard.check_late, self._tick
         period = 1.0 / self._rate
-        self._start = clock.now() + period
+        start = self._start = clock.now() + period
+        commands, readings = self._transmission.commands(self._profile.mode, zero), self._readings(zero)
         self._enter(Phase.FADE_IN)
-        fading = True
-        stopping_at = math.inf
-        sent, sent_at = 0.0, self._start - period
+        sent, sent_at = 0.0, start - period
+        steady = False  # in the phase RUN, where the set-points are the profile's
         for seq, set_point in enumerate(set_points):
             due = seq * period
-            clock.sleep_until(self._start + due)
-            now = clock.now()
-            too_late = self._guard.check_late(now - sent_at - period)
-            if (stop.count or too_late) and math.isinf(stopping_at):
-                stopping_at = due
-                self._enter(Phase.RAMP_DOWN)
-                self._ramp_down(stop, due, too_late)
-            elif fading and due >= self._profile.fade and math.isinf(stopping_at):
-                fading = False
-                self._enter(Phase.RUN)
-            left = min(1.0, 1.0 - (due - stopping_at) / _RAMP_DOWN) if math.isfinite(stopping_at) else 1.0
-            if left <= 0.0 or stop.count > 1:
-                return
-            if now - self._start - due >= period:
+            sleep_until(start + due)
+            now = now_of()
+            too_late = check_late(now - sent_at - period)
+            if stop.count or too_late or not steady:
+                left = self._steered(stop, due, too_late)
+                if left <= 0.0:
+                    return
+                set_point *= left  # noqa: PLW2901 - what is left of it
+                steady = self._outcome.phases.now is Phase.RUN
+            if now - start - due >= period:
                 self._miss(seq, due, sent)
                 continue
-            sent, sent_at = set_point * left, now
-            self._tick(seq, due, sent, zero)
+            sent, sent_at = set_point, now
+            tick(seq, due, set_point, commands(set_point), readings)
+
+    def _steered(self, stop: StopRequest, due: float, too_late: str) -> float:
+        """Enter the phase that begins at `due` s of the run; return the share of the set-point that is left."""
+        stopping = math.isfinite(self._stopping_at)
+        if (stop.count or too_late) and not stopping:
+            self._ramp_down(stop, due, too_late)
+        elif self._outcome.phases.now is Phase.FADE_IN and due >= self._profile.fade:
+            self._enter(Phase.RUN)
+        if stop.count > 1:
+            return 0.0
+        return min(1.0, 1.0 - (due - self._stopping_at) / _RAMP_DOWN)
 
     def _ramp_down(self, stop: StopRequest, due: float, too_late: str) -> None:
+        self._stopping_at = due
+        self._enter(Phase.RAMP_DOWN)
         if stop.count:
             self._stopped(stop)
             self._sink.event(due, "stop-requested", f"signal {stop.number}")
@@ -247,9 +260,9 @@ class Recorder:
         self._outcome.end_reason = "stopped on request"
         self._outcome.signal = stop.number
 
-    def _tick(self, seq: int, due: float, set_point: float, zero: Zero) -> None:
+    def _tick(self, seq: int, due: float, set_point: float, command: Command, at_joint: _Readings) -> None:
         try:
-            sample = self._servo.exchange(self._transmission.command(self._profile.mode, set_point, zero))
+            sample = self._servo.exchange(command)
         except (NoReply, BadReply) as error:
             status = Status.BAD_REPLY if isinstance(error, BadReply) else Status.NO_REPLY
             sample = Sample.missing(self._start + due, status)
@@ -257,43 +270,48 @@ class Recorder:
             self._sink.append(self._row(seq, due, set_point, sample, AtJoint()))
             self._guard.check_silence(self._servo.clock.now())
             return
-        at_joint = self._at_joint(sample, zero)
-        self._sink.append(self._row(seq, due, set_point, sample, at_joint))
-        self._guard.check(sample, at_joint)
+        readings = at_joint(sample)
+        self._append(self._row(seq, due, set_point, sample, readings))
+        self._check(sample, readings)
 
-    def _at_joint(self, sample: Sample, zero: Zero) -> AtJoint:
-        way = self._transmission
-        from_cell = self._torque_source == "joint"
-        return AtJoint(
-            torque=sample.joint_torque if from_cell else way.torque(sample.motor_torque),
-            dtheta=way.deflection(sample.motor_position, sample.joint_position if self._has_joint else 0.0, zero),
-            dtheta_dot=way.rate(sample.motor_velocity),
-        )
+    def _readings(self, zero: Zero) -> _Readings:
+        """Return the conversion of a sample to the joint."""
+        way, from_cell, has_joint = self._transmission, self._torque_source == "joint", self._has_joint
+
+        def at_joint(sample: Sample) -> AtJoint:
+            return AtJoint(
+                sample.joint_torque if from_cell else way.torque(sample.motor_torque),
+                way.deflection(sample.motor_position, sample.joint_position if has_joint else 0.0, zero),
+                way.rate(sample.motor_velocity),
+            )
+
+        return at_joint
 
     def _row(self, seq: int, due: float, set_point: float, sample: Sample, at_joint: AtJoint) -> Row:
-        sent = sample.t - self._start
-        status = int(sample.status)  # an operation on the flags themselves takes as long as the rest of a tick
-        if sent - due > 0.5 / self._rate:
+        start, flags = self._start, sample.status
+        sent = sample.t - start
+        status = 0 if flags is _GOOD else int(flags)  # an operation on flags takes as long as the rest of a tick
+        if sent - due > self._late:
             status |= _LATE
             self._outcome.late += 1
         if status & _SATURATED:
             self._outcome.saturated += 1
-        return Row(
-            seq=seq,
-            time=sent,
-            command=set_point,
-            torque=at_joint.torque,
-            dtheta=at_joint.dtheta,
-            dtheta_dot=at_joint.dtheta_dot,
-            motor_position=sample.motor_position,
-            motor_velocity=sample.motor_velocity,
-            motor_torque=sample.motor_torque,
-            joint_position=sample.joint_position,
-            joint_torque=sample.joint_torque,
-            read_time=sample.t_read - self._start,
-            joint_time=sample.t_joint - self._start,
-            temperature=sample.temperature,
-            status=status,
+        return row_of(
+            (
+                seq,
+                sent,
+                set_point,
+                *at_joint,
+                sample.motor_position,
+                sample.motor_velocity,
+                sample.motor_torque,
+                sample.joint_position,
+                sample.joint_torque,
+                sample.t_read - start,
+                sample.t_joint - start,
+                sample.temperature,
+                status,
+            )
         )
 
     def _torque_off(self) -> None:
@@ -330,16 +348,3 @@ def _mean(values: Iterable[float]) -> float:
     """Return the mean of the finite values, NaN without any."""
     numbers = [value for value in values if math.isfinite(value)]
     return fmean(numbers) if numbers else math.nan
-
-
-@contextmanager
-def _quiet_collector() -> Iterator[None]:
-    """Switch garbage collection off: a full one can stop the loop for 100 ms."""
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-        gc.unfreeze()

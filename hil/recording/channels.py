@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Annotated, NamedTuple, get_args, get_type_hints
 
@@ -49,6 +50,9 @@ class Row(NamedTuple):
     temperature: Annotated[float, Channel("degC", "of the winding, as the drive reports it")] = math.nan
     status: Annotated[int, Channel("1", "bits: 1 no reply, 2 bad reply, 4 late, 8 saturated, 16 stale, 32 missed")] = 0
 
+
+row_of: Callable[[tuple[float, ...]], Row] = partial(tuple.__new__, Row)
+"""Return the row of all fields in their order, in a fifth of the time that `Row` takes with their names."""
 
 _FIELDS = {name: get_args(hint) for name, hint in get_type_hints(Row, include_extras=True).items()}
 

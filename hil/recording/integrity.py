@@ -31,8 +31,12 @@ _pack_row = struct.Struct("<" + "".join("Q" if ROW[name].kind == "u" else "d" fo
 
 
 def packed(rows: Iterable[Row]) -> bytes:
-    """Return the bytes of rows as LIVE lays them out, which takes half the time of an array."""
-    return b"".join([(data := _pack_row(*row)) + _crc(zlib.crc32(data)) for row in rows])
+    """Return the bytes of rows as LIVE lays them out, which takes half the time of an array.
+
+    `row[:]` is a plain tuple, which is unpacked in half the time of a Row.
+    """
+    crc32 = zlib.crc32
+    return b"".join([(data := _pack_row(*row[:])) + _crc(crc32(data)) for row in rows])
 
 
 def packed_array(rows: Rows) -> bytes:

@@ -7,6 +7,7 @@ and other people's tables.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -61,11 +62,12 @@ class Transmission:
         """Return the rate of the deflection, rad/s, where the joint is locked."""
         return motor_velocity / self.ratio
 
-    def command(self, mode: Quantity, set_point: float, zero: Zero) -> Command:
-        """Return the motor's command for a set-point at the joint, N m or rad."""
+    def commands(self, mode: Quantity, zero: Zero) -> Callable[[float], Command]:
+        """Return the conversion of a set-point at the joint, N m or rad, to the motor's command."""
+        ratio, motor = self.ratio, zero.motor
         if mode is Quantity.TORQUE:
-            return Command(mode, set_point / self.ratio)
-        return Command(mode, zero.motor + set_point * self.ratio)
+            return lambda set_point: Command(mode, set_point / ratio)
+        return lambda set_point: Command(mode, motor + set_point * ratio)
 
     def motor_limits(self, limits: LimitsTable, zero: float) -> Limits:
         """Return the limits at the motor shaft, for a joint at rest at motor position `zero` rad."""

@@ -28,7 +28,7 @@ def test_the_deflection_counts_from_the_zero_of_motor_and_joint() -> None:
 
 @pytest.mark.parametrize(("mode", "expected"), [(Quantity.TORQUE, 0.0015), (Quantity.POSITION, 7.024)])
 def test_a_set_point_at_the_joint_becomes_a_command_at_the_motor(mode: Quantity, expected: float) -> None:
-    command = Transmission.of(STAND).command(mode, 0.006, Zero(7.0))
+    command = Transmission.of(STAND).commands(mode, Zero(7.0))(0.006)
     assert command.quantity is mode
     assert command.value == pytest.approx(expected)
 
