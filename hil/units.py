@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from functools import lru_cache
 from itertools import islice, product
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from hil.errors import WrongUse
+from hil.errors import WrongUse, unknown
 
 if TYPE_CHECKING:
     from pint import UnitRegistry
@@ -112,9 +111,7 @@ def factor(dimension: str, unit: str) -> float:
     """
     found = known(dimension, unit)
     if found is None:
-        near = get_close_matches(unit, COMMON[dimension], n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise WrongUse(f"unknown unit of {dimension} {unit!r}: {hint}known are {', '.join(COMMON[dimension])}")
+        raise unknown(f"unit of {dimension}", unit, COMMON[dimension])
     return found
 
 

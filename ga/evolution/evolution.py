@@ -66,7 +66,7 @@ class Settings:
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
-        for field, readings in _READINGS.items():
+        for field, readings in READINGS.items():
             if getattr(self, field) not in readings:
                 raise ValueError(f'{field} "{getattr(self, field)}" is not one of {", ".join(readings)}')
         if self.generations < 1:
@@ -94,13 +94,14 @@ class Settings:
         return population
 
 
-_READINGS: Final[Mapping[str, tuple[str, ...]]] = {
+READINGS: Final[Mapping[str, tuple[str, ...]]] = {
     "scheme": get_args(Scheme),
     "selection": get_args(Selection),
     "weights": get_args(Weights),
     "replacement": _REPLACEMENTS,
     "start": get_args(Beginning),
 }
+"""The readings that an option of `Settings` can have."""
 
 PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
     {

@@ -10,7 +10,6 @@ import csv
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.servo import Quantity
-from hil.errors import WrongUse
+from hil.errors import WrongUse, unknown
 from hil.recording.input import read_text
 
 Array = NDArray[np.float64]
@@ -125,10 +124,7 @@ def make(
     long as the file); band Hz; rate Hz, for the Nyquist check; fade s. Raises WrongUse.
     """
     if kind not in EXCITATIONS:
-        near = get_close_matches(kind, EXCITATIONS, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        known = ", ".join(EXCITATIONS)
-        raise WrongUse(f"unknown profile {kind!r}: {hint}known are {known} (see: hil record --list-profiles)")
+        raise unknown("profile", kind, EXCITATIONS, " (see: hil record --list-profiles)")
     excitation = EXCITATIONS[kind]
     if (excitation.sampler is None) != (setpoints is not None):
         raise WrongUse("--profile file and --setpoints FILE.csv go together: give both or neither")

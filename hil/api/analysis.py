@@ -9,10 +9,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from ga.evolution.evolution import PRESETS, Settings
+from ga.evolution.evolution import PRESETS, READINGS, Settings
 from ga.model.coupling import parse
 from hil.diagnostics import Diagnostic
-from hil.errors import Untrustworthy, WrongUse
+from hil.errors import Untrustworthy, WrongUse, unknown
 from hil.identification import compare as comparison
 from hil.identification import user_model
 from hil.identification.compare import Comparison, Repeated
@@ -323,7 +323,10 @@ def _paths(recordings: AnyPath | Sequence[AnyPath]) -> list[Path]:
 
 def _settings(preset: str, given: dict[str, Any]) -> Settings:
     if preset not in PRESETS:
-        raise WrongUse(f"unknown --preset {preset!r}: known are {', '.join(PRESETS)}")
+        raise unknown("--preset", preset, PRESETS)
+    for name, readings in READINGS.items():
+        if name in given and given[name] not in readings:
+            raise unknown(f"--{name}", str(given[name]), readings, " (see docs/paper.md)")
     try:
         return replace(PRESETS[preset], **given)
     except ValueError as error:

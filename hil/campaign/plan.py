@@ -6,13 +6,12 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hil.errors import WrongUse
+from hil.errors import WrongUse, meant
 from hil.stand.sentences import names_the_value, sentence
 from hil.stand.toml_table import line_of, load_table
 
@@ -174,8 +173,7 @@ def _message(text: str, item: Any) -> str:
     value = f" = {item['input']!r}" if names_the_value(item) else ""
     hint = ""
     if item["type"] == "extra_forbidden":
-        near = get_close_matches(str(place[-1]), _keys(place), n=1)
-        hint = f": did you mean {near[0]!r}?" if near else f"; there are {', '.join(_keys(place))}"
+        hint = f": {meant(str(place[-1]), _keys(place)).strip() or 'there are ' + ', '.join(_keys(place))}"
     if item["type"] == "string_pattern_mismatch":
         return f"line {line_of(text, place)}: {key}{value}: must be letters, digits, spaces, dots and hyphens"
     return f"line {line_of(text, place)}: {key}{value}: {sentence(item)}{hint}"

@@ -23,7 +23,7 @@ from hil.cli.terminal import (
     print_diagnostics,
     print_json,
 )
-from hil.errors import WrongUse
+from hil.errors import WrongUse, unknown
 from hil.units import SI
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _required(require: str) -> tuple[str, ...]:
     """The parameters that must be trusted. Raises WrongUse."""
     known = {"Kc": ("Kc",), "Bc": ("Bc",), "both": ("Kc", "Bc")}
     if require not in known:
-        raise WrongUse(f"--require {require}: write one of {', '.join(known)}")
+        raise unknown("--require", require, known)
     return known[require]
 
 

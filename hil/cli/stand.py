@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +11,7 @@ import typer
 from hil.cli import options
 from hil.cli.examples import below_help
 from hil.cli.terminal import note, out, say
-from hil.errors import WrongUse
+from hil.errors import WrongUse, meant
 
 if TYPE_CHECKING:
     from hil.stand.draft import Draft, Question
@@ -75,8 +74,7 @@ def _given(draft: Draft, words: list[str]) -> dict[str, Any]:
         key, equals, text = word.partition("=")
         question = draft.question(key)
         if not equals or question is None:
-            near = get_close_matches(key, draft.keys(), n=1)
-            hint = f"did you mean {near[0]}? " if near else ""
+            hint = meant(key, draft.keys())
             raise WrongUse(f"--set {word}: write KEY=VALUE; {hint}keys are {', '.join(draft.keys())}")
         value = draft.value(question, text)
         problem = draft.error(question, value)

@@ -6,7 +6,6 @@ import math
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.errors import WrongUse
+from hil.errors import WrongUse, meant
 from hil.exchange.headings import heading, listed
 from hil.recording.channels import CHANNELS
 from hil.recording.input import bounded_memory, open_input
@@ -117,9 +116,7 @@ def _topic(source: Path, kinds: Mapping[str, str], topic: str | None) -> str:
         for name in (topic, f"/{topic}"):
             if name in kinds:
                 return name
-        near = get_close_matches(topic, kinds, n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
-        raise WrongUse(f"{source} has no topic {topic}; {hint}{has}")
+        raise WrongUse(f"{source} has no topic {topic}; {meant(topic, kinds)}{has}")
     for wanted in (SAMPLE, JOINT_STATE):
         of_kind = [name for name, kind in kinds.items() if kind == wanted]
         if len(of_kind) == 1:

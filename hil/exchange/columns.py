@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.errors import WrongUse
+from hil.errors import WrongUse, meant
 from hil.exchange import bags, delimited, headings, matlab, plotjuggler
 from hil.exchange.row_filter import RowFilter
 from hil.recording.input import open_input
@@ -88,9 +87,7 @@ def place(source: Path, known: Sequence[str], name: str) -> int:
         raise WrongUse(f"{source} has {len(at)} columns named {name!r}: rename all but one")
     if at:
         return at[0]
-    near = get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    raise WrongUse(f"{source} has no column {name!r}; {hint}it has {headings.listed(known)}")
+    raise WrongUse(f"{source} has no column {name!r}; {meant(name, known)}it has {headings.listed(known)}")
 
 
 def _read_whole(

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from hil.errors import WrongUse
+from hil.errors import WrongUse, meant
 from hil.exchange import models
 from hil.exchange.bags import JOINT_STATE, SAMPLE
 from hil.exchange.columns import parquet
@@ -55,7 +55,7 @@ def format_of(target: Path, given: str | None) -> str:
     of_name = next((name for name, suffixes in _suffixes().items() if target.name.lower().endswith(suffixes)), None)
     known = ", ".join(f"{name} ({', '.join(suffixes)})" for name, suffixes in _suffixes().items())
     if given is not None and given not in _suffixes():
-        raise WrongUse(f"unknown --format {given!r}: known are {known}")
+        raise WrongUse(f"unknown --format {given!r}: {meant(given, _suffixes())}known are {known}")
     if of_name is None:
         what = f"--format {given}" if given else "an export"
         wanted = " or ".join(_suffixes()[given]) if given else f"one of {known}"

@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from difflib import get_close_matches
 from importlib import import_module
 from types import MappingProxyType
 from typing import Any, Protocol, Self, runtime_checkable
@@ -25,7 +24,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 from drivers.clock import Clock
 from drivers.servo import JointSensor, Quantity, Servo
 from hil import plugins as plugins_of
-from hil.errors import WrongUse
+from hil.errors import WrongUse, unknown
 from hil.plugins import plugins
 
 
@@ -220,9 +219,7 @@ def listed() -> list[tuple[str, str]]:
 def _known(what: str, name: str, known: Mapping[str, Device]) -> str:
     if name in known:
         return name
-    near = get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    raise WrongUse(f"unknown {what} {name!r}: {hint}known are {', '.join(known)}")
+    raise unknown(what, name, known)
 
 
 def _named(place: str) -> Any:

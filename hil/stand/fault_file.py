@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from hil.errors import meant
 from hil.stand.sentences import names_the_value, sentence
 from hil.stand.toml_table import line_of, load_table
 from sim_backend.fault_plan import KINDS, FaultPlan, PlannedFault
@@ -34,7 +35,7 @@ class _Fault(_Table):
     @classmethod
     def _known(cls, kind: str) -> str:
         if kind not in KINDS:
-            raise ValueError(f"there is no kind {kind!r}: known are {', '.join(KINDS)}")
+            raise ValueError(f"there is no kind {kind!r}: {meant(kind, KINDS)}known are {', '.join(KINDS)}")
         return kind
 
     @model_validator(mode="after")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
-from hil.errors import WrongUse
+from hil.errors import WrongUse, meant
 from hil.identification.model_choice import Coupling
 
 Array = NDArray[np.float64]
@@ -34,7 +34,8 @@ def narrowed(low: Array, high: Array, given: Given, names: tuple[str, ...], mode
     low, high = low.copy(), high.copy()
     for name, (lowest, highest) in given.items():
         if name not in names:
-            raise WrongUse(f"--bounds {name}: model {model!r} has no such parameter; it has {', '.join(names)}")
+            near = meant(name, names)
+            raise WrongUse(f"--bounds {name}: model {model!r} has no such parameter; {near}it has {', '.join(names)}")
         if not (np.isfinite(lowest) and np.isfinite(highest) and lowest < highest):
             raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: write the lower one first, both as numbers in SI")
         low[names.index(name)], high[names.index(name)] = lowest, highest
