@@ -1,6 +1,7 @@
 """Units as people write them, to SI: "mNm", "N·m", "oz-in", "deg/s", "rad s^-1"; and numbers with a unit, "10 deg".
 
-The registry of `pint` has an angle as a dimension of its own: a torque is no energy, and a percentage no angle. A
+The registry of `pint` has angle, energy and voltage as dimensions of their own: a torque is no energy, and a percentage
+no angle. A
 frequency counts turns in a second, so that rad/s and Hz are converted into each other correctly.
 """
 
@@ -37,6 +38,22 @@ SI: Mapping[str, str] = MappingProxyType(
 LEVER: Mapping[str, str] = MappingProxyType({"mass": "kg", "length": "m"})
 """The dimensions of a known load on a lever, which no channel of a recording has."""
 
+DRIVES: Mapping[str, str] = MappingProxyType(
+    {
+        "torque constant": "N*m/A",
+        "current": "A",
+        "voltage": "V",
+        "resistance": "ohm",
+        "heat capacity": "J/K",
+        "thermal resistance": "K/W",
+        "temperature difference": "K",
+        "cubic stiffness": "N*m/rad^3",
+        "integral gain": "N*m/(rad*s)",
+        "torque drift": "N*m/s",
+    }
+)
+"""The dimensions of what only a drive or its simulation has."""
+
 COMMON: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "time": ("s", "ms", "us", "ns", "min"),
@@ -50,9 +67,21 @@ COMMON: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "temperature": ("degC", "K"),
         "mass": ("kg", "g", "mg", "lb", "oz"),
         "length": ("m", "mm", "cm", "in"),
+        "torque constant": ("N*m/A", "mN*m/A"),
+        "current": ("A", "mA"),
+        "voltage": ("V", "mV"),
+        "resistance": ("ohm", "mohm"),
+        "heat capacity": ("J/K", "mJ/K"),
+        "thermal resistance": ("K/W", "K/mW"),
+        "temperature difference": ("K", "mK"),
+        "cubic stiffness": ("N*m/rad^3", "mN*m/rad^3"),
+        "integral gain": ("N*m/(rad*s)", "mN*m/(rad*s)"),
+        "torque drift": ("N*m/s", "mN*m/s"),
     }
 )
 """The units that messages propose, by dimension."""
+
+_ALL: Mapping[str, str] = MappingProxyType({**SI, **LEVER, **DRIVES})
 
 _DEFINITIONS = """
 kilo- = 1e3 = k-
@@ -86,6 +115,11 @@ kilogram_force = 9.80665 * newton = kgf = kilopond = kp
 gram_force = kilogram_force / 1000 = gf
 pound_force = 0.45359237 * kilogram_force = lbf
 ounce_force = pound_force / 16 = ozf
+ampere = [current] = A
+volt = [voltage] = V
+ohm = volt / ampere = _ = Ohm
+joule = [energy] = J
+watt = joule / second = W
 """
 _OTHER_NAMES = {"1/min": "rpm", "min-1": "rpm", "min^-1": "rpm", "r/min": "rpm", "U/min": "rpm"}
 _STANDARD_GRAVITY = 9.80665  # m/s^2, exact by definition (CGPM 1901)
@@ -107,7 +141,7 @@ _SHORT = 4  # letters: what is longer is a word, such as "milliseconds", which s
 def factor(dimension: str, unit: str) -> float:
     """Return the factor from `unit` to SI. Raises WrongUse for an unknown or ambiguous unit.
 
-    dimension: one of SI or LEVER.
+    dimension: one of SI, LEVER or DRIVES.
     """
     found = known(dimension, unit)
     if found is None:
@@ -132,6 +166,11 @@ def known(dimension: str, unit: str) -> float | None:
         if factors:
             return None
     return None
+
+
+def dimension_of(unit: str) -> str:
+    """Return the dimension whose SI unit this is."""
+    return next(dimension for dimension, si in _ALL.items() if si == unit)
 
 
 def quantity(text: str, *dimensions: str) -> tuple[float, str | None]:
@@ -171,7 +210,7 @@ def _factor(dimension: str, expression: str) -> float | None:
 
     registry = _registry()
     try:
-        unit, wanted = registry.Unit(expression), registry.Unit({**SI, **LEVER}[dimension].replace("^", "**"))
+        unit, wanted = registry.Unit(expression), registry.Unit(_ALL[dimension].replace("^", "**"))
     except (pint.PintError, TypeError, ValueError, SyntaxError, AttributeError, ArithmeticError, RecursionError):
         return None
     weight = 1.0

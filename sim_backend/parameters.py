@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
 
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Gt, Le, Lt, Unit
 
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
@@ -33,23 +33,23 @@ class MotorParameters:
 
     gear_ratio: Positive | None = None
     """eta, turns of the motor for one of the joint; None: as in [stand]."""
-    inertia: Positive | None = None
+    inertia: Annotated[Positive, Unit("kg*m^2")] | None = None
     """Dm, kg m^2 at the motor shaft; None: as in [stand]."""
-    viscous_friction: NotNegative | None = None
+    viscous_friction: Annotated[NotNegative, Unit("N*m*s/rad")] | None = None
     """Bm, N m s/rad at the motor shaft; None: as in [stand]."""
-    torque_constant: Positive = 0.0145
+    torque_constant: Annotated[Positive, Unit("N*m/A")] = 0.0145
     """N m/A; it does not change with temperature."""
-    winding_resistance: Positive = 8.7
+    winding_resistance: Annotated[Positive, Unit("ohm")] = 8.7
     """Ohm; it does not change with temperature."""
-    winding_heat_capacity: Positive = 1.4
+    winding_heat_capacity: Annotated[Positive, Unit("J/K")] = 1.4
     """J/K."""
-    winding_thermal_resistance: Positive = 5.0
+    winding_thermal_resistance: Annotated[Positive, Unit("K/W")] = 5.0
     """K/W, winding to housing."""
-    housing_heat_capacity: Positive = 22.0
+    housing_heat_capacity: Annotated[Positive, Unit("J/K")] = 22.0
     """J/K."""
-    housing_thermal_resistance: Positive = 20.0
+    housing_thermal_resistance: Annotated[Positive, Unit("K/W")] = 20.0
     """K/W, housing to ambient."""
-    ambient_temperature: Annotated[float, Ge(-50), Le(100)] = 23.0
+    ambient_temperature: Annotated[float, Ge(-50), Le(100), Unit("degC")] = 23.0
     """degC; winding and housing begin at it."""
 
 
@@ -59,29 +59,29 @@ class CouplingParameters:
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
-    stiffness: Positive = 17.75e-3
+    stiffness: Annotated[Positive, Unit("N*m/rad")] = 17.75e-3
     """Kc, N m/rad."""
-    damping: NotNegative = 0.19e-3
+    damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 0.19e-3
     """Bc, N m s/rad."""
-    cubic: NotNegative = 0.0
+    cubic: Annotated[NotNegative, Unit("N*m/rad^3")] = 0.0
     """K3, N m/rad^3: how the cable stiffens as it is drawn."""
-    coulomb_friction: NotNegative = 2e-5
+    coulomb_friction: Annotated[NotNegative, Unit("N*m")] = 2e-5
     """Fc, N m: friction of the sheath while sliding (LuGre model); 0: no dry friction at all."""
     static_friction_ratio: Annotated[float, Ge(1), Le(5)] = 1.25
     """Friction at rest over `coulomb_friction`."""
-    stribeck_velocity: Positive = 0.05
+    stribeck_velocity: Annotated[Positive, Unit("rad/s")] = 0.05
     """rad/s of deflection rate at which the friction falls from static to Coulomb."""
-    bristle_stiffness: Positive = 0.02
+    bristle_stiffness: Annotated[Positive, Unit("N*m/rad")] = 0.02
     """N m/rad: stiffness of the friction before it slides."""
-    bristle_damping: NotNegative = 1e-5
+    bristle_damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 1e-5
     """N m s/rad: damping of the friction before it slides."""
-    gap: NotNegative = 0.0
+    gap: Annotated[NotNegative, Unit("rad")] = 0.0
     """rad of deflection, the whole width: backlash."""
-    slack: NotNegative = 0.0
+    slack: Annotated[NotNegative, Unit("rad")] = 0.0
     """rad of deflection before a single tendon pulls, which then pulls one way only; 0: a pretensioned pair."""
-    hysteresis_torque: NotNegative = 0.0
+    hysteresis_torque: Annotated[NotNegative, Unit("N*m")] = 0.0
     """N m: what the Bouc-Wen element carries once it has yielded."""
-    hysteresis_yield: Positive = 0.02
+    hysteresis_yield: Annotated[Positive, Unit("rad")] = 0.02
     """rad: `hysteresis_torque` over the element's initial stiffness."""
     hysteresis_exponent: Annotated[float, Ge(1), Le(10)] = 1.0
     """How sharply the element yields."""
@@ -103,11 +103,11 @@ class FixtureParameters:
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
-    stiffness: Positive = 20.0
+    stiffness: Annotated[Positive, Unit("N*m/rad")] = 20.0
     """N m/rad, joint to ground."""
-    damping: NotNegative = 2e-3
+    damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 2e-3
     """N m s/rad, joint to ground."""
-    inertia: Positive = 5e-6
+    inertia: Annotated[Positive, Unit("kg*m^2")] = 5e-6
     """kg m^2 of the locked joint."""
 
 
@@ -117,21 +117,21 @@ class DriveParameters:
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
-    current_bandwidth: Annotated[float, Gt(0), Le(20_000)] = 1000.0
+    current_bandwidth: Annotated[float, Gt(0), Le(20_000), Unit("Hz")] = 1000.0
     """Hz, first order, of the current loop."""
-    torque_limit: Positive = 5e-3
+    torque_limit: Annotated[Positive, Unit("N*m")] = 5e-3
     """N m that the drive can make at most, whatever the limits it is armed with."""
-    loop_rate: Annotated[float, Ge(100), Le(50_000)] = 5000.0
+    loop_rate: Annotated[float, Ge(100), Le(50_000), Unit("Hz")] = 5000.0
     """Hz at which the firmware takes set-points over, closes the position loop and looks for faults."""
-    position_gain: NotNegative = 0.02
+    position_gain: Annotated[NotNegative, Unit("N*m/rad")] = 0.02
     """N m/rad of the position loop."""
-    position_integral_gain: NotNegative = 0.5
+    position_integral_gain: Annotated[NotNegative, Unit("N*m/(rad*s)")] = 0.5
     """N m/(rad s) of the position loop."""
-    position_damping_gain: NotNegative = 9e-5
+    position_damping_gain: Annotated[NotNegative, Unit("N*m*s/rad")] = 9e-5
     """N m s/rad of the position loop, on the filtered velocity."""
-    command_delay: Delay = 1e-4
+    command_delay: Annotated[Delay, Unit("s")] = 1e-4
     """s from the arrival of a set-point to when the firmware may use it."""
-    supply_voltage: Positive = 12.0
+    supply_voltage: Annotated[Positive, Unit("V")] = 12.0
     """V, as the drive reports it."""
 
 
@@ -151,33 +151,33 @@ class SensorParameters:
     """Whether the locked joint rests on a torque cell; its reading is NaN otherwise."""
     reports_velocity: bool = True
     """Whether the drive reports a velocity; it is NaN otherwise."""
-    velocity_bandwidth: Annotated[float, Gt(0), Le(20_000)] = 200.0
+    velocity_bandwidth: Annotated[float, Gt(0), Le(20_000), Unit("Hz")] = 200.0
     """Hz, first order, of the drive's velocity filter."""
-    velocity_lsb: Positive = 0.024
+    velocity_lsb: Annotated[Positive, Unit("rad/s")] = 0.024
     """rad/s at the motor shaft."""
-    current_lsb: Positive = 1e-3
+    current_lsb: Annotated[Positive, Unit("A")] = 1e-3
     """A; times the torque constant it is the LSB of the motor torque."""
-    motor_torque_noise: NotNegative = 1e-5
+    motor_torque_noise: Annotated[NotNegative, Unit("N*m")] = 1e-5
     """N m at the motor shaft, standard deviation, white."""
-    torque_cell_noise: NotNegative = 2e-4
+    torque_cell_noise: Annotated[NotNegative, Unit("N*m")] = 2e-4
     """N m at the joint, standard deviation, white."""
-    torque_cell_offset: float = 5e-5
+    torque_cell_offset: Annotated[float, Unit("N*m")] = 5e-5
     """N m at the joint."""
-    torque_cell_drift: float = 1e-6
+    torque_cell_drift: Annotated[float, Unit("N*m/s")] = 1e-6
     """N m/s at the joint, since the servo was opened."""
-    torque_cell_lsb: Positive = 2e-5
+    torque_cell_lsb: Annotated[Positive, Unit("N*m")] = 2e-5
     """N m at the joint."""
-    torque_cell_bandwidth: Annotated[float, Gt(0), Le(20_000)] = 2000.0
+    torque_cell_bandwidth: Annotated[float, Gt(0), Le(20_000), Unit("Hz")] = 2000.0
     """Hz, first order."""
-    motor_position_delay: Delay = 0.0
+    motor_position_delay: Annotated[Delay, Unit("s")] = 0.0
     """s: age of the motor angle and velocity when the drive answers."""
-    motor_torque_delay: Delay = 5e-5
+    motor_torque_delay: Annotated[Delay, Unit("s")] = 5e-5
     """s: age of the motor torque."""
-    joint_position_delay: Delay = 1e-4
+    joint_position_delay: Annotated[Delay, Unit("s")] = 1e-4
     """s: age of the joint angle."""
-    joint_torque_delay: Delay = 5e-5
+    joint_torque_delay: Annotated[Delay, Unit("s")] = 5e-5
     """s: age of the torque cell's reading, on top of its filter."""
-    temperature_lsb: Positive = 1.0
+    temperature_lsb: Annotated[Positive, Unit("K")] = 1.0
     """K of the winding temperature."""
 
 
@@ -187,15 +187,15 @@ class LinkParameters:
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
-    round_trip: Positive = 6e-4
+    round_trip: Annotated[Positive, Unit("s")] = 6e-4
     """s, request and reply together, each half of it on average."""
-    jitter: NotNegative = 2e-5
+    jitter: Annotated[NotNegative, Unit("s")] = 2e-5
     """s, standard deviation of each half; what makes the two unequal is what the time stamp is wrong by."""
     lost_reply: Annotated[float, Ge(0), Lt(1)] = 1e-3
     """Probability that a reply is lost; the set-point has arrived all the same."""
-    reply_timeout: Positive = 1.5e-3
+    reply_timeout: Annotated[Positive, Unit("s")] = 1.5e-3
     """s after which a reply counts as lost."""
-    watchdog: Positive = 0.1
+    watchdog: Annotated[Positive, Unit("s")] = 0.1
     """s without an exchange after which an armed drive turns its torque off and latches a fault."""
 
     def __post_init__(self) -> None:

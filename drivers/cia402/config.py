@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
@@ -31,13 +31,13 @@ class Cia402Config:
     id: Annotated[int, Ge(1), Le(127)] = 1
     own_id: Annotated[int, Ge(1), Le(127)] = 127
     bitrate: Literal[20000, 50000, 125000, 250000, 500000, 800000, 1000000] = 1_000_000
-    torque_constant: Annotated[float, Gt(0)] | None = None
-    rated_torque: Annotated[float, Gt(0)] | None = None
-    rated_torque_unit: Annotated[float, Gt(0)] | None = None
+    torque_constant: Annotated[float, Gt(0), Unit("N*m/A")] | None = None
+    rated_torque: Annotated[float, Gt(0), Unit("N*m")] | None = None
+    rated_torque_unit: Annotated[float, Gt(0), Unit("N*m")] | None = None
     resolution: Annotated[int, Gt(0)] | None = None
     sign: Literal[1, -1] = 1
-    watchdog: Annotated[float, Ge(0), Le(5)] = 0.1
-    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.01
+    watchdog: Annotated[float, Ge(0), Le(5), Unit("s")] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5), Unit("s")] = 0.01
     reset_faults: bool = False
 
     def __post_init__(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.gate import check_watchdog
 
@@ -25,14 +25,14 @@ class CommanderConfig:
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
 
     port: str
-    torque_constant: Annotated[float, Gt(0)]
-    watchdog: Annotated[float, Ge(0), Le(10)]
+    torque_constant: Annotated[float, Gt(0), Unit("N*m/A")]
+    watchdog: Annotated[float, Ge(0), Le(10), Unit("s")]
     motor: Literal["M", "A", "B", "C", "D", "X", "Y", "Z"] = "M"
     baudrate: Annotated[int, Ge(9600), Le(12_000_000)] = 1_000_000
     torque_mode: Literal["foc_current", "dc_current"] = "foc_current"
     sign: Literal[1, -1] = 1
-    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
-    start: Annotated[float, Gt(0), Le(60)] = 8.0
+    reply_timeout: Annotated[float, Gt(0), Le(0.5), Unit("s")] = 0.008
+    start: Annotated[float, Gt(0), Le(60), Unit("s")] = 8.0
 
     def __post_init__(self) -> None:
         check_watchdog("commander", self.watchdog, self.reply_timeout)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.dynamixel.models import DynamixelModel, models
 from drivers.gate import watchdog_problem
@@ -40,11 +40,11 @@ class DynamixelConfig:
     id: Annotated[int, Ge(0), Le(252)] = 1
     baudrate: Baudrate = 1_000_000
     mode: Mode | None = None
-    torque_constant: Annotated[float, Gt(0)] | None = None
+    torque_constant: Annotated[float, Gt(0), Unit("N*m/A")] | None = None
     sign: Literal[1, -1] = 1
-    return_delay: Annotated[float, Ge(0), Le(508e-6)] = 0.0
-    watchdog: Annotated[float, Ge(0), Le(2.54)] = 0.1
-    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+    return_delay: Annotated[float, Ge(0), Le(508e-6), Unit("s")] = 0.0
+    watchdog: Annotated[float, Ge(0), Le(2.54), Unit("s")] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5), Unit("s")] = 0.008
 
     def __post_init__(self) -> None:
         wrong = list(self._misfits())

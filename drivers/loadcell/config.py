@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Unit
 
 LineFormat = Literal["micros,raw", "value"]
 
@@ -29,5 +29,5 @@ class LoadCellConfig:
     format: LineFormat = "micros,raw"
     sign: Literal[1, -1] = 1
     tare: float | None = None
-    drift: Annotated[float, Gt(0)] = 1e-3
-    delay: Annotated[float, Ge(0), Le(0.2)] = 0.0
+    drift: Annotated[float, Gt(0), Unit("N*m")] = 1e-3
+    delay: Annotated[float, Ge(0), Le(0.2), Unit("s")] = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
@@ -38,14 +38,14 @@ class MitConfig:
     id: Annotated[int, Ge(1), Le(127)] = 1
     reply_id: Annotated[int, Ge(0), Le(0x7FE)] | None = None
     bitrate: Literal[125000, 250000, 500000, 1000000] = 1_000_000
-    position_range: Annotated[float, Gt(0)] | None = None
-    velocity_range: Annotated[float, Gt(0)] | None = None
-    torque_range: Annotated[float, Gt(0)] | None = None
+    position_range: Annotated[float, Gt(0), Unit("rad")] | None = None
+    velocity_range: Annotated[float, Gt(0), Unit("rad/s")] | None = None
+    torque_range: Annotated[float, Gt(0), Unit("N*m")] | None = None
     torque_scale: Annotated[float, Gt(0)] = 1.0
-    temperature_offset: Annotated[float, Ge(0), Le(60)] = 0.0
+    temperature_offset: Annotated[float, Ge(0), Le(60), Unit("K")] = 0.0
     sign: Literal[1, -1] = 1
-    watchdog: Annotated[float, Ge(0), Le(5)] = 0.1
-    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+    watchdog: Annotated[float, Ge(0), Le(5), Unit("s")] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5), Unit("s")] = 0.008
 
     def __post_init__(self) -> None:
         if self.model not in models():

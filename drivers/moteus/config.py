@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal, Self
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
@@ -33,8 +33,8 @@ class MoteusConfig:
     data_bitrate: Annotated[int, Gt(0)] = 5_000_000
     mode: Literal["torque", "position"] | None = None
     sign: Literal[1, -1] = 1
-    watchdog: Annotated[float, Gt(0), Le(5)] = 0.1
-    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+    watchdog: Annotated[float, Gt(0), Le(5), Unit("s")] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5), Unit("s")] = 0.008
 
     def __post_init__(self) -> None:
         check_watchdog("moteus", self.watchdog, self.reply_timeout)

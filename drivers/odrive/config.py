@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
@@ -26,13 +26,13 @@ class OdriveConfig:
 
     interface: str
     channel: str
-    torque_constant: Annotated[float, Gt(0)]
+    torque_constant: Annotated[float, Gt(0), Unit("N*m/A")]
     id: Annotated[int, Ge(0), Le(62)] = 0
     bitrate: Literal[125000, 250000, 500000, 1000000] = 250_000
     sign: Literal[1, -1] = 1
     endpoints: str | None = None
-    watchdog: Annotated[float, Ge(0), Le(5)] = 0.1
-    reply_timeout: Annotated[float, Gt(0), Le(0.5)] = 0.008
+    watchdog: Annotated[float, Ge(0), Le(5), Unit("s")] = 0.1
+    reply_timeout: Annotated[float, Gt(0), Le(0.5), Unit("s")] = 0.008
 
     def __post_init__(self) -> None:
         check_watchdog("odrive", self.watchdog, self.reply_timeout)

@@ -178,7 +178,7 @@ def simulate(
     output: str | os.PathLike[str] | None = None,
     profile: str = "chirp",
     *,
-    sim: Mapping[str, Mapping[str, float | bool]] | None = None,
+    sim: Mapping[str, Mapping[str, float | bool | str]] | None = None,
     amplitude: float | None = None,
     band: tuple[float, float] | None = None,
     duration: float | None = None,
@@ -191,8 +191,9 @@ def simulate(
 ) -> Run:
     """Record an excitation on the simulated stand, in virtual time.
 
-    sim: tables of [sim] in a stand file (docs/simulator.md), SI, such as {"coupling": {"stiffness": 0.02}}. The others:
-    as `record`. Raises as `record`, WrongUse with every unknown or impossible key of `sim`.
+    sim: tables of [sim] in a stand file (docs/simulator.md), SI or texts with a unit, such as
+    {"coupling": {"stiffness": 0.02}}. The others: as `record`. Raises as `record`, WrongUse with every unknown or
+    impossible key of `sim`.
     """
     return record(
         parse(SIMULATED + _toml(sim or {}), "sim"),
@@ -210,8 +211,8 @@ def simulate(
     )
 
 
-def _toml(sim: Mapping[str, Mapping[str, float | bool]]) -> str:
-    """Return tables of numbers and truth values as TOML, which writes them as JSON does."""
+def _toml(sim: Mapping[str, Mapping[str, float | bool | str]]) -> str:
+    """Return tables of numbers, truth values and texts as TOML, which writes them as JSON does."""
     return "".join(
         f"\n[sim.{table}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
         for table, values in sim.items()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from annotated_types import Unit
 from pydantic import BaseModel, ConfigDict, Field
 
 from hil.errors import WrongUse, meant
@@ -35,7 +36,7 @@ class CampaignTable(_Table):
     model: str = "auto"
     trials: Annotated[int, Field(ge=1)] | None = None
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
-    cool_down: Annotated[float, Field(ge=0.0, le=86400.0, allow_inf_nan=False)] = 0.0
+    cool_down: Annotated[float, Field(ge=0.0, le=86400.0, allow_inf_nan=False), Unit("s")] = 0.0
     drift_check_every: Annotated[int, Field(ge=0)] = 0
 
 
@@ -45,11 +46,11 @@ class ProfileTable(_Table):
     name: Name
     kind: str = "chirp"
     amplitude: Positive | None = None
-    band: tuple[Positive, Positive] | None = None
-    duration: Positive = 20.0
-    rate: Positive = 500.0
+    band: tuple[Annotated[Positive, Unit("Hz")], Annotated[Positive, Unit("Hz")]] | None = None
+    duration: Annotated[Positive, Unit("s")] = 20.0
+    rate: Annotated[Positive, Unit("Hz")] = 500.0
     mode: Literal["torque", "position"] = "torque"
-    fade: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 1.0
+    fade: Annotated[float, Field(ge=0.0, allow_inf_nan=False), Unit("s")] = 1.0
 
 
 class JointTable(_Table):
@@ -63,7 +64,7 @@ class JointTable(_Table):
     stand: str = "sim"
     pretensions: tuple[Name, ...] = ()
     before: str = ""
-    sim: dict[str, dict[str, float | bool]] = {}
+    sim: dict[str, dict[str, float | bool | str]] = {}
 
 
 class _File(_Table):

@@ -15,6 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from hil.stand.devices import BACKENDS, SENSORS
 from hil.stand.file import LimitsTable, StandTable
+from hil.stand.quantities import in_si
 from hil.stand.sentences import sentence
 
 _UNKNOWN = object()
@@ -75,8 +76,11 @@ class Draft:
 
     def error(self, question: Question, value: Any) -> str:
         """Return why `value` is not valid, "" where it is."""
+        table, wrong = in_si({question.name: value}, self._class_of(question.table))
+        if wrong:
+            return next(iter(wrong.values()))
         try:
-            TypeAdapter(self._class_of(question.table)).validate_python({question.name: value})
+            TypeAdapter(self._class_of(question.table)).validate_python(table)
         except ValidationError as error:
             for item in error.errors():
                 if item["loc"][:1] == (question.name,):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+from annotated_types import Unit
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hil.errors import meant
@@ -24,10 +25,10 @@ class _Fault(_Table):
     """[[fault]]: kind, one of at (s), frame (number) and probability, and duration (s) or count (frames); size."""
 
     kind: str
-    at: NotNegative | None = None
+    at: Annotated[NotNegative, Unit("s")] | None = None
     frame: Annotated[int, Field(ge=1)] | None = None
     probability: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    duration: NotNegative | None = None
+    duration: Annotated[NotNegative, Unit("s")] | None = None
     count: Annotated[int, Field(ge=1)] = 1
     size: Finite | None = None
 

@@ -13,16 +13,18 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, create_model
+from annotated_types import Unit
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, create_model
 
 from hil.diagnostics import Diagnostic
-from hil.errors import WrongUse
+from hil.errors import WrongUse, meant
 from hil.recording.input import read_text
 from hil.stand.calibration import CalibrationTable
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
-from hil.stand.sentences import names_the_value, sentence
+from hil.stand.quantities import Place, in_si, keys_of
+from hil.stand.sentences import NO_SUCH_KEY, names_the_value, sentence
+from hil.stand.toml_table import line_of
 from hil.stand.winding import WindingTable
-from hil.units import quantity
 from sim_backend.parameters import SimParameters
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -32,18 +34,7 @@ LARGEST = 1 << 20
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-def _with_unit(dimension: str) -> BeforeValidator:
-    """Return the reader of a value that may be a text with its unit, such as "30 mN*m"."""
-
-    def read(value: object) -> object:
-        if not isinstance(value, str):
-            return value
-        try:
-            return quantity(value, dimension)[0]
-        except WrongUse as error:
-            raise ValueError(str(error)) from None
-
-    return BeforeValidator(read, json_schema_input_type=float | str)
+_Error = tuple[Place, str]  # where it is, and what is wrong
 
 
 class _Table(BaseModel):
@@ -63,11 +54,11 @@ class StandTable(_Table):
     name: str = "unnamed stand"
     backend: str | None = None
     gear_ratio: Annotated[float, Field(ge=1e-3, le=1e5)] = 1.0
-    motor_inertia: Annotated[NotNegative, _with_unit("inertia")] = 0.0
-    motor_damping: Annotated[NotNegative, _with_unit("damping")] = 0.0
+    motor_inertia: Annotated[NotNegative, Unit("kg*m^2")] = 0.0
+    motor_damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 0.0
     torque_source: Literal["motor", "joint"] = "motor"
     torque_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    zero: Annotated[Finite, _with_unit("angle")] = 0.0
+    zero: Annotated[Finite, Unit("rad")] = 0.0
     torque_stays_on_if_host_dies: bool = False
 
 
@@ -77,10 +68,10 @@ class LimitsTable(_Table):
     A value may be a text with its unit: deflection = "60 deg".
     """
 
-    torque: Annotated[Positive, _with_unit("torque")]
-    deflection: Annotated[Positive, _with_unit("angle")]
-    velocity: Annotated[Positive, _with_unit("rate")]
-    temperature: Annotated[Positive, _with_unit("temperature")] = 70.0
+    torque: Annotated[Positive, Unit("N*m")]
+    deflection: Annotated[Positive, Unit("rad")]
+    velocity: Annotated[Positive, Unit("rad/s")]
+    temperature: Annotated[Positive, Unit("degC")] = 70.0
 
 
 class File(_Table):
@@ -198,19 +189,29 @@ def _parsed(text: str, name: str) -> Stand:
     except ValueError as error:  # of TOML, or of an integer of thousands of digits
         raise WrongUse(f"{name} is not TOML: {error}") from None
     kind, errors = _sensor_kind(table)
-    file: Any = None
-    try:
-        file = _file_model(frozenset(name for name in table if name in BACKENDS), kind).model_validate(table)
-    except ValidationError as error:
-        errors += [_message(item) for item in error.errors()]
-    if errors:
-        raise WrongUse(f"{name} has {len(errors)} error(s):\n" + "\n".join(f"  {text}" for text in errors))
+    model = _file_model(frozenset(name for name in table if name in BACKENDS), kind)
+    file, wrong = _validated(table, model)
+    if errors := [*errors, *wrong]:
+        lines = sorted((line_of(text, list(place)), said) for place, said in errors)
+        listed = "\n".join(f"  line {at}: {said}" for at, said in lines)
+        raise WrongUse(f"{name} has {len(errors)} error(s):\n{listed}")
     devices = {backend: getattr(file, backend) for backend in table if backend in BACKENDS}
     sensor = None if kind is None else (kind, file.joint_sensor)
     return Stand(file.stand, file.limits, devices, sensor, text, file.calibration, file.winding)
 
 
-def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[str]]:
+def _validated(table: Mapping[str, Any], model: type[File]) -> tuple[Any, list[_Error]]:
+    """Return the file as a checked model, and what is wrong with it."""
+    values, units = in_si(table, model)
+    wrong: list[_Error] = [(place, f"{_key(place)}: {said}") for place, said in units.items()]
+    try:
+        return model.model_validate(values), wrong
+    except ValidationError as error:
+        items = [item for item in error.errors() if item["loc"] not in units]
+        return None, wrong + [(item["loc"], _message(item, model)) for item in items]
+
+
+def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[_Error]]:
     """Remove and return the kind in [joint_sensor], whose other keys are the sensor's own; and the errors in it."""
     sensor = table.get("joint_sensor")
     if not isinstance(sensor, dict):
@@ -219,7 +220,7 @@ def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[str]]:
         return check_sensor(sensor.pop("kind", None)), []
     except WrongUse as error:
         del table["joint_sensor"]
-        return None, [f"joint_sensor.kind: {error}"]
+        return None, [(("joint_sensor", "kind"), f"joint_sensor.kind: {error}")]
 
 
 def _file_model(backends: frozenset[str], sensor: str | None) -> type[File]:
@@ -230,7 +231,15 @@ def _file_model(backends: frozenset[str], sensor: str | None) -> type[File]:
     return create_model("_FileOfStand", __base__=File, **tables)
 
 
-def _message(item: Any) -> str:
-    key = ".".join(str(part) for part in item["loc"])
+def _message(item: Any, model: type[File]) -> str:
     value = f" = {reprlib.repr(item['input'])}" if names_the_value(item) else ""
-    return f"{key}{value}: {sentence(item)}"
+    hint = ""
+    if item["type"] in NO_SUCH_KEY:
+        *above, name = (str(part) for part in item["loc"])
+        near = meant(name, keys_of(model, above)).strip()
+        hint = f"; {near}" if near else ""
+    return f"{_key(item['loc'])}{value}: {sentence(item)}{hint}"
+
+
+def _key(place: Place) -> str:
+    return ".".join(str(part) for part in place)

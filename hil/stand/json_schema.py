@@ -8,8 +8,10 @@ from pydantic import create_model
 
 from hil.stand.devices import BACKENDS, SENSORS
 from hil.stand.file import File
+from hil.stand.quantities import physical
 
 _SENSOR = "joint_sensor_"
+_NUMBER_AND_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*\S"
 
 
 def stand_schema() -> dict[str, Any]:
@@ -23,10 +25,22 @@ def stand_schema() -> dict[str, Any]:
     definitions["StandTable"]["properties"]["backend"] = {"enum": list(BACKENDS), "title": "Backend"}
     for name in (*BACKENDS, *(f"{_SENSOR}{kind}" for kind in SENSORS)):
         properties[name].pop("default", None)  # a table that is left out has no default worth completing
+    for kind in (File, *(device.table_class() for device in (*BACKENDS.values(), *SENSORS.values()))):
+        for table, key, unit in physical(kind):
+            field = definitions[table.__name__]["properties"]
+            field[key] = _with_unit(field[key], unit)
     sensors = [_with_kind(kind, _resolved(properties.pop(f"{_SENSOR}{kind}"), definitions)) for kind in SENSORS]
     if sensors:
         properties["joint_sensor"] = {"anyOf": sensors}
     return schema
+
+
+def _with_unit(field: dict[str, Any], unit: str) -> dict[str, Any]:
+    """Return the field of a physical quantity, SI, which may also be a text with its unit."""
+    bounds = {name: value for name, value in field.items() if name not in {"title", "default", "description", "anyOf"}}
+    text = {"type": "string", "pattern": _NUMBER_AND_UNIT}
+    kept = {name: field[name] for name in ("title", "default", "description") if name in field}
+    return {"anyOf": [*field.get("anyOf", [bounds]), text], "description": f"{unit}, or a text with its unit"} | kept
 
 
 def _resolved(field: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:

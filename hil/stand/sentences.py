@@ -36,9 +36,9 @@ _SENTENCES: Mapping[str, str] = MappingProxyType(
         "tuple_type": "must be a list",
     }
 )
-_ABOUT_THE_KEY = frozenset(
-    {"missing", "missing_argument", "extra_forbidden", "unexpected_keyword_argument", "value_error"}
-)
+NO_SUCH_KEY = frozenset({"extra_forbidden", "unexpected_keyword_argument"})
+"""The types of errors of a key that is not known."""
+_ABOUT_THE_KEY = NO_SUCH_KEY | {"missing", "missing_argument", "value_error"}
 
 
 def sentence(item: Any) -> str:

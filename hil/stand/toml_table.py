@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from hil.errors import WrongUse
 from hil.recording.input import read_text
+from hil.stand.quantities import in_si
 
 _LARGEST = 1 << 20  # bytes
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
@@ -29,11 +30,16 @@ def load_table(path: Path, kind: type[Table], message: Callable[[str, Any], str]
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise WrongUse(f"{path} is not TOML: {error}") from None
+    values, wrong = in_si(table, kind)
+    items: list[Any] = [{"type": "value_error", "loc": at, "ctx": {"error": said}} for at, said in wrong.items()]
     try:
-        return kind.model_validate(table)
+        checked = kind.model_validate(values)
     except ValidationError as error:
-        lines = [f"  {message(text, item)}" for item in error.errors()]
-        raise WrongUse(f"{path} has {len(lines)} error(s):\n" + "\n".join(lines)) from None
+        items += [item for item in error.errors() if item["loc"] not in wrong]
+    if items:
+        lines = [f"  {message(text, item)}" for item in items]
+        raise WrongUse(f"{path} has {len(lines)} error(s):\n" + "\n".join(lines))
+    return checked
 
 
 def line_of(text: str, place: list[Any]) -> int:

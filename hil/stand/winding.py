@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple, Self
 
+from annotated_types import Unit
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -42,16 +43,16 @@ class WindingTable(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    torque_constant: Positive | None = None
-    resistance: Positive | None = None
-    thermal_resistance: Positive | None = None
-    time_constant: Positive | None = None
-    case_thermal_resistance: Positive | None = None
-    case_time_constant: Positive | None = None
-    continuous_torque: Positive | None = None
-    peak_torque: Positive | None = None
-    peak_time: Positive | None = None
-    air: Annotated[float, Field(ge=-40.0, le=80.0)] = 25.0
+    torque_constant: Annotated[Positive, Unit("N*m/A")] | None = None
+    resistance: Annotated[Positive, Unit("ohm")] | None = None
+    thermal_resistance: Annotated[Positive, Unit("K/W")] | None = None
+    time_constant: Annotated[Positive, Unit("s")] | None = None
+    case_thermal_resistance: Annotated[Positive, Unit("K/W")] | None = None
+    case_time_constant: Annotated[Positive, Unit("s")] | None = None
+    continuous_torque: Annotated[Positive, Unit("N*m")] | None = None
+    peak_torque: Annotated[Positive, Unit("N*m")] | None = None
+    peak_time: Annotated[Positive, Unit("s")] | None = None
+    air: Annotated[float, Field(ge=-40.0, le=80.0), Unit("degC")] = 25.0
 
     @model_validator(mode="after")
     def _either(self) -> Self:

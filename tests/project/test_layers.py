@@ -26,7 +26,7 @@ ALLOWED = {
         "rerun",
         "rosbags",
     }
-    | {"mcap_ros2"},
+    | {"annotated_types", "mcap_ros2"},
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},
     "sim_backend": {"sim_backend", "drivers.servo", "drivers.gate", "drivers.clock", "drivers.canbus.multicast"}

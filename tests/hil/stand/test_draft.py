@@ -66,7 +66,7 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     [
         (["--backend", "dynamixel"], "add --set dynamixel.port="),
         (["--backend", "dinamixel"], "did you mean 'dynamixel'"),
-        (["--backend", "dynamixel", "--set", "dynamixel.prt=x"], "did you mean dynamixel.port"),
+        (["--backend", "dynamixel", "--set", "dynamixel.prt=x"], "did you mean 'dynamixel.port'"),
         (["--set", "limits.torque"], "write KEY=VALUE"),
         (["--set", "limits.torque=-1"], "must be above 0"),
         (["--backend", "dynamixel", *ANSWERS, "--set", "dynamixel.watchdog=0.01"], "one lost reply would stop"),

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
 from pydantic import TypeAdapter, ValidationError
@@ -18,6 +19,8 @@ from hil.errors import WrongUse
 from hil.stand.devices import BACKENDS, SENSORS, Device, check_backend
 from hil.stand.file import SIMULATED, load, parse
 from hil.stand.opening import open_servo
+from hil.stand.quantities import physical
+from hil.units import dimension_of
 from sim_backend.parameters import SimParameters
 
 
@@ -254,3 +257,52 @@ def test_what_is_no_toml_is_refused(tmp_path: Path, text: bytes, message: str) -
     path.write_bytes(text)
     with pytest.raises(WrongUse, match=message):
         load(path)
+
+
+PURE = {"gear_ratio", "static_friction_ratio", "hysteresis_exponent", "lost_reply", "torque_uncertainty"} | {
+    "torque_scale",
+    "scale",  # N m for a count, or for whatever a cell prints
+    "tare",
+}
+"""Keys that are numbers without a unit."""
+
+
+def numbers(kind: type) -> dict[str, object]:
+    hints = get_type_hints(kind, include_extras=True)
+    return {key: hint for key, hint in hints.items() if "float" in str(hint) and not key.startswith("_")}
+
+
+@pytest.mark.parametrize("name", [*BACKENDS, *SENSORS])
+def test_every_physical_key_of_a_device_names_its_unit(name: str) -> None:
+    """So that a person may write "100 ms" wherever a number of seconds stands."""
+    table = (BACKENDS.get(name) or SENSORS[name]).table_class()
+    units = list(physical(table))
+    tables = {owner for owner, _, _ in units} | {table}
+    known = {(owner, key) for owner, key, _ in units}
+    assert all(dimension_of(unit) for _, _, unit in units)
+    bare = {key for owner in tables for key in numbers(owner) if (owner, key) not in known}
+    assert bare <= PURE
+
+
+def test_a_drive_and_the_simulator_take_values_with_units() -> None:
+    stand = parse(
+        '[stand]\n[dynamixel]\nport = "p"\nmodel = "xl330-m288"\nreturn_delay = "508 us"\nwatchdog = "100 ms"\n'
+        'torque_constant = "900 mN*m/A"\n[sim.drive]\ntorque_limit = "0.5 N m"\nsupply_voltage = "12000 mV"\n'
+        '[sim.motor]\nwinding_resistance = "8.7 ohm"\n[sim.coupling]\nstiffness = "17.75 mN*m/rad"\n'
+    )
+    servo, sim = stand.devices["dynamixel"], stand.sim
+    assert (servo.return_delay, servo.watchdog, servo.torque_constant) == (508e-6, 0.1, 0.9)
+    assert (sim.drive.torque_limit, sim.drive.supply_voltage) == (0.5, 12.0)
+    assert (sim.motor.winding_resistance, sim.coupling.stiffness) == (8.7, 0.01775)
+
+
+def test_a_wrong_unit_is_refused_with_its_line_its_key_and_the_dimension() -> None:
+    with pytest.raises(WrongUse) as refusal:
+        parse(
+            '[stand]\n\n[sim.coupling]\nsitffness = 1\ngap = "1 mm"\n[mit]\nwatchdog = "5 V"\ninterface = "virtual"\n'
+        )
+    said = str(refusal.value).splitlines()
+    assert "  line 4: sim.coupling.sitffness: no such key; did you mean 'stiffness'?" in said
+    assert "  line 5: sim.coupling.gap: '1 mm': 'mm' is not a unit of angle; write '10 mrad'" in said
+    assert "  line 7: mit.watchdog: '5 V': 'V' is not a unit of time; write '10 ms'" in said
+    assert "  line 6: mit.channel: must be given" in said

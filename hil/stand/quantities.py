@@ -1,0 +1,102 @@
+"""Values with a unit in a file that a person writes: `watchdog = "100 ms"`, `torque_constant = "14.5 mN*m/A"`.
+
+A key that is a physical quantity has its SI unit as `annotated_types.Unit` in the class of its table: the drives' and
+the simulator's parameters too, which know nothing of units otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
+from functools import lru_cache
+from typing import Any, get_args, get_type_hints
+
+from annotated_types import Unit
+from pydantic import BaseModel
+
+from hil.errors import WrongUse
+from hil.units import dimension_of, quantity
+
+Place = tuple[str | int, ...]
+"""The keys that lead to a value, the table's first."""
+
+
+def in_si(table: Mapping[str, Any], kind: type) -> tuple[dict[str, Any], dict[Place, str]]:
+    """Return a table of a class with its texts such as "10 ms" as numbers in SI, and what is wrong with others.
+
+    kind: a dataclass or a pydantic model. A value that is wrong in another way is left as it is.
+    """
+    found: dict[str, Any] = dict(table)
+    wrong: dict[Place, str] = {}
+    for key, hint in _hints(kind):
+        if key in table:
+            found[key], mine = _value(table[key], hint)
+            wrong |= {(key, *place): text for place, text in mine.items()}
+    return found, wrong
+
+
+def _value(value: Any, hint: Any) -> tuple[Any, dict[Place, str]]:
+    inner = next((part for part in _parts(hint) if _is_table(part)), None)
+    if isinstance(value, dict) and inner is not None:
+        return in_si(value, inner)
+    if isinstance(value, list):
+        return _values(value, hint)
+    unit = unit_of(hint)
+    if not isinstance(value, str) or unit is None:
+        return value, {}
+    try:
+        number, dimension = quantity(value, dimension_of(unit))
+    except WrongUse as error:
+        return value, {(): str(error)}
+    # rounded to what the text can have meant, so that "508 us" is not above a bound of 508e-6
+    return (value if dimension is None else float(f"{number:.15g}")), {}
+
+
+def _values(values: list[Any], hint: Any) -> tuple[list[Any], dict[Place, str]]:
+    """The values of a list, each read as the hint says."""
+    read = [_value(value, hint) for value in values]
+    wrong = {(at, *place): text for at, (_, mine) in enumerate(read) for place, text in mine.items()}
+    return [value for value, _ in read], wrong
+
+
+def unit_of(hint: Any) -> str | None:
+    """Return the SI unit that a type names, None where it is no physical quantity."""
+    return next((part.unit for part in _parts(hint) if isinstance(part, Unit)), None)
+
+
+def physical(kind: type) -> Iterator[tuple[type, str, str]]:
+    """Yield each physical quantity of a table and of those in it: the table's class, the key, and its SI unit."""
+    for key, hint in _hints(kind):
+        if (unit := unit_of(hint)) is not None:
+            yield kind, key, unit
+        for part in _parts(hint):
+            if _is_table(part):
+                yield from physical(part)
+
+
+def keys_of(kind: type, place: Sequence[str]) -> list[str]:
+    """Return the keys of the table at a place in a table of a class; none where there is no such table."""
+    for name in place:
+        hint = dict(_hints(kind)).get(name)
+        inner = next((part for part in _parts(hint) if _is_table(part)), None)
+        if inner is None:
+            return []
+        kind = inner
+    return [key for key, _ in _hints(kind)]
+
+
+@lru_cache(maxsize=256)
+def _hints(kind: type) -> list[tuple[str, Any]]:
+    hints = get_type_hints(kind, include_extras=True)
+    return [(key, hint) for key, hint in hints.items() if not key.startswith("_") and key != "model_config"]
+
+
+def _parts(hint: Any) -> Iterator[Any]:
+    """Yield a type, the types that it is made of, and their marks."""
+    yield hint
+    for part in (*get_args(hint), *getattr(hint, "__metadata__", ())):
+        yield from _parts(part)
+
+
+def _is_table(part: Any) -> bool:
+    return isinstance(part, type) and (is_dataclass(part) or issubclass(part, BaseModel))
