@@ -8,16 +8,14 @@ from collections.abc import Sequence
 from drivers.servo import BadReply, NoReply, Sample, Status
 from hil.acquisition.limits import (
     AtJoint,
-    ImplausibleEncoder,
     Level,
     Limit,
     LimitReached,
     Lock,
-    StuckCell,
-    StuckEncoder,
     Supply,
     Temperature,
 )
+from hil.acquisition.sensor_limits import ImplausibleEncoder, StuckCell, StuckEncoder
 from hil.stand.file import LimitsTable
 
 _REPEATS = 3  # lost or stale replies in a row
