@@ -183,7 +183,7 @@ def emulated(adapter: Adapter, link: Path, log: Path) -> Iterator[None]:
 
 def recorded(adapter: Adapter, stand: Path, output: Path, rate: float, *, guardian: bool) -> subprocess.Popen[bytes]:
     """Start `hil record` with a sine of 2 Hz."""
-    sine = ["--profile", "sine", "--band", "2", "--fade", "0.2", "--amplitude", str(0.5 * adapter.torque)]
+    sine = ["--profile", "sine", "--band", "2", "--fade", "0.2", "--amplitude", str(0.45 * adapter.torque)]
     words = [sys.executable, "-m", "hil", "record", "--stand", str(stand), "-o", str(output), "--duration", "60"]
     words += ["--rate", str(rate), *sine, *([] if guardian else ["--no-guardian"])]
     with output.with_suffix(".log").open("wb") as errors:

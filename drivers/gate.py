@@ -17,7 +17,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from drivers.retry import Repeats
 from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, Servo, UnsafeCommand
@@ -144,6 +144,13 @@ class Gate:
             raise
         self._limits = limits
 
+    def fall_silent(self) -> None:
+        """Send no set-point any more and leave the device as it is: its torque may be on.
+
+        `Command.rest()` only reads from now on, as on a disarmed servo, and `disarm` still requests torque-off.
+        """
+        self._limits = None
+
     def force_off(self) -> None:
         """Disarm a device that may be live although it was disarmed. Raises as `disarm`."""
         self.live = True
@@ -185,6 +192,14 @@ class Gate:
         finally:
             self._closed = True
             self._release()
+
+
+@runtime_checkable
+class FallsSilent(Protocol):
+    """A servo that can stop sending set-points while its torque is on, so that its watchdog can be tried."""
+
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`."""
 
 
 class TorqueOff(NamedTuple):

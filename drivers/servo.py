@@ -174,7 +174,8 @@ class ServoInfo:
     quantities: the set-points it supports. position_lsb rad, torque_lsb N m, velocity_lsb rad/s: one count at the motor
     shaft, NaN where not known. torque_uncertainty: relative standard uncertainty of the torque scale, NaN where not
     known. watchdog: s of silence after which the device turns its torque off by itself; 0 where it does not, or where
-    that is not known. watchdog_remedy: what to set so that it does; "" where it has no watchdog.
+    that is not known. watchdog_remedy: what to set so that it does; "" where it has no watchdog. serial_is_id: whether
+    `serial` is no more than its number on the bus, since it reports no serial number.
     """
 
     backend: str
@@ -188,6 +189,7 @@ class ServoInfo:
     torque_uncertainty: float = math.nan
     watchdog: float = 0.0
     watchdog_remedy: str = ""
+    serial_is_id: bool = False
 
 
 class Servo(Protocol):

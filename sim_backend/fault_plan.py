@@ -48,7 +48,7 @@ DRIVE: Mapping[str, Kind] = MappingProxyType(
         "over-temperature": Kind("the drive measures", "degC", 150.0, lasting=True),
         "error": Kind("the drive latches an error, with --backend sim", "its code", 16, lasting=True),
         "ignored-off": Kind("the drive confirms a torque-off and keeps the torque on", lasting=True),
-        "broken-watchdog": Kind("the drive's watchdog never acts, with --backend sim", lasting=True),
+        "broken-watchdog": Kind("the drive's watchdog never acts, whatever it reports", lasting=True),
     }
 )
 """What happens in the drive."""

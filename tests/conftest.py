@@ -38,6 +38,14 @@ def nothing_is_left_running() -> Iterator[None]:
         os.waitpid(-1, os.WNOHANG)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What the commands keep between two runs must not come from the person who tests, nor stay with them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 @pytest.fixture
 def busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a run in real time go on, and end well, where other work on this machine makes its ticks late."""

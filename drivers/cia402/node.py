@@ -212,6 +212,13 @@ class Node:
 
     # -- running ----------------------------------------------------------------------------------------------------
 
+    def state(self) -> tuple[int, int, int]:
+        """Return position, velocity and torque, in counts, by SDO: for a drive whose PDOs are off."""
+        position, velocity, torque = (
+            self.objects.get(place, signed=True) for place in (_POSITION, _VELOCITY, self.profile.torque)
+        )
+        return position, velocity, torque
+
     def send_heartbeat(self, *, force: bool = False) -> None:
         """Send our heartbeat if it is due."""
         self.network.requests.send(self.due_heartbeat(force=force))

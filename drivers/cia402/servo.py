@@ -64,6 +64,7 @@ class Cia402Servo:
             backend="cia402",
             model=identity.model,
             serial=identity.serial,
+            serial_is_id=not int(identity.serial, 16),  # it reports none
             firmware=identity.firmware,
             quantities=quantities,
             position_lsb=self._scale.position,
@@ -97,6 +98,8 @@ class Cia402Servo:
         """
         admitted = self._gate.admit(command)
         if not self._gate.armed and self._node.away:
+            if self._gate.live:  # preparing it would change what its torque does
+                return self._read_objects()
             self._node.prepare()
         frames = [] if admitted.command is None else [self._set_point(admitted.command.value)]
         frames += [
@@ -121,6 +124,10 @@ class Cia402Servo:
     def close(self) -> None:
         """Switch the torque off, restore the objects, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._node.restore)
+
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`."""
+        self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
         """See `drivers.off_path`."""
@@ -150,6 +157,21 @@ class Cia402Servo:
         if self._ticks % _EVERY or not places:
             return []
         return [self._node.network.read_request(places[self._ticks // _EVERY % len(places)])]
+
+    def _read_objects(self) -> Sample:
+        """Read position, velocity and torque of a drive whose PDOs are off."""
+        sent = self.clock.now()
+        position, velocity, torque = self._node.state()
+        sign, scale = self._config.sign, self._scale
+        return Sample(
+            t=sent,
+            t_read=0.5 * (sent + self.clock.now()),
+            motor_position=sign * position * scale.position,
+            motor_velocity=sign * velocity * scale.velocity,
+            motor_torque=sign * torque * scale.torque,
+            temperature=self._temperature,
+            voltage=self._voltage,
+        )
 
     def _sample(self, first: bytes, second: bytes, sent: float, received: float, *, saturated: bool) -> Sample:
         if len(first) != TPDO1.size or len(second) != TPDO2.size:

@@ -124,8 +124,8 @@ class CommanderServo:
         self._unsure = False
         self._check_enabled(enabled)
         sign, constant = self._config.sign, self._config.torque_constant
-        # of a disabled motor the board repeats the last current; none flows
-        current = reply.current if self._gate.armed else 0.0
+        # of a disabled motor the board repeats the last current; none flows, unless its word is not to be trusted yet
+        current = reply.current if enabled == "1" else math.nan if self._gate.live else 0.0
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),
@@ -142,6 +142,10 @@ class CommanderServo:
     def close(self) -> None:
         """Disable the motor and close the port. Never raises; see `Gate.close`."""
         self._gate.close()
+
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`."""
+        self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
         """See `drivers.off_path`; nothing is restored, since a run changes nothing that the board keeps."""

@@ -115,6 +115,10 @@ class DynamixelServo:
         """Switch the torque off, restore the EEPROM, and close the port. Never raises; see `Gate.close`."""
         self._gate.close(self._table.settings.restore)
 
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`."""
+        self._gate.fall_silent()
+
     def off_path(self) -> OffPath:
         """See `drivers.off_path`."""
         return off_path(self._port, self._table, self._series.off, self._series.zero_after_off)
@@ -139,6 +143,7 @@ class DynamixelServo:
             backend="dynamixel",
             model=self._config.model,
             serial=f"id {self._config.id}",
+            serial_is_id=True,
             firmware=firmware,
             quantities=frozenset({quantity}),
             position_lsb=POSITION_LSB,

@@ -125,6 +125,10 @@ class FeetechServo:
         if not self._gate.live:
             self._table.settings.restore()
 
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`."""
+        self._gate.fall_silent()
+
     def off_path(self) -> OffPath:
         """See `drivers.off_path`. The torque limit stays zero until the servo is powered up or armed again."""
         return off_path(self._port, self._table, self._off, kept=("torque_limit", "goal_torque"))
@@ -165,6 +169,7 @@ class FeetechServo:
             backend="feetech",
             model=self._config.model,
             serial=f"id {self._config.id}",
+            serial_is_id=True,
             firmware=firmware,
             quantities=frozenset({quantity}),
             position_lsb=self._model.position_lsb,

@@ -89,12 +89,14 @@ class MitServo:
         if counts is not None:
             self._check_follows(counts, state)
         sign = self._config.sign
+        # the read that switches a live AK off says nothing of the torque before it
+        unknown = counts is None and self._gate.live and not self._motor.damiao
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),
             motor_position=sign * state.position,
             motor_velocity=sign * state.velocity,
-            motor_torque=sign * state.torque * self._config.torque_scale,
+            motor_torque=math.nan if unknown else sign * state.torque * self._config.torque_scale,
             temperature=state.temperature - self._config.temperature_offset,
             status=Status.SATURATED if saturated or admitted.clipped else Status(0),
         )
@@ -109,6 +111,10 @@ class MitServo:
     def close(self) -> None:
         """Switch the torque off, restore the registers, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._motor.restore)
+
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`. An AK has no request for its state, so that the first read switches it off."""
+        self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
         """See `drivers.off_path`."""
@@ -126,6 +132,7 @@ class MitServo:
             backend="mit",
             model=self._config.model,
             serial=f"id {self._config.id}",
+            serial_is_id=True,
             firmware=firmware,
             quantities=_QUANTITIES,
             position_lsb=codec.position_lsb,

@@ -137,6 +137,10 @@ class MoteusServo:
         """Stop, restore the configuration, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._controller.settings.restore)
 
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`."""
+        self._gate.fall_silent()
+
     def off_path(self) -> OffPath:
         """See `drivers.off_path`."""
         return self._link.off_path([self._controller.unanswered(_STOP)], self._controller.restoring())

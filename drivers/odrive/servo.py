@@ -72,6 +72,7 @@ class OdriveServo:
             backend="odrive",
             model="ODrive v3" if self._axis.codec.layout == "0.5" else "ODrive",
             serial=f"node id {config.id}",
+            serial_is_id=True,
             firmware=firmware,
             quantities=quantities,
             watchdog=config.watchdog if self._parameters is not None else 0.0,
@@ -134,6 +135,10 @@ class OdriveServo:
     def close(self) -> None:
         """Set idle, restore the parameters, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._parameters.restore if self._parameters else None)
+
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`."""
+        self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
         """See `drivers.off_path`."""

@@ -6,13 +6,9 @@ file for each drive, and cools down with the time of day.
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import re
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -20,55 +16,48 @@ from drivers.servo import Quantity, Sample, ServoInfo
 from hil.acquisition.excitation import Profile
 from hil.acquisition.limits import AtJoint, LimitReached
 from hil.errors import WrongUse
-from hil.recording.input import read_text
+from hil.stand.drive_memory import DriveMemory
 from hil.stand.file import Stand
 from hil.stand.winding import Temperatures, WindingModel
 
 _MARGIN = 5.0  # degC below the limit, at which a run is refused or ended
 _STEP, _BLOCK = 5e-3, 20  # s between two torques of a prediction, and how many of them heat together
-_LARGEST = 4096  # bytes of a state file
 _HOTTEST = 1000.0  # degC that a state file may state
 
 
 class HeatMemory:
-    """The winding's temperature between two runs of the drive `info`, in the user's folder for state.
+    """The winding's temperature between two runs of the drive `info`.
 
     Raises WrongUse where its file cannot be read or written.
     """
 
     def __init__(self, info: ServoInfo) -> None:
-        folder = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "hil" / "heat"
-        name = re.sub(r"[^A-Za-z0-9.-]+", "_", f"{info.backend} {info.model} {info.serial}")
-        self._path = folder / f"{name}.json"
+        self._memory = DriveMemory("heat", info)
 
     def load(self, model: WindingModel, now: float) -> Temperatures:
         """Return the temperatures at `now`, s since 1970: those of the last run, cooled down since."""
-        if not self._path.exists():
-            return model.cold
         try:
-            kept = json.loads(read_text(self._path, largest=_LARGEST))
+            kept = self._memory.load()
+            if kept is None:
+                return model.cold
             state = Temperatures(float(kept["winding_degC"]), float(kept["case_degC"]))
             rested = now - float(kept["time"])
             if not (all(abs(value) < _HOTTEST for value in state) and math.isfinite(rested)):
                 raise ValueError("it has impossible numbers")
         except (ValueError, KeyError, TypeError, WrongUse) as error:
             raise WrongUse(
-                f"{self._path} is not the temperature of a winding ({error}): remove it once the motor is cold"
+                f"{self._memory.path} is not the temperature of a winding ({error}): remove it once the motor is cold"
             ) from None
         return model.after(state, 0.0, max(0.0, rested))
 
     def keep(self, state: Temperatures, at: float) -> None:
         """Keep the temperatures at `at`, s since 1970."""
-        fields = {"time": at, "winding_degC": state.winding, "case_degC": state.case}
-        fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            fresh.write_text(json.dumps(fields) + "\n", encoding="ascii")
-            fresh.replace(self._path)
+            self._memory.keep({"time": at, "winding_degC": state.winding, "case_degC": state.case})
         except OSError as error:
             raise WrongUse(
-                f"{self._path} cannot be written ({error.strerror}): it keeps the winding's temperature for the next "
-                "run; make room, or set XDG_STATE_HOME to a folder that can be written"
+                f"{self._memory.path} cannot be written ({error.strerror}): it keeps the winding's temperature for the "
+                "next run; make room, or set XDG_STATE_HOME to a folder that can be written"
             ) from None
 
 

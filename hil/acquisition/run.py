@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 from drivers.clock import MonotonicClock
 from drivers.servo import Servo
+from hil.acquisition.commissioning import permitted
 from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import longest_silence
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.phases import Phase
 from hil.acquisition.planned_faults import FaultyHost
 from hil.acquisition.recorder import Outcome, Recorder, tick_count
+from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.guardian.servo import Watch
 from hil.live.rerun import check as check_rerun
@@ -51,6 +53,7 @@ def run(
     rerun: str = "",
     alarm: Callable[[str], object] | None = None,
     faults: FaultPlan | None = None,
+    warn: Callable[[list[Diagnostic]], object] = lambda _: None,
 ) -> tuple[Path, Outcome]:
     """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
 
@@ -58,21 +61,17 @@ def run(
     force: replace a recording of that name, finished or not. guardian: whether another process switches the torque off
     where this one is killed, frozen or late. rerun: "window" or a file .rrd, where Rerun shows the run, "" for nowhere.
     seed: of the simulator. alarm: is called with a sentence, once every row is with the operating system and before the
-    file is made final, where the torque may still be on. faults: what goes wrong on a simulated stand. Raises WrongUse
-    before anything moves, DriverError where the servo cannot be opened.
+    file is made final, where the torque may still be on. faults: what goes wrong on a simulated stand. warn: is called
+    with the warnings about the opened drive, before anything moves. Raises WrongUse before anything moves, DriverError
+    where the servo cannot be opened.
     """
-    plan, host = faults or FaultPlan(), FaultyHost()
+    host = FaultyHost()
     _check(stand, output, rerun, force=force)
     with StopRequest().listening() as stop:
-        watch = Watch(longest_silence(), profile.duration + _OVERTIME) if guardian else None
-        watched = "broken-watchdog" not in plan.kinds()
-        servo, truth = open_servo(
-            stand, quantity=profile.mode, seed=seed, realtime=realtime, watch=watch, watched=watched
-        )
-        if faults is not None:
-            servo = FaultyServo(servo, plan, host)
+        servo, truth = _opened(stand, profile, (faults, host), seed=seed, realtime=realtime, guardian=guardian)
         outcome = Outcome()
         try:
+            allowed = _allowed(stand, servo, profile, warn)
             header = Header(
                 profile=profile.attributes() | {"rate": rate},
                 stand_toml=stand.text,
@@ -86,7 +85,7 @@ def run(
             try:
                 with beside(writer.path, rerun):
                     sink = writer if faults is None else host.sink(writer)
-                    outcome = Recorder(stand, servo, profile, rate, sink, scratch=writer.path.parent).run(stop)
+                    outcome = Recorder(allowed, servo, profile, rate, sink, scratch=writer.path.parent).run(stop)
             except BaseException:
                 _close(writer)
                 raise
@@ -94,6 +93,30 @@ def run(
             _close_servo(servo, outcome)
         _raise_alarm(writer, outcome, alarm)
         return _finish(writer, outcome, force=force), outcome
+
+
+def _opened(
+    stand: Stand,
+    profile: Profile,
+    faulty: tuple[FaultPlan | None, FaultyHost],
+    *,
+    seed: int,
+    realtime: bool,
+    guardian: bool,
+) -> tuple[Servo, Mapping[str, float]]:
+    """Return the open servo with its planned faults, and the truth of a simulated one. Raises as `open_servo`."""
+    plan, host = faulty
+    watch = Watch(longest_silence(), profile.duration + _OVERTIME) if guardian else None
+    watched = plan is None or "broken-watchdog" not in plan.kinds()
+    servo, truth = open_servo(stand, quantity=profile.mode, seed=seed, realtime=realtime, watch=watch, watched=watched)
+    return (servo if plan is None else FaultyServo(servo, plan, host)), truth
+
+
+def _allowed(stand: Stand, servo: Servo, profile: Profile, warn: Callable[[list[Diagnostic]], object]) -> Stand:
+    """Return the stand with the torque that its opened drive may have. Raises as `permitted`."""
+    stand, warnings = permitted(stand, servo.info, profile)
+    warn(warnings)
+    return stand
 
 
 def _check(stand: Stand, output: Path | None, rerun: str, *, force: bool) -> None:

@@ -115,15 +115,13 @@ def record(
     wrong on a simulated stand (docs/reliability.md for both). rerun: "window" or a file .rrd, where Rerun shows the run
     as it goes. command_line: kept in the recording. warn: is called with the warnings that are known before anything
     moves. alarm: is called with a sentence at once where the torque may still be on. ended: is called with the run
-    before a fault that ended it is raised.
-
-    The torque is off on return. Ctrl-C ramps it to zero and keeps the rows: `outcome.signal` is set. Raises WrongUse
-    before anything moves; DriverError where the drive fails; `hil.acquisition.limits.LimitReached` where a safety limit
-    ended the run. The rows up to a fault are kept.
+    before a fault that ended it is raised. The torque is off on return. Ctrl-C ramps it to zero and keeps the rows:
+    `outcome.signal` is set. Raises WrongUse before anything moves; DriverError where the drive fails;
+    `hil.acquisition.limits.LimitReached` where a safety limit ended the run. The rows up to a fault are kept.
     """
     opened = opened_stand(stand)
-    size = (amplitude, band, duration)
-    made = excitation(opened, profile, quantity_of(mode), size, rate=rate, setpoints=setpoints, fade=fade, seed=seed)
+    wanted = (quantity_of(mode), (amplitude, band, duration))
+    made = excitation(opened, profile, *wanted, rate=rate, setpoints=setpoints, fade=fade, seed=seed)
     _check_amplitude(opened, made)
     foreseen = _warned(_foreseen(opened, made, guardian=guardian), warn)
     path, outcome = acquisition.run(
@@ -140,6 +138,7 @@ def record(
         rerun=rerun,
         alarm=alarm,
         faults=None if faults is None else _plan(opened, Path(faults)),
+        warn=lambda found: foreseen.extend(_warned(found, warn)),
     )
     return _reported(path, outcome, foreseen, ended)
 

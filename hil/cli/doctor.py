@@ -10,12 +10,14 @@ import typer
 
 from drivers.servo import Quantity
 from hil.cli import options
-from hil.cli.terminal import STAND_FAILED, out, print_json
+from hil.cli.terminal import STAND_FAILED, UNTRUSTWORTHY, out, print_json, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
     from drivers.ports import Port
     from hil.doctor.checks import Check, CheckList
+    from hil.doctor.commission import Report
+    from hil.stand.file import Stand
 
 
 def doctor(
@@ -30,11 +32,18 @@ def doctor(
     tune: Annotated[
         bool, typer.Option("--tune", help="Find the highest rate at which 99.9 % of the replies are in time.")
     ] = False,
+    commission: Annotated[
+        bool,
+        typer.Option("--commission", help="Try under 10 % of the torque limit whether the drive releases its torque."),
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Of --commission: do not ask before the torque is on.")] = False,
     as_json: options.Json = False,
 ) -> None:
     """Check ports and CAN interfaces, and with a stand file also the drive; say how to mend what is wrong.
 
-    The drive is connected, read for a second, armed at zero torque and stopped again.
+    The drive is connected, read for a second, armed at zero torque and stopped again. --commission then drives it at 10
+    % of its torque limit and takes its commands away, up to a second long; hil record keeps to half the torque limit
+    until that has been done, and again after 30 days (docs/reliability.md).
     """
     from drivers.ports import can_interfaces, serial_ports
     from hil.doctor.checks import CheckList
@@ -47,20 +56,69 @@ def doctor(
     opened = None if stand is None else load(stand)
     ports, interfaces = serial_ports(), can_interfaces()
     checks = CheckList()
+    if commission:
+        _confirm(opened, yes=yes)
     if not as_json:
         if opened is None:
             out(_summary(ports, interfaces))
             _print_ports("serial port", ports)
             _print_ports("CAN interface", interfaces)
-        checks.on_check = _print_check
-    if opened is not None:
-        examine(checks, opened, mode, rate=rate, move=move, amplitude=jog, tuned=tune)
+        if not commission:
+            checks.on_check = _print_check
+    report = None
+    try:
+        if opened is not None:
+            words = say if commission else None
+            report = examine(checks, opened, mode, rate=rate, move=move, amplitude=jog, tuned=tune, say=words)
+    finally:
+        if commission and not as_json:
+            _print_commissioning(checks, report)
     if as_json:
-        print_json(_as_json(checks, {"serial": ports, "can": interfaces}))
+        print_json(_as_json(checks, {"serial": ports, "can": interfaces}, report))
+    _end(checks, report)
+
+
+def _end(checks: CheckList, report: Report | None) -> None:
     if checks.signal:
         raise typer.Exit(128 + checks.signal)
+    if report is not None and not report.good:
+        raise typer.Exit(UNTRUSTWORTHY)
     if not checks.ok:
         raise typer.Exit(STAND_FAILED)
+
+
+def _confirm(stand: Stand | None, *, yes: bool) -> None:
+    """Tell the person what will happen, and wait for a yes. Raises WrongUse without a stand or without a yes."""
+    if stand is None:
+        raise WrongUse("--commission tries the drive of a stand: hil doctor stand.toml --commission")
+    limits = stand.checked_limits()
+    say(
+        f"The motor will pull at up to {0.1 * limits.torque:.3g} N m (10 % of the torque limit) three times, for about "
+        "a second each, and the drive gets no commands for up to a second of it. Lock the joint, take your hands off, "
+        "and keep the emergency stop within reach."
+    )
+    if yes:
+        return
+    try:
+        agreed = typer.confirm("Go on?", default=False, err=True)
+    except typer.Abort:
+        agreed = False
+    if not agreed:
+        raise WrongUse("nothing was driven: answer y, or add --yes in a script")
+
+
+def _print_commissioning(checks: CheckList, report: Report | None) -> None:
+    """Print the verdict, then the checks."""
+    failed = next((one for one in checks.checks if one.verdict == "error"), None)
+    alarm = next((one.message for one in checks.checks if one.name == "torque off" and one is failed), "")
+    if alarm:
+        out(alarm)
+    elif report is not None:
+        out(report.verdict)
+    elif failed is not None:
+        out(f"not commissioned: {failed.name}: {failed.message}")
+    for check in checks.checks:
+        _print_check(check)
 
 
 def _summary(ports: list[Port], interfaces: list[Port]) -> str:
@@ -85,7 +143,7 @@ def _print_check(check: Check) -> None:
     out(f"{check.verdict:11} {check.name}: {check.message}")
 
 
-def _as_json(checks: CheckList, ports: dict[str, list[Port]]) -> dict[str, Any]:
+def _as_json(checks: CheckList, ports: dict[str, list[Port]], report: Report | None) -> dict[str, Any]:
     info = None if checks.info is None else asdict(checks.info) | {"quantities": sorted(checks.info.quantities)}
     if info is not None:
         info = {key: None if value != value else value for key, value in info.items()}  # noqa: PLR0124 - JSON has no NaN
@@ -95,5 +153,6 @@ def _as_json(checks: CheckList, ports: dict[str, list[Port]]) -> dict[str, Any]:
         "ports": {kind: [asdict(port) for port in listed] for kind, listed in ports.items()},
         "drive": info,
         "bus": None if checks.bus is None else asdict(checks.bus),
+        "commissioning": None if report is None else report.as_json(),
         "checks": [asdict(check) for check in checks.checks],
     }

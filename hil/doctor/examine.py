@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, Servo
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.real_time import PERMISSION, missing_permissions
 from hil.doctor.checks import CheckList, Verdict
+from hil.doctor.commission import Report, commission
 from hil.doctor.jog import Jog, run_jog
 from hil.doctor.keys import keys_of
 from hil.doctor.link_test import check_link, check_readings, reachable
@@ -43,12 +44,14 @@ def examine(
     move: bool,
     amplitude: float | None = None,
     tuned: bool = False,
-) -> None:
+    say: Callable[[str], object] | None = None,
+) -> Report | None:
     """Make every check that the stand allows and add it to `checks`. The torque is off on return.
 
     rate: Hz that the link must reach. move: whether the motor may be driven, by `amplitude` N m or rad at the joint
-    (None: a twentieth of the limit). tuned: whether to look for the highest rate. Raises WrongUse
-    where the stand file does not suffice.
+    (None: a twentieth of the limit). tuned: whether to look for the highest rate. say: commissions the drive, and is
+    called with a sentence before each of its trials; None: not. Return the outcome of that. Raises WrongUse where the
+    stand file does not suffice, and as `commission` does.
     """
     stand.checked_limits()
     check_backend(stand.stand.backend)
@@ -65,13 +68,18 @@ def examine(
                 check_stop(checks, servo, limits, mode)
                 if move and not stop.count:
                     _move(checks, stand, servo, (mode, amplitude, rate), stop)
-                if not stop.count:  # last, since it may leave a fault that only cutting the power clears
+                if (
+                    not stop.count and say is None
+                ):  # last, since it may leave a fault that only cutting the power clears
                     check_watchdog(checks, servo, limits)
         if tuned and checks.ok and not stop.count:
             tune(checks, stand, mode, stop)
         checks.signal = stop.number
+    if say is not None and checks.ok and not checks.signal:
+        return commission(checks, stand, mode, say)
     if checks.ok and not move:
         checks.add("signs, lock", Verdict.SKIPPED, "nothing was moved: add --move, with nobody's hand in the joint")
+    return None
 
 
 def _check_port(checks: CheckList, stand: Stand) -> None:

@@ -132,9 +132,9 @@ class Guardian:
         """Tell it which settings to restore: those that arming changed."""
         self._say({"restore": _hex(path.restore)})
 
-    def fire(self) -> None:
-        """Let it send torque-off too, because the drive did not confirm ours."""
-        self._say({"fire": True})
+    def fire(self, *, tried: bool = False) -> None:
+        """Let it send torque-off too: the drive did not confirm ours; or it is `tried`, and then says nothing."""
+        self._say({"fire": True, "tried": True} if tried else {"fire": True})
 
     def stand_down(self) -> None:
         """Dismiss it; returns once it has ended, so that it sends nothing any more. Harmless when it has ended."""

@@ -180,6 +180,7 @@ class Guardian:
             if "restore" in said:
                 self._restore = [bytes.fromhex(packet) for packet in said["restore"]]
             self._asked = self._asked or "fire" in said
+            self._said = self._said or "tried" in said
             if "stand_down" in said:
                 raise StandDown
 

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from statistics import median
 
 from drivers.clock import Clock, MonotonicClock
+from drivers.gate import FallsSilent
 from drivers.off_path import HasOffPath
-from drivers.servo import Command, Limits, Sample, Servo, ServoInfo
+from drivers.servo import Command, DriverError, Limits, Sample, Servo, ServoInfo
 from hil.guardian.handle import Guardian, available
 
 _SLICE = 5e-3  # s between two signs of life in a long wait
@@ -19,6 +20,7 @@ _REMEMBERED = 15  # round trips at rest
 _SLOWEST = 0.1  # s that a round trip of a slow line may usually take
 _SWITCHING_OFF = 1.5  # s until the guardian sends torque-off too
 _OTHER_WAY = 0.3  # s for it to do so
+_LONGEST_SILENCE = 1.3  # s without a sign of life while a watchdog is tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +107,26 @@ class GuardedServo:
         sample = self._servo.exchange(command)
         self._took = [*self._took[-_REMEMBERED:], self._clock.now() - before]
         return sample
+
+    def fall_silent(self) -> None:
+        """Send no set-point and give no sign of life any more; the guardian acts after `_LONGEST_SILENCE` at last.
+
+        Raises DriverError where the servo cannot do that.
+        """
+        if not isinstance(self._servo, FallsSilent):
+            raise DriverError(f"{self.info.backend}: this adapter cannot leave its drive alone while the torque is on")
+        self._beating = False
+        if self._guardian is not None:
+            self._guardian.expect(_LONGEST_SILENCE)
+        self._servo.fall_silent()
+
+    def let_guardian_act(self) -> None:
+        """Fall silent, and let the guardian switch the torque off. Raises DriverError where it is not running."""
+        if self._guardian is None:
+            raise DriverError("the servo was not armed, so that it has no guardian yet")
+        self._guardian.check()
+        self.fall_silent()
+        self._guardian.fire(tried=True)
 
     def disarm(self) -> None:
         """Torque off. The guardian, where it has acted, is dismissed first: two senders would garble each other."""

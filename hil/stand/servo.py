@@ -38,6 +38,11 @@ class StandServo:
         self._seen = servo.clock.now()
 
     @property
+    def inner(self) -> Servo:
+        """The servo itself."""
+        return self._servo
+
+    @property
     def info(self) -> ServoInfo:
         """The servo's own."""
         return self._servo.info

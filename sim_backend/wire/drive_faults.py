@@ -12,7 +12,7 @@ class DriveFaults:
     """What a drive measures under `plan`, whose times are s since it was powered. Times are on the same clock."""
 
     KNOWN: ClassVar[frozenset[str]] = frozenset(
-        {"stuck-encoder", "jumping-encoder", "noisy-encoder", "over-temperature", "ignored-off"}
+        {"stuck-encoder", "jumping-encoder", "noisy-encoder", "over-temperature", "ignored-off", "broken-watchdog"}
     )
 
     def __init__(self, plan: FaultPlan) -> None:
@@ -51,6 +51,10 @@ class DriveFaults:
     def stays_on(self, t: float) -> bool:
         """Return whether the output stage stays closed at `t` s although it should open."""
         return not self._none and bool(self._plan.acting(("ignored-off",), t, _beat(t)))
+
+    def watchdog_broken(self, t: float) -> bool:
+        """Return whether the watchdog does nothing at `t` s, whatever the drive says of it."""
+        return not self._none and bool(self._plan.acting(("broken-watchdog",), t, _beat(t)))
 
 
 def _beat(t: float) -> int:

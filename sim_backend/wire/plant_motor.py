@@ -103,6 +103,11 @@ class PlantMotor(Generic[Law]):
         """The temperature of the housing as the drive measures it, degC."""
         return self._faults.temperature(float(self._path.state[HOUSING]), self.time)
 
+    @property
+    def watchdog_broken(self) -> bool:
+        """Whether a fault keeps the drive's watchdog from acting."""
+        return self._faults.watchdog_broken(self.time)
+
     def follow_plan(self, plan: FaultPlan) -> frozenset[str]:
         """Let the faults of `plan` happen, whose times are s since it was made; return the kinds that it knows."""
         self._faults = DriveFaults(plan)

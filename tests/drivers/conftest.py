@@ -195,7 +195,14 @@ def new_foc(baudrate: int = 1_000_000, **board: Any) -> Rig:
     clock = VirtualClock()
     made = new_board(baudrate=baudrate, timing=CommanderTiming(), **board)
     config = CommanderConfig("loopback", torque_constant=0.0145, watchdog=0.0, baudrate=baudrate)
-    return Rig(made, clock, CommanderServo, config, SerialLoopback(made, clock, baudrate))
+    return Rig(
+        made,
+        clock,
+        CommanderServo,
+        config,
+        SerialLoopback(made, clock, baudrate),
+        lambda: SerialLoopback(made, clock, baudrate),
+    )
 
 
 def with_loadcell(rig: Rig) -> Servo:

@@ -140,6 +140,8 @@ class Cia402Device:
 
     def connection_lost(self, code: int, _now: float) -> None:
         """Fail with the EMCY `code`, or switch off where there is none."""
+        if self.motor.watchdog_broken:
+            return
         live = self.machine.state in {
             Cia402State.OPERATION_ENABLED,
             Cia402State.QUICK_STOP_ACTIVE,

@@ -103,12 +103,17 @@ class CommanderBoard:
             self.motor.run(self._awake - self.made)
             self.device.restart()
             self._heard, self._awake = self._awake, self.made
-        elif self.watchdog and self.motor.enabled and now > self._heard + self.watchdog:
+        elif self._lapsed(now):
             self.motor.run(self._heard + self.watchdog - self.made)
             self._tripped = True
             self.motor.disable()
             self.motor.law.target = 0.0
         self.motor.run(now - self.made)
+
+    def _lapsed(self, now: float) -> bool:
+        """Return whether its program's watchdog acts now."""
+        late = bool(self.watchdog and self.motor.enabled and now > self._heard + self.watchdog)
+        return late and not self.motor.watchdog_broken
 
     def due(self) -> float:
         """Return when its program next prints unasked, s."""

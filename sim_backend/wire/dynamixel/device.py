@@ -282,7 +282,7 @@ class DynamixelDevice:
 
     def _trip(self) -> None:
         self.registers.put("bus_watchdog", -1)
-        if self.watchdog_broken:
+        if self.watchdog_broken or self.motor.watchdog_broken:
             return
         self.registers.put("goal_velocity", 0)
         self.registers.put("goal_position", self._position())

@@ -110,7 +110,7 @@ class MitDevice:
     def advance(self, now: float) -> None:
         """Carry the motor to `now` and look for faults."""
         timeout = self.values[9] * TIMEOUT_LSB if self.damiao else 0.0
-        if self.motor.enabled and 0.0 < timeout < now - self._heard:
+        if self.motor.enabled and 0.0 < timeout < now - self._heard and not self.motor.watchdog_broken:
             self.motor.run(self._heard + timeout - self._powered)
             self.fail(LOST_COMMUNICATION)
         self.motor.run(now - self._powered)

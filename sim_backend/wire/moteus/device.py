@@ -146,7 +146,7 @@ class MoteusDevice:
     def advance(self, now: float) -> None:
         """Carry the motor to `now` and look for faults."""
         timeout = self._timeout()
-        if self.mode in TIMED and now - self._heard > timeout:
+        if self.mode in TIMED and now - self._heard > timeout and not self.motor.watchdog_broken:
             self.motor.run(self._heard + timeout - self._powered)
             self._time_out()
         self.motor.run(now - self._powered)

@@ -145,7 +145,7 @@ class OdriveDevice:
     def advance(self, now: float) -> None:
         """Carry the motor to `now` and look for faults."""
         timeout = self.endpoints.get("axis0.config.watchdog_timeout")
-        if self._watched and now - self._fed > timeout:
+        if self._watched and now - self._fed > timeout and not self.motor.watchdog_broken:
             self.motor.run(self._fed + timeout - self._powered)
             self.fail(WATCHDOG[self.layout])
         self.motor.run(now - self._powered)

@@ -1,0 +1,132 @@
+"""The outcome of `hil doctor --commission`, kept for each drive, and the torque that a run may use because of it.
+
+A drive that was not tried within 30 days, or was tried with another firmware or watchdog, gets half of its stand's
+torque limit. One that did not release its torque is not driven, unless the stand file accepts that.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from drivers.servo import Quantity, ServoInfo
+from hil.acquisition.excitation import Profile
+from hil.diagnostics import Diagnostic
+from hil.errors import WrongUse
+from hil.stand.drive_memory import DriveMemory
+from hil.stand.file import Stand
+
+DAYS = 30.0
+"""For which an outcome holds."""
+SHARE = 0.5
+"""Of the torque limit, for a drive that is not commissioned."""
+NOTHING_TURNS = frozenset({"sim", "replay"})
+"""Backends that need no commissioning."""
+_DAY = 86400.0
+
+
+@dataclass(frozen=True, slots=True)
+class Commissioning:
+    """How a drive stopped when it was tried.
+
+    time: s since 1970. firmware, watchdog (s): those that were tried. releases: whether it switched its torque off by
+    itself after silence. guardian, second_signal: whether these switched it off; guardian is None where there is none.
+    """
+
+    time: float
+    firmware: str
+    watchdog: float
+    releases: bool
+    guardian: bool | None
+    second_signal: bool
+
+    @property
+    def until(self) -> str:
+        """The day up to which it holds, ISO 8601."""
+        return datetime.fromtimestamp(self.time + DAYS * _DAY, UTC).date().isoformat()
+
+    @property
+    def stops_ours(self) -> bool:
+        """Whether everything stopped it that is not its own watchdog."""
+        return self.second_signal and self.guardian is not False
+
+    def keep(self, info: ServoInfo, mode: Quantity) -> Path:
+        """Keep the outcome for the drive `info` in `mode`; return the file. Raises WrongUse."""
+        memory = _memory(info, mode)
+        try:
+            memory.keep(asdict(self))
+        except OSError as error:
+            raise WrongUse(
+                f"{memory.path} cannot be written ({error.strerror}): it keeps the outcome for hil record; make room, "
+                "or set XDG_STATE_HOME to a folder that can be written"
+            ) from None
+        return memory.path
+
+
+def _memory(info: ServoInfo, mode: Quantity) -> DriveMemory:
+    named = () if info.serial and not info.serial_is_id else (info.firmware,)
+    return DriveMemory("commissioning", info, *named, mode)
+
+
+def identity(info: ServoInfo) -> str:
+    """Return the words by which an outcome is kept for a drive."""
+    if info.serial and not info.serial_is_id:
+        return f"{info.backend} {info.model}, serial number {info.serial}"
+    words = [f"{info.backend} {info.model}", info.serial, f"firmware {info.firmware}" if info.firmware else ""]
+    named = ", ".join(word for word in words if word)
+    return f"{named} (it reports no serial number, so another drive with these counts as the same)"
+
+
+def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
+    """Return the outcome that holds for the drive today, None without one, or where its file cannot be used."""
+    with suppress(OSError, ValueError, KeyError, TypeError, WrongUse):
+        kept = _memory(info, mode).load() or {}
+        found = Commissioning(**{one.name: kept[one.name] for one in fields(Commissioning)})
+        age = time.time() - float(found.time)
+        same = (found.firmware, found.watchdog) == (info.firmware, info.watchdog)
+        truths = isinstance(found.releases, bool) and isinstance(found.second_signal, bool)
+        if same and truths and -_DAY < age < DAYS * _DAY:
+            return found
+    return None
+
+
+def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, list[Diagnostic]]:
+    """Return the stand with the torque limit that a run of `profile` may use, and a warning where that is half.
+
+    Raises WrongUse where the drive did not release its torque and the stand file does not accept that, and for a
+    profile beyond the half.
+    """
+    if info.backend in NOTHING_TURNS or stand.stand.backend in NOTHING_TURNS:
+        return stand, []
+    found = last_outcome(info, profile.mode)
+    accepted = stand.stand.torque_stays_on_if_host_dies
+    if found is not None and not (found.releases or accepted):
+        raise WrongUse(
+            "this drive kept its torque when its commands stayed away (hil doctor --commission, valid until "
+            f"{found.until}): if this computer stops, the motor pulls on until its power is cut. Nothing was driven: "
+            "mend its watchdog and commission it again, or accept this with torque_stays_on_if_host_dies = true in "
+            "[stand], and keep a switch for its power at hand"
+        )
+    if found is not None and found.stops_ours:
+        return stand, []
+    half = SHARE * stand.checked_limits().torque
+    remedy = "run hil doctor on the stand file with --commission, which tries whether the drive stops"
+    if profile.mode is Quantity.TORQUE and profile.amplitude > half:
+        raise WrongUse(
+            f"--amplitude {profile.amplitude:g} N m is beyond {half:g} N m, half of the stand's torque limit, and no "
+            f"more is driven before the drive is commissioned: {remedy}, or use --amplitude {half:g}"
+        )
+    halved = Diagnostic(
+        "not-commissioned",
+        f"nobody has tried within {DAYS:.0f} days whether this drive stops when hil does: the torque limit is {half:g} "
+        f"N m now, half of the stand's; {remedy}",
+    )
+    return with_torque_limit(stand, half), [halved]
+
+
+def with_torque_limit(stand: Stand, torque: float) -> Stand:
+    """Return the stand with another limit of the torque, N m at the joint. Raises WrongUse where it sets no limits."""
+    return replace(stand, limits=stand.checked_limits().model_copy(update={"torque": torque}))
