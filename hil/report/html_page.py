@@ -25,6 +25,8 @@ _INLINE: dict[Any, Any] = {
     "svg.fonttype": "none",  # text stays text: it can be searched, and takes the page's colour
     "svg.hashsalt": "hil",
     "font.size": 11,
+    "grid.color": "#808080",  # between the colours of the papers, light and dark
+    "grid.alpha": 0.6,
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK),
     **dict.fromkeys(("figure.facecolor", "axes.facecolor", "legend.facecolor"), "none"),
 }

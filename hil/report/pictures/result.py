@@ -84,7 +84,7 @@ def fit_pictures(found: Identification) -> list[Picture]:
             "Torque over deflection",
             f"The loop of torque over deflection, measured and modelled: its slope is Kc, its width is friction and "
             f"damping. {headline(found)}.",
-            lambda: traces.strided().loop_drawn(),
+            lambda: traces.pieces().loop_drawn(),
         ),
     ]
 

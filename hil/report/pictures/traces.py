@@ -23,7 +23,9 @@ Array = NDArray[np.float64]
 
 _SHOWN: Final = 300  # stretches of a recording in the pictures of a page
 _CHARTED: Final = 1200  # stretches of it in the charts, which can be zoomed
-_LOOP: Final = 1200  # samples of the loop in the pictures of a page
+_LOOP: Final = 2000  # samples of the loop in the pictures of a page
+_RUN: Final = 8  # of them that follow each other: a line between others would cross the loop where nothing was measured
+_ARRAYS: Final = ("time", "measured", "modelled", "residuals", "dtheta")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +66,19 @@ class Traces:
         ends = [(one[residuals[one].argmin()], one[residuals[one].argmax()]) for one in stretches]
         return self._of(np.unique(np.concatenate([np.ravel(ends), np.flatnonzero(np.isnan(self.time))])))
 
-    def strided(self) -> Traces:
-        """Every n-th sample, at most `_LOOP` of them, and the interruptions."""
-        every = np.arange(0, len(self.time), -(-len(self.time) // _LOOP))
-        return self._of(np.union1d(every, np.flatnonzero(np.isnan(self.time))))
+    def pieces(self) -> Traces:
+        """Short runs of samples, evenly spread, at most `_LOOP` samples in all, each an uninterrupted line."""
+        if len(self.time) <= _LOOP:
+            return self
+        firsts = np.linspace(0, len(self.time) - _RUN, _LOOP // _RUN).astype(np.intp)
+        places = firsts[:, None] + np.arange(_RUN)
+        alone = {
+            name: np.pad(getattr(self, name)[places], ((0, 0), (0, 1)), constant_values=np.nan) for name in _ARRAYS
+        }
+        return replace(self, **{name: values.ravel() for name, values in alone.items()})
 
     def _of(self, kept: NDArray[np.intp]) -> Traces:
-        names = ("time", "measured", "modelled", "residuals", "dtheta")
-        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+        return replace(self, **{name: getattr(self, name)[kept] for name in _ARRAYS})
 
     def drawn(self) -> Figure:
         """Return the picture of the torque over time, and of its error."""
@@ -97,8 +104,8 @@ class Traces:
 
     def draw_loop(self, loop: Axes) -> None:
         """Draw the torque over the deflection."""
-        loop.plot(self.dtheta, self.measured, lw=0.6, color="0.65", label="measured")
-        loop.plot(self.dtheta, self.modelled, lw=0.4, color="C0", label=self.model)
+        loop.plot(self.dtheta, self.measured, lw=1.0, color="0.65", label="measured")
+        loop.plot(self.dtheta, self.modelled, lw=0.6, color="C0", label=self.model)
         loop.set(xlabel="deflection [rad]", ylabel=f"torque at the joint [{self.unit}]")
 
     def chart(self) -> Chart | None:

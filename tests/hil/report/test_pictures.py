@@ -14,7 +14,7 @@ from hil.identification.result import Identification
 from hil.recording.writer import Header, write
 from hil.report.pictures.result import pictures
 from hil.report.pictures.search import Landscape, has_landscape, landscape
-from hil.report.pictures.traces import modelled
+from hil.report.pictures.traces import Traces, modelled
 
 
 def recording(path: Path, gap: float = 0.0) -> Path:
@@ -117,3 +117,13 @@ def test_model_selection_is_drawn_with_the_gain_of_each_term(tmp_path: Path) -> 
     for step in tried:
         decision = "included" if step.included else "rejected"
         assert f"{step.term} {step.gain:.3g} ({decision})" in picture.alt
+
+
+def test_the_loop_of_a_long_recording_has_no_line_between_samples_that_do_not_follow_each_other() -> None:
+    """Such a line would cross the loop where nothing was measured."""
+    time = np.arange(20_000) / 500.0
+    traces = Traces(time, time, time, 0.0 * time, np.sin(time), "N m", "linear").pieces()
+    joined = np.diff(traces.time)
+    np.testing.assert_allclose(joined[np.isfinite(joined)], 1.0 / 500.0)
+    assert 1000 < np.isfinite(joined).sum() < 2000
+    assert np.nanmax(traces.time) == time[-1]
