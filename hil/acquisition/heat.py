@@ -22,7 +22,18 @@ from hil.stand.winding import Temperatures, WindingModel
 
 _MARGIN = 5.0  # degC below the limit, at which a run is refused or ended
 _STEP, _BLOCK = 5e-3, 20  # s between two torques of a prediction, and how many of them heat together
+_LONGEST_REST = 1e6  # s, after which any motor is cold
 _HOTTEST = 1000.0  # degC that a state file may state
+
+
+class TooHot(LimitReached):
+    """A run is refused, and nothing was driven. rest: s after which it may begin; infinite where a cold motor is too
+    small for it.
+    """
+
+    def __init__(self, message: str, rest: float) -> None:
+        super().__init__(message)
+        self.rest = rest
 
 
 class HeatMemory:
@@ -117,20 +128,43 @@ class WindingHeat:
             self._memory.keep(self.state, time.time())
 
     def _predicted(self) -> Temperatures:
-        """Return the temperatures at the end of the run. Raises LimitReached where they would be too high."""
-        state = self.state
+        """Return the temperatures at the end of the run. Raises TooHot where they would be too high."""
+        end, after = self._driven(self.state)
+        if after is not None:
+            self._refuse(after)
+        return end
+
+    def _driven(self, state: Temperatures) -> tuple[Temperatures, float | None]:
+        """The temperatures at the end of a run that begins at `state`; and when they would be too high, s, or None."""
         for block, square in enumerate(self._planned):
             state = self._model.after(state, square, _STEP * _BLOCK)
             if state.winding > self._limit - _MARGIN:
-                self._refuse(block * _STEP * _BLOCK)
-        return state
+                return state, block * _STEP * _BLOCK
+        return state, None
+
+    def _rest(self) -> float:
+        """How long the motor must rest before the run, s; infinite where it is too much for a cold one."""
+        if self._driven(self._model.cold)[1] is not None:
+            return math.inf
+        short, enough = 0.0, 1.0
+        while enough < _LONGEST_REST and self._driven(self._model.after(self.state, 0.0, enough))[1] is not None:
+            short, enough = enough, 2.0 * enough
+        while enough - short > 1.0:
+            middle = 0.5 * (short + enough)
+            is_enough = self._driven(self._model.after(self.state, 0.0, middle))[1] is None
+            short, enough = (short, middle) if is_enough else (middle, enough)
+        return enough
 
     def _refuse(self, after: float) -> None:
-        now = f"It is at {self.state.winding:.0f} degC now"
+        now, rest = f"It is at {self.state.winding:.0f} degC now", self._rest()
+        cool = (
+            "it is too much for a cold motor too: " if math.isinf(rest) else f"let it cool down for {rest:.0f} s, or "
+        )
         remedy = f"--duration {after:.3g} at most, or a lower --amplitude" if after >= 1.0 else "a lower --amplitude"
-        raise LimitReached(
+        raise TooHot(
             f"the winding would reach {self._limit - _MARGIN:.0f} degC after {after:.3g} s, too near its limit of "
-            f"{self._limit:g}: nothing was driven. {now}; let it cool down, or record with {remedy}"
+            f"{self._limit:g}: nothing was driven. {now}; {cool}record with {remedy}",
+            rest,
         )
 
 

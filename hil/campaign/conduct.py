@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.servo import DriverError
+from hil.acquisition.heat import TooHot
 from hil.acquisition.limits import LimitReached
 from hil.api.analysis import identify_each
 from hil.api.runs import Run as Recorded
@@ -54,7 +56,7 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
             _cool_down(plan.settings.cool_down, desk)
         alarms: list[str] = []
         try:
-            ended = _recorded(plan, run, alarms)
+            ended = _recorded_when_cool(plan, run, alarms, desk)
         except (WrongUse, Untrustworthy, DriverError, LimitReached) as error:
             journal.keep(run, str(error))
             desk.say(f"{run.name} failed: {error}")
@@ -66,6 +68,18 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
             raise Stopped(ended.outcome.signal)
         journal.keep(run)
         desk.say(f"{at + 1} of {len(due)}, {run.name}: {ended.outcome.samples} samples, {ended.outcome.lost} lost")
+
+
+def _recorded_when_cool(plan: Plan, run: Run, alarms: list[str], desk: Desk) -> Recorded:
+    """Record a run, once more after a rest where the heat budget refuses it. Raises TooHot where no rest is enough."""
+    try:
+        return _recorded(plan, run, alarms)
+    except TooHot as hot:
+        if not math.isfinite(hot.rest):
+            raise
+        desk.say(f"{run.name}: the winding is too warm for it")
+        _cool_down(hot.rest, desk)
+        return _recorded(plan, run, alarms)
 
 
 def _recorded(plan: Plan, run: Run, alarms: list[str]) -> Recorded:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.campaign.plan import Plan
-from hil.campaign.results import PARAMETERS, Line, Results, Value
+from hil.campaign.results import PARAMETERS, Line, Outlier, Results, Value
 from hil.diagnostics import Diagnostic
 from hil.report.formatting import people_unit, rounded
 from hil.report.html_page import Page, Picture, Section, write
@@ -33,16 +33,35 @@ def diagnostics(found: Results) -> list[Diagnostic]:
     for line in found.lines:
         for name in PARAMETERS:
             if line.repeats[name] is False:
-                text = f"{name} differs between its repeats by more than their own errors: check mounting and lock"
+                text = f"{name} differs between its repeats, {_range(found, line, name)}: check mounting and lock"
                 listed.append(Diagnostic("does-not-repeat", f"{line.name}: {text}", name))
-        for name in line.stands_out:
-            text = f"{name} is unlike the hand's other joints: check its cable and its recording"
+        for name, one in line.stands_out.items():
+            text = f"{name} is {_unlike(found, line, name, one)}: check its cable and its recording"
             listed.append(Diagnostic("outlier", f"{line.name}: {text}", name))
     for name, (slope, mean) in found.drifts.items():
         if slope.p < _CHANCE:
             text = f"{name} of the drift checks changes by {100.0 * slope.slope / mean:+.2g} % an hour"
             listed.append(Diagnostic("drift", f"{text}: the joints were not measured under the same conditions", name))
     return listed
+
+
+def _range(found: Results, line: Line, name: str) -> str:
+    """The values of a line's recordings beside their own errors, in words."""
+    factor, unit = people_unit(_units(found)[name], milli=_milli(found))
+    known = [one.values[name] for one in line.measured if name in one.values]
+    least, most = (factor * end(one.value for one in known) for end in (min, max))
+    half = factor * max(one.ci95[1] - one.ci95[0] for one in known) / 2.0
+    return f"{least:.4g} to {most:.4g} {unit}, by more than their own errors, ± {half:.2g} at most"
+
+
+def _unlike(found: Results, line: Line, name: str, outlier: Outlier) -> str:
+    """How a line's value is unlike those of the hand, in words."""
+    factor, unit = people_unit(_units(found)[name], milli=_milli(found))
+    value = line.values[name].value
+    return (
+        f"{factor * value:.4g} {unit}, {value / outlier.median:.2g} times the hand's median of "
+        f"{factor * outlier.median:.4g} (modified z-score {outlier.score:.1f}, of which 3.5 is usual at most)"
+    )
 
 
 def table(found: Results) -> list[list[str]]:
@@ -111,6 +130,10 @@ def _line_json(line: Line) -> dict[str, Any]:
         },
         "repeats": dict(line.repeats),
         "outlier": list(line.stands_out),
+        "outliers": {
+            name: {"ratio_to_median": line.values[name].value / one.median, "modified_z_score": one.score}
+            for name, one in line.stands_out.items()
+        },
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any
 
@@ -48,9 +48,17 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
+class Outlier:
+    """A value among those of a hand. median: of them, SI. score: modified z-score of its ratio to the median."""
+
+    median: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
 class Line:
     """A joint at one pretension under one profile. values: over its repeats. repeats: whether these agree within their
-    own errors, None where that cannot be decided. stands_out: the parameters in which it is unlike the hand's others.
+    own errors, None where that cannot be decided. stands_out: how it is unlike the hand's others, by parameter.
     """
 
     joint: str
@@ -59,7 +67,7 @@ class Line:
     measured: tuple[Measured, ...]
     values: Mapping[str, Value]
     repeats: Mapping[str, bool | None]
-    stands_out: tuple[str, ...] = ()
+    stands_out: Mapping[str, Outlier] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -89,7 +97,7 @@ def results(plan: Plan, journal: Journal) -> Results:
     checks = [one for one in measured if _key(one.run) == keys[0]]
     drifts = {name: found for name in PARAMETERS if (found := _drift(name, checks)) is not None}
     failed = tuple(one for one in measured if one.failure)
-    return Results(tuple(_marked(lines)), failed, drifts if any(one.run.is_check for one in checks) else {})
+    return Results(tuple(marked(lines)), failed, drifts if any(one.run.is_check for one in checks) else {})
 
 
 def _key(run: Run) -> tuple[str, str, str]:
@@ -133,28 +141,28 @@ def _line(key: tuple[str, str, str], measured: Sequence[Measured]) -> Line:
     return Line(*key, tuple(measured), values, repeats)
 
 
-def _marked(lines: Sequence[Line]) -> list[Line]:
-    """The lines with what stands out among those of one profile."""
+def marked(lines: Sequence[Line]) -> list[Line]:
+    """Return the lines with what stands out among those of one profile."""
     found = []
     for line in lines:
-        out = []
+        out = {}
         for name in PARAMETERS:
             rivals = [one for one in lines if one.profile == line.profile and name in one.values]
-            if line in rivals and standing_out([one.values[name].value for one in rivals])[rivals.index(line)]:
-                out.append(name)
-        found.append(
-            Line(line.joint, line.profile, line.pretension, line.measured, line.values, line.repeats, tuple(out))
-        )
+            values = [one.values[name].value for one in rivals]
+            score = scores(values)[rivals.index(line)] if line in rivals else 0.0
+            if abs(score) > _STANDS_OUT:
+                out[name] = Outlier(float(np.median(values)), score)
+        found.append(replace(line, stands_out=out))
     return found
 
 
-def standing_out(values: Sequence[float]) -> list[bool]:
-    """Return which of positive values stand out by their ratio to the others; none among fewer than five."""
+def scores(values: Sequence[float]) -> list[float]:
+    """Return the modified z-scores of positive values by their ratios to the median; zeros for fewer than five."""
     if len(values) < _FEWEST or min(values) <= 0.0:
-        return [False] * len(values)
+        return [0.0] * len(values)
     away = np.log(values) - np.median(np.log(values))
     usual = float(np.median(np.abs(away)))
-    return [bool(_MAD * abs(one) > _STANDS_OUT * usual > 0.0) for one in away]
+    return [_MAD * float(one) / usual if usual > 0.0 else 0.0 for one in away]
 
 
 def _drift(name: str, checks: Sequence[Measured]) -> tuple[Drift, float] | None:

@@ -13,9 +13,9 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from hil.quantities import in_si
 from hil.stand.devices import BACKENDS, SENSORS
 from hil.stand.file import LimitsTable, StandTable
-from hil.stand.quantities import in_si
 from hil.stand.sentences import sentence
 
 _UNKNOWN = object()

@@ -18,10 +18,10 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse, meant
+from hil.quantities import Place, in_si, keys_of
 from hil.recording.input import read_text
 from hil.stand.calibration import CalibrationTable
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
-from hil.stand.quantities import Place, in_si, keys_of
 from hil.stand.sentences import NO_SUCH_KEY, names_the_value, sentence
 from hil.stand.toml_table import line_of
 from hil.stand.winding import WindingTable

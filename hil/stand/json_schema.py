@@ -6,9 +6,9 @@ from typing import Any
 
 from pydantic import create_model
 
+from hil.quantities import physical
 from hil.stand.devices import BACKENDS, SENSORS
 from hil.stand.file import File
-from hil.stand.quantities import physical
 
 _SENSOR = "joint_sensor_"
 _NUMBER_AND_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*\S"

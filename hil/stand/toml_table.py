@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from hil.errors import WrongUse
+from hil.quantities import in_si
 from hil.recording.input import read_text
-from hil.stand.quantities import in_si
 
 _LARGEST = 1 << 20  # bytes
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,10 +72,10 @@ class Traces:
             return self
         firsts = np.linspace(0, len(self.time) - _RUN, _LOOP // _RUN).astype(np.intp)
         places = firsts[:, None] + np.arange(_RUN)
-        alone = {
-            name: np.pad(getattr(self, name)[places], ((0, 0), (0, 1)), constant_values=np.nan) for name in _ARRAYS
-        }
-        return replace(self, **{name: values.ravel() for name, values in alone.items()})
+        broken: dict[str, Any] = {}
+        for name in _ARRAYS:
+            broken[name] = np.pad(getattr(self, name)[places], ((0, 0), (0, 1)), constant_values=np.nan).ravel()
+        return replace(self, **broken)
 
     def _of(self, kept: NDArray[np.intp]) -> Traces:
         return replace(self, **{name: getattr(self, name)[kept] for name in _ARRAYS})

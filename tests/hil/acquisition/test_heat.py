@@ -11,7 +11,7 @@ import pytest
 from drivers.servo import Quantity, Sample, ServoInfo
 from hil.acquisition import excitation
 from hil.acquisition.excitation import Profile
-from hil.acquisition.heat import HeatMemory, WindingHeat, heat_budget
+from hil.acquisition.heat import HeatMemory, TooHot, WindingHeat, heat_budget
 from hil.acquisition.limits import AtJoint, LimitReached
 from hil.acquisition.recorder import Recorder
 from hil.acquisition.sink import Memory
@@ -73,6 +73,27 @@ def test_a_run_that_would_overheat_the_winding_is_refused_with_the_duration_that
     said = float(str(refused.value).partition("after ")[2].split()[0])
     assert said == pytest.approx(after, abs=0.3)
     budget(4 * 0.016, said - 1.0).start(at_rest(), [])
+
+
+def test_a_refused_run_says_how_long_the_motor_must_rest_and_may_begin_then(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    HeatMemory(INFO).keep(Temperatures(74.0, 25.0), NOW)
+    with pytest.raises(TooHot, match=r"let it cool down for \d+ s") as refused:
+        budget(4 * 0.016, 10.0).start(at_rest(), [])
+    rest = refused.value.rest
+    assert rest > 10.0
+    monkeypatch.setattr("hil.acquisition.heat.time.time", lambda: NOW + rest - 2.0)
+    with pytest.raises(TooHot):
+        budget(4 * 0.016, 10.0).start(at_rest(), [])
+    monkeypatch.setattr("hil.acquisition.heat.time.time", lambda: NOW + rest)
+    budget(4 * 0.016, 10.0).start(at_rest(), [])
+
+
+def test_a_run_that_is_too_much_for_a_cold_motor_has_no_rest_that_is_enough() -> None:
+    with pytest.raises(TooHot, match="too much for a cold motor") as refused:
+        budget(4 * 0.016, 60.0).start(at_rest(), [])
+    assert math.isinf(refused.value.rest)
 
 
 def test_a_run_within_the_budget_begins_and_ends_as_predicted(state_folder: Path) -> None:

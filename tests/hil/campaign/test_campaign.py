@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.servo import DriverError
+from hil.acquisition.heat import TooHot
 from hil.acquisition.limits import LimitReached
+from hil.api.runs import simulate
 from hil.campaign.conduct import Desk, record_all
 from hil.campaign.journal import Journal
+from hil.campaign.page import diagnostics
 from hil.campaign.plan import load
-from hil.campaign.results import standing_out
+from hil.campaign.results import Line, Results, Value, marked, scores
 from hil.errors import WrongUse
 from hil.stand.toml_table import line_of
 
@@ -127,6 +133,41 @@ def test_recordings_of_a_real_joint_wait_for_it_to_cool_down(plan: Path, monkeyp
     assert waits == [60.0, 60.0]
 
 
+def test_a_recording_that_the_heat_budget_refuses_is_made_after_the_rest_that_it_needs(
+    plan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan.write_text(PLAN)
+    waits: list[float] = []
+
+    def warm(path: Path, profile: str, **settings: Any) -> Any:
+        if not waits:
+            raise TooHot("the winding would reach 75 degC", 240.0)
+        return simulate(path, profile, **settings)
+
+    monkeypatch.setattr("hil.campaign.conduct.simulate", warm)
+    loaded = load(plan)
+    journal, said = Journal(loaded), list[str]()
+    record_all(loaded, journal, Desk(said.append, lambda _text: None, sleep=waits.append))
+    assert waits == [240.0]
+    assert said[0].endswith("the winding is too warm for it")
+    assert all(journal.is_done(run) for run in loaded.runs)
+
+
+def test_an_outlier_is_named_with_its_value_its_ratio_and_its_score() -> None:
+    lines = [
+        Line(f"j{at}", "chirp", "", (), {"Kc": Value(kc, (0.99 * kc, 1.01 * kc), "N*m/rad")}, {"Kc": None, "Bc": None})
+        for at, kc in enumerate((0.018, 0.019, 0.02, 0.021, 0.022, 0.045))
+    ]
+    [text] = [one.message for one in diagnostics(Results(tuple(marked(lines)), (), {}))]
+    score = (
+        0.6745
+        * math.log(0.045 / math.sqrt(0.02 * 0.021))
+        / np.median([abs(math.log(kc / math.sqrt(0.02 * 0.021))) for kc in (0.018, 0.019, 0.02, 0.021, 0.022, 0.045)])
+    )
+    assert text.startswith("j5, chirp: Kc is 45 mN m/rad, 2.2 times the hand's median of 20.5 (")
+    assert f"z-score {score:.1f}" in text
+
+
 def test_a_dry_run_shows_what_would_be_recorded_and_makes_nothing(hil: Hil, plan: Path, tmp_path: Path) -> None:
     ended = hil("campaign", plan, "--dry-run")
     first, *lines = ended.out.splitlines()
@@ -215,4 +256,4 @@ def test_a_line_is_found_for_every_key_of_a_plan() -> None:
     ("values", "out"), [([1.0, 1.1, 0.9, 1.05, 2.5], [4]), ([1.0, 1.1, 0.9, 1.05], []), ([1.0] * 6, [])]
 )
 def test_a_value_far_from_the_median_of_five_or_more_stands_out(values: list[float], out: list[int]) -> None:
-    assert [at for at, one in enumerate(standing_out(values)) if one] == out
+    assert [at for at, score in enumerate(scores(values)) if abs(score) > 3.5] == out

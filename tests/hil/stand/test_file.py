@@ -16,10 +16,10 @@ from drivers.dynamixel.config import DynamixelConfig, Mode
 from drivers.moteus.config import MoteusConfig
 from drivers.servo import Quantity
 from hil.errors import WrongUse
+from hil.quantities import physical
 from hil.stand.devices import BACKENDS, SENSORS, Device, check_backend
 from hil.stand.file import SIMULATED, load, parse
 from hil.stand.opening import open_servo
-from hil.stand.quantities import physical
 from hil.units import dimension_of
 from sim_backend.parameters import SimParameters
 
