@@ -6,6 +6,7 @@ without a reply, and those that restore what a run changed in it, as bytes for i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -55,6 +56,15 @@ class HasOffPath(Protocol):
 
     def off_path(self) -> OffPath:
         """Return the way, with the settings to restore that have been changed so far."""
+        ...
+
+
+@runtime_checkable
+class HasJournal(Protocol):
+    """A servo that says when it is about to change a setting of its drive."""
+
+    def keep_journal(self, journal: Callable[[], None]) -> None:
+        """Call `journal` before each write of a setting, when `off_path` restores it already."""
         ...
 
 

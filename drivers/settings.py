@@ -17,6 +17,7 @@ class Settings(Generic[Key, Value]):
 
     same: whether the device's value is the one that was written. kept: whether the device keeps a setting without
     power or a later program relies on it, so that it is restored. Every method raises what `read` and `write` do.
+    journal: called before each write of a setting that is restored, when `changed` has it already.
     """
 
     def __init__(
@@ -32,6 +33,7 @@ class Settings(Generic[Key, Value]):
         self._same = same
         self._kept = kept
         self._before: dict[Key, Value] = {}
+        self.journal: Callable[[], None] = lambda: None
 
     def require(self, key: Key, value: Value, name: str = "") -> None:
         """Make a setting hold `value` and read it back; it is written only where it holds another value.
@@ -43,6 +45,7 @@ class Settings(Generic[Key, Value]):
             return
         if self._kept(key):
             self._before.setdefault(key, before)
+            self.journal()
         self._write(key, value)
         now = self._read(key)
         if not self._same(now, value):

@@ -16,7 +16,7 @@ class Objects:
 
     def __init__(self, network: LinkedNetwork) -> None:
         self._network = network
-        self._settings: Settings[ObjectIndex, bytes] = Settings(network.read, network.write)
+        self.settings: Settings[ObjectIndex, bytes] = Settings(network.read, network.write)
 
     def get(self, place: ObjectIndex, *, signed: bool = False) -> int:
         """Return a number, of the size that the drive reports."""
@@ -33,12 +33,12 @@ class Objects:
     def require(self, place: ObjectIndex, value: int, what: str) -> None:
         """Make an object hold a number, read back; `restore` writes the earlier one. Raises as `Settings.require`."""
         data = value.to_bytes(len(self._network.read(place)), "little", signed=value < 0)
-        self._settings.require(place, data, f"its {what} (object {place})")
+        self.settings.require(place, data, f"its {what} (object {place})")
 
     def changed(self) -> list[tuple[ObjectIndex, bytes]]:
         """Return the objects that `restore` writes and the values that they had, in its order."""
-        return self._settings.changed()
+        return self.settings.changed()
 
     def restore(self) -> None:
         """Restore what `require` changed, as far as the drive accepts it."""
-        self._settings.restore()
+        self.settings.restore()

@@ -22,6 +22,8 @@ from drivers.gate import Gate, to_counts
 from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import can
 
     from drivers.off_path import OffPath
@@ -132,6 +134,10 @@ class Cia402Servo:
     def off_path(self) -> OffPath:
         """See `drivers.off_path`."""
         return self._link.off_path(self._node.off_frames(), self._node.restoring())
+
+    def keep_journal(self, journal: Callable[[], None]) -> None:
+        """See `drivers.off_path`."""
+        self._node.objects.settings.journal = journal
 
     def _torque_off(self, request: int) -> None:
         self._node.stop(wake=request > 0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable
 
 from drivers.clock import Clock, MonotonicClock
 from drivers.dynamixel.config import DynamixelConfig
@@ -122,6 +123,10 @@ class DynamixelServo:
     def off_path(self) -> OffPath:
         """See `drivers.off_path`."""
         return off_path(self._port, self._table, self._series.off, self._series.zero_after_off)
+
+    def keep_journal(self, journal: Callable[[], None]) -> None:
+        """See `drivers.off_path`."""
+        self._table.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
         try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable
 
 from drivers.clock import Clock, MonotonicClock
 from drivers.feetech.block import Block, FeetechState
@@ -132,6 +133,10 @@ class FeetechServo:
     def off_path(self) -> OffPath:
         """See `drivers.off_path`. The torque limit stays zero until the servo is powered up or armed again."""
         return off_path(self._port, self._table, self._off, kept=("torque_limit", "goal_torque"))
+
+    def keep_journal(self, journal: Callable[[], None]) -> None:
+        """See `drivers.off_path`."""
+        self._table.settings.journal = journal
 
     @property
     def _off(self) -> list[str]:

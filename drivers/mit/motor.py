@@ -48,7 +48,7 @@ class MitMotor:
             only_on_request=frozenset({"state"}),
         )
         self._register: int | None = None
-        self._settings: Settings[str, float] = Settings(self.get, self._put)
+        self.settings: Settings[str, float] = Settings(self.get, self._put)
 
     @property
     def damiao(self) -> bool:
@@ -91,7 +91,7 @@ class MitMotor:
 
     def restoring(self) -> list[can.Message]:
         """Return the frames that restore the registers that `require` changed."""
-        return [frame(REGISTERS_ID, self._written(name, value)) for name, value in self._settings.changed()]
+        return [frame(REGISTERS_ID, self._written(name, value)) for name, value in self.settings.changed()]
 
     def identify(self) -> str:
         """Switch the torque off, and check that the motor is alone and the one of the stand file.
@@ -129,11 +129,11 @@ class MitMotor:
         Raises as `Settings.require`.
         """
         exact = float(registers()[name].layout.unpack(self._encoded(name, value))[0])
-        self._settings.require(name, exact)
+        self.settings.require(name, exact)
 
     def restore(self) -> None:
         """Restore the registers that `require` changed, as far as the motor accepts it."""
-        self._settings.restore()
+        self.settings.restore()
 
     def _put(self, name: str, value: float) -> None:
         self._ask_register(self._written(name, value), registers()[name].number)

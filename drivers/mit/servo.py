@@ -18,6 +18,8 @@ from drivers.mit.motor import MitMotor
 from drivers.servo import Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import can
 
     from drivers.off_path import OffPath
@@ -119,6 +121,10 @@ class MitServo:
     def off_path(self) -> OffPath:
         """See `drivers.off_path`."""
         return self._link.off_path(self._motor.off_frames(), self._motor.restoring())
+
+    def keep_journal(self, journal: Callable[[], None]) -> None:
+        """See `drivers.off_path`."""
+        self._motor.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
         self._motor.send_leave()  # before `leave`, which waits for replies that are still due

@@ -36,6 +36,8 @@ from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Samp
 from drivers.tick import WRAP, Freshness, TickClock
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import can
 
     from drivers.off_path import OffPath
@@ -144,6 +146,10 @@ class MoteusServo:
     def off_path(self) -> OffPath:
         """See `drivers.off_path`."""
         return self._link.off_path([self._controller.unanswered(_STOP)], self._controller.restoring())
+
+    def keep_journal(self, journal: Callable[[], None]) -> None:
+        """See `drivers.off_path`."""
+        self._controller.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
         self._controller.send(_STOP)  # before `_stop`, which waits for replies that are still due

@@ -46,7 +46,7 @@ class Parameters:
     def __init__(self, path: str, firmware: str, requests: Requests, codec: Codec) -> None:
         self._requests = requests
         self._codec = codec
-        self._settings: Settings[str, float] = Settings(self.get, self._put)
+        self.settings: Settings[str, float] = Settings(self.get, self._put)
         try:
             content = json.loads(Path(path).read_text(encoding="utf-8"))
             stated, self._endpoints = str(content["fw_version"]), content["endpoints"]
@@ -79,15 +79,15 @@ class Parameters:
         """Make a parameter hold `value` as exactly as it can. Raises as `Settings.require`."""
         layout = self._endpoint(name)[1]
         exact = float(struct.unpack(layout, _packed(layout, value))[0])
-        self._settings.require(name, exact, endpoint_names()[name])
+        self.settings.require(name, exact, endpoint_names()[name])
 
     def restore(self) -> None:
         """Restore what `require` changed, as far as the drive accepts it."""
-        self._settings.restore()
+        self.settings.restore()
 
     def restoring(self) -> list[can.Message]:
         """Return the frames that restore what `require` changed."""
-        return [self._write(name, value) for name, value in self._settings.changed()]
+        return [self._write(name, value) for name, value in self.settings.changed()]
 
     def _write(self, name: str, value: float) -> can.Message:
         number, layout = self._endpoint(name)

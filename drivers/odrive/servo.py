@@ -30,6 +30,8 @@ from drivers.odrive.parameters import Parameters
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import can
 
     from drivers.off_path import OffPath
@@ -144,6 +146,11 @@ class OdriveServo:
         """See `drivers.off_path`."""
         return self._link.off_path(self._off(), self._parameters.restoring() if self._parameters else ())
 
+    def keep_journal(self, journal: Callable[[], None]) -> None:
+        """See `drivers.off_path`."""
+        if self._parameters:
+            self._parameters.settings.journal = journal
+
     def _off(self) -> list[can.Message]:
         return [self._axis.codec.put("set_torque", 0.0), self._axis.codec.put("set_state", IDLE)]
 
@@ -192,15 +199,10 @@ class OdriveServo:
     def _prepare(self, limits: Limits) -> None:
         current = limits.torque / self._config.torque_constant
         velocity = limits.velocity / math.tau
-        self._axis.requests.send(
-            [
-                self._axis.codec.put("set_torque", 0.0),
-                self._axis.codec.put("set_mode", TORQUE_CONTROL, PASSTHROUGH),
-                self._axis.codec.put("set_limits", velocity, current),
-            ]
-        )
-        parameters = self._parameters
-        if parameters is None:
+        codec, parameters = self._axis.codec, self._parameters
+        self._axis.requests.send([codec.put("set_torque", 0.0), codec.put("set_mode", TORQUE_CONTROL, PASSTHROUGH)])
+        if parameters is None:  # otherwise the limits are parameters, which are restored
+            self._axis.requests.send([codec.put("set_limits", velocity, current)])
             return
         self._check_clipping(parameters, limits.torque, velocity)
         for name, value in (

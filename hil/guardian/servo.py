@@ -10,7 +10,7 @@ from statistics import median
 
 from drivers.clock import Clock, MonotonicClock
 from drivers.gate import FallsSilent
-from drivers.off_path import HasOffPath
+from drivers.off_path import HasJournal, HasOffPath
 from drivers.servo import Command, DriverError, Limits, Sample, Servo, ServoInfo
 from hil.guardian.handle import Guardian, available
 
@@ -90,6 +90,8 @@ class GuardedServo:
         self._off_since = math.nan
         guardian.expect(_ARMING)
         guardian.limit(self._watch.longest)
+        if isinstance(self._servo, HasJournal):  # whoever is killed while it arms has said what is to be restored
+            self._servo.keep_journal(lambda: guardian.restore(self._path.off_path()))
         try:
             self._servo.arm(limits)
         finally:

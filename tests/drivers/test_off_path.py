@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 from drivers.canbus.off_path import datagram, from_slcan_text, slcan_text
 from drivers.odrive.messages import endpoint_names
-from drivers.off_path import HasOffPath, OffPath
+from drivers.off_path import HasJournal, HasOffPath, OffPath
 from drivers.servo import Command, Quantity
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 
@@ -77,7 +78,7 @@ def settings(device: Any) -> Any:
     if hasattr(device, "endpoints"):
         return {name: device.endpoints.get(name) for name in endpoint_names().values()}
     if hasattr(device, "console"):
-        return {name: str(value) for name, value in device.console.values.items()}  # NaN equals no NaN
+        return {name: str(float(value)) for name, value in device.console.values.items()}  # NaN equals no NaN
     if hasattr(device, "objects"):
         return [device.objects.get(*place) for place in ((0x6060, 0), (0x1016, 1)) if place in device.objects.values]
     return {number: round(value, 3) for number, value in device.values.items()}  # temperatures among them
@@ -101,6 +102,62 @@ def test_an_odrive_with_its_endpoint_file_has_the_parameters_again_that_closing_
     assert settings(wired.device) != before
     assert_restored(wired, closed)
     assert wired.device.watchdog_state == closed.device.watchdog_state == "off"
+
+
+class Killed(BaseException):
+    pass
+
+
+def killed_while_arming(wired: Wired, writes: int) -> list[OffPath]:
+    """Arm until that many settings were written; return the paths that a guardian knew of, one before each write."""
+    assert isinstance(wired.servo, HasJournal)
+    paths: list[OffPath] = []
+
+    def journal() -> None:
+        if len(paths) == writes:
+            raise Killed
+        paths.append(path_of(wired))
+
+    wired.servo.keep_journal(journal)
+    with contextlib.suppress(Killed):
+        wired.servo.arm(wired.limits)
+    return paths
+
+
+@pytest.mark.parametrize("name", ["dynamixel", "dynamixel mx", "feetech hls", "mit dm-j4310", "moteus", "cia402 epos4"])
+def test_a_drive_has_its_settings_again_whichever_of_them_was_the_last_written_before_a_kill(name: str) -> None:
+    closed = IN_VIRTUAL_TIME[name]()
+    closed.servo.close()
+    closed.wait(0.5)
+    before = settings(closed.device)
+    for writes in range(1, 30):
+        wired = IN_VIRTUAL_TIME[name]()
+        paths = killed_while_arming(wired, writes)
+        if len(paths) < writes:
+            break
+        for packet in (*paths[-1].off, *paths[-1].restore):
+            wired.put(packet)
+            wired.wait(0.03)
+        wired.wait(0.5)
+        assert settings(wired.device) == before, writes
+        assert not wired.live()
+        wired.servo.close()
+    assert writes > 1
+    wired.servo.close()
+
+
+def test_an_odrive_that_was_killed_while_it_was_armed_has_its_parameters_again(tmp_path: Path) -> None:
+    path = tmp_path / "flat_endpoints.json"
+    path.write_text(json.dumps(flat_endpoints("0.6.10")))
+    wired = wired_rig(odrive_rig(), ODRIVE_LIMITS, lambda rig: rig.open(endpoints=str(path)))
+    before = settings(wired.device)
+    known = killed_while_arming(wired, 3)[-1]
+    assert settings(wired.device) != before
+    for packet in (*known.off, *known.restore):
+        wired.put(packet)
+        wired.wait(0.03)
+    assert settings(wired.device) == before
+    wired.servo.close()
 
 
 def assert_restored(wired: Wired, closed: Wired) -> None:
