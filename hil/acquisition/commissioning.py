@@ -13,10 +13,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.servo import Quantity, ServoInfo
+from hil.acquisition.drive_memory import DriveMemory
 from hil.acquisition.excitation import Profile
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
-from hil.stand.drive_memory import DriveMemory
 from hil.stand.file import Stand
 
 DAYS = 30.0

@@ -13,16 +13,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.servo import Quantity, Sample, ServoInfo
+from hil.acquisition.drive_memory import DriveMemory
 from hil.acquisition.excitation import Profile
 from hil.acquisition.limits import AtJoint, LimitReached
 from hil.errors import WrongUse
-from hil.stand.drive_memory import DriveMemory
 from hil.stand.file import Stand
 from hil.stand.winding import Temperatures, WindingModel
 
 _MARGIN = 5.0  # degC below the limit, at which a run is refused or ended
 _STEP, _BLOCK = 5e-3, 20  # s between two torques of a prediction, and how many of them heat together
 _LONGEST_REST = 1e6  # s, after which any motor is cold
+_SPARE, _SHORTEST, _HALVINGS = 0.98, 1.0, 12  # share of what fits that is proposed; s; steps to the amplitude
 _HOTTEST = 1000.0  # degC that a state file may state
 
 
@@ -76,7 +77,8 @@ class WindingHeat:
     """The limit on the winding's estimated temperature. limit: degC. gear: motor turns a joint turn.
 
     planned: mean squares of the torques to come at the motor shaft, (N m)^2, each for `_STEP * _BLOCK` s. longest: N m,
-    the torque that counts where none is measured. memory: None for a simulated motor, which is cold.
+    the torque that counts where none is measured. amplitude: of the profile, N m at the joint. memory: None for a
+    simulated motor, which is cold.
     """
 
     name = "winding"
@@ -89,10 +91,12 @@ class WindingHeat:
         planned: Sequence[float],
         *,
         longest: float,
+        amplitude: float,
         memory: HeatMemory | None = None,
     ) -> None:
         self._model, self._limit, self._gear = model, limit, gear
         self._planned, self._longest, self._memory = planned, longest, memory
+        self._amplitude = amplitude
         self._t = math.nan
         self.state = model.cold
 
@@ -134,10 +138,13 @@ class WindingHeat:
             self._refuse(after)
         return end
 
-    def _driven(self, state: Temperatures) -> tuple[Temperatures, float | None]:
-        """The temperatures at the end of a run that begins at `state`; and when they would be too high, s, or None."""
+    def _driven(self, state: Temperatures, share: float = 1.0) -> tuple[Temperatures, float | None]:
+        """The temperatures at the end of a run that begins at `state`; and when they would be too high, s, or None.
+
+        share: of the torque.
+        """
         for block, square in enumerate(self._planned):
-            state = self._model.after(state, square, _STEP * _BLOCK)
+            state = self._model.after(state, share * share * square, _STEP * _BLOCK)
             if state.winding > self._limit - _MARGIN:
                 return state, block * _STEP * _BLOCK
         return state, None
@@ -160,12 +167,32 @@ class WindingHeat:
         cool = (
             "it is too much for a cold motor too: " if math.isinf(rest) else f"let it cool down for {rest:.0f} s, or "
         )
-        remedy = f"--duration {after:.3g} at most, or a lower --amplitude" if after >= 1.0 else "a lower --amplitude"
         raise TooHot(
             f"the winding would reach {self._limit - _MARGIN:.0f} degC after {after:.3g} s, too near its limit of "
-            f"{self._limit:g}: nothing was driven. {now}; {cool}record with {remedy}",
+            f"{self._limit:g}: nothing was driven. {now}; {cool}{' or '.join(self._remedies(after))}",
             rest,
         )
+
+    def _remedies(self, after: float) -> list[str]:
+        """Return what to add to the command so that it fits: the longest duration, the largest amplitude."""
+        duration, amplitude = _SPARE * after, _SPARE * self._amplitude * self._share_that_fits()
+        shorter = [f"add --duration {_rounded_down(duration)}"] if duration >= _SHORTEST else []
+        return [*shorter, f"add --amplitude {_rounded_down(amplitude)}" if amplitude > 0.0 else "wait longer"]
+
+    def _share_that_fits(self) -> float:
+        """Return the share of the torque, below 1, with which the whole run fits."""
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            fits = self._driven(self.state, middle)[1] is None
+            low, high = (middle, high) if fits else (low, middle)
+        return low
+
+
+def _rounded_down(value: float) -> str:
+    """Return a number above 0 with two digits that is no larger."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.floor(value / unit + 1e-9) * unit:.2g}" if value < 100.0 else f"{math.floor(value)}"
 
 
 def heat_budget(stand: Stand, info: ServoInfo, profile: Profile) -> WindingHeat | None:
@@ -179,7 +206,15 @@ def heat_budget(stand: Stand, info: ServoInfo, profile: Profile) -> WindingHeat 
     model = stand.winding.model(limits.temperature)
     planned = _mean_squares(profile, gear) if profile.mode is Quantity.TORQUE else []
     memory = None if stand.stand.backend in {"sim", "replay"} else HeatMemory(info)
-    return WindingHeat(model, limits.temperature, gear, planned, longest=limits.torque / gear, memory=memory)
+    return WindingHeat(
+        model,
+        limits.temperature,
+        gear,
+        planned,
+        longest=limits.torque / gear,
+        amplitude=profile.amplitude,
+        memory=memory,
+    )
 
 
 def _mean_squares(profile: Profile, gear: float) -> list[float]:

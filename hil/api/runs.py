@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,8 +17,9 @@ from hil.acquisition import run as acquisition
 from hil.acquisition.excitation import Profile, make
 from hil.acquisition.recorder import Outcome
 from hil.diagnostics import Diagnostic, driven_by_position, lateness
-from hil.errors import WrongUse
+from hil.errors import Untrustworthy, WrongUse
 from hil.guardian.handle import available
+from hil.recording.reader import Recording
 from hil.stand.devices import restrictions
 from hil.stand.fault_file import load_plan
 from hil.stand.file import SIMULATED, Stand, parse
@@ -46,12 +49,14 @@ class Run:
     """A run that has ended, and its recording; it stands for the recording's path wherever a path is expected.
 
     outcome: samples, lost replies, late ticks, and why it ended. diagnostics: of the run; the recording's own are those
-    of `hil inspect`.
+    of `hil inspect`. lateness: of the set-points, s: median, 99 % and largest, as the recording has them; NaN where it
+    has none.
     """
 
     path: Path
     outcome: Outcome
     diagnostics: tuple[Diagnostic, ...]
+    lateness: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
     def __fspath__(self) -> str:
         return str(self.path)
@@ -76,6 +81,7 @@ class Run:
             "lost": self.outcome.lost,
             "late": self.outcome.late,
             "missed": self.outcome.missed,
+            "lateness": [None if math.isnan(value) else value for value in self.lateness],
             "saturated": self.outcome.saturated,
             "end_reason": self.outcome.end_reason,
             "warnings": [one.as_json() for one in self.diagnostics],
@@ -155,13 +161,24 @@ def _reported(
 ) -> Run:
     """Return a run that `ended` was called with. Raises the fault that ended it."""
     moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
-    run = Run(path, outcome, (*foreseen, *moved, *lateness(outcome.late, outcome.samples)))
+    late = lateness(outcome.late, outcome.samples)
+    run = Run(path, outcome, (*foreseen, *moved, *late), _stored_lateness(path, outcome.samples))
     try:
         if ended is not None:
             ended(run)
     finally:
         _raise_fault(run.outcome)
     return run
+
+
+def _stored_lateness(path: Path, samples: int) -> tuple[float, float, float]:
+    """Return median, 99 % and largest lateness of a recording, s; NaN where it was not finished."""
+    stored: Mapping[str, Any] = {}
+    if samples:
+        with suppress(WrongUse, Untrustworthy, OSError), Recording(path) as recording:
+            stored = recording.attributes
+    median, most, largest = (float(stored.get(f"lateness_{which}", math.nan)) for which in ("p50", "p99", "max"))
+    return median, most, largest
 
 
 def _plan(stand: Stand, path: Path) -> FaultPlan:

@@ -9,12 +9,15 @@ import typer
 
 from drivers.servo import Quantity
 from hil.cli import options
-from hil.cli.terminal import UNTRUSTWORTHY, command_line, out, print_diagnostics, print_json, say
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, detail, out, print_diagnostics, print_json, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
     from hil.api.runs import Run
     from hil.stand.file import Stand
+
+
+_ROUNDING = 1e-6  # s
 
 
 def record(
@@ -105,6 +108,17 @@ def _print_line(run: Run) -> None:
         out(f"nothing was recorded ({ended.end_reason})")
     else:
         out(f"{run.path}: {ended.samples} samples, {ended.lost} lost, {ended.late} late ({ended.end_reason})")
+        _print_lateness(run)
+
+
+def _print_lateness(run: Run) -> None:
+    """Print how late the set-points were sent; nothing in virtual time, in which they are not."""
+    from hil.report.formatting import engineering
+
+    if run.lateness[2] > _ROUNDING or run.outcome.missed:
+        median, most, largest = (engineering(value, "s", 2) for value in run.lateness)
+        missed = f"{run.outcome.missed} ticks missed"
+        detail(f"set-points late by {median} (median), {most} (99 %), {largest} at most; {missed}")
 
 
 def _list_kinds(*, profiles: bool) -> None:

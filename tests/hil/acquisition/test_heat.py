@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -63,6 +65,19 @@ def budget(amplitude: float, duration: float, backend: str = "dynamixel") -> Win
 
 def at_rest(temperature: float = math.nan) -> list[Sample]:
     return [Sample(0.0, 0.0, temperature=temperature)]
+
+
+@pytest.mark.parametrize("amplitude", [0.06, 0.09, 0.12])
+def test_the_duration_and_the_amplitude_that_are_proposed_fit_and_little_more_does_not(amplitude: float) -> None:
+    with pytest.raises(LimitReached) as refused:
+        budget(amplitude, 300.0, "sim").start(at_rest(), [])
+    said = re.findall(r"add --(duration|amplitude) ([0-9.]+)", str(refused.value))
+    assert {name for name, _ in said} == {"duration", "amplitude"}
+    for name, text in said:
+        for factor, fits in ((1.0, True), (1.2, False)):
+            size = {"amplitude": amplitude, "duration": 300.0} | {name: factor * float(text)}
+            with contextlib.nullcontext() if fits else pytest.raises(LimitReached):
+                budget(**size, backend="sim").start(at_rest(), [])
 
 
 def test_a_run_that_would_overheat_the_winding_is_refused_with_the_duration_that_would_not() -> None:

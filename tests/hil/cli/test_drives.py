@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import signal
 import subprocess
@@ -225,3 +226,15 @@ def test_the_options_go_to_the_parameters_of_an_emulator_by_name() -> None:
 def test_what_an_emulator_raises_is_told_in_a_sentence(options: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         make("drive", options)
+
+
+def test_a_run_in_real_time_ends_with_the_lateness_of_its_set_points(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, busy_machine: None
+) -> None:
+    del busy_machine
+    words = ["record", "--backend", "sim", "--duration", "0.6", "--rate", "100", "--fade", "0.1", "-o"]
+    assert run([*words, str(tmp_path / "a.h5"), "--realtime"]) == 0
+    said = capfd.readouterr().out.splitlines()[-1]
+    assert re.fullmatch(r"set-points late by .*s \(median\), .*s \(99 %\), .*s at most; \d+ ticks missed", said)
+    assert run([*words, str(tmp_path / "b.h5"), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["lateness"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
