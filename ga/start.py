@@ -62,7 +62,8 @@ def start_of(columns: Matrix, torque: Vector, bounds: Bounds) -> Start | None:
     """
     p = columns.shape[1]
     work = _Work(np.zeros(p), *(np.zeros((p, p)) for _ in range(3)), *(np.zeros(p) for _ in range(2)))
-    reach = locate(columns, torque, work)
+    with np.errstate(all="ignore"):  # data that are not finite
+        reach = _locate(columns, torque, work)
     if not 0.0 < reach < np.inf:
         return None
     return within(Start(work.centre, work.forward, work.backward, reach), bounds)
@@ -86,21 +87,23 @@ def within(start: Start, bounds: Bounds) -> Start | None:
     return start if inside and bool(np.all(2.0 * extent <= bounds.high - bounds.low)) else None
 
 
-@compiled_no_refcount
-def locate(columns: Matrix, torque: Vector, work: _Work) -> float:
-    """Fill in centre and coordinates; returns the reach, 0 where there is none."""
+def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
+    """Fill in centre and coordinates; returns the reach, 0 where there is none.
+
+    Only what goes through the rows is compiled: the few numbers of p parameters are not worth a first run's seconds.
+    """
     n, p = columns.shape
-    size, power, _ = _equations(columns, torque, work, np.inf)
+    size, power, _ = equations(columns, torque, work, np.inf)
     if not _factor(work, n) or not _solve(work):
         return 0.0
     for k in range(p):
-        power -= work.pull[k] ** 2 / work.gram[k, k]  # what is left of the elimination
+        power -= work.pull[k] * work.pull[k] / work.gram[k, k]  # what is left of the elimination
         work.centre[k] = work.step[k]
     least = RESOLUTION * size / n
     smooth = max(_SMOOTH * np.sqrt(max(power, 0.0) / n), least, 1e-300)
     moved = error = 0.0
     for _ in range(2):
-        total, _, near = _equations(columns, torque, work, smooth)
+        total, _, near = equations(columns, torque, work, smooth)
         error = max(0.5 * np.pi * total / n, _NEAR * smooth / max(near / n, _FEWEST)) / np.sqrt(n)
         if not _solve(work):
             return 0.0
@@ -112,11 +115,11 @@ def locate(columns: Matrix, torque: Vector, work: _Work) -> float:
             moved = max(moved, abs(along))
         for k in range(p):
             work.centre[k] += work.step[k]
-    return max(_ERRORS * error + moved, least)  # type: ignore[no-any-return]  # float in numba
+    return float(max(_ERRORS * error + moved, least))
 
 
 @compiled_no_refcount
-def _equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
+def equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
     """The normal equations of the residuals at the centre, each row weighted by one over its residual's size.
 
     smooth: the least size that counts, infinite for equal weights. Returns the sum of the sizes and of their squares,
@@ -164,7 +167,6 @@ def _two_equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) 
     return total, power, near
 
 
-@compiled_no_refcount
 def _factor(work: _Work, count: int) -> bool:
     """The triangle whose square is gram / count, and its inverse; False where a column is a combination of others."""
     gram, forward, backward = work.gram, work.forward, work.backward
@@ -172,7 +174,7 @@ def _factor(work: _Work, count: int) -> bool:
     for k in range(p):
         left = gram[k, k]
         for i in range(k):
-            left -= count * forward[i, k] ** 2
+            left -= count * (forward[i, k] * forward[i, k])
         if not left > _PIVOT * gram[k, k]:  # nor where it is not a number
             return False
         forward[k, k] = np.sqrt(left / count)
@@ -191,7 +193,6 @@ def _factor(work: _Work, count: int) -> bool:
     return True
 
 
-@compiled_no_refcount
 def _solve(work: _Work) -> bool:
     """Solve the normal equations by elimination in place; False where a column is a combination of others."""
     gram, pull, step = work.gram, work.pull, work.step

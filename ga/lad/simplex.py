@@ -170,7 +170,7 @@ def _leave(room: Room) -> int:
         multiplier = length = 0.0
         for k in range(r):
             multiplier -= room.inverse[k, j] * room.downhill[k]
-            length += room.inverse[k, j] ** 2
+            length += room.inverse[k, j] * room.inverse[k, j]
         room.multiplier[j] = multiplier
         excess = abs(multiplier) - 1.0
         if excess > _SLACK and excess > steepest * np.sqrt(length):

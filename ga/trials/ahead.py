@@ -10,8 +10,9 @@ import numpy as np
 
 from ga.bounds import Bounds
 from ga.compiled import is_compiled
-from ga.evolution.evolution import PRESETS
+from ga.evolution.evolution import PRESETS, advance, unborn
 from ga.evolution.generational import generational
+from ga.fitness.dense import pack
 from ga.trials.trials import run_trials
 
 
@@ -21,11 +22,14 @@ def is_worthwhile() -> bool:
 
 
 def compile_search() -> None:
-    """Compile the search, the last to be needed first, by one of three parameters."""
-    angle = np.linspace(0.0, 20.0, 200)
+    """Compile the search, the last to be needed and the longest first, by one of three parameters."""
+    angle, settings = np.linspace(0.0, 20.0, 200), PRESETS["default"]
     columns = np.column_stack([np.sin(angle), np.cos(angle), np.ones_like(angle)])
-    bounds = Bounds(np.full(3, -2.0), np.full(3, 2.0))
-    run_trials(columns, columns @ np.ones(3) + 0.01 * angle, bounds, PRESETS["default"], trials=1, seed=0, workers=1)
+    torque, bounds = columns @ np.ones(3) + 0.01 * angle, Bounds(np.full(3, -2.0), np.full(3, 2.0))
+    population = unborn(3, settings, seed=0, trial=0)
+    population.genes[:], population.fitness[:] = 0.0, 1.0
+    advance(pack(columns, torque), bounds, settings, population, until=1)
+    run_trials(columns, torque, bounds, settings, trials=1, seed=0, workers=1)
 
 
 if __name__ == "__main__":

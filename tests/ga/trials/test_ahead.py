@@ -7,14 +7,14 @@ from ga.evolution.evolution import PRESETS
 from ga.evolution.generational import generational
 from ga.evolution.population import populate
 from ga.fitness.dense import fill, settle_any
-from ga.start import locate
+from ga.start import equations
 from ga.trials.ahead import compile_search, is_worthwhile
 from ga.trials.trials import run_trials
 
 if TYPE_CHECKING:
     from tests.ga.conftest import Making
 
-KERNELS: tuple[Any, ...] = (generational, populate, settle_any, fill, locate)
+KERNELS: tuple[Any, ...] = (generational, populate, settle_any, fill, equations)
 
 
 def signatures() -> set[tuple[str, str]]:
