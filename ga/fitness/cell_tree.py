@@ -39,6 +39,13 @@ from ga.fitness.cells import (
 )
 from ga.fitness.dense import ROUNDING
 
+_FEW: Final = 256
+_MANY: Final = 16
+"""Rows that show whether a cell is worth its own list, where there are many times as many to go through for one."""
+
+_TOGETHER: Final = 64
+"""Rows that are added up before their sum is added with what its rounding takes."""
+
 _STEP: Final = 2
 """Binary digits that a cell is shorter than its parent, in each direction."""
 
@@ -276,7 +283,8 @@ def _split(tree: Tree, node: int) -> int:
     tree.nodes[child, PARENT], tree.nodes[child, CODE], tree.nodes[child, SHIFT] = node, code, shift
     for k in range(p):
         tree.nodes[child, CELL + k] = tree.at[k] >> shift
-    left = _settle(tree, node, child)
+    reach = _enter(tree, child)
+    left = count if _is_wide(tree, node, reach) else _settle(tree, node, child, reach)
     tree.nodes[child, KIND], tree.nodes[child, START] = INNER, tree.used[USED_UNDECIDED]
     tree.nodes[child, COUNT] = left
     if left <= LEAF:
@@ -304,33 +312,65 @@ def _forget(tree: Tree) -> None:
 
 
 @compiled_no_refcount
-def _settle(tree: Tree, node: int, child: int) -> int:
-    """Sum up the parent's rows that have one sign throughout the child, list the others; returns how many those are."""
+def _enter(tree: Tree, child: int) -> float:
+    """Set `centre` to a cell's; returns how far v may be from it in each coordinate."""
     p = tree.at.size
     half = tree.width * 2.0 ** (tree.nodes[child, SHIFT] - BITS - 1.0)
-    centre, carry = tree.centre, tree.carry
     for j in range(p):
-        centre[j] = 0.0
+        tree.centre[j] = 0.0
         for k in range(p):
             v = tree.corner[k] + half * (2.0 * tree.nodes[child, CELL + k] + 1.0)
-            centre[j] += tree.backward[j, k] * v
-    reach = half * (1.0 + 1e-9) + tree.blur
+            tree.centre[j] += tree.backward[j, k] * v
+    return half * (1.0 + 1e-9) + tree.blur  # type: ignore[no-any-return]  # float in numba
+
+
+@compiled_inline
+def _is_wide(tree: Tree, node: int, reach: float) -> bool:
+    """Whether most of a few of the parent's rows may have either sign within reach: then so may most of all."""
+    count, wide = tree.nodes[node, COUNT], 0
+    if count < _MANY * _FEW:
+        return False
+    for i in range(_FEW):
+        row = _row(tree, tree.nodes[node, START], i * (count // _FEW))
+        if abs(_residual(tree.rows[row], tree.centre)) < reach * tree.rows[row, tree.at.size + 1]:
+            wide += 1
+    return 2 * wide > _FEW
+
+
+@compiled_no_refcount
+def _settle(tree: Tree, node: int, child: int, reach: float) -> int:
+    """Sum up the parent's rows that have one sign throughout the child, list the others; returns how many those are.
+
+    centre, reach: where the child is, as `_enter` gives.
+    """
+    p, part = tree.at.size, tree.part
     for k in range(p + 1):
-        tree.sums[child, k], carry[k] = tree.sums[node, k], 0.0
+        tree.sums[child, k], tree.carry[k], part[k] = tree.sums[node, k], 0.0, 0.0
     free, left = tree.used[USED_UNDECIDED], 0
     for i in range(tree.nodes[node, COUNT]):
         row = _row(tree, tree.nodes[node, START], i)
-        residual = _residual(tree.rows[row], centre)
+        residual = _residual(tree.rows[row], tree.centre)
         if abs(residual) < reach * tree.rows[row, p + 1]:
             tree.undecided[free + left] = row
             left += 1
-            continue
-        sign = 1.0 if residual >= 0.0 else -1.0
-        for k in range(p + 1):
-            tree.sums[child, k], carry[k] = _add(tree.sums[child, k], carry[k], sign * tree.rows[row, k])
+        else:
+            sign = 1.0 if residual >= 0.0 else -1.0
+            for k in range(p + 1):
+                part[k] += sign * tree.rows[row, k]
+        if i % _TOGETHER == _TOGETHER - 1:
+            _add_part(tree, child)
+    _add_part(tree, child)
     for k in range(p + 1):
-        tree.sums[child, k] += carry[k]
+        tree.sums[child, k] += tree.carry[k]
     return left
+
+
+@compiled_no_refcount
+def _add_part(tree: Tree, node: int) -> None:
+    """Add the sums of a few rows to those of a cell, and begin new ones."""
+    for k in range(tree.part.size):
+        tree.sums[node, k], tree.carry[k] = _add(tree.sums[node, k], tree.carry[k], tree.part[k])
+        tree.part[k] = 0.0
 
 
 @compiled_no_refcount

@@ -36,8 +36,8 @@ RECENT: Final = 8
 _FINEST: Final = 1e-6
 """The least part of the largest direction's weight that a direction is given: collinear columns have one of none."""
 
-_LISTED: Final = 1 << 25
-"""Places for undecided rows, 128 MiB, beyond which no more are provided than are needed."""
+_LISTED: Final = 1 << 26
+"""Places for undecided rows, 256 MiB, beyond which no more are provided than are needed."""
 
 _NODES: Final = 1 << 16
 
@@ -83,6 +83,7 @@ class Tree(NamedTuple):
     left: Vector
     centre: Vector
     carry: Vector
+    part: Vector
 
 
 def grow(columns: Matrix, torque: Vector, bounds: Bounds) -> Tree:
@@ -128,7 +129,7 @@ def _space(n: int, p: int) -> dict[str, Any]:
         "nodes": nodes,
         "sums": np.zeros((_NODES, p + 1)),
         # a path holds n at most: each list is half as long as the one before; and there is room for one under way
-        "undecided": np.empty(max(3 * n, min(max(20 * n, 1 << 19), _LISTED)), np.int32),
+        "undecided": np.empty(max(3 * n, min(max(60 * n, 1 << 19), _LISTED)), np.int32),
         "leaves": np.empty((_NODES * LEAF // LANES, p + 1, LANES)),
         "table": np.full(2 * _NODES, -1, np.int32),
         "recent": np.full(RECENT, -1),
@@ -139,6 +140,7 @@ def _space(n: int, p: int) -> dict[str, Any]:
         "left": np.empty(LANES),
         "centre": np.empty(p),
         "carry": np.empty(p + 1),
+        "part": np.empty(p + 1),
     }
 
 
