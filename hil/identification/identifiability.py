@@ -29,6 +29,7 @@ from hil.uncertainty.criteria import (
     friction_likeness,
     narrow,
 )
+from hil.uncertainty.instruments import DeflectionErrors
 from hil.uncertainty.stationarity import VarianceComponents
 
 Array = NDArray[np.float64]
@@ -42,7 +43,8 @@ class Evidence:
 
     columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters. exact: the values and
     half the intervals given the model, where `values` and `errors` are averaged over models. scattered: the variance
-    components of pooled recordings. gap: of the optimiser, relative. unmoved: why nothing moved, "" where it did.
+    components of pooled recordings. gap: of the optimiser, relative. deflection: what its errors do to the values, None
+    where the rate was recorded too. unmoved: why nothing moved, "" where it did.
     selected: whether the model was selected, and not named.
     """
 
@@ -58,6 +60,7 @@ class Evidence:
     gap: float
     holdout: Validation
     exact: tuple[Array, Array]
+    deflection: DeflectionErrors | None = None
     unmoved: str = ""
     selected: bool = False
 

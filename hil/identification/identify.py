@@ -29,6 +29,7 @@ from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.fitting.bounds import bounds_for, narrowed
+from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
 from hil.identification.fitting.exact import solved, unproven
 from hil.identification.fitting.validation import validated
 from hil.identification.identifiability import Evidence, estimates, judge, rivals, sliding
@@ -152,6 +153,7 @@ def _identified(
                 + _stationarity(data, solution)
                 + judge(evidence)
                 + rivals(steps, found)
+                + deflection_diagnostics(evidence)
                 + misfit_diagnostics(data.choice.model.name, fit, dynamic)
             ),
             signals=data.signals,
@@ -159,6 +161,7 @@ def _identified(
             torque_uncertainty=data.uncertainty,
             lack_of_fit=fit,
             dynamic_stiffness=dynamic,
+            deflection=summarised(evidence),
         )
 
 
@@ -174,14 +177,18 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     sampling = confidence_intervals(solution.blocks, solution.values)
     pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
     values, chosen = _averaged(data, solution, sampling.half_width)
+    deflection = read_with_errors(data, solution.values, sampling.half_width)
+    if deflection:
+        values, chosen = values + deflection.change, np.hypot(chosen, deflection.half_width)
     exact = pooled.with_torque_uncertainty(data.uncertainty, solution.values, scales)
+    own = np.hypot(exact.half_width, deflection.half_width) if deflection else exact.half_width
     return Evidence(
         model=data.choice.model,
         signals=data.signals,
         columns=solution.columns,
         values=values,
         errors=exact.with_choice(chosen, sampling.half_width),
-        exact=(solution.values, exact.half_width),
+        exact=(solution.values, own),
         scattered=components,
         trials=solution.trials,
         low=solution.low,
@@ -189,6 +196,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         gap=solution.gap,
         holdout=validated(data, solution.blocks, solution.values, np.isfinite(sampling.half_width)),
         selected=bool(data.choice.steps),
+        deflection=deflection,
         unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
     )
 

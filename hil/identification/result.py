@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from hil.identification.model_choice import Coupling
 from hil.identification.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
+from hil.uncertainty.instruments import Method
 from hil.uncertainty.lack_of_fit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 
@@ -98,6 +100,25 @@ class Fixture:
 
 
 @dataclass(frozen=True, slots=True)
+class Deflection:
+    """The errors of the deflection: noise in rad, standard deviation; counts of the encoder, peak to peak.
+
+    low_pass: Hz, of the low-pass that deflection and rate come from, None where they were clean enough without.
+    method: by which Kc and Bc were corrected. strength: of the command as an instrument, 0 to 1; None: not needed or
+    not recorded. before: how far Kc and Bc were from their values before the correction, relative; predicted: the same
+    by a simulation of the errors.
+    """
+
+    noise: float
+    counts: float
+    low_pass: float | None
+    method: Method
+    strength: float | None
+    before: Mapping[str, float]
+    predicted: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Identification:
     """The result of `hil identify`.
 
@@ -107,6 +128,7 @@ class Identification:
     lack_of_fit: the test whether the model describes the recordings; dynamic_stiffness: of the joint without a model;
     None where the recordings are too short. fixture: the fixture that was removed, None where it counts as rigid.
     fitted (n,): which of the signals the model was fitted to.
+    deflection: its errors, None where they are too small to do anything.
     """
 
     recordings: tuple[Path, ...]
@@ -130,6 +152,7 @@ class Identification:
     lack_of_fit: LackOfFit | None = None
     dynamic_stiffness: DynamicStiffness | None = None
     fixture: Fixture | None = None
+    deflection: Deflection | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         return next(estimate for estimate in self.estimates if estimate.name == name)

@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
+from hil.report.deflection import deflection_json, deflection_lines
 from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
 from hil.report.lack_of_fit import dynamic_stiffness_json, lack_of_fit_json
 
@@ -55,6 +56,7 @@ def as_json(found: Identification) -> dict[str, Any]:
         "model_selection": [_step(step) for step in found.steps],
         "lack_of_fit": lack_of_fit_json(found.lack_of_fit),
         "dynamic_stiffness": dynamic_stiffness_json(found.dynamic_stiffness),
+        "deflection": None if found.deflection is None else deflection_json(found.deflection),
         "fixture": None if found.fixture is None else _fixture(found.fixture),
     }
 
@@ -268,6 +270,7 @@ def identification_lines(found: Identification) -> list[str]:
         f"RMS {found.validation.nrmse:.2%} of the torque's",
         *_choice_lines(found),
         *_component_lines(found),
+        *deflection_lines(found.deflection),
         *_fixture_lines(found),
         *([] if found.steps else ["the intervals assume this model: --model auto selects its terms from the data"]),
         f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
@@ -285,6 +288,7 @@ def summary_lines(found: Identification) -> list[str]:
         f"mean |torque error| {found.optimum * factor:.3g} {unit} over {found.samples} samples; "
         f"RMS {found.validation.nrmse:.2%} of the torque's on held-out data; optimiser gap {found.optimiser_gap:.1e}",
         *_component_lines(found),
+        *deflection_lines(found.deflection),
         *_fixture_lines(found),
         f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s; more with --verbose",

@@ -22,7 +22,7 @@ from hil.recording.reader import Recording
 from hil.signals.angle import frozen, unwrapped
 from hil.signals.joint_time import interpolated, is_fresh
 from hil.signals.savitzky_golay import local_polynomial
-from hil.signals.windows import Window, is_whole, window_for
+from hil.signals.windows import Window, window_for
 from hil.stand.file import StandTable
 from hil.stand.transmission import Transmission
 
@@ -68,7 +68,8 @@ class Signals:
     """How the joint moved, and its torque (n,), N m, as it was read.
 
     band: Hz, the excited band. rate_window: s, the width of the local polynomial, 0 where the rate was recorded.
-    torque_from: "joint", "motor", "given" or, of several, "mixed".
+    torque_from: "joint", "motor", "given" or, of several, "mixed". window: that rate and acceleration were computed in,
+    of several that of the noisiest, None where the rate was recorded.
     """
 
     motion: Motion
@@ -77,6 +78,7 @@ class Signals:
     band: tuple[float, float]
     rate_window: float
     torque_from: str
+    window: Window | None = None
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -114,6 +116,7 @@ def joined(parts: list[Signals]) -> Signals:
         defects=sum((part.defects for part in parts), Defects()),
         band=(min(part.band[0] for part in parts), max(part.band[1] for part in parts)),
         rate_window=max(part.rate_window for part in parts),
+        window=max((part.window for part in parts if part.window), key=lambda one: one.of_deflection, default=None),
         torque_from=parts[0].torque_from if len({part.torque_from for part in parts}) == 1 else "mixed",
     )
 
@@ -161,7 +164,7 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     # of a part of a recording it would not be known by how many turns it is off
     dtheta, wraps = unwrapped(usable.dtheta)
     usable = replace(usable, dtheta=dtheta, wraps=wraps)
-    window = window_for(spread_stamps(usable.time)[0], usable.dtheta)
+    window = window_for(spread_stamps(usable.time)[0], usable.dtheta, usable.torque)
     return _signals(usable, columns, window, (0, len(recording)))
 
 
@@ -193,7 +196,7 @@ def glimpse(recording: Recording, stand: StandTable | None, parts: int = 16, row
 def _probed(recording: Recording, columns: _Columns) -> Window:
     first = _usable(recording, columns, 0, min(_PROBE, len(recording)))
     _refuse_hopeless(recording, first)
-    return window_for(spread_stamps(first.time)[0], first.dtheta)
+    return window_for(spread_stamps(first.time)[0], first.dtheta, first.torque)
 
 
 def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
@@ -240,11 +243,10 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
         rate = usable.reported_rate
         acceleration = local_polynomial(time, rate, window.curvature, 1)
     else:
-        rate = local_polynomial(time, dtheta, window.slope, 1)
-        acceleration = local_polynomial(time, dtheta, window.curvature, 2)
+        dtheta, rate, acceleration = window.moved(time, dtheta)
     torque, known = _at_joint(usable.torque, rate, acceleration, columns)
     inside = _within(usable.row, rows)
-    sound = np.ones(len(time), dtype=bool) if columns.rate_given else is_whole(time, window)
+    sound = np.ones(len(time), dtype=bool) if columns.rate_given else window.sound(time)
     starts, long_enough = _stretches(time, sound, window.step)
     kept = long_enough & inside
     if columns.own_time:
@@ -273,6 +275,7 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
         ),
         band=window.band,
         rate_window=0.0 if columns.rate_given else (2 * window.slope + 1) * window.step,
+        window=None if columns.rate_given else window,
         torque_from="motor" if columns.motor_side else ("given" if columns.stand is None else "joint"),
     )
 

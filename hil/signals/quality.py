@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from drivers.servo import Status
 from hil.diagnostics import Diagnostic, driven_by_position, lateness
 from hil.recording.reader import Recording
+from hil.signals.deflection_noise import smallest_step
 from hil.signals.plausibility import Swing, implausible
 from hil.signals.prepare import Defects, Signals
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
@@ -60,7 +61,7 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
         torque_from=stretches[0].torque_from,
         torque=float(np.ptp(torque)),
         deflection=float(np.ptp(dtheta)),
-        deflection_lsb=_smallest_step(dtheta),
+        deflection_lsb=_count(stretches[0], dtheta),
         torque_noise=noise,
         snr=10.0 * float(np.log10(variance / noise**2)) if noise > 0.0 else float("inf"),
     )
@@ -164,7 +165,7 @@ def _noise(signals: Signals) -> float:
     return 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
 
 
-def _smallest_step(values: Array) -> float:
-    """The smallest difference between two readings that is more than rounding."""
-    steps = np.diff(np.unique(values))
-    return float(steps[steps > 1e-9 * np.ptp(values)].min())
+def _count(stretch: Signals, dtheta: Array) -> float:
+    """The smallest step between two readings of the deflection, which a low-pass takes away."""
+    is_read = stretch.window is None or stretch.window.low_pass is None
+    return smallest_step(dtheta) if is_read or stretch.window is None else stretch.window.count

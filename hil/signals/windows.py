@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.deflection_noise import FEW_COUNTS, Read, disturbs, smallest_step
+from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
 
 Array = NDArray[np.float64]
@@ -20,6 +22,8 @@ _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the
 _WIDER = 9  # samples on each side of a window, beside which a narrower one shows where the rate is wrong
 _UNSURE, _BEYOND_NOISE = 0.01, 8.0  # of the r.m.s. rate, and times the usual difference, from which it is
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
+_LOOKED = 1 << 18  # samples that the noise of the deflection is held against the torque of
+_MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
 _TAPER = 0.02  # of a recording at each end
 
 
@@ -28,7 +32,8 @@ class Window:
     """The local polynomials of a recording.
 
     slope, curvature: neighbours a side. step: s, the median between two samples. band: Hz, the excited band. noise:
-    rad/s, the standard deviation of the slope's.
+    rad/s, the standard deviation of the slope's; of_deflection: rad, of the readings. count: rad, the smallest step
+    between two of these. low_pass: what is used in place of the polynomials where that noise would reach Kc or Bc.
     """
 
     slope: int
@@ -36,17 +41,37 @@ class Window:
     step: float
     band: tuple[float, float]
     noise: float
+    of_deflection: float
+    count: float
+    low_pass: LowPass | None = None
 
     @property
     def widest(self) -> int:
         """The larger number of neighbours a side."""
-        return max(self.slope, self.curvature)
+        return max(self.slope, self.curvature, self.low_pass.half if self.low_pass else 0)
+
+    def moved(self, time: Array, dtheta: Array) -> tuple[Array, Array, Array]:
+        """Return deflection, rate and acceleration (n,) of readings (n,) rad at rising stamps (n,) s."""
+        if self.low_pass:
+            return passed(time, dtheta, self.low_pass)
+        rate = local_polynomial(time, dtheta, self.slope, 1)
+        return dtheta, rate, local_polynomial(time, dtheta, self.curvature, 2)
+
+    def sound(self, time: Array) -> NDArray[np.bool_]:
+        """Return whether (n,) each sample has all the neighbours that its rate is computed from."""
+        return is_sound(time, self.low_pass) if self.low_pass else is_whole(time, self)
 
 
-def window_for(time: Array, dtheta: Array) -> Window:
-    """Return the widest windows that the excited band allows, the slope's narrowed as far as its noise permits."""
-    step = float(np.median(np.diff(time)))
-    band = excited_band(time, dtheta)
+def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
+    """Return the widest windows that the excited band allows, the slope's narrowed as far as its noise permits.
+
+    The noise of the deflection (n,) rad is held against the torque (n,) N m, in which it would show.
+    """
+    step, count = float(np.median(np.diff(time))), smallest_step(dtheta)
+    rounding = count / float(np.sqrt(12.0))
+    # few counts round in step with the motion, which makes lines far above it
+    is_coarse = float(np.ptp(dtheta)) < FEW_COUNTS * count
+    band, floor = _band_and_floor(time, dtheta, rounding if is_coarse else 0.0)
     slope, curvature = windows(time, band[1])
     rate = local_polynomial(time, dtheta, slope, 1)
     left = np.abs(dtheta - local_polynomial(time, dtheta, _NARROWEST, 0))
@@ -54,7 +79,18 @@ def window_for(time: Array, dtheta: Array) -> Window:
     fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))
     slope = max(narrowed(slope, step, noise, rate), narrowed(slope, step, fastest, rate[fast]))
-    return Window(slope, curvature, step, band, noise * _amplified(slope, step))
+    found = Window(
+        slope, curvature, step, band, noise * _amplified(slope, step), max(min(noise, floor), rounding), count
+    )
+    some = slice(0, _LOOKED)
+    acceleration = local_polynomial(time[some], dtheta[some], curvature, 2)
+    read, of_rate = Read(torque[some], dtheta[some], rate[some], acceleration, step), _amplified(slope, step)
+    if not disturbs(read, found.of_deflection, found.of_deflection * of_rate):
+        return found
+    low_pass = low_pass_for(time, band[1], min(slope, _NARROWEST))
+    if low_pass is None:
+        return found
+    return replace(found, noise=float(low_pass.amplification()[1]) * found.of_deflection, low_pass=low_pass)
 
 
 def narrowed(slope: int, step: float, noise: float, rate: Array) -> int:
@@ -106,8 +142,16 @@ def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
     """Return the excited band, Hz: the frequencies at which the deflection (n,) rad is above its own noise.
 
     It reaches from 1 % of the deflection's power at the lower end to 99 % of the rate's at the upper. The noise floor
-    is the median density in the upper half of the spectrum. Only the very ends are tapered, since a chirp is fastest at
-    its end.
+    is the median density in the upper half of the spectrum.
+    """
+    return _band_and_floor(time, dtheta)[0]
+
+
+def _band_and_floor(time: Array, dtheta: Array, least: float = 0.0) -> tuple[tuple[float, float], float]:
+    """The excited band, Hz, and the standard deviation of white noise, rad, that has the noise floor's density.
+
+    least: rad, white noise that the floor is at least made of.
+    Only the very ends are tapered, since a chirp is fastest at its end.
     """
     count = len(time)
     uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
@@ -117,10 +161,13 @@ def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
     frequency = np.fft.rfftfreq(count, step)
     density = np.convolve(spectrum, np.full(5, 0.2), mode="same")
     floor = float(np.median(density[len(density) // 2 :]))
+    of_white = _MEDIAN * float(np.sum((taper * taper[::-1]) ** 2))  # the density of white noise of 1 rad
+    floor = max(floor, least**2 * of_white)
+    noise = float(np.sqrt(floor / of_white))
     excited = np.where(density > 10.0 * floor, density - floor, 0.0)[1:]
     if not excited.any():
-        return float(frequency[1]), float(frequency[-1])
+        return (float(frequency[1]), float(frequency[-1])), noise
     power, rate_power = np.cumsum(excited), np.cumsum(excited * frequency[1:] ** 2)
     low = int(np.searchsorted(power, _LOW_SHARE * power[-1]))
     high = int(np.searchsorted(rate_power, _HIGH_SHARE * rate_power[-1]))
-    return float(frequency[1 + low]), float(frequency[1 + max(low, high)])
+    return (float(frequency[1 + low]), float(frequency[1 + max(low, high)])), noise

@@ -1,0 +1,112 @@
+"""What errors of the deflection did to Kc and Bc, for the result: the change, its summary and its diagnostics."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnostics import Diagnostic
+from hil.identification.dataset import Dataset
+from hil.identification.identifiability import Evidence
+from hil.identification.result import Deflection
+from hil.uncertainty.criteria import COUPLING, INTERVAL
+from hil.uncertainty.instruments import DeflectionErrors, Fitted, deflection_errors
+
+Array = NDArray[np.float64]
+
+_SAID = (5e-3, 0.03)  # changes of Kc and Bc, relative, from which they are a warning
+_FEW = {"instruments": 5.0, "simulation": 10.0, "none": 10.0}  # counts, below which Bc is wrong whatever is done
+_FIRST_ORDER = 0.15  # a simulated change, relative, from which the simulation is too rough
+_REMEDY = "use a larger amplitude or a finer encoder"
+
+
+def read_with_errors(data: Dataset, values: Array, half_width: Array) -> DeflectionErrors | None:
+    """Return what errors of the deflection did to the exact optimum; None where the rate was recorded beside it.
+
+    values (p + q,): of the exact optimum, half_width (p + q,): of its intervals, SI.
+    """
+    model, window = data.choice.model, data.signals.window
+    places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in COUPLING]
+    if window is None or not places or not np.isfinite(half_width[places]).all():
+        return None
+    p = len(model.linear)
+    return deflection_errors(
+        Fitted(
+            model=model,
+            motion=data.signals.motion,
+            torque=data.signals.torque,
+            used=data.used,
+            genes=values[:p],
+            nonlinear=values[p:],
+            half_width=half_width,
+            decisive=tuple(places),
+            window=window,
+            command=data.command,
+        )
+    )
+
+
+def summarised(evidence: Evidence) -> Deflection | None:
+    """Return the summary for the result; None where the errors of the deflection are too small to do anything."""
+    found = evidence.deflection
+    if found is None or (found.method == "none" and found.low_pass is None):
+        return None
+    return Deflection(
+        noise=found.noise,
+        counts=found.counts,
+        low_pass=found.low_pass,
+        method=found.method,
+        strength=found.strength,
+        before={name: -one for name, one in _relative(evidence, found.change).items()},
+        predicted={name: -one for name, one in _relative(evidence, found.predicted).items()},
+    )
+
+
+def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
+    """Return warnings where Kc or Bc was corrected by much, and errors where it cannot be."""
+    found = evidence.deflection
+    if found is None:
+        return []
+    if found.counts < _FEW[found.method] and "Bc" in evidence.names:
+        text = f"the deflection spans {found.counts:.0f} counts of the encoder: Bc cannot be identified; {_REMEDY}"
+        return [Diagnostic("few-counts", text, "Bc", is_error=True)]
+    if found.method == "none":
+        return []
+    changes = _relative(evidence, found.change)
+    most = INTERVAL if found.method == "instruments" else _FIRST_ORDER
+    said = [
+        Diagnostic("deflection-noise", f"{_cause(found)}: {name} cannot be identified; {_REMEDY}", name, is_error=True)
+        for name, change in changes.items()
+        if not abs(change) < most
+    ]
+    sizes = [abs(changes.get(name, 0.0)) for name in COUPLING]
+    if not said and any(size > least for size, least in zip(sizes, _SAID, strict=True)):
+        how = "by the command" if found.method == "instruments" else "by a simulation of the noise, which is less sure"
+        moved = " and ".join(f"{name} by {100.0 * change:+.2g} %" for name, change in changes.items())
+        said.append(Diagnostic("deflection-noise", f"{_cause(found)}: it is corrected {how}, {moved}; {_REMEDY}"))
+    return said + _weak(found)
+
+
+def _weak(found: DeflectionErrors) -> list[Diagnostic]:
+    if not found.is_weak:
+        return []
+    text = (
+        "the motion hardly follows the recorded command, so that Kc and Bc are corrected by a simulation of the "
+        "deflection's noise and not by the command: record the set-point that was driven"
+    )
+    return [Diagnostic("weak-command", text)]
+
+
+def _cause(found: DeflectionErrors) -> str:
+    return f"noise of {1e3 * found.noise:.2g} mrad in the deflection makes Kc and Bc too small"
+
+
+def _relative(evidence: Evidence, change: Array) -> dict[str, float]:
+    """A change (p + q,) of Kc and Bc, relative to what they are with it."""
+    found: dict[str, float] = {}
+    for name in COUPLING:
+        if name in evidence.names:
+            at = evidence.names.index(name)
+            value = float(evidence.values[at])
+            found[name] = float(change[at]) / abs(value) if value else np.inf
+    return found

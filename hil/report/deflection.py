@@ -1,0 +1,38 @@
+"""The errors of the deflection in the result of `hil identify`: a line, and the JSON."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hil.report.formatting import engineering, json_number
+
+if TYPE_CHECKING:
+    from hil.identification.result import Deflection
+
+_METHODS = {"instruments": "by instruments, from the command", "simulation": "corrected by a simulation of the noise"}
+
+
+def deflection_json(deflection: Deflection) -> dict[str, Any]:
+    """Return the entry "deflection" of the JSON object."""
+    return {
+        "noise": deflection.noise,
+        "counts": json_number(deflection.counts),
+        "low_pass": deflection.low_pass,
+        "method": deflection.method,
+        "instrument_strength": deflection.strength,
+        "before": {name: json_number(one) for name, one in deflection.before.items()},
+        "predicted": {name: json_number(one) for name, one in deflection.predicted.items()},
+    }
+
+
+def deflection_lines(one: Deflection | None) -> list[str]:
+    """Return a line on the noise of the deflection and what was done about it; none where it does nothing."""
+    if one is None:
+        return []
+    noise = f"noise of {engineering(one.noise, 'rad', 2)} in the deflection"
+    passed = "" if one.low_pass is None else f", which went through a low-pass of {one.low_pass:.3g} Hz"
+    if one.method == "none":
+        left = ", ".join(f"{name} {100.0 * size:+.1g} %" for name, size in one.predicted.items())
+        return [f"{noise}{passed}: what is left of it does not matter ({left})"]
+    before = ", ".join(f"{name} {100.0 * size:+.2g} %" for name, size in one.before.items())
+    return [f"{noise}{passed}: Kc and Bc {_METHODS[one.method]} (before: {before})"]

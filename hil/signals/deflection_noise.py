@@ -1,0 +1,59 @@
+"""Whether noise or counts of the deflection would reach Kc and Bc, predicted before anything is identified.
+
+Noise in a regressor makes its parameter too small, by the noise's share of its power. And a delay by a part of a sample
+averages the noise of the readings away, so that a skew is drawn to where it averages most, and Bc with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FEW_COUNTS: Final = 40.0
+"""Counts of the encoder, peak to peak, below which they are no white noise: they round in step with the motion."""
+
+_MATTERS: Final = 5e-4  # of Kc or Bc
+_DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """What was read: torque (n,) N m, deflection (n,) rad, its rate and acceleration (n,), s between two readings."""
+
+    torque: Array
+    dtheta: Array
+    rate: Array
+    acceleration: Array
+    step: float
+
+
+def smallest_step(dtheta: Array) -> float:
+    """Return the smallest difference, rad, between two readings (n,) that is more than rounding; 0 without one."""
+    steps = np.diff(np.unique(dtheta))
+    steps = steps[steps > 1e-9 * float(np.ptp(dtheta))]
+    return float(steps.min()) if steps.size else 0.0
+
+
+def disturbs(read: Read, noise: float, rate_noise: float) -> bool:
+    """Return whether noise of the deflection, rad, and of its rate, rad/s, would change Kc or Bc by 0.05 %."""
+    attenuated = max(noise**2 / float(np.var(read.dtheta)), rate_noise**2 / max(float(np.var(read.rate)), 1e-300))
+    return bool(attenuated > _MATTERS or _drawn(read, noise) > _MATTERS)
+
+
+def _drawn(read: Read, noise: float) -> float:
+    """By how much a false skew would change Bc, relative."""
+    columns = np.stack([np.ones_like(read.rate), read.dtheta, read.rate, read.acceleration], axis=1)
+    _, stiffness, damping, _inertia = np.linalg.lstsq(columns, read.torque, rcond=None)[0].tolist()
+    # what of the torque's slope no Kc and Bc can make
+    slope = damping * read.acceleration
+    others = columns[:, :3]
+    alone = slope - others @ np.linalg.lstsq(others, slope, rcond=None)[0]
+    gained = _DRAWN * (stiffness * noise) ** 2 / read.step
+    longest = 0.5 * read.step
+    drawn = min(longest, gained / max(float(np.mean(alone**2)), 1e-300))
+    return float(abs(stiffness * drawn / damping)) if damping else np.inf

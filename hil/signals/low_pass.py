@@ -1,0 +1,137 @@
+"""Deflection, rate and acceleration from one low-pass, for readings whose noise or counts would reach Kc and Bc.
+
+A local polynomial is flat over the excited band and falls slowly beyond it, so that it passes a lot of noise; and where
+the deflection is taken as it was read, a model that delays it by a part of a sample averages its noise away, which
+looks like a skew. Here all three come from one finite impulse response without phase shift, of Kaiser's (1974) window:
+the second and third are its derivatives, so that the rate is the slope of the deflection whatever delays both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.signals.savitzky_golay import local_polynomial
+
+Array = NDArray[np.float64]
+
+_ATTENUATION: Final = 70.0  # dB, in the stop band; in the pass band as little is lost, 0.03 %
+_BETA: Final = 0.1102 * (_ATTENUATION - 8.7)  # of the window, by Kaiser's formula
+_FINER: Final = 64  # points a step, for the derivatives of the weights
+_PASSED: Final = 1.1  # times the highest frequency, up to where all is passed
+_STOPPED: Final = 1.6  # times it, from where nothing is
+_NYQUIST: Final = 0.9  # part of half the sampling rate that the stop band must begin below
+_SIGNALS: Final = 3  # deflection, rate, acceleration
+_BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
+_LEFT: Final = 0.8  # of the samples, that must remain
+_EVEN: Final = 1e-3  # of a step, within which stamps are even
+
+
+@dataclass(frozen=True, slots=True)
+class LowPass:
+    """A low-pass. cut: Hz, the middle of its transition. half: neighbours a side. step: s between two samples.
+
+    near: neighbours a side of the local polynomial that takes readings with uneven stamps to an even grid.
+    """
+
+    cut: float
+    half: int
+    step: float
+    near: int
+
+    def kernels(self) -> Array:
+        """Return the weights (3, 2*half+1) of value, slope per s and curvature per s^2."""
+        reach = (self.half + 1) * self.step
+        fine = np.arange(-_FINER * (self.half + 1), _FINER * (self.half + 1) + 1) * (self.step / _FINER)
+        window = np.i0(_BETA * np.sqrt(np.maximum(1.0 - (fine / reach) ** 2, 0.0))) - 1.0
+        weights = np.sinc(2.0 * self.cut * fine) * window
+        weights *= _FINER / weights.sum()
+        slope = np.gradient(weights, fine)
+        # the samples of a smooth function: what lies between them needs no kernel of its own
+        found = np.array([of[_FINER:-_FINER:_FINER] for of in (weights, slope, np.gradient(slope, fine))])
+        found[0] /= found[0].sum()
+        found[2] -= found[2].mean()
+        return found
+
+    def amplification(self) -> Array:
+        """Return the standard deviations (3,) of value, slope and curvature for white noise of 1 rad."""
+        return np.asarray(np.linalg.norm(self.kernels(), axis=1))
+
+
+def low_pass_for(time: Array, highest: float, near: int) -> LowPass | None:
+    """Return the low-pass that passes up to `highest`, Hz; None where samples (n,) s are too few or too far apart.
+
+    near: neighbours a side of a local polynomial that passes as much.
+    """
+    step = float(np.median(np.diff(time)))
+    edge, stop = _PASSED * highest, _STOPPED * highest
+    if stop * 2.0 * step > _NYQUIST:
+        return None
+    # Kaiser's formula for the length
+    half = int(np.ceil((_ATTENUATION - 7.95) / (2.0 * 14.36 * (stop - edge) * step)))
+    found = LowPass(0.5 * (edge + stop), half, step, near)
+    return found if float(np.mean(is_sound(time, found))) >= _LEFT else None
+
+
+def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array, Array]:
+    """Return value, slope and curvature (n,) of readings (n,) at their stamps (n,) s, rising.
+
+    They are right where `is_sound`.
+    """
+    found = np.empty((_SIGNALS, len(time)))
+    kernels = low_pass.kernels()
+    for part in _stretches(time, low_pass.step):
+        found[:, part] = _passed(time[part], values[part], low_pass, kernels)
+    value, slope, curvature = found
+    return value, slope, curvature
+
+
+def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
+    """Return whether (n,) each sample has all neighbours that the low-pass reaches to, with no gap between them."""
+    found = np.zeros(len(time), dtype=bool)
+    for part in _stretches(time, low_pass.step):
+        found[part.start + low_pass.half : max(part.stop - low_pass.half, part.start + low_pass.half)] = True
+    return found
+
+
+def _stretches(time: Array, step: float) -> list[slice]:
+    """Samples between which so little is lost that it can be interpolated."""
+    breaks = np.flatnonzero(np.diff(time) > _BRIDGED * step) + 1
+    return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
+
+
+def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array) -> Array:
+    """The same of a stretch without gaps, (3, n)."""
+    from scipy.interpolate import CubicHermiteSpline
+    from scipy.signal import oaconvolve
+
+    grid = np.linspace(time[0], time[-1], 1 + round((time[-1] - time[0]) / low_pass.step))
+    is_even = len(grid) == len(time) and bool(np.all(np.abs(grid - time) < _EVEN * low_pass.step))
+    even = values if is_even or len(time) < 2 * low_pass.near + 1 else _on_grid(grid, time, values, low_pass.near)
+    if len(even) != len(grid):  # too few to be used
+        return np.full((_SIGNALS, len(time)), np.nan)
+    padded = np.pad(even - even[0], low_pass.half, mode="edge")
+    found = np.array([oaconvolve(padded, kernel, mode="valid") for kernel in kernels])
+    found[0] += even[0]
+    if is_even:
+        return found
+    value, slope, curvature = found
+    return np.array(
+        [
+            CubicHermiteSpline(grid, value, slope)(time),
+            CubicHermiteSpline(grid, slope, curvature)(time),
+            np.interp(time, grid, curvature),
+        ]
+    )
+
+
+def _on_grid(grid: Array, time: Array, values: Array, near: int) -> Array:
+    """Readings at even times: a spline through noisy readings of which two are close would swing."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    found = [local_polynomial(time, values, near, order) for order in (0, 1)]
+    return np.asarray(CubicHermiteSpline(time, *found)(grid))

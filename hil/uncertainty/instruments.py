@@ -1,0 +1,249 @@
+"""Errors of the deflection in the parameters: taken off by instruments, or as far as a simulation of them says.
+
+Noise and counts of the deflection stand in the regressors, so that a fit makes Kc and Bc too small (errors in
+variables: Soderstrom 2007). What as many errors again do to the parameters is simulated (Cook and Stefanski 1994).
+Where the command was recorded there is a better way: the motion that follows from the command by a short filter is
+free of the readings' errors, and the model's columns for it are instruments (Young 2011; Pintelon and Schoukens 2012,
+section 2.7). The command need not be what was driven, only go with it: how well it does is measured by how much less
+certain the instruments make the parameters. Both act on the model linearised at its exact optimum, and so on nonlinear
+parameters too. Nothing is changed where the change is small beside the intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.separable import SeparableModel
+from ga.model.trajectory import Motion
+from hil.signals.deflection_noise import FEW_COUNTS
+from hil.signals.windows import Window
+from hil.uncertainty.effects import Recorded
+
+Array = NDArray[np.float64]
+
+_SAMPLES: Final = 40_000  # in a row, that are looked at
+_FEWEST: Final = 400  # samples, below which nothing is corrected
+_PAIRS: Final = 4  # of simulated errors, of either sign
+_MATTERS: Final = 0.1  # of half an interval, from which a change is made
+_NOTHING: Final = 2e-5  # of the power of deflection and rate, below which their errors are not looked at
+_LEVEL: Final = 0.3  # of a simulated change, half the interval of its size: the errors' level is not known better
+_WEAK: Final = 0.25  # of the information without instruments, below which they are too weak
+_DELAYS: Final = (-1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the filter from command to motion, in eighths of a period
+_BLOCKS: Final = 32  # in time, of which the error of a change is estimated
+_CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
+_NORMAL: Final = 1.959964
+
+Method = Literal["none", "simulation", "instruments"]
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A model at its exact optimum, SI. torque (n,) N m as read; used (n,): the samples that it was fitted to.
+
+    genes (p,), nonlinear (q,): its parameters. half_width (p + q,): of their intervals. decisive: the places of the
+    parameters that decide whether anything is changed. command (n,): None where it was not recorded.
+    """
+
+    model: SeparableModel
+    motion: Motion
+    torque: Array
+    used: NDArray[np.bool_]
+    genes: Array
+    nonlinear: Array
+    half_width: Array
+    decisive: tuple[int, ...]
+    window: Window
+    command: Array | None
+
+    def part(self) -> Fitted:
+        """Return the fit on samples in a row from the middle of the recording."""
+        first = max(0, (len(self.motion) - _SAMPLES) // 2)
+        rows = slice(first, first + _SAMPLES)
+        motion = replace(self.motion.of(rows), part_of=None)
+        motion = replace(motion, starts=tuple(sorted({0, *(at for at in motion.starts if at < len(motion))})))
+        command = None if self.command is None else self.command[rows]
+        return replace(self, motion=motion, torque=self.torque[rows], used=self.used[rows], command=command)
+
+    def linearised(self, motion: Motion) -> tuple[Array, Array]:
+        """Return columns (n, p + q) and residuals (n,) N m of the model for another motion."""
+        genes, nonlinear = self.genes, self.nonlinear
+        lag = max(0.0, float(genes[1] / genes[0])) if self.model.needs_ratio and genes[0] > 0.0 else 0.0
+        columns = self.model.columns(motion, nonlinear, lag)
+        left = self.model.target(motion, self.torque, nonlinear) - columns @ genes
+        return np.concatenate([columns, self.model.jacobian(motion, nonlinear, genes, lag)], axis=1), left
+
+    def matters(self, change: Array) -> bool:
+        """Return whether a change (p + q,) is one that must be made."""
+        at = list(self.decisive)
+        return bool((np.abs(change[at]) > _MATTERS * self.half_width[at]).any())
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """A change of the parameters (p + q,), and half the 95 % interval of it."""
+
+    values: Array
+    half_width: Array
+
+
+@dataclass(frozen=True, eq=False)
+class DeflectionErrors:
+    """The errors of the deflection and what was done about them.
+
+    noise: rad, standard deviation of the readings' errors. counts: of the encoder, peak to peak. low_pass: Hz, of the
+    low-pass that the deflection went through, None for none. method: of the change. change (p + q,), SI: what is added
+    to the parameters; half_width (p + q,): half the 95 % interval of it. predicted (p + q,), SI: the change by
+    simulation. strength: 1 for a command that the motion follows, to 0; None where it was not recorded or not needed.
+    """
+
+    noise: float
+    counts: float
+    low_pass: float | None
+    method: Method
+    change: Array
+    half_width: Array
+    predicted: Array
+    strength: float | None = None
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether there is a command, and the motion does not follow it."""
+        return self.strength is not None and self.strength < _WEAK
+
+
+def deflection_errors(fitted: Fitted) -> DeflectionErrors:
+    """Return what the errors of the deflection do to the parameters, and the change by which they are corrected."""
+    part, window, nothing = fitted.part(), fitted.window, np.zeros(len(fitted.half_width))
+    counts = float(np.ptp(fitted.motion.dtheta)) / window.count if window.count else np.inf
+    low_pass = window.low_pass.cut if window.low_pass else None
+    found = DeflectionErrors(window.of_deflection, counts, low_pass, "none", nothing, nothing, nothing)
+    sound = window.sound(part.motion.time) & part.used
+    if np.count_nonzero(sound) < _FEWEST or not _disturbed(part):
+        return found
+    simulated, spread = _simulated(part, sound)
+    rounded = spread if counts < FEW_COUNTS else nothing
+    found = replace(found, predicted=simulated.values, half_width=rounded)
+    if not fitted.matters(simulated.values):
+        return found
+    instruments = _by_command(part, sound)
+    if instruments is not None:
+        found = replace(found, strength=instruments[1])
+    change = simulated if instruments is None or found.is_weak else instruments[0]
+    method: Method = "simulation" if change is simulated else "instruments"
+    return replace(found, method=method, change=change.values, half_width=np.hypot(change.half_width, rounded))
+
+
+def _disturbed(part: Fitted) -> bool:
+    window, motion = part.window, part.motion
+    passed = window.low_pass.amplification()[0] if window.low_pass else 1.0
+    shares = (
+        (passed * window.of_deflection) ** 2 / max(float(np.var(motion.dtheta)), 1e-300),
+        window.noise**2 / max(float(np.var(motion.dtheta_dot)), 1e-300),
+    )
+    return max(shares) > _NOTHING
+
+
+def _simulated(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, Array]:
+    """The change that takes off what the errors added, by adding as many again; and 1.96 times what they scatter.
+
+    The interval has that scatter already, unless it is of a rounding in step with the motion.
+    """
+
+    def step(motion: Motion) -> Array:
+        columns, left = part.linearised(motion)
+        return _solved(columns[sound], columns[sound], left[sound])
+
+    without = step(part.motion)
+    added = np.array([[step(_more(part, sign * one)) - without for sign in (1.0, -1.0)] for one in _errors(part)])
+    means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
+    change = -means.mean(axis=0)
+    error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
+    scatter = np.sqrt(np.mean((0.5 * (added[:, 0] - added[:, 1])) ** 2, axis=0))
+    return _Change(change, np.hypot(_LEVEL * change, _NORMAL * error)), _NORMAL * scatter
+
+
+def _more(part: Fitted, errors: Array) -> Motion:
+    """The motion with more errors (n,) rad in its readings."""
+    return _moved(part.motion, part.window.moved(part.motion.time, errors))
+
+
+def _errors(part: Fitted) -> Iterator[Array]:
+    """Errors (n,) rad as the readings may have them: noise, then rounding to counts."""
+    rng, count, span = np.random.default_rng(0), part.window.count, float(np.ptp(part.motion.dtheta))
+    beside = np.sqrt(max(0.0, part.window.of_deflection**2 - count**2 / 12.0))
+    for _ in range(_PAIRS):
+        noise = beside * rng.standard_normal(len(part.motion))
+        if count > 0.0:
+            # where the motion turns within a count decides how the rounding goes with it, and is not known
+            true = part.motion.dtheta * (1.0 + count / span * rng.uniform(-1.0, 1.0)) + noise + count * rng.random()
+            noise = noise + count * np.round(true / count) - true
+        yield noise
+
+
+def _moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
+    """The motion with more deflection, rate and acceleration (n,); the motor's own torque follows the latter two."""
+    value, slope, curvature = more
+    own = np.stack([motion.dtheta_dot, motion.dtheta_ddot], axis=1)
+    share = np.linalg.lstsq(own, motion.known, rcond=None)[0] if motion.known.any() else np.zeros(2)
+    return replace(
+        motion,
+        dtheta=motion.dtheta + value,
+        dtheta_dot=motion.dtheta_dot + slope,
+        dtheta_ddot=motion.dtheta_ddot + curvature,
+        known=motion.known + np.stack([slope, curvature], axis=1) @ share,
+        part_of=None,
+    )
+
+
+def _by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, float] | None:
+    """The change that the instruments make, and their strength; None without a command."""
+    if part.command is None or not np.isfinite(part.command).all() or np.ptp(part.command) == 0.0:
+        return None
+    followed = _followed(part, part.command, sound)
+    columns, left = (of[sound] for of in part.linearised(part.motion))
+    instruments, residuals = part.linearised(followed)[0][sound], _clipped(left)
+    sizes = np.linalg.norm(columns, axis=0)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    z, x = instruments / sizes, columns / sizes
+    across, own = np.linalg.pinv(z.T @ x), np.linalg.pinv(x.T @ x)
+    at = list(part.decisive)
+    less_certain = np.diag(across @ (z.T @ z) @ across.T)[at] / np.maximum(np.diag(own)[at], 1e-300)
+    each = (z @ across.T - x @ own) * residuals[:, None]
+    sums = np.add.reduceat(each, np.arange(_BLOCKS) * len(each) // _BLOCKS, axis=0)
+    error = np.sqrt(_BLOCKS * np.var(sums, axis=0, ddof=1))
+    change = _Change(each.sum(axis=0) / sizes, _NORMAL * error / sizes)
+    return change, float(min(1.0, 1.0 / max(float(less_certain.max()), 1e-300)))
+
+
+def _followed(part: Fitted, command: Array, sound: NDArray[np.bool_]) -> Motion:
+    """The motion that follows from the command by a filter of a few delays."""
+    motion, unit = part.motion, 1.0 / (8.0 * part.window.band[1])
+    recorded = Recorded(motion.time, part.torque, motion.dtheta, motion.dtheta_dot, motion.starts)
+    parts = part.window.moved(motion.time, command - command.mean())
+    value, *rates = (np.stack([recorded.delayed(one, lag * unit) for lag in _DELAYS], axis=1) for one in parts)
+    value = value - value[sound].mean(axis=0)
+    middle = float(motion.dtheta[sound].mean())
+    weights = np.linalg.lstsq(value[sound], motion.dtheta[sound] - middle, rcond=1e-9)[0]
+    less = (middle + value @ weights - motion.dtheta, *(of @ weights for of in rates))
+    return _moved(motion, (less[0], less[1] - motion.dtheta_dot, less[2] - motion.dtheta_ddot))
+
+
+def _solved(columns: Array, instruments: Array, left: Array) -> Array:
+    """By how much the parameters (p + q,) change until the residuals (n,) have nothing of the instruments."""
+    sizes = np.linalg.norm(columns, axis=0)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    gram = (instruments / sizes).T @ (columns / sizes)
+    found = np.linalg.lstsq(gram, (instruments / sizes).T @ _clipped(left), rcond=1e-12)[0]
+    return np.asarray(found / sizes)
+
+
+def _clipped(left: Array) -> Array:
+    """Residuals (n,) N m of Huber's (1964) estimate, of a size that a step by them is as long as by all."""
+    limit = _CLIPPED * 1.4826 * float(np.median(np.abs(left)))
+    inside = float(np.mean(np.abs(left) < limit))
+    return np.asarray(np.clip(left, -limit, limit) / max(0.5, inside))

@@ -1,0 +1,157 @@
+"""Kc and Bc of recordings whose deflection is noisy or coarse, against a closed form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from ga.model.coupling import parse
+from hil.identification.identify import Search, identify
+from hil.identification.model_choice import choose
+from hil.identification.result import Identification
+from hil.recording.reader import Array
+from hil.recording.writer import Header, write
+from hil.report.deflection import deflection_json, deflection_lines
+
+TIME = np.arange(10_000) / 500.0
+SEARCH = Search(trials=1, seed=0, workers=1)
+LINEAR = parse("linear+offset")
+
+
+def multisine() -> tuple[Array, Array]:
+    phases = np.random.default_rng(5).uniform(0.0, 2.0 * np.pi, 30)
+    speeds = 2.0 * np.pi * np.geomspace(0.2, 12.0, 30)
+    waves = np.exp(1j * (np.outer(TIME, speeds) + phases))
+    return waves.real.sum(axis=1), (1j * speeds * waves).real.sum(axis=1)
+
+
+def chirp() -> tuple[Array, Array]:
+    growth = math.log(60.0) / 20.0
+    phase, speed = 2.0 * np.pi * 0.2 * np.expm1(growth * TIME) / growth, 0.4 * np.pi * np.exp(growth * TIME)
+    return np.sin(phase), speed * np.cos(phase)
+
+
+def binary() -> tuple[Array, Array]:
+    """Random steps every 0.2 s, rounded by a Gaussian of 20 ms."""
+    at, width = np.arange(100) * 0.2, 0.02 * math.sqrt(2.0)
+    steps = np.diff(np.random.default_rng(6).choice([-1.0, 1.0], 101))
+    apart = (TIME[:, None] - at) / width
+    return 0.5 * erf(apart) @ steps, np.exp(-(apart**2)) @ steps / (width * math.sqrt(math.pi))
+
+
+Motion = Callable[[], tuple[Array, Array]]
+
+
+def recorded(
+    path: Path,
+    motion: Motion = multisine,
+    *,
+    noise: float = 0.0,
+    bits: int = 0,
+    peak: float = 0.25,
+    kc: float = 0.3,
+    bc: float = 3e-3,
+    torque_noise: float = 1e-3,
+    commanded: bool = True,
+    zero: float = 0.0,
+    seed: int = 0,
+) -> Identification:
+    """The linear model of a recording with white noise of so many rad, or counts, in its deflection."""
+    rng = np.random.default_rng([seed, 1])
+    angle, rate = motion()
+    scale = peak / float(np.abs(angle).max())
+    angle, rate = scale * angle, scale * rate
+    torque = kc * angle + bc * rate + torque_noise * rng.standard_normal(len(TIME))
+    read = angle + noise * rng.standard_normal(len(TIME)) + zero
+    count = 2.0 * math.pi / 2.0**bits
+    channels = {"time": TIME, "torque": torque, "dtheta": count * np.round(read / count) if bits else read}
+    write(path, Header(profile={}, stand_toml=""), channels | ({"command": angle} if commanded else {}), force=True)
+    return identify([path], LINEAR, SEARCH)
+
+
+def errors(found: Identification, kc: float = 0.3, bc: float = 3e-3) -> tuple[float, float]:
+    return found["Kc"].value / kc - 1.0, found["Bc"].value / bc - 1.0
+
+
+def holds(found: Identification, kc: float = 0.3, bc: float = 3e-3) -> bool:
+    """Whether 1.5 times the intervals of Kc and Bc hold the truth."""
+    apart = [(found[name].value - true, found[name].ci95) for name, true in (("Kc", kc), ("Bc", bc))]
+    return all(abs(error) < 0.75 * (high - low) for error, (low, high) in apart)
+
+
+CASES = [(0.5e-3, multisine, True), (2e-3, chirp, False), (2e-3, binary, True), (5e-3, multisine, False)]
+
+
+@pytest.mark.parametrize(("noise", "motion", "commanded"), CASES)
+def test_kc_and_bc_are_right_beside_white_noise(tmp_path: Path, noise: float, motion: Motion, commanded: bool) -> None:
+    found = recorded(tmp_path / "a.h5", motion, noise=noise, commanded=commanded, seed=2)
+    kc, bc = errors(found)
+    assert abs(kc) < 5e-3
+    assert abs(bc) < 0.03
+    assert holds(found)
+
+
+@pytest.mark.parametrize("noise", [2e-3, 5e-3])
+def test_noise_makes_no_skew_and_no_lag_that_are_not_there(tmp_path: Path, noise: float) -> None:
+    signals = recorded(tmp_path / "a.h5", noise=noise).signals
+    found = choose(None, signals, linear_only=False)
+    assert found.model.name == "linear"
+
+
+@pytest.mark.parametrize("peak", [0.05, 0.02])
+def test_counts_of_twelve_bits_leave_intervals_that_hold_the_truth(tmp_path: Path, peak: float) -> None:
+    found = recorded(tmp_path / "a.h5", bits=12, peak=peak)
+    assert holds(found)
+    assert abs(errors(found)[0]) < 0.02
+    assert abs(errors(found)[1]) < 0.1
+
+
+def test_a_stiff_joint_that_moves_by_few_hundred_counts_is_identified(tmp_path: Path) -> None:
+    found = recorded(tmp_path / "a.h5", bits=17, peak=0.01, kc=500.0, bc=5.0, torque_noise=1e-2)
+    kc, bc = errors(found, 500.0, 5.0)
+    assert abs(kc) < 5e-3
+    assert abs(bc) < 0.03
+    assert holds(found, 500.0, 5.0)
+
+
+def test_large_noise_is_taken_off_by_the_command_and_the_result_says_so(tmp_path: Path) -> None:
+    found = recorded(tmp_path / "a.h5", noise=0.03, seed=2)
+    assert found.deflection is not None
+    assert found.deflection.method == "instruments"
+    assert found.deflection.before["Kc"] < -0.002
+    assert holds(found)
+    assert found["Kc"].exact < found["Kc"].value  # the exact optimum knows no instruments
+    (line,) = deflection_lines(found.deflection)
+    assert line.startswith("noise of 30")
+    assert "by instruments, from the command (before: Kc -" in line
+    assert deflection_json(found.deflection)["instrument_strength"] > 0.9
+
+
+def test_without_a_command_large_noise_is_simulated(tmp_path: Path) -> None:
+    found = recorded(tmp_path / "a.h5", noise=0.03, commanded=False, seed=2)
+    assert found.deflection is not None
+    assert found.deflection.method == "simulation"
+    assert holds(found)
+
+
+def test_six_counts_without_a_command_are_too_few_for_bc(tmp_path: Path) -> None:
+    found = recorded(tmp_path / "a.h5", chirp, bits=12, peak=0.0045, torque_noise=5e-5, commanded=False)
+    assert not found.trusted("Bc")
+    assert any("counts of the encoder: Bc cannot be identified" in one.message for one in found.diagnostics)
+
+
+def test_a_clean_deflection_is_used_as_it_was_read(tmp_path: Path) -> None:
+    found = recorded(tmp_path / "a.h5")
+    assert found.deflection is None
+    assert found["Bc"].value == found["Bc"].exact
+
+
+def test_a_far_zero_of_a_noisy_encoder_changes_nothing(tmp_path: Path) -> None:
+    near, far = (recorded(tmp_path / "a.h5", noise=5e-3, zero=zero) for zero in (0.0, 4.0))
+    assert near["Kc"].value == pytest.approx(far["Kc"].value, rel=1e-6)
+    assert near["Bc"].value == pytest.approx(far["Bc"].value, rel=1e-5)

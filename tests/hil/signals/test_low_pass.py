@@ -1,0 +1,73 @@
+"""The low-pass that deflection, rate and acceleration come from where the readings are noisy, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.recording.reader import Array
+from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed
+from hil.signals.savitzky_golay import kernel
+from hil.signals.windows import window_for, windows
+
+TIME = np.arange(5000) / 500.0
+SPEED = 2.0 * np.pi * 12.0
+
+
+def low_pass(time: Array = TIME) -> LowPass:
+    found = low_pass_for(time, 12.0, 6)
+    assert found is not None
+    return found
+
+
+def of_sine(time: Array) -> tuple[Array, Array, Array]:
+    wave = np.exp(1j * SPEED * time)
+    return wave.imag, SPEED * wave.real, -(SPEED**2) * wave.imag
+
+
+def test_a_sine_at_the_end_of_the_band_passes_with_its_slope_and_curvature() -> None:
+    found, sound = passed(TIME, of_sine(TIME)[0], low_pass()), is_sound(TIME, low_pass())
+    assert np.mean(sound) > 0.9
+    for order, (one, true) in enumerate(zip(found, of_sine(TIME), strict=True)):
+        np.testing.assert_allclose(one[sound], true[sound], atol=1e-3 * SPEED**order)
+
+
+def test_uneven_stamps_and_lost_samples_change_nothing_that_matters() -> None:
+    rng = np.random.default_rng(0)
+    time = (TIME + 2e-4 * rng.uniform(-1.0, 1.0, len(TIME)))[rng.random(len(TIME)) > 0.05]
+    found, sound = passed(time, of_sine(time)[0], low_pass(time)), is_sound(time, low_pass(time))
+    assert np.mean(sound) > 0.9
+    for order, (one, true) in enumerate(zip(found, of_sine(time), strict=True)):
+        np.testing.assert_allclose(one[sound], true[sound], atol=1e-2 * SPEED**order)
+
+
+def test_samples_within_reach_of_a_gap_or_an_end_are_not_sound() -> None:
+    time = np.concatenate([TIME[:2000], TIME[2000:] + 0.1])
+    sound, half = is_sound(time, low_pass()), low_pass().half
+    assert not sound[:half].any()
+    assert not sound[2000 - half : 2000 + half].any()
+    assert sound[half : 2000 - half].all()
+
+
+def test_white_noise_is_amplified_as_predicted_and_less_than_by_a_local_polynomial() -> None:
+    noise = np.random.default_rng(1).standard_normal(len(TIME))
+    found = np.std(np.array(passed(TIME, noise, low_pass()))[:, 500:-500], axis=1)
+    np.testing.assert_allclose(found, low_pass().amplification(), rtol=0.1)
+    slope, _ = windows(TIME, 12.0)
+    of_polynomial = float(np.linalg.norm(kernel(slope, 1))) * 500.0
+    assert low_pass().amplification()[1] ** 2 < of_polynomial**2 / 10.0
+
+
+def test_samples_that_are_too_far_apart_or_too_few_have_no_low_pass() -> None:
+    assert low_pass_for(TIME[::16], 12.0, 6) is None
+    assert low_pass_for(TIME[:600], 12.0, 6) is None
+
+
+@pytest.mark.parametrize(("noise", "passes"), [(0.0, False), (2e-6, False), (2e-3, True)])
+def test_only_noise_that_would_change_kc_or_bc_is_passed_through_it(noise: float, passes: bool) -> None:
+    rng = np.random.default_rng(2)
+    x = 0.1 * np.sin(8.0 * TIME) + 0.05 * np.sin(50.0 * TIME)
+    v = 0.8 * np.cos(8.0 * TIME) + 2.5 * np.cos(50.0 * TIME)
+    torque = 0.3 * x + 3e-3 * v + 1e-3 * rng.standard_normal(len(TIME))
+    window = window_for(TIME, x + noise * rng.standard_normal(len(TIME)), torque)
+    assert (window.low_pass is not None) is passes

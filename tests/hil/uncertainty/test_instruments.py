@@ -1,0 +1,130 @@
+"""Kc and Bc from a noisy deflection: by instruments and by a simulation, against a closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ga.lad.exact import least_absolute_deviations
+from ga.model.coupling import parse
+from ga.model.trajectory import Motion
+from hil.recording.reader import Array
+from hil.signals.windows import window_for
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import confidence_intervals
+from hil.uncertainty.instruments import Fitted, deflection_errors
+
+TRUE = np.array([0.3, 3e-3])
+RATE = 60.0  # Hz: so near the band that a low-pass cannot take the noise away
+TIME = np.arange(6000) / RATE
+
+
+def multisine(time: Array, order: int = 0) -> Array:
+    rng = np.random.default_rng(7)
+    speeds = 2.0 * np.pi * np.geomspace(0.3, 12.0, 30)
+    waves = np.exp(1j * (np.outer(time, speeds) + rng.uniform(0.0, 2.0 * np.pi, 30)))
+    return np.asarray(0.02 * (waves * (1j * speeds) ** order).real.sum(axis=1))
+
+
+def fitted(noise: float, *, command: Array | None = None, seed: int = 0, zero: float = 0.0, name: str = "") -> Fitted:
+    """The least absolute deviations of a recording with noise, rad, in its deflection."""
+    rng = np.random.default_rng(seed)
+    torque = np.stack([multisine(TIME), multisine(TIME, 1)], axis=1) @ TRUE + 1e-4 * rng.standard_normal(len(TIME))
+    read = multisine(TIME) + noise * rng.standard_normal(len(TIME)) + zero
+    window = window_for(TIME, read, torque)
+    sound = window.sound(TIME)
+    motion = Motion(TIME, *window.moved(TIME, read), np.zeros(len(TIME)))
+    model = parse("linear+offset" + name).anchored(motion)
+    nonlinear = np.zeros(len(model.nonlinear))
+    columns = model.columns(motion, nonlinear)
+    genes = least_absolute_deviations(columns[sound], torque[sound]).genes
+    half = confidence_intervals(Blocks.of(columns[sound], torque[sound]), genes).half_width
+    half = np.concatenate([half, np.full(len(nonlinear), np.inf)])
+    return Fitted(model, motion, torque, sound, genes, nonlinear, half, (0, 1), window, command)
+
+
+def relative(fit: Fitted, change: Array) -> Array:
+    return np.asarray((fit.genes[:2] + change[:2]) / TRUE - 1.0)
+
+
+def held(values: Array, samples: int) -> Array:
+    """A set-point that is sent only now and then."""
+    return np.asarray(values[(np.arange(len(values)) // samples) * samples])
+
+
+COMMANDS = {
+    "as driven": multisine(TIME),
+    "before a position loop of 2 Hz": multisine(TIME) + multisine(TIME, 1) / (2.0 * np.pi * 2.0),
+    "50 ms early": multisine(TIME + 0.05),
+    "clipped": np.clip(multisine(TIME), -0.05, 0.05),
+    "held for 50 ms": held(multisine(TIME), 3),
+    "a torque, upside down": -4.0 * multisine(TIME) - 0.02 * multisine(TIME, 1),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_that_goes_with_the_motion_takes_the_noise_off_kc_and_bc(name: str) -> None:
+    fit = fitted(0.02, command=COMMANDS[name])
+    found = deflection_errors(fit)
+    assert found.method == "instruments"
+    assert relative(fit, np.zeros(2))[1] < -0.05  # Bc, without
+    assert np.all(np.abs(relative(fit, found.change)) * TRUE < 1.5 * np.hypot(fit.half_width, found.half_width)[:2])
+    assert abs(relative(fit, found.change)[0]) < 0.01
+
+
+def test_without_a_command_a_simulation_takes_most_of_the_noise_off() -> None:
+    fit = fitted(0.02)
+    found = deflection_errors(fit)
+    before, after = relative(fit, np.zeros(2)), relative(fit, found.change)
+    assert (found.method, found.strength) == ("simulation", None)
+    assert np.all(np.abs(after) < 0.35 * np.abs(before))
+    total = np.hypot(fit.half_width, found.half_width)[:2]
+    assert np.all(np.abs(after) * TRUE < 1.5 * total)
+
+
+def test_a_command_that_has_nothing_to_do_with_the_motion_is_weak_and_not_used() -> None:
+    noise = np.random.default_rng(3).standard_normal(len(TIME))
+    found = deflection_errors(fitted(0.01, command=noise))
+    assert found.is_weak
+    assert found.method == "simulation"
+
+
+def test_noise_that_is_small_beside_the_intervals_changes_nothing() -> None:
+    found = deflection_errors(fitted(1e-5, command=multisine(TIME)))
+    assert found.method == "none"
+    assert not found.change.any()
+    assert not found.half_width.any()
+
+
+def test_a_skew_of_the_model_is_corrected_with_the_other_parameters() -> None:
+    fit = fitted(0.01, command=multisine(TIME), name="+skew")
+    found = deflection_errors(fit)
+    assert found.method == "instruments"
+    assert abs(relative(fit, found.change)[0]) < 0.01
+    assert abs(fit.nonlinear[0] + found.change[-1]) < 1e-3  # s; there is none
+
+
+def test_where_the_encoder_has_its_zero_changes_nothing() -> None:
+    near, far = (deflection_errors(fitted(0.02, command=multisine(TIME), zero=zero)) for zero in (0.0, 5.0))
+    np.testing.assert_allclose(near.change[:2], far.change[:2], rtol=0.02, atol=1e-6)
+
+
+def test_few_counts_widen_the_intervals_by_where_the_motion_turns_within_one() -> None:
+    """A sine over eight counts: its rounding goes with it, by as much as 2.5 % of Kc either way."""
+    time, count = np.arange(10_000) / 500.0, 0.05
+    wave = np.exp(2j * np.pi * 3.0 * time)
+    rng = np.random.default_rng(0)
+    torque = 0.3 * 0.2 * wave.imag + 1e-3 * rng.standard_normal(len(time))
+    read = count * np.round(0.2 * wave.imag / count)
+    fit = fitted(0.01)
+    window = window_for(time, read, torque)
+    motion = Motion(time, *window.moved(time, read), np.zeros(len(time)))
+    model = parse("linear+offset").anchored(motion)
+    genes = least_absolute_deviations(model.columns(motion), torque).genes
+    fit = replace(fit, model=model, motion=motion, torque=torque, used=window.sound(time), genes=genes, window=window)
+    found = deflection_errors(fit)
+    assert found.counts == pytest.approx(8.0, abs=1.0)
+    assert 0.01 * 0.3 < found.half_width[0] < 0.2 * 0.3
+    assert abs(genes[0] + found.change[0] - 0.3) < found.half_width[0] + fit.half_width[0]
