@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Final
+
+_LISTED: Final = re.compile(r"'([^']*)' is not (?:known: choose )?one of (.+)$")
 
 
 class WrongUse(Exception):
@@ -28,3 +32,13 @@ def meant(name: str, known: Iterable[str]) -> str:
     names = {one.casefold(): one for one in known}
     near = get_close_matches(name.casefold(), names, n=1)
     return f"did you mean {names[near[0]]!r}? " if near else ""
+
+
+def proposing(message: str) -> str:
+    """Return a message of another program's that lists the values there are, with the nearest of them at its end."""
+    found = _LISTED.search(message)
+    if found is None:
+        return message
+    names = [name.strip(" .'\"") for name in found[2].split(",")]
+    near = meant(found[1], names).rstrip()
+    return f"{message.rstrip('.')}; {near}" if near else message

@@ -22,7 +22,15 @@ from hil.guardian.servo import Watch
 from hil.live.rerun import check as check_rerun
 from hil.live.viewer import beside
 from hil.recording.background import BackgroundWriter
-from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, part_path, remove_unfinished
+from hil.recording.output import (
+    NameTaken,
+    check_output,
+    check_recording_name,
+    check_unfinished,
+    next_free,
+    part_path,
+    remove_unfinished,
+)
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand.devices import check_backend
 from hil.stand.file import Stand
@@ -127,6 +135,7 @@ def _check(stand: Stand, output: Path | None, rerun: str, *, force: bool) -> Non
     if output is not None:
         inputs = stand.named_files()
         check_output(output, force=force, inputs=inputs)
+        check_recording_name(output)
         check_output(part_path(output), force=True, inputs=inputs)
         if not force:
             check_unfinished(output)

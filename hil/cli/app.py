@@ -37,7 +37,7 @@ from hil.cli.terminal import (
     out,
     say,
 )
-from hil.errors import Untrustworthy, WrongUse
+from hil.errors import Untrustworthy, WrongUse, proposing
 from hil.stand.sentences import names_the_value, sentence
 
 app = typer.Typer(
@@ -135,6 +135,7 @@ def _usage(error: Exception) -> str:
     if hasattr(cause, "errors"):
         item = cause.errors()[0]
         raised.message = f"{item['input']!r} {sentence(item)}" if names_the_value(item) else sentence(item)
+    raised.message = proposing(str(raised.message))
     raised.show(file=shown)
     return shown.getvalue().rstrip("\n")
 

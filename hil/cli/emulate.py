@@ -9,7 +9,7 @@ import typer
 
 from hil.cli import options
 from hil.cli.terminal import out, say
-from hil.errors import WrongUse
+from hil.errors import WrongUse, proposing
 
 if TYPE_CHECKING:
     from sim_backend.wire.torque_log import TorqueLog
@@ -60,7 +60,7 @@ def emulate(
     except ValueError as error:
         if log is not None:
             log.unlink()  # nothing was emulated
-        raise WrongUse(str(error)) from None
+        raise WrongUse(proposing(str(error))) from None
     with ended_by_signal(served), waking_in_time():
         say(f"Emulating {EMULATORS[name].noun}{f' {model.upper()}' if model else ''}{place}. Ctrl-C to stop.")
         served.serve()

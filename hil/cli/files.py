@@ -116,11 +116,11 @@ def import_data(
     """Make a recording from a table: CSV, Parquet, MATLAB, or a file of hil export."""
     from hil.exchange.importer import import_table
     from hil.exchange.row_filter import RowFilter
-    from hil.recording.output import check_output, check_unfinished
+    from hil.recording.output import check_output, check_recording_name, check_unfinished
     from hil.stand.file import load
 
     check_output(output, force=force, inputs=[source] if stand is None else [source, stand])
-    check_unfinished(output)
+    check_unfinished(check_recording_name(output))
     done = import_table(
         source,
         output,
@@ -205,12 +205,13 @@ def recover(
 ) -> None:
     """Turn an unfinished .part file into a recording; the .part file is kept."""
     from hil.recording.final import finalise
-    from hil.recording.output import check_ended, check_output
+    from hil.recording.output import check_ended, check_output, check_recording_name
 
     if output is None and part.suffix != ".part":
         raise WrongUse(f"{part} does not end in .part: name the output with -o")
     target = output or part.with_suffix("")
     check_output(target, force=force, inputs=[part])
+    check_recording_name(target)
     check_ended(part)
     done = finalise(part, target, force=force)
     out(f"{target}: {done.samples} samples recovered; {part} is still there")

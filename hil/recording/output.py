@@ -14,6 +14,25 @@ from pathlib import Path
 from hil.errors import WrongUse
 from hil.recording.posix import is_at, lock, open_binary, remove, sync_folder, take_name
 
+_OTHERS = frozenset(
+    {
+        ".csv",
+        ".db3",
+        ".gz",
+        ".htm",
+        ".html",
+        ".json",
+        ".mat",
+        ".mcap",
+        ".parquet",
+        ".pdf",
+        ".png",
+        ".toml",
+        ".txt",
+        ".xml",
+    }
+)
+"""Suffixes of other formats: a file of that name that holds HDF5 would be taken for what it is not."""
 _TEMPORARY = re.compile(r"\.hil-[0-9a-f]{32}")
 
 
@@ -48,6 +67,13 @@ def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> Non
         if any(_is_same(path, given) for given in inputs):
             raise WrongUse(f"{path} is also an input: name another output")
         _check_replaceable(path, force=force)
+
+
+def check_recording_name(path: Path) -> Path:
+    """Return the path of a recording. Raises WrongUse for a suffix that says another format."""
+    if path.suffix.lower() in _OTHERS:
+        raise WrongUse(f"{path} is no name of a recording, which is HDF5: name it {path.with_suffix('.h5')}")
+    return path
 
 
 def check_unfinished(path: Path) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
+
+from hil.errors import meant
 
 _SENTENCES: Mapping[str, str] = MappingProxyType(
     {
@@ -44,7 +47,10 @@ _ABOUT_THE_KEY = NO_SUCH_KEY | {"missing", "missing_argument", "value_error"}
 def sentence(item: Any) -> str:
     """Return what is wrong with a value, in one of the entries of a ValidationError's `errors()`."""
     text = _SENTENCES.get(item["type"], "is not a value that this key can have")
-    return text.format(**item.get("ctx", {}))
+    near = ""
+    if item["type"] in {"literal_error", "enum"} and isinstance(item["input"], str):
+        near = meant(item["input"], re.findall(r"'([^']*)'", item["ctx"]["expected"]))
+    return text.format(**item.get("ctx", {})) + (f"; {near.rstrip()}" if near else "")
 
 
 def names_the_value(item: Any) -> bool:

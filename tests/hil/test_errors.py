@@ -1,0 +1,47 @@
+"""Names that are not known: the nearest is proposed, and all are listed."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.cli.app import run
+from hil.errors import meant, proposing, unknown
+
+
+def test_an_unknown_name_has_the_nearest_and_all_that_are_known() -> None:
+    assert str(unknown("preset", "PAPR", ["paper", "default"])) == (
+        "unknown preset 'PAPR': did you mean 'paper'? known are paper, default"
+    )
+    assert meant("xyz", ["paper"]) == ""
+
+
+def test_a_message_that_lists_values_gets_the_nearest_at_its_end() -> None:
+    listed = "Invalid value for '--mode': 'torqe' is not one of 'torque', 'position'."
+    assert proposing(listed).endswith("'torque', 'position'; did you mean 'torque'?")
+    assert proposing("model 'ak70-1' is not known: choose one of ak70-10, ak80-9").endswith("did you mean 'ak70-10'?")
+    assert proposing("nothing is listed here") == "nothing is listed here"
+
+
+@pytest.mark.parametrize(
+    ("words", "meant_is"),
+    [
+        ("record --backend sim --mode torqe", "torque"),
+        ("emulate dynamixel --model xl330-m28 --link ./line", "xl330-m288"),
+        ("emulate mit --model ak70-1 --link ./line", "ak70-10"),
+        ("identify a.h5 --preset papr", "paper"),
+        ("identify a.h5 --selection larg --preset paper", "larger"),
+        ("identify a.h5 --require kc", "Kc"),
+        ("record --backend sim --profile chrip", "chirp"),
+    ],
+)
+def test_every_choice_on_the_command_line_proposes_the_nearest(
+    words: str, meant_is: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(words.split()) == 2
+    assert f"did you mean '{meant_is}'?" in " ".join(capfd.readouterr().err.split())
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.txt", "run.PNG"])
+def test_a_recording_whose_name_says_another_format_is_refused(name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["record", "--backend", "sim", "--duration", "0.1", "-o", name]) == 2
+    assert f"{name} is no name of a recording, which is HDF5: name it run.h5" in capfd.readouterr().err
