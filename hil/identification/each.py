@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,8 +16,10 @@ from hil.identification.result import Identification
 from hil.identification.user_model import of_package
 from hil.recording.ahead import Progress
 from hil.workers.executor import executor, results
+from hil.workers.sharing import shared
 
-_WORTH = 10.0  # s that the other recordings must take, for processes to be started for them
+_WORTH = 10.0  # s that the other recordings would take as long as this one, from which processes are started for them
+_FEWEST = 3  # tasks that are spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,25 +63,40 @@ def identify_each(tasks: Sequence[Task], cluster: str | None = None, progress: P
     """Return the result of each task, in their order.
 
     The search of the first task says how many may run at a time. cluster: the address of a Dask scheduler, or "local";
-    None: processes of this computer, which are started where the tasks after one take long enough. Raises WrongUse.
+    None: processes of this computer, which are started where the tasks after one take long enough, judged while the
+    first still runs. Raises WrongUse.
     """
-    found: list[Result] = []
-    workers = tasks[0].search.workers if tasks else 1
-    if cluster is None:
-        found, tasks = _here(tasks, workers, progress)
     if not tasks:
-        return found
+        return []
+    workers, count = tasks[0].search.workers, len(tasks)
+    if cluster is None and (workers == 1 or count < _FEWEST):
+        does = _whole if count > 1 else identified
+        return [does(task, _share(progress, at, count)) for at, task in enumerate(tasks)]
     alone = [replace(task, search=replace(task.search, workers=1), folder=str(Path.cwd())) for task in tasks]
-    done, count = len(found), len(found) + len(tasks)
 
-    def on_done(more: int) -> None:
+    def on_done(done: int) -> None:
         if progress is not None:
-            progress(f"identified {done + more} of {count}", (done + more) / count)
+            progress(f"identified {done} of {count}", done / count)
 
-    others = min(workers, len(alone)) if cluster else workers - 1  # here this process is one of them
-    with executor(others, cluster) as on:
+    if cluster is None:
+        return _spread(tasks, alone, progress, on_done)
+    with executor(min(workers, count), cluster) as on:
         on_done(0)
-        return [*found, *results(on, _whole, alone, on_done, helping=cluster is None)]
+        return results(on, _whole, alone, on_done)
+
+
+def _spread(
+    tasks: Sequence[Task], alone: Sequence[Task], progress: Progress | None, on_done: Callable[[int], None]
+) -> list[Result]:
+    """Do the tasks here and in other processes. alone: the same for one core each."""
+    workers, count, began = tasks[0].search.workers, len(tasks), time.perf_counter()
+    delay = _WORTH / (count - 1)
+
+    def here(at: int) -> Result:
+        by_itself = time.perf_counter() - began < delay  # all cores are its own until the others come
+        return _whole(tasks[at] if by_itself else alone[at], _share(progress, at, count))
+
+    return shared(_whole, alone, others=min(workers, count) - 1, delay=delay, here=here, on_done=on_done)
 
 
 def _whole(task: Task, progress: Progress | None = None) -> Result:
@@ -88,18 +105,6 @@ def _whole(task: Task, progress: Progress | None = None) -> Result:
     if isinstance(found, Identification) and found.trials.interrupted:
         raise KeyboardInterrupt
     return found
-
-
-def _here(tasks: Sequence[Task], workers: int, progress: Progress | None) -> tuple[list[Result], Sequence[Task]]:
-    """Return the results of the tasks that this process does, and the tasks that are left for others."""
-    found: list[Result] = []
-    for index, task in enumerate(tasks):
-        began = time.perf_counter()
-        found.append((_whole if len(tasks) > 1 else identified)(task, _share(progress, index, len(tasks))))
-        left = tasks[index + 1 :]
-        if workers > 1 and len(left) > 1 and (time.perf_counter() - began) * len(left) > _WORTH:
-            return found, left
-    return found, ()
 
 
 def _share(progress: Progress | None, index: int, count: int) -> Progress | None:

@@ -35,28 +35,20 @@ def results(
     function: Callable[..., Any],
     tasks: Sequence[Any],
     on_done: Callable[[int], object] = lambda _done: None,
-    *,
-    helping: bool = False,
 ) -> list[Any]:
     """Return the results of a function of each task, in their order; on_done: is called with how many are done.
 
-    helping: whether this process does tasks too, from the last one on. Raises what a task raises; the others are then
-    cancelled.
+    Raises what a task raises; the others are then cancelled.
     """
     futures = [on.submit(function, task) for task in tasks]
     with _cancelled(futures):
-        own: dict[int, Any] = {}
-        for at in range(len(futures) - 1, -1, -1) if helping else ():
-            if futures[at].cancel():
-                own[at] = function(tasks[at])
-                on_done(len(own) + sum(future.done() and not future.cancelled() for future in futures))
-        pending = {future for at, future in enumerate(futures) if at not in own}
+        pending = set(futures)
         while pending:
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
                 future.result()
             on_done(len(futures) - len(pending))
-        return [own[at] if at in own else future.result() for at, future in enumerate(futures)]
+        return [future.result() for future in futures]
 
 
 @contextmanager

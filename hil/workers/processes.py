@@ -84,7 +84,10 @@ class _Process:
         assert process.stdout is not None  # noqa: S101
         pickle.dump((function, arguments), process.stdin)
         process.stdin.flush()
-        is_result, value = pickle.load(process.stdout)  # noqa: S301 - from a process of our own
+        try:
+            is_result, value = pickle.load(process.stdout)  # noqa: S301 - from a process of our own
+        except ValueError as error:  # its pipe was closed meanwhile, as it ended
+            raise EOFError from error
         if not is_result:
             raise value
         return value

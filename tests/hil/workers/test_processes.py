@@ -6,6 +6,8 @@ import math
 import operator
 import os
 import signal
+import time
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import pytest
 from hil.errors import WrongUse
 from hil.workers.executor import results
 from hil.workers.processes import processes
+from hil.workers.sharing import shared
 
 
 def test_results_come_in_the_order_of_the_tasks_from_other_processes() -> None:
@@ -24,19 +27,51 @@ def test_results_come_in_the_order_of_the_tasks_from_other_processes() -> None:
     assert on_done[-1] == 3
 
 
-def test_the_caller_helps_with_the_tasks_that_no_process_has_begun(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def marking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], int]:
+    """A task that leaves a mark in a folder, and returns the process which did it; it fails where that is "bad"."""
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "who_did.py").write_text(
-        "import os, time\ndef it(_task):\n    time.sleep(0.05)\n    return os.getpid()\n"
+    (tmp_path / "marking.py").write_text(
+        "import os, pathlib\n"
+        "def it(folder):\n"
+        "    (pathlib.Path(folder) / 'mark').touch()\n"
+        "    return 1 // (not folder.endswith('bad')) and os.getpid()\n"
     )
-    it = import_module("who_did").it
-    with processes(1) as on:
-        found = results(on, it, range(40), helping=True)
-    assert len(found) == 40
-    assert {os.getpid()} < set(found)
-    assert found[-1] == os.getpid() != found[0]
+    function: Callable[[str], int] = import_module("marking").it
+    return function
+
+
+def until_marked(folder: Path) -> Callable[[int], int]:
+    """Tasks of this process, which last until another one has begun one."""
+
+    def here(_at: int) -> int:
+        deadline = time.monotonic() + 60.0
+        while not (folder / "mark").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return os.getpid()
+
+    return here
+
+
+def test_others_take_tasks_while_this_process_is_at_its_first(tmp_path: Path, marking: Callable[[str], int]) -> None:
+    done: list[int] = []
+    tasks = [str(tmp_path)] * 6
+    found = shared(marking, tasks, others=1, delay=0.0, here=until_marked(tmp_path), on_done=done.append)
+    assert len(found) == 6
+    assert os.getpid() in found
+    assert len(set(found)) == 2
+    assert done[-1] == 6
+
+
+def test_work_that_is_done_before_the_delay_starts_no_process() -> None:
+    assert shared(os.abort, range(5), others=1, delay=60.0, here=lambda at: at) == list(range(5))
+
+
+def test_what_a_task_of_another_process_raises_is_raised(tmp_path: Path, marking: Callable[[str], int]) -> None:
+    folder = tmp_path / "bad"
+    folder.mkdir()
+    with pytest.raises(ZeroDivisionError):
+        shared(marking, [str(folder)] * 4, others=1, delay=0.0, here=until_marked(folder))
 
 
 def test_a_task_raises_what_its_function_raises() -> None:

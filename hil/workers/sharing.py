@@ -1,0 +1,71 @@
+"""Tasks shared between this process and others, which are started only where the work lasts."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any
+
+from hil.workers.processes import processes
+
+_POLL = 0.2  # s between two reports, once this process has no task left
+
+
+def shared(
+    function: Callable[..., Any],
+    tasks: Sequence[Any],
+    *,
+    others: int,
+    delay: float,
+    here: Callable[[int], Any],
+    on_done: Callable[[int], object] = lambda _done: None,
+) -> list[Any]:
+    """Return the results of a function of each task, in their order.
+
+    here: does the task of that number in this process. others: processes that do tasks too, started after `delay` s of
+    work, so that they load while this one is at its first tasks. on_done: is called with how many are done. Raises what
+    a task raises, and then no other is begun.
+    """
+    waiting, found, over = deque(range(len(tasks))), dict[int, Any](), threading.Event()
+    # the processes end first, or a task that has become useless would be waited for
+    with ThreadPoolExecutor(others) as threads, processes(others) as on:
+
+        def helped() -> None:
+            if over.wait(delay):
+                return
+            for at in _taken(waiting):
+                found[at] = on.submit(function, tasks[at]).result()
+
+        helpers = [threads.submit(helped) for _ in range(others)]
+        try:
+            for at in _taken(waiting):
+                found[at] = here(at)
+                _raise_failed(helpers)
+                on_done(len(found))
+            over.set()
+            while wait(helpers, timeout=_POLL).not_done:
+                _raise_failed(helpers)
+                on_done(len(found))
+            _raise_failed(helpers)
+        finally:
+            waiting.clear()
+            over.set()
+    on_done(len(found))
+    return [found[at] for at in range(len(tasks))]
+
+
+def _taken(waiting: deque[int]) -> Iterator[int]:
+    """Yield the first of the numbers that nobody has taken yet, until there is none."""
+    while waiting:
+        try:
+            yield waiting.popleft()
+        except IndexError:  # another thread was faster
+            return
+
+
+def _raise_failed(helpers: Sequence[Future[None]]) -> None:
+    for helper in helpers:
+        if helper.done():
+            helper.result()
