@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from ga.evolution.evolution import Settings
 
 
+_DAMAGED = (ValueError, KeyError, TypeError, AttributeError, EOFError, OverflowError, MemoryError, RuntimeError)
+"""The errors of NumPy, json and zipfile for damaged files; RecursionError and NotImplementedError are RuntimeErrors."""
+
+
 class WrongCheckpoint(ValueError):
     """A checkpoint that cannot be resumed: it is of another run, or is no checkpoint."""
 
@@ -82,10 +86,15 @@ def save(path: Path, belongs: dict[str, str], state: SearchState) -> None:
 
 
 def _check_stored(path: Path) -> None:
-    """Raise ValueError where a part of the file is compressed, which `save` never does: it could fill the memory."""
+    """Raise ValueError where a part of the file is damaged, or compressed, which could fill the memory.
+
+    The compiled search follows the orders in it without looking, so that a changed byte must not get there.
+    """
     with zipfile.ZipFile(path) as archive:
         if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
             raise ValueError("a part is compressed")
+        if archive.testzip() is not None:
+            raise ValueError("a checksum differs")
 
 
 def load(path: Path, belongs: dict[str, str]) -> SearchState:
@@ -98,14 +107,15 @@ def load(path: Path, belongs: dict[str, str]) -> SearchState:
             found = json.loads(str(archive["belongs"]))
             arrays = [archive[field] for field in Population._fields]
             records = archive["records"]
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            differing = [what for what, text in belongs.items() if found.get(what) != text]
+            populations = [Population(*parts) for parts in zip(*arrays, strict=True)]
+    except (*_DAMAGED, zipfile.BadZipFile) as error:
         raise WrongCheckpoint(
             f"{path} is not a checkpoint of a search, or a damaged one: name another file, or remove it"
         ) from error
-    differing = [what for what, text in belongs.items() if found.get(what) != text]
     if differing:
         raise WrongCheckpoint(
             f"{path} is the checkpoint of another run, with different {', '.join(differing)}: "
             "run it as it was begun, or remove it to begin anew"
         )
-    return SearchState([Population(*parts) for parts in zip(*arrays, strict=True)], records)
+    return SearchState(populations, records)

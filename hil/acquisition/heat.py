@@ -56,7 +56,7 @@ class HeatMemory:
             rested = now - float(kept["time"])
             if not (all(abs(value) < _HOTTEST for value in state) and math.isfinite(rested)):
                 raise ValueError("it has impossible numbers")
-        except (ValueError, KeyError, TypeError, WrongUse) as error:
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError, WrongUse) as error:
             raise WrongUse(
                 f"{self._memory.path} is not the temperature of a winding ({error}): remove it once the motor is cold"
             ) from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -40,7 +39,7 @@ def read_points(path: Path, arm: float | None) -> list[Load]:
     are, or were, hung; the other side of the lever has a minus. arm: m, for masses. Raises WrongUse with the row that
     is wrong.
     """
-    rows = list(csv.reader(io.StringIO(read_text(path, largest=_LARGEST))))
+    rows = _rows(path)
     if not rows:
         raise WrongUse(f"{path} is empty: write a row for each load, under the heading mass,value or torque,value")
     columns = _columns(rows[0])
@@ -62,6 +61,15 @@ def read_points(path: Path, arm: float | None) -> list[Load]:
         named = f"the weight {amount:g} kg" if kind == "mass" else f"the torque {amount:g} N m"
         loads.append(Load(torque, value, f"{named} in row {number}"))
     return loads
+
+
+def _rows(path: Path) -> list[list[str]]:
+    """Return the cells of the file. Raises WrongUse for a file that is no CSV."""
+    lines = read_text(path, largest=_LARGEST).splitlines()
+    try:
+        return list(csv.reader(lines))
+    except csv.Error as error:
+        raise WrongUse(f"{path} cannot be read as CSV ({error}): write a row for each load") from None
 
 
 def _columns(titles: list[str]) -> dict[str, int]:

@@ -10,11 +10,13 @@ from typing import Any
 
 from hil.campaign.plan import Plan, Run
 from hil.errors import Untrustworthy, WrongUse
+from hil.recording.input import read_text
 from hil.recording.output import atomic_write
 from hil.recording.reader import Recording
 
 NAME = "campaign.json"
 SCHEMA = "hil-campaign-journal/1"
+_LARGEST = 1 << 26  # bytes of a journal, or of a result
 
 
 @dataclass(slots=True)
@@ -30,15 +32,16 @@ class Journal:
 
     def __init__(self, plan: Plan) -> None:
         self._path = plan.folder / NAME
-        self._entries = {name: Entry(**entry) for name, entry in self._read().items()}
+        self._entries = self._read()
 
-    def _read(self) -> dict[str, Any]:
+    def _read(self) -> dict[str, Entry]:
         if not self._path.exists():
             return {}
-        with suppress(ValueError, KeyError, TypeError):
-            table = json.loads(self._path.read_text(encoding="utf-8"))
+        text = read_text(self._path, largest=_LARGEST)
+        with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            table = json.loads(text)
             if table["schema"] == SCHEMA:
-                return dict(table["runs"])
+                return {name: Entry(str(one["key"]), str(one["failure"])) for name, one in table["runs"].items()}
         raise WrongUse(f"{self._path} is no journal of a campaign: move it away, or choose another output")
 
     def failure(self, run: Run) -> str:
@@ -82,8 +85,8 @@ def note(run: Run) -> str:
 def kept_result(run: Run, model: str, trials: int | None) -> dict[str, Any] | None:
     """Return the JSON object of the run's identification with these settings, None where there is none yet."""
     path = result_path(run)
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        table = json.loads(path.read_text(encoding="utf-8"))
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError, WrongUse):
+        table = json.loads(read_text(path, largest=_LARGEST))
         if table["of"] == [run.key, model, trials, run.path.stat().st_mtime_ns]:
             return dict(table["result"])
     return None

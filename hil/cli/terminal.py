@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 DONE, UNTRUSTWORTHY, WRONG_USE, STAND_FAILED, LIMIT_REACHED = 0, 1, 2, 3, 4
 INTERRUPTED = 130
 _UNUSUAL = re.compile(r"[^\n\t -~]")
+_SPELLED = str.maketrans({"\u00b1": "+/-", "\u00b5": "u", "\u00b7": "*", "\u2026": "..."})
 _STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode's controls, formats, surrogates, separators of lines
 
 
@@ -76,6 +77,15 @@ def printable(text: str) -> str:
     return _UNUSUAL.sub(lambda found: _escaped(found[0]), text)
 
 
+def _encodable(text: str, encoding: str | None) -> str:
+    """Return text in which the characters that a terminal's encoding lacks are spelled out or escaped."""
+    try:
+        text.encode(encoding or "utf-8")
+    except UnicodeEncodeError as error:
+        return text.translate(_SPELLED).encode(error.encoding, "backslashreplace").decode(error.encoding)
+    return text
+
+
 def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode() if category(character) in _STEERING else character
 
@@ -89,7 +99,7 @@ def _written(text: str, stream: TextIO | None, *, is_drawn: bool = False) -> OSE
     if stream is None:
         return None
     try:
-        print(text if is_drawn else printable(text), file=stream, flush=True)
+        print(_encodable(text if is_drawn else printable(text), stream.encoding), file=stream, flush=True)
     except OSError as error:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

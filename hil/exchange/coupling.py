@@ -56,7 +56,11 @@ def of_result(path: Path) -> Coupling:
         table = None
     if not isinstance(table, dict) or "schema" not in table:
         raise WrongUse(f"{path} is no result of hil identify: write one with `hil identify RECORDING --json > {path}`")
-    return of_json(upgraded(table), str(path))
+    try:
+        current = upgraded(table)
+    except (KeyError, TypeError, AttributeError):
+        current = table  # which lacks a part
+    return of_json(current, str(path))
 
 
 def of_json(table: Mapping[str, Any], name: str) -> Coupling:

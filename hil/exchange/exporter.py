@@ -37,6 +37,7 @@ uint32 nanosec
 _STATES = f"std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n{_HEADER}"
 _SAMPLES = "".join(f"{'uint64' if ROW[name].kind == 'u' else 'float64'} {name}\n" for name in CHANNELS)
 _LARGEST_MAT = 1 << 31  # bytes of a variable in a MAT-file of version 7
+_LATEST = (1 << 31) * 10**9  # ns since 1970 that a time stamp of ROS 2 holds
 
 
 class TableFormat(NamedTuple):
@@ -149,12 +150,21 @@ def _write_mcap(recording: Recording, target: Path) -> None:
         stamp = start
         for _, rows in recording.rows():
             for row in rows:
-                time = float(row["time"])
-                stamp = start + round(time * 1e9) if math.isfinite(time) else stamp
+                stamp = _stamp(start, float(row["time"]), stamp)
                 sample = {name: row[name].item() for name in CHANNELS}
                 writer.write_message("/hil/sample", samples, sample, log_time=stamp, publish_time=stamp)
                 writer.write_message("/joint_states", states, _state(sample, stamp), log_time=stamp, publish_time=stamp)
         writer.finish()
+
+
+def _stamp(start: int, time: float, last: int) -> int:
+    """Return the stamp of a row, ns since 1970; the `last` one where it has no time. Raises WrongUse."""
+    if not math.isfinite(time):
+        return last
+    stamp = start + round(time * 1e9)
+    if not 0 <= stamp < _LATEST:
+        raise WrongUse(f"a row has the time {time:.3g} s, which a time stamp of ROS cannot hold: export it as CSV")
+    return stamp
 
 
 def _state(sample: Mapping[str, float], stamp: int) -> dict[str, Any]:

@@ -64,3 +64,5 @@ END_MARK = 2**64 - 1
 """The `seq` of a row that is reserved and not written yet."""
 
 Rows = NDArray[np.void]
+LARGEST = 1e12
+"""A number beyond it, in SI, is no reading of any channel; its square would soon leave the range of numbers."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from drivers.servo import Status
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy
+from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals.angle import frozen, unwrapped
 from hil.signals.joint_time import interpolated, is_fresh
@@ -28,6 +29,8 @@ from hil.stand.transmission import Transmission
 
 Array = NDArray[np.float64]
 
+_FINEST = 1e-9  # s between two samples
+_STILL_ANGLE, _STILL_TORQUE = 1e-12, 1e-15  # rad and N m peak to peak, below which a reading never changes
 _FEWEST = 16  # samples, below which nothing is concluded
 _COARSE = 0.05  # share of repeated stamps above which a clock is called coarse
 _APART = 4.0  # median steps between two samples above which they belong to two stretches
@@ -218,7 +221,9 @@ def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _
     torque = channel("motor_torque" if columns.motor_side else "torque")
     dtheta = channel("dtheta")
     rate = channel("dtheta_dot") if columns.rate_given else np.zeros_like(dtheta)
-    good = answered & np.isfinite(time) & np.isfinite(torque) & np.isfinite(dtheta) & np.isfinite(rate)
+    good = answered.copy()
+    for column in (time, torque, dtheta, rate):
+        good &= np.abs(column) < LARGEST  # false for NaN too
     stuck = np.zeros(len(time), dtype=bool)
     stuck[good] = frozen(time[good], dtheta[good], torque[good])
     lost, not_numbers = np.flatnonzero(~answered), np.flatnonzero(answered & ~good)
@@ -318,7 +323,13 @@ def _refuse_hopeless(recording: Recording, usable: _Usable) -> None:
         raise Untrustworthy(f"{name}: time goes backwards after usable row {int(backwards[0])}: mend the stamps first")
     if np.ptp(time) == 0.0:
         raise Untrustworthy(f"{name}: every sample has the same time: mend the stamps first")
-    if np.ptp(dtheta) == 0.0:
+    if (step := float(np.ptp(time)) / len(time)) < _FINEST:
+        raise Untrustworthy(f"{name}: the samples are {step:.2g} s apart, which no recorder does: check --time-unit")
+    if np.ptp(usable.torque) < _STILL_TORQUE:
+        raise Untrustworthy(
+            f"{name}: the torque never changes: no Kc or Bc can be estimated; check the torque sensor and its unit"
+        )
+    if np.ptp(dtheta) < _STILL_ANGLE:
         raise Untrustworthy(
             f"{name}: the deflection never changes: no Kc or Bc can be estimated; raise --amplitude or free the cable"
         )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.servo import Status
 from hil.diagnostics import Diagnostic, driven_by_position, lateness
+from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.plausibility import Swing, implausible
@@ -102,7 +103,10 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
         lost = f"{defects.lost} of {rows} replies were lost and are left out: hil doctor shows how often"
         found.append(Diagnostic("lost-samples", lost))
     if defects.not_numbers:
-        numbers = f"{defects.not_numbers} of {rows} rows hold a NaN and are left out: hil export shows which"
+        numbers = (
+            f"{defects.not_numbers} of {rows} rows hold no number, or one beyond {LARGEST:g}, and are left out: hil "
+            "export shows which"
+        )
         found.append(Diagnostic("not-a-number", numbers))
     if defects.frozen:
         text = (

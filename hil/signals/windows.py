@@ -76,6 +76,8 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     rate = local_polynomial(time, dtheta, slope, 1)
     left = np.abs(dtheta - local_polynomial(time, dtheta, _NARROWEST, 0))
     left *= 1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))
+    known = np.isfinite(rate)  # a window across a long gap has no slope
+    rate, left = rate[known], left[known]
     fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))
     slope = max(narrowed(slope, step, noise, rate), narrowed(slope, step, fastest, rate[fast]))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.recording.channels import LARGEST
 from hil.report.pictures.canvas import GRID
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ def recording_figure(channels: Mapping[str, NDArray[np.float64]], units: Mapping
     """Return the picture of channels (n,), SI: command, torque, deflection over time, and torque over deflection."""
     from matplotlib.figure import Figure
 
+    channels = {name: np.where(np.abs(values) < LARGEST, values, np.nan) for name, values in channels.items()}
     drawn = Figure(figsize=(10, 6), layout="constrained")
     panels = drawn.subplot_mosaic([["command", "loop"], ["torque", "loop"], ["dtheta", "loop"]], width_ratios=[2, 1])
     for channel, label in (("command", "command"), ("torque", "torque at the joint"), ("dtheta", "deflection")):

@@ -1,0 +1,116 @@
+"""Replies that are changed, cut short, doubled, merged, from elsewhere or late: every adapter, in any order of them."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.servo import Command, DeviceFault, DriverError, Limits, Quantity, Sample
+from sim_backend.wire.canbus.bus import CanDelivery
+
+LIMITS = Limits(torque=0.02, velocity=60.0, temperature=85.0, position=(-8.0, 8.0))
+PUSH = Command(Quantity.TORQUE, 0.005)
+LATE = 0.012  # s: after the deadline of every drive, and within the next tick's
+SERIAL, CAN = ("rig", "mx", "feetech", "foc"), ("odrive", "mit", "moteus", "cia402")
+CHECKED = ("rig", "mx", "feetech")  # their packets have a checksum
+
+Mangled = Callable[[list[Any]], list[Any]]
+
+
+def flipped(data: bytes, at: int) -> bytes:
+    """Data in which one bit differs."""
+    out = bytearray(data)
+    if out:
+        out[at // 8 % len(out)] ^= 1 << at % 8
+    return bytes(out)
+
+
+def mangled(how: str, at: int, replies: Sequence[Any], last: list[bytes]) -> list[tuple[float, bytes]]:
+    """The replies, each its time and bytes, with one thing done to them; last: those of the request before."""
+    kept = [(when, bytes(data)) for when, data in replies]
+    before, last[:] = list(last), [data for _, data in kept]
+    if how == "twice":
+        return [one for one in kept for _ in range(2)]
+    if how == "older":
+        return [(when, old) for (when, _), old in zip(kept, before, strict=False)]
+    if how == "lost":
+        return []
+    return [(when + LATE * (how == "late"), changed(how, at, data)) for when, data in kept]
+
+
+def changed(how: str, at: int, data: bytes) -> bytes:
+    """The bytes of a reply with one thing done to them."""
+    done = {
+        "flip": flipped(data, at),
+        "cut": data[: at % (len(data) + 1)],
+        "merged": data[: len(data) // 2] + data,
+        "noise": bytes((at * k) % 256 for k in range(1, 8)) + data + b"\xff",
+    }
+    return done.get(how, data)
+
+
+def mangled_frames(how: str, at: int, replies: list[CanDelivery], last: list[bytes]) -> list[CanDelivery]:
+    """The same on a CAN bus, where a reply may also come from another node; noise is a frame of nobody's."""
+    if how == "elsewhere":
+        return [CanDelivery(when, replace(one, ident=one.ident ^ 1 << at % 11)) for when, one in replies]
+    done = mangled("none" if how in {"merged", "noise"} else how, at, [(w, one.data) for w, one in replies], last)
+    shape = replies[0][1] if replies else None
+    frames = [CanDelivery(when, replace(shape, data=data)) for when, data in done] if shape is not None else []
+    extra = [CanDelivery(when, replace(one, ident=0x7A0 + at % 16)) for when, one in replies] if how == "noise" else []
+    same = [one for _, one in replies]
+    if len(done) == len(same):
+        frames = [CanDelivery(when, replace(one, data=data)) for (when, data), one in zip(done, same, strict=True)]
+    return extra + frames
+
+
+HOW = st.tuples(
+    st.sampled_from(["good", "good", "flip", "cut", "twice", "merged", "noise", "older", "late", "lost", "elsewhere"]),
+    st.integers(0, 4095),
+)
+
+
+def opened(request: pytest.FixtureRequest, kind: str) -> Any:
+    """A rig of this kind of drive."""
+    make: Callable[..., Any] = request.getfixturevalue(f"make_{'rig' if kind == 'mx' else kind}")
+    return make("mx-64") if kind == "mx" else make()
+
+
+@pytest.mark.parametrize("kind", [*SERIAL, *CAN])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(plan=st.lists(HOW, min_size=3, max_size=14))
+def test_mangled_replies_raise_only_named_errors_and_the_torque_goes_off(
+    request: pytest.FixtureRequest, kind: str, plan: list[tuple[str, int]]
+) -> None:
+    rig = opened(request, kind)
+    servo = rig.open()
+    servo.arm(LIMITS)
+    receive = rig.bus.receive
+    last: list[bytes] = []
+    change: Any = mangled_frames if kind in CAN else mangled
+    samples: list[Sample] = []
+    for how, at in plan:
+        rig.bus.receive = lambda *words, how=how, at=at: change(how, at, receive(*words), last)
+        rig.wait(4e-3)
+        try:
+            samples.append(servo.exchange(PUSH))
+        except DeviceFault:  # a status without a checksum is believed: the recorder would stop here
+            break
+        except DriverError:
+            continue
+    rig.bus.receive = receive
+    for sample in samples if kind in CHECKED else ():
+        assert abs(sample.motor_position) < 2.0 * math.pi  # as the emulator stands; a changed byte would be seen
+        assert abs(sample.motor_torque) < 1.0
+    rig.wait(0.05)
+    with contextlib.suppress(DriverError):
+        servo.disarm()
+    servo.disarm()
+    assert not rig.motor.enabled
+    servo.close()
