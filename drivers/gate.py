@@ -26,6 +26,9 @@ _REQUESTS = 3
 """Requests for torque-off in one call of `Gate.disarm`."""
 _CALLS, _PAUSE = 20, 0.05
 """Calls of `disarm` in `confirm_torque_off`, and s between two of them."""
+_PULLS, _COUNTS, _READINGS, _SETTLES = 0.1, 3.0, 6, 0.01
+"""Share of the torque limit, and counts, that a motor without torque may report; readings, and s between two, that must
+say more."""
 
 
 class Admitted(NamedTuple):
@@ -218,10 +221,12 @@ class TorqueOff(NamedTuple):
         return "" if self.confirmed else f"CUT THE POWER: the torque-off is not confirmed ({self.error})"
 
 
-def confirm_torque_off(servo: Servo) -> TorqueOff:
+def confirm_torque_off(servo: Servo, limit: float = math.inf) -> TorqueOff:
     """Call `disarm` until it succeeds, for about one second of the servo's clock. Never raises.
 
-    No interrupt ends this early: a live motor is worse than anything it could stand for.
+    limit: of the torque, N m at the motor: a drive that says that it is off and still reports a tenth of that, in
+    several readings, has not confirmed it. No interrupt ends this early: a live motor is worse than anything it could
+    stand for.
     """
     last: BaseException | None = None
     for _ in range(_CALLS):
@@ -230,12 +235,35 @@ def confirm_torque_off(servo: Servo) -> TorqueOff:
         except BaseException as error:  # noqa: BLE001 - see above
             last = error
         else:
-            return TorqueOff(True, None if isinstance(last, Exception) else last)
+            return _read_back(servo, limit, None if isinstance(last, Exception) else last)
         try:
             servo.clock.sleep_until(servo.clock.now() + _PAUSE)
         except BaseException as error:  # noqa: BLE001 - see above
             last = error
     return TorqueOff(False, last)
+
+
+def _read_back(servo: Servo, limit: float, interrupt: BaseException | None) -> TorqueOff:
+    """Return whether the motor's torque is gone, as far as the drive reports one. limit: of the torque, N m.
+
+    interrupt: one that arrived before and is still to be obeyed. Never raises.
+    """
+    torque = most = math.nan
+    for _ in range(_READINGS if math.isfinite(limit) else 0):
+        try:
+            lsb = servo.info.torque_lsb
+            most = max(_PULLS * limit, _COUNTS * lsb if math.isfinite(lsb) else 0.0)
+            torque = servo.exchange(Command.rest()).motor_torque
+            if not abs(torque) > most:
+                return TorqueOff(True, interrupt)
+            servo.clock.sleep_until(servo.clock.now() + _SETTLES)
+        except Exception:  # noqa: BLE001 - what it reports after its torque-off is a second opinion only
+            return TorqueOff(True, interrupt)
+        except BaseException as error:  # noqa: BLE001 - to be obeyed once the torque is off
+            interrupt = error
+    if abs(torque) > most:
+        return TorqueOff(False, DriverError(f"the drive says that it is off and still reports {torque:.2g} N m"))
+    return TorqueOff(True, interrupt)
 
 
 def to_counts(value: float, lsb: float) -> int:

@@ -107,8 +107,7 @@ class Recorder:
         )
         self._check = self._guard.check
         self._outcome = Outcome()
-        self._start = math.nan
-        self._stopping_at = math.inf  # s of the run at which the ramp-down begins
+        self._start, self._stopping_at = math.nan, math.inf  # s; of the run, at which the ramp-down begins
         self._off_asked = False
         self._off_error: BaseException | None = None
 
@@ -315,7 +314,8 @@ class Recorder:
         )
 
     def _torque_off(self) -> None:
-        result = confirm_torque_off(self._servo)
+        driven = self._limits.torque / self._transmission.ratio if self._outcome.phases.history else math.inf
+        result = confirm_torque_off(self._servo, driven)
         self._outcome.alarm, self._off_error = result.alarm, result.error
         self._off_asked = True
         if result.confirmed and self._outcome.phases.now is not Phase.OFF:

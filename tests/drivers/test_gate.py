@@ -10,7 +10,7 @@ import pytest
 
 from drivers.clock import VirtualClock
 from drivers.gate import Gate, confirm_torque_off, to_counts, watchdog_problem
-from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, UnsafeCommand
+from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, Sample, ServoInfo, UnsafeCommand
 
 LIMITS = Limits(torque=0.1, velocity=10.0, temperature=60.0, position=(-1.0, 1.0))
 PUSH = Command(Quantity.TORQUE, 0.05)
@@ -159,6 +159,40 @@ def test_confirming_survives_interrupts_of_its_pauses() -> None:
     result = confirm_torque_off(device)  # type: ignore[arg-type]  # only what it calls
     assert result.confirmed
     assert isinstance(result.error, KeyboardInterrupt)
+
+
+class Pulling(Device):
+    """A device that confirms every torque-off and reports these torques after it, N m."""
+
+    info = ServoInfo("test", "pulling", torque_lsb=1e-3)
+
+    def __init__(self, *torques: float) -> None:
+        super().__init__()
+        self._torques = list(torques)
+
+    def exchange(self, command: Command) -> Sample:
+        assert command == Command.rest()
+        return Sample(0.0, 0.0, motor_torque=self._torques.pop(0) if len(self._torques) > 1 else self._torques[0])
+
+
+@pytest.mark.parametrize(
+    ("torques", "limit", "off"),
+    [
+        ((0.02,), 0.1, False),
+        ((-0.02,), 0.1, False),
+        ((0.09, 0.05, 0.02, 0.009), 0.1, True),
+        ((0.002,), 0.01, True),
+        ((math.nan,), 0.1, True),
+        ((0.02,), math.inf, True),
+    ],
+    ids=["pulls", "pulls the other way", "current decays", "within three counts", "not measured", "never driven"],
+)
+def test_a_device_that_confirms_and_still_reports_torque_has_not_confirmed(
+    torques: tuple[float, ...], limit: float, off: bool
+) -> None:
+    result = confirm_torque_off(Pulling(*torques), limit)  # type: ignore[arg-type]  # only what it calls
+    assert result.confirmed == off
+    assert ("CUT THE POWER" in result.alarm) != off
 
 
 @pytest.mark.parametrize(("value", "lsb"), [(math.nan, 1.0), (math.inf, 1.0), (1e300, 1e-300)])

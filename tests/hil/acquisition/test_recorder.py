@@ -496,7 +496,8 @@ class Stalled:
         clock, exchange = self.servo.clock, self.servo.exchange
 
         def timed(command: Command) -> Sample:
-            self.sent.append(clock.now() - self.start)
+            if self.servo.armed:
+                self.sent.append(clock.now() - self.start)
             return exchange(command)
 
         def stalls() -> None:
@@ -509,7 +510,6 @@ class Stalled:
         self.outcome = Recorder(parse(STAND), self.servo, profile_, 1000.0, self.rows, scratch=folder).run(
             StopRequest()
         )
-        self.sent = self.sent[-len(self.servo.driven) :]
         self.status = self.rows.channel("status").astype(int)
         self.wanted = profile_.at(np.arange(len(self.status)) / 1000.0)
 
@@ -568,3 +568,16 @@ def test_a_servo_that_never_answers_ends_the_run(bench: Bench) -> None:
     outcome = bench.run()
     assert isinstance(outcome.error, NoReply)
     assert "check power" in str(outcome.error)
+
+
+def test_a_drive_that_confirms_torque_off_and_pulls_on_raises_the_alarm(bench: Bench) -> None:
+    class Deaf(SpringServo):
+        def disarm(self) -> None:
+            self.rest = {"motor_torque": 0.1}
+            super().disarm()
+
+    bench.servo = Deaf()
+    outcome = bench.run()
+    assert "CUT THE POWER" in outcome.alarm
+    assert "still reports 0.1 N m" in outcome.alarm
+    assert outcome.phases.history[-1][1] != "off"
