@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -22,7 +21,7 @@ from ga.model.record import Parameter
 from ga.model.separable import Problem, descend
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_nonlinear
-from ga.trials.trials import Trials, duration, run_trials
+from ga.trials.trials import Trials, run_trials
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
@@ -31,6 +30,7 @@ from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
 from hil.identification.fitting.exact import solved, unproven
+from hil.identification.fitting.forecast import forecast
 from hil.identification.fitting.validation import validated
 from hil.identification.identifiability import Evidence, estimates, judge, rivals, sliding
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
@@ -48,7 +48,6 @@ from hil.uncertainty.stationarity import pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
 
-_LONG_SEARCH = 5_000_000  # generations from which a search says how long it will take
 _TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
 _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable motion
 
@@ -310,7 +309,8 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
     _check_population(search, len(bounds.low))
     columns, torque = data.in_memory if data.whole else (reduced.columns, reduced.torque)
     if progress is not None and search.settings.scheme == "steady-state":
-        _announce(columns, torque, bounds, search, progress)
+        many, workers = search.trials or _TRIALS, search.workers
+        forecast(columns, torque, bounds, search.settings, trials=many, workers=workers, progress=progress)
     try:
         trials = run_trials(
             columns,
@@ -330,23 +330,6 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
     except OSError as error:
         raise WrongUse(f"--checkpoint {search.checkpoint}: {error.strerror}: name another file") from error
     return trials if data.whole else trials.scaled(reduced.share)
-
-
-def _announce(columns: Array, torque: Array, bounds: Bounds, search: Search, progress: Progress) -> None:
-    """Say how long a search that makes a child a generation will take, where that is long: by the rate of a short one.
-
-    Of a search that is resumed, the part that is done already is counted too.
-    """
-    trials = search.trials or _TRIALS
-    if search.settings.generations < _LONG_SEARCH:
-        return
-    seconds = duration(columns, torque, bounds, search.settings, trials=trials, workers=search.workers)
-    count = f"{trials * search.settings.generations:,} evaluations"
-    progress(f"searching with {count}: about {_in_words(seconds)}; Ctrl-C ends it and keeps its result", math.nan)
-
-
-def _in_words(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} minutes"
 
 
 def _names(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:

@@ -1,0 +1,42 @@
+"""How long a search will take, said before it begins."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.bounds import Bounds
+from ga.evolution.evolution import Settings
+from ga.trials.trials import duration
+from hil.recording.ahead import Progress
+
+Array = NDArray[np.float64]
+
+_LONG_SEARCH = 5_000_000  # generations from which a search says how long it will take
+
+
+def forecast(
+    columns: Array,
+    torque: Array,
+    bounds: Bounds,
+    settings: Settings,
+    *,
+    trials: int,
+    workers: int,
+    progress: Progress,
+) -> None:
+    """Say how long a search that makes a child a generation will take, where that is long: by the rate of a short one.
+
+    Of a search that is resumed, the part that is done already is counted too.
+    """
+    if settings.generations < _LONG_SEARCH:
+        return
+    seconds = duration(columns, torque, bounds, settings, trials=trials, workers=workers)
+    count = f"{trials * settings.generations:,} evaluations"
+    progress(f"searching with {count}: about {_in_words(seconds)}; Ctrl-C ends it and keeps its result", math.nan)
+
+
+def _in_words(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} minutes"
