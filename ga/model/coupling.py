@@ -92,8 +92,8 @@ class CouplingModel:
 
     @property
     def remembers(self) -> bool:
-        """Whether the torque depends on earlier samples too."""
-        return any(term.forgets is not None for term in self.terms)
+        """Whether the torque depends on other samples too."""
+        return any(term.forgets is not None or term.cell is not None for term in self.terms)
 
     def anchored(self, motion: Motion) -> CouplingModel:
         """Return the model with origin and slowest rate of this motion, so that it is one model for every part of it.
@@ -201,8 +201,9 @@ class CouplingModel:
 
     def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
         """What a torque (n,) or columns (n, p) of it become behind the torque cell."""
-        constant = next((float(values[0]) for term, values in self._valued(nonlinear) if term.lags), 0.0)
-        return motion.lagged(torque, constant)
+        for term, values in self._valued(nonlinear):
+            torque = torque if term.cell is None else term.cell(motion, torque, values)
+        return torque
 
     def _known(self, motion: Motion, rows: slice | NDArray[np.int64], values: Array, nonlinear: Array | None) -> Array:
         """Values (m,) or (m, p) of some rows without what the unknown state at the beginning of a stretch can make."""

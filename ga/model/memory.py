@@ -18,6 +18,10 @@ _FORGOTTEN: Final = 1e-6
 """Part of a state that makes no difference any more."""
 
 
+_AT_ONCE: Final = 1e-6
+"""s: the mean over less is the value."""
+
+
 def lagged(time: Array, values: Array, constant: float) -> Array:
     """Return values (n,) or (n, k) at times (n,) s behind a first-order lag of `constant` s, settled at the first.
 
@@ -35,6 +39,22 @@ def lagged(time: Array, values: Array, constant: float) -> Array:
     end = table[1:] + constant * (constant * (second + third * step - constant * third) - slope[1:])
     keep = np.exp(-step[:, 0] / constant)
     return _recursion(keep, end - keep[:, None] * begin, table[0]).reshape(values.shape)
+
+
+def averaged(time: Array, values: Array, width: float) -> Array:
+    """Return the mean of values (n,) or (n, k) at times (n,) s over `width` s around each, or what of it there is.
+
+    The values are cubic between two times, with the slopes that central differences give them.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    if len(time) < 2:
+        return values
+    integral = CubicHermiteSpline(time, values, np.gradient(values, time, axis=0)).antiderivative()
+    reach = np.minimum(0.5 * width, np.minimum(time - time[0], time[-1] - time))
+    before, after = time - np.maximum(reach, _AT_ONCE), time + np.maximum(reach, _AT_ONCE)
+    size = (after - before).reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray((integral(after) - integral(before)) / size)
 
 
 def presliding(time: Array, rate: Array, length: float) -> Array:

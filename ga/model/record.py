@@ -79,8 +79,9 @@ class Term:
     these change, per second, where the motion changes as the second argument says; pushed, (n,) N m, how its torque
     changes where the deflection changes by the third argument, (n,) rad, for given linear parameters.
     bounds, low and high of each nonlinear parameter for motion up to so many Hz. With them a term delays the motion by
-    its parameter; or lags, is the time constant of the torque reading; or gives remaining, the deflection (n,) that its
-    parameters leave, and shifts, how much of the deflection is taken away per unit of each; or only shapes its columns.
+    its parameter; or gives cell, what a torque (n,) or columns (n, p) become in the torque cell, for a motion, these
+    and its parameters; or gives remaining, the deflection (n,) that its parameters leave, and shifts, how much of the
+    deflection is taken away per unit of each; or only shapes its columns.
     contact, (n,), multiplies the torque of spring and damper, for remaining deflection, rate, Bc/Kc in s, v_s and its
     parameters. forgets: where the torque depends on earlier samples too, what is left (n,) at each sample of the state
     that its stretch began with, which is unknown; for a motion and the term's parameters.
@@ -99,7 +100,7 @@ class Term:
     pushed: Callable[[Regressors, Array, Array], Array] | None = None
     bounds: Callable[[Motion, float], tuple[tuple[float, float], ...]] | None = None
     delays: bool = False
-    lags: bool = False
+    cell: Callable[[Motion, Array, Array], Array] | None = None
     remaining: Callable[[Array, Array], Array] | None = None
     shifts: Callable[[Array], tuple[Array, ...]] | None = None
     contact: Callable[[Array, Array, float, float, Array], Array] | None = None

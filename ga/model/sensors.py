@@ -21,6 +21,13 @@ LONGEST_LAG: Final = 0.05
 """s, of a torque cell, at most: 3 Hz."""
 
 
+LONGEST_MEAN: Final = 0.1
+"""s, over which a torque reading is a mean, at most."""
+
+TICKS_LATE: Final = 10.0
+"""Ticks by which a filter may delay the torque reading, where that is more than `LONGEST_SKEW`."""
+
+
 def _still(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
     import numpy as np
 
@@ -33,9 +40,17 @@ def _one(regressors: Regressors) -> tuple[Array, ...]:
     return (np.ones_like(regressors.angle),)
 
 
-def _skew_bounds(_motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
-    longest = min(LONGEST_SKEW, 0.25 / highest)  # beyond a quarter of the shortest period it cannot be identified
+def _skew_bounds(motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
+    import numpy as np
+
+    filtered = TICKS_LATE * float(np.median(np.diff(motion.time))) if len(motion) > 1 else 0.0
+    # beyond a quarter of the shortest period it cannot be identified
+    longest = min(max(LONGEST_SKEW, filtered), 0.25 / highest)
     return ((-longest, longest),)
+
+
+def _mean_bounds(_motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
+    return ((0.0, min(LONGEST_MEAN, 0.7 / highest)),)  # a sine is lost in its mean over a period
 
 
 def _lag_bounds(_motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
@@ -97,7 +112,29 @@ LAG: Final = Term(
         ),
     ),
     bounds=_lag_bounds,
-    lags=True,
+    cell=lambda m, torque, own: m.lagged(torque, float(own[0])),
     forgets=lambda m, own: m.fading(m.time, float(own[0])),
+    selection="misfit",
+)
+
+MEAN: Final = Term(
+    "mean",
+    "a torque reading that is a mean over some time, as filters of an even delay make it",
+    (
+        Parameter(
+            "window",
+            "s",
+            "time over which a torque reading is the mean, half before and half after; its delay is the skew",
+            scales=False,
+            presence=True,
+            positive=True,
+            nonlinear=True,
+            starts=(0.1, 0.3, 0.6),
+        ),
+    ),
+    bounds=_mean_bounds,
+    cell=lambda m, torque, own: m.averaged(torque, float(own[0])),
+    excludes=("lag",),
+    reason="lag and mean are two accounts of the torque cell's filter",
     selection="misfit",
 )

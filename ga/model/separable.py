@@ -36,6 +36,9 @@ _AGREEMENTS: Final = 8
 _AGREED: Final = 1e-3
 """How often, at most, and to what part the lag of flanks is found again from the fit that it led to."""
 
+_AS_GOOD: Final = 1.25
+"""Times the fitness of a fit with a negative damping, up to which one without is taken for it."""
+
 _STEPS: Final = 20
 _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-7
@@ -204,14 +207,38 @@ def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({}
     for parameter, low, high in zip(problem.model.nonlinear, problem.low, problem.high, strict=True):
         parts, name = np.array(parameter.starts), parameter.name
         tried.append(np.array([near[name]]) if name in near else low + (high - low) * parts)
-    thin, best = problem.thinned(FEW), None
+    thin, found = problem.thinned(FEW), list[Fit]()
     for chosen in product(*tried):
-        found = solve_or_none(thin, np.array(chosen), best)
-        if found is not None and (best is None or found.fitness < best.fitness):
-            best = found
-    if best is None:
+        seen = solve_or_none(thin, np.array(chosen), min(found, key=_fitness, default=None))
+        found += [] if seen is None else [seen]
+    if not found:
         raise RuntimeError("for no nonlinear parameters were the columns different enough")
-    return descend(problem, best.nonlinear)
+    found.sort(key=_fitness)
+    best = descend(problem, found[0].nonlinear)
+    for other in _other_starts(problem, best, found):
+        # a delay and a damping can stand for each other to the second order, one of the two negative
+        seen = descend(problem, other.nonlinear)
+        likelier = _is_possible(problem, seen) and not _is_possible(problem, best)
+        best = seen if seen.fitness < (_AS_GOOD if likelier else 1.0) * best.fitness else best
+    return best
+
+
+def _other_starts(problem: Problem, best: Fit, starts: list[Fit]) -> list[Fit]:
+    """The second start where the descent from the best, the first of them, ended at once; and the best possible one."""
+    is_stuck = bool(np.array_equal(best.nonlinear, starts[0].nonlinear))
+    others = starts[1:2] if is_stuck else []
+    possible = [one for one in starts[1:] if _is_possible(problem, one)]
+    return others if _is_possible(problem, best) or possible[:1] == others else others + possible[:1]
+
+
+def _is_possible(problem: Problem, found: Fit) -> bool:
+    """Whether no parameter is negative that nature has no negative one of."""
+    values = zip(problem.model.linear, found.optimum.genes, strict=True)
+    return all(value >= 0.0 for parameter, value in values if parameter.positive)
+
+
+def _fitness(found: Fit) -> float:
+    return found.fitness
 
 
 def solve_or_none(problem: Problem, nonlinear: Array, near: Fit | None) -> Fit | None:

@@ -33,6 +33,7 @@ _RECORDS: Final = (
     friction.CAPSTAN,
     sensors.SKEW,
     sensors.LAG,
+    sensors.MEAN,
 )
 
 _terms: Final = {term.name: term for term in _RECORDS}

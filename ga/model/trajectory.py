@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
     from scipy.interpolate import CubicSpline
@@ -64,6 +64,34 @@ class Motion:
             part_of=(whole, np.arange(len(whole))[places][rows]),
         )
 
+    def at(self, time: Array) -> Motion:
+        """The motion at other times (m,), s, rising, those between two stretches left out; at all else interpolated.
+
+        It is some of the samples of a whole motion as dense as this one, so that it is delayed and lagged as exactly.
+        """
+        inside = [time[(time >= self.time[a]) & (time <= self.time[b - 1])] for a, b in self._stretches()]
+        step = float(np.median(np.diff(self.time)))
+        grids = [_subdivided(part, step) for part in inside]
+        lengths = [len(grid) for grid, _ in grids if len(grid)]
+        parts = [curve(grid) for (grid, _), curve in zip(grids, self._curves, strict=True) if len(grid)]
+        whole = replace(
+            self,
+            time=np.concatenate([grid for grid, _ in grids]),
+            starts=tuple(np.cumsum([0, *lengths[:-1]]).tolist()),
+            part_of=None,
+            **dict(zip(_PARTS, np.concatenate(parts).T.copy(), strict=True)),
+        )
+        return whole.of(np.concatenate([asked for _, asked in grids]))
+
+    def shifted(self, reference: float) -> Motion:
+        """The motion with deflections from `reference`, rad."""
+        moved = replace(self, dtheta=self.dtheta - reference, part_of=None)
+        return (
+            moved
+            if self.part_of is None
+            else replace(moved, part_of=(self.part_of[0].shifted(reference), self.part_of[1]))
+        )
+
     def delayed(self, delay: float) -> Motion:
         """The motion as it was `delay` seconds before each time; before a stretch began, as its ends continue."""
         if delay == 0.0:
@@ -84,6 +112,15 @@ class Motion:
         if constant <= 0.0:
             return values
         parts = [memory.lagged(self.time[a:b], values[a:b], constant) for a, b in self._stretches()]
+        return np.concatenate(parts)
+
+    def averaged(self, values: Array, width: float) -> Array:
+        """The means (n,) or (n, k) of values over `width` s, half before each time and half after; less at the ends."""
+        from ga.model import memory
+
+        if width <= 0.0:
+            return values
+        parts = [memory.averaged(self.time[a:b], values[a:b], width) for a, b in self._stretches()]
         return np.concatenate(parts)
 
     def presliding(self, length: float) -> Array:
@@ -141,3 +178,41 @@ class Motion:
             return self.part_of[0]._curves
         values = np.stack([getattr(self, name) for name in _PARTS], axis=1)
         return tuple(CubicSpline(self.time[start:stop], values[start:stop]) for start, stop in self._stretches())
+
+
+def joined(motions: Sequence[Motion]) -> Motion:
+    """Return motions one after the other, each of them beginning a stretch of its own."""
+    noises = [motion.rate_noise for motion in motions if motion.rate_noise is not None]
+    firsts = np.cumsum([0, *(len(motion) for motion in motions[:-1])])
+    starts = tuple(int(first) + start for first, motion in zip(firsts, motions, strict=True) for start in motion.starts)
+    time, dtheta, rate, acceleration, known = (
+        np.concatenate([getattr(motion, name) for motion in motions]) for name in ("time", *_PARTS)
+    )
+    return Motion(
+        time,
+        dtheta,
+        rate,
+        acceleration,
+        known,
+        starts=starts,
+        rate_noise=max(noises) if len(noises) == len(motions) else None,
+        part_of=_joined_wholes(motions) if any(motion.part_of for motion in motions) else None,
+    )
+
+
+def _joined_wholes(motions: Sequence[Motion]) -> tuple[Motion, NDArray[np.int64]]:
+    wholes = [motion.whole for motion in motions]
+    firsts = np.cumsum([0, *(len(whole) for whole, _ in wholes[:-1])])
+    places = [first + np.arange(len(whole))[rows] for first, (whole, rows) in zip(firsts, wholes, strict=True)]
+    return joined([whole for whole, _ in wholes]), np.concatenate(places)
+
+
+def _subdivided(time: Array, step: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Times (n,), s, no more than about `step` apart, among which are those asked for; and which of them these are."""
+    if len(time) < 2:
+        return time, np.ones(len(time), dtype=bool)
+    parts = np.maximum(np.round(np.diff(time) / step), 1.0).astype(np.int64)
+    ends = np.concatenate([[0], np.cumsum(parts)])
+    asked = np.zeros(ends[-1] + 1, dtype=bool)
+    asked[ends] = True
+    return np.interp(np.arange(ends[-1] + 1), ends, time), asked

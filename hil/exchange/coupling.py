@@ -15,7 +15,7 @@ from hil.recording.input import read_text
 from hil.report.identification import upgraded
 
 _LARGEST = 1 << 26  # bytes of a result
-_REPRESENTED = frozenset({"linear", "coulomb"}) | {"offset", "drift", "skew", "lag"}  # the last four are of the sensors
+_REPRESENTED = frozenset({"linear", "coulomb"}) | {"offset", "drift", "skew", "lag", "mean"}  # but for two, of sensors
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,8 @@ from hil.identification.disk_table import DiskTable
 from hil.identification.model_choice import Choice
 from hil.recording.ahead import Progress, ahead
 from hil.signals.angle import far_zero
-from hil.signals.prepare import Defects, Signals, glimpse, joined, prepare, stream
+from hil.signals.defects import Defects
+from hil.signals.prepare import Signals, glimpse, joined, prepare, stream
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import Source
 from hil.uncertainty.blocks import Block, Blocks

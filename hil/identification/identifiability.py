@@ -221,7 +221,9 @@ def other_stiffness(values: Mapping[str, float], *, selected: bool = False) -> l
 
 
 def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
-    """A warning of a skew that is longer than the readings of one recorder are apart."""
+    """A warning of a skew that is longer than the readings of one recorder are apart, or of a filter."""
+    if "window" in evidence.names:
+        return [_filtered(evidence)]
     if "skew" not in evidence.names:
         return []
     skew = float(evidence.values[evidence.names.index("skew")])
@@ -237,6 +239,22 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
             "Bc",
         )
     ]
+
+
+def _filtered(evidence: Evidence) -> Diagnostic:
+    """Return the warning of a torque that a filter averages."""
+    window, late = (
+        float(evidence.values[evidence.names.index(name)]) if name in evidence.names else 0.0
+        for name in ("window", "skew")
+    )
+    step = float(np.median(np.diff(evidence.signals.motion.whole[0].time)))
+    return Diagnostic(
+        "filtered-torque",
+        f"the torque is {1e3 * late:.3g} ms late and a mean over {1e3 * window:.3g} ms, {window / step:.2g} ticks: a "
+        "filter stands before it, which the model includes; if it is not a mean, Bc is wrong; switch it off, "
+        "or pass the angle through the same filter",
+        "Bc",
+    )
 
 
 def _interruption(trials: Trials) -> list[Diagnostic]:

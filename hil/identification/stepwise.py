@@ -169,7 +169,7 @@ class _Selector:
 
     def _alternatives(self, chosen: _Candidate) -> tuple[Alternative, ...]:
         """The models with a skew, a lag of the torque cell or both, in place of those that the chosen one has."""
-        if not set(_LATE).intersection(chosen.terms):
+        if not set(_LATE).intersection(chosen.terms) or "mean" in chosen.terms:
             return ()
         others = tuple(term for term in chosen.terms if term not in _LATE)
         alone = [one for term in _LATE if (one := self._late((*others, term))) is not None]

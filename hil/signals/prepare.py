@@ -17,12 +17,16 @@ from numpy.typing import NDArray
 
 from drivers.servo import Status
 from ga.model.trajectory import Motion
+from ga.model.trajectory import joined as one_after_the_other
 from hil.errors import Untrustworthy
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
+from hil.signals import slow_channel
 from hil.signals.angle import frozen, unwrapped
-from hil.signals.joint_time import interpolated, is_fresh
+from hil.signals.defects import Defects
 from hil.signals.savitzky_golay import local_polynomial
+from hil.signals.slow_channel import Kind, Readings, Slower
+from hil.signals.stamps import spread_stamps, starts_within, stretches, within
 from hil.signals.windows import Window, window_for
 from hil.stand.file import StandTable
 from hil.stand.transmission import Transmission
@@ -32,38 +36,8 @@ Array = NDArray[np.float64]
 _FINEST = 1e-9  # s between two samples
 _STILL_ANGLE, _STILL_TORQUE = 1e-12, 1e-15  # rad and N m peak to peak, below which a reading never changes
 _FEWEST = 16  # samples, below which nothing is concluded
-_COARSE = 0.05  # share of repeated stamps above which a clock is called coarse
-_APART = 4.0  # median steps between two samples above which they belong to two stretches
-_SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 _PROBE = 1 << 20  # rows from which the columns to read and the windows are chosen
 _MARGIN = 256  # rows beyond the windows of a block, to replace those that were lost
-
-
-@dataclass(frozen=True, slots=True)
-class Defects:
-    """Rows of a recording that are not used, and whether many shared a time stamp and were spread.
-
-    lost: replies that never came. not_numbers: rows with a NaN. near_gaps: rows whose window spans a gap; those at the
-    two ends of the recording are not counted. frozen: rows in which the angle stood still while the torque changed.
-    wraps: jumps of the angle by a turn, which were taken back.
-    """
-
-    lost: int = 0
-    not_numbers: int = 0
-    near_gaps: int = 0
-    coarse_clock: bool = False
-    frozen: int = 0
-    wraps: int = 0
-
-    def __add__(self, other: Defects) -> Defects:
-        return Defects(
-            self.lost + other.lost,
-            self.not_numbers + other.not_numbers,
-            self.near_gaps + other.near_gaps,
-            self.coarse_clock or other.coarse_clock,
-            self.frozen + other.frozen,
-            self.wraps + other.wraps,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +46,8 @@ class Signals:
 
     band: Hz, the excited band. rate_window: s, the width of the local polynomial, 0 where the rate was recorded.
     torque_from: "joint", "motor", "given" or, of several, "mixed". window: that rate and acceleration were computed in,
-    of several that of the noisiest, None where the rate was recorded.
+    of several that of the noisiest, None where the rate was recorded. slower: the sensors that are
+    slower than the ticks.
     """
 
     motion: Motion
@@ -82,6 +57,7 @@ class Signals:
     rate_window: float
     torque_from: str
     window: Window | None = None
+    slower: tuple[Slower, ...] = ()
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -90,7 +66,7 @@ class Signals:
         """Return the signals with deflections from `reference`, rad."""
         if reference == 0.0:
             return self
-        return replace(self, motion=replace(self.motion, dtheta=self.motion.dtheta - reference, part_of=None))
+        return replace(self, motion=self.motion.shifted(reference))
 
     @property
     def coupling_torque(self) -> Array:
@@ -100,39 +76,37 @@ class Signals:
 
 def joined(parts: list[Signals]) -> Signals:
     """Return the signals of several recordings, or of the blocks of one, one after the other."""
-    motions = [part.motion for part in parts]
-    lengths = np.cumsum([0, *(len(part) for part in parts[:-1])])
-    noises = [motion.rate_noise for motion in motions if motion.rate_noise is not None]
     return Signals(
-        motion=Motion(
-            np.concatenate([motion.time for motion in motions]),
-            np.concatenate([motion.dtheta for motion in motions]),
-            np.concatenate([motion.dtheta_dot for motion in motions]),
-            np.concatenate([motion.dtheta_ddot for motion in motions]),
-            np.concatenate([motion.known for motion in motions]),
-            starts=tuple(
-                int(length) + start for length, motion in zip(lengths, motions, strict=True) for start in motion.starts
-            ),
-            rate_noise=max(noises) if len(noises) == len(motions) else None,
-        ),
+        motion=one_after_the_other([part.motion for part in parts]),
         torque=np.concatenate([part.torque for part in parts]),
         defects=sum((part.defects for part in parts), Defects()),
         band=(min(part.band[0] for part in parts), max(part.band[1] for part in parts)),
         rate_window=max(part.rate_window for part in parts),
         window=max((part.window for part in parts if part.window), key=lambda one: one.of_deflection, default=None),
         torque_from=parts[0].torque_from if len({part.torque_from for part in parts}) == 1 else "mixed",
+        slower=tuple(dict.fromkeys(one for part in parts for one in part.slower)),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Which channels are read: the motor's torque or the joint's, a recorded rate or the deflection's slope, and
-    whether the torque has times of its own."""
+    """Which channels are read: the motor's torque or the joint's, a recorded rate or the deflection's slope, whether
+    the torque has times of its own, and how torque and deflection show a sensor that is slower than the ticks.
+    """
 
     stand: StandTable | None
     motor_side: bool
     rate_given: bool
     own_time: bool
+    torque: Kind | None = None
+    dtheta: Kind | None = None
+
+    def seeing(self, usable: _Usable) -> _Columns:
+        """Return the columns with how the usable rows show slower sensors."""
+        time = spread_stamps(usable.time)[0]
+        torque = None if self.own_time else slow_channel.kind_of(time, usable.torque)
+        dtheta = slow_channel.kind_of(time, usable.dtheta)
+        return replace(self, torque=torque, dtheta=dtheta, rate_given=self.rate_given and dtheta is None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +141,8 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     # of a part of a recording it would not be known by how many turns it is off
     dtheta, wraps = unwrapped(usable.dtheta)
     usable = replace(usable, dtheta=dtheta, wraps=wraps)
-    window = window_for(spread_stamps(usable.time)[0], usable.dtheta, usable.torque)
-    return _signals(usable, columns, window, (0, len(recording)))
+    columns = columns.seeing(usable)
+    return _signals(usable, columns, _window(usable, columns), (0, len(recording)))
 
 
 def stream(recording: Recording, stand: StandTable | None, block: int = 1 << 18) -> Iterator[Signals]:
@@ -177,8 +151,7 @@ def stream(recording: Recording, stand: StandTable | None, block: int = 1 << 18)
     The first million rows set the rate's window. Each block is computed with enough rows of its neighbours for every
     window to be whole. Raises Untrustworthy as `prepare`, judged by the first million rows.
     """
-    columns = _columns_of(recording, stand)
-    window = _probed(recording, columns)
+    columns, window = _probed(recording, _columns_of(recording, stand))
     margin = 2 * window.widest + _MARGIN  # lost rows take room too
     for start in range(0, len(recording), block):
         stop = min(start + block, len(recording))
@@ -188,18 +161,41 @@ def stream(recording: Recording, stand: StandTable | None, block: int = 1 << 18)
 
 def glimpse(recording: Recording, stand: StandTable | None, parts: int = 16, rows: int = 1 << 14) -> list[Signals]:
     """Return some stretches of a long recording, evenly spread. Raises Untrustworthy as `stream`."""
-    columns = _columns_of(recording, stand)
-    window = _probed(recording, columns)
+    columns, window = _probed(recording, _columns_of(recording, stand))
     parts = max(1, min(parts, len(recording) // rows))  # samples that were seen twice would count as more evidence
     starts = np.linspace(0, max(0, len(recording) - rows), parts).astype(int).tolist()
     stretches = (_usable(recording, columns, start, min(start + rows, len(recording))) for start in starts)
     return [_signals(usable, columns, window, (0, len(recording))) for usable in stretches]
 
 
-def _probed(recording: Recording, columns: _Columns) -> Window:
+def _probed(recording: Recording, columns: _Columns) -> tuple[_Columns, Window]:
     first = _usable(recording, columns, 0, min(_PROBE, len(recording)))
     _refuse_hopeless(recording, first)
-    return window_for(spread_stamps(first.time)[0], first.dtheta, first.torque)
+    columns = columns.seeing(first)
+    return columns, _window(first, columns)
+
+
+def _window(usable: _Usable, columns: _Columns) -> Window:
+    angle = _angle(usable, columns)
+    return window_for(angle.time, angle.value, usable.torque[angle.row])
+
+
+def _angle(usable: _Usable, columns: _Columns) -> Readings:
+    """The deflection's own readings, rad."""
+    time = spread_stamps(usable.time)[0]
+    if columns.dtheta is not None:
+        return slow_channel.readings(time, usable.dtheta, columns.dtheta)
+    return Readings(np.arange(len(time)), time, usable.dtheta)
+
+
+def _own_readings(usable: _Usable, columns: _Columns) -> Readings | None:
+    """The torque's own readings, N m, where they were not taken at the ticks."""
+    if columns.own_time:
+        return slow_channel.stamped(usable.torque_time, usable.torque)
+    time = spread_stamps(usable.time)[0]
+    if columns.torque is not None:
+        return slow_channel.readings(time, usable.torque, columns.torque)
+    return None if columns.dtheta is None else Readings(np.arange(len(time)), time, usable.torque)
 
 
 def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
@@ -243,75 +239,89 @@ def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _
 
 def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
     """Return the signals of the usable rows within `rows` of the file; the other rows only fill their windows."""
-    (time, coarse), dtheta = spread_stamps(usable.time), usable.dtheta
+    (stamps, coarse), angle = spread_stamps(usable.time), _angle(usable, columns)
+    time, dtheta = angle.time, angle.value
     if columns.rate_given:
         rate = usable.reported_rate
         acceleration = local_polynomial(time, rate, window.curvature, 1)
     else:
         dtheta, rate, acceleration = window.moved(time, dtheta)
-    torque, known = _at_joint(usable.torque, rate, acceleration, columns)
-    inside = _within(usable.row, rows)
+    known = _motor_share(rate, acceleration, columns)
+    inside = within(usable.row[angle.row], rows)
     sound = np.ones(len(time), dtype=bool) if columns.rate_given else window.sound(time)
-    starts, long_enough = _stretches(time, sound, window.step)
-    kept = long_enough & inside
-    if columns.own_time:
-        kept &= is_fresh(usable.torque_time)
-        at = usable.torque_time
-        dtheta, rate = interpolated(at, time, dtheta, rate), interpolated(at, time, rate, acceleration)
-        time, acceleration = at, np.interp(at, time, acceleration)
+    starts, long_enough = stretches(time, sound, window.step)
+    own = _own_readings(usable, columns)
+    kept = long_enough & (inside if own is None else True)
+    motion = Motion(
+        time[kept],
+        dtheta[kept],
+        rate[kept],
+        acceleration[kept],
+        known[kept],
+        starts=starts_within(starts, kept),
+        rate_noise=None if columns.rate_given else window.noise,
+    )
+    if own is None:
+        torque = usable.torque[kept]
+    else:
+        motion, torque = _at_readings(motion, own, within(usable.row[own.row], rows))
     return Signals(
-        motion=Motion(
-            time[kept],
-            dtheta[kept],
-            rate[kept],
-            acceleration[kept],
-            known[kept],
-            starts=_starts_within(starts, kept),
-            rate_noise=None if columns.rate_given else window.noise,
-        ),
-        torque=torque[kept],
+        motion=motion,
+        torque=_at_joint(torque, columns),
         defects=Defects(
-            lost=int(np.count_nonzero(_within(usable.lost, rows))),
-            not_numbers=int(np.count_nonzero(_within(usable.not_numbers, rows))),
+            lost=int(np.count_nonzero(within(usable.lost, rows))),
+            not_numbers=int(np.count_nonzero(within(usable.not_numbers, rows))),
             near_gaps=int(np.count_nonzero((inside & ~long_enough)[window.widest : len(time) - window.widest])),
             coarse_clock=coarse,
-            frozen=int(np.count_nonzero(_within(usable.frozen, rows))),
+            frozen=int(np.count_nonzero(within(usable.frozen, rows))),
             wraps=usable.wraps,
         ),
         band=window.band,
         rate_window=0.0 if columns.rate_given else (2 * window.slope + 1) * window.step,
         window=None if columns.rate_given else window,
         torque_from="motor" if columns.motor_side else ("given" if columns.stand is None else "joint"),
+        slower=_slower(columns, angle, own, float(np.median(np.diff(stamps)))),
     )
 
 
-def _stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return where each gapless stretch of sound samples begins, and which samples (n,) are in one long enough."""
-    places = np.flatnonzero(sound)
-    breaks = np.flatnonzero((np.diff(places) > 1) & (np.diff(time[places]) > _APART * step)) + 1
-    parts = [part for part in np.split(places, breaks) if len(part) >= _SHORTEST]
-    kept = np.zeros(len(time), dtype=bool)
-    for part in parts:
-        kept[part] = True
-    return np.array([part[0] for part in parts], dtype=np.int64), kept
+def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tuple[Motion, Array]:
+    """Return the motion at the readings of the torque that are wanted (m,) and lie in a stretch, and these, N m."""
+    time, torque = own.time[wanted], own.value[wanted]
+    for is_last in (own.unsure == 0.0, True):
+        at = motion.at(time)
+        if len(at) < _FEWEST:
+            raise Untrustworthy(
+                f"the torque cell has {len(at)} readings of its own beside the angle's, and Kc and Bc need at least "
+                f"{_FEWEST}: record for longer"
+            )
+        found = torque[np.searchsorted(time, at.time)]
+        if is_last:
+            break
+        time = slow_channel.repaced(time, at, found, own.unsure)
+    return at, found
 
 
-def _starts_within(starts: NDArray[np.int64], kept: NDArray[np.bool_]) -> tuple[int, ...]:
-    """Return the starts as indices into the samples that are kept."""
-    counted = np.unique(np.concatenate([[0], np.cumsum(kept)[starts] - kept[starts]]))
-    return tuple(counted[counted < np.count_nonzero(kept)].tolist()) or (0,)
+def _slower(columns: _Columns, angle: Readings, torque: Readings | None, step: float) -> tuple[Slower, ...]:
+    found = []
+    if columns.torque is not None and torque is not None:
+        found.append(Slower("torque", columns.torque, torque.step, step, torque.unsure))
+    if columns.dtheta is not None:
+        found.append(Slower("deflection", columns.dtheta, angle.step, step, angle.unsure))
+    return tuple(found)
 
 
-def _within(row: NDArray[np.int64], rows: tuple[int, int]) -> NDArray[np.bool_]:
-    return (row >= rows[0]) & (row < rows[1])
-
-
-def _at_joint(torque: Array, rate: Array, acceleration: Array, columns: _Columns) -> tuple[Array, Array]:
-    """Return the torque (n,) N m at the joint, and the motor's own part of it, by equation (1)."""
+def _at_joint(torque: Array, columns: _Columns) -> Array:
+    """Return a torque reading (n,) N m as that at the joint, the motor's own share in it, by equation (1)."""
     if not columns.motor_side or columns.stand is None:
-        return torque, np.zeros_like(torque)
-    way = Transmission.of(columns.stand)
-    return way.torque(torque), way.motor_share(rate, acceleration)
+        return torque
+    return Transmission.of(columns.stand).torque(torque)
+
+
+def _motor_share(rate: Array, acceleration: Array, columns: _Columns) -> Array:
+    """Return what of the torque reading (n,) N m at the joint is the motor's own."""
+    if not columns.motor_side or columns.stand is None:
+        return np.zeros_like(rate)
+    return Transmission.of(columns.stand).motor_share(rate, acceleration)
 
 
 def _refuse_hopeless(recording: Recording, usable: _Usable) -> None:
@@ -333,20 +343,3 @@ def _refuse_hopeless(recording: Recording, usable: _Usable) -> None:
         raise Untrustworthy(
             f"{name}: the deflection never changes: no Kc or Bc can be estimated; raise --amplitude or free the cable"
         )
-
-
-def spread_stamps(time: Array) -> tuple[Array, bool]:
-    """Return the stamps (n,) s with repeats spread evenly up to the next stamp, and whether repeats are many.
-
-    A clock that ticks every 15.6 ms gives several rows one stamp; their order is known and their spacing is even to
-    within the loop's own jitter. The rows of the last stamp continue at the rate of the rows before.
-    """
-    starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > 0.0)))
-    if len(time) - len(starts) == 0:
-        return time, False
-    rows = np.arange(len(time), dtype=np.float64)
-    last, before = starts[-1], starts[max(0, len(starts) - 50)]
-    pace = (time[last] - time[before]) / max(last - before, 1)
-    anchors = np.append(starts.astype(np.float64), len(time))
-    at_anchors = np.append(time[starts], time[last] + pace * (len(time) - last))
-    return np.interp(rows, anchors, at_anchors), (len(time) - len(starts)) > _COARSE * len(time)

@@ -13,9 +13,11 @@ from hil.diagnostics import Diagnostic, driven_by_position, lateness
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals.deflection_noise import smallest_step
+from hil.signals.defects import Defects
 from hil.signals.plausibility import Swing, implausible
-from hil.signals.prepare import Defects, Signals
+from hil.signals.prepare import Signals
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
+from hil.signals.slow_channel import Slower
 from hil.stand.file import LimitsTable
 
 Array = NDArray[np.float64]
@@ -25,6 +27,8 @@ _POOR_SNR = 20.0  # dB
 _MANY_LOST = 0.02
 _MANY_SATURATED = 0.01
 _GAIN_ERROR = 5e-3
+_SPARSE = 0.2  # periods of the motion between two readings, above which it cannot be followed
+_UNSURE = 0.1  # of a tick, from which the age of readings is uncertain
 _ROWS = 1 << 20  # rows of the status read at a time
 
 
@@ -33,6 +37,7 @@ class Quality:
     """samples: rows of the file. saturated, late: rows of them. torque_from: as of `Signals`. torque: N m, and
     deflection: rad, peak to peak; deflection_lsb: rad, the smallest step seen. torque_noise: N m, standard deviation of
     the torque about a local polynomial. snr: dB, the torque's variance over that noise's; infinite without noise.
+    slower: the sensors that are slower than the ticks. highest: Hz, up to where the joint moved.
     """
 
     samples: int
@@ -45,6 +50,8 @@ class Quality:
     deflection_lsb: float
     torque_noise: float
     snr: float
+    slower: tuple[Slower, ...] = ()
+    highest: float = 0.0
 
 
 def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects) -> Quality:
@@ -65,6 +72,8 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
         deflection_lsb=_count(stretches[0], dtheta),
         torque_noise=noise,
         snr=10.0 * float(np.log10(variance / noise**2)) if noise > 0.0 else float("inf"),
+        slower=stretches[0].slower,
+        highest=max(stretch.band[1] for stretch in stretches),
     )
 
 
@@ -79,6 +88,7 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
         *_unused_rows(quality),
         *([driven_by_position(is_error=True)] if by_position else []),
         *_weaknesses(quality),
+        *(_slow(one, quality.highest) for one in quality.slower),
         *implausible(_swing(quality.torque), _swing(quality.deflection), limits),
         *lateness(quality.late, quality.samples),
     ]
@@ -151,6 +161,26 @@ def _weaknesses(quality: Quality) -> list[Diagnostic]:
     return found
 
 
+def _slow(one: Slower, highest: float) -> Diagnostic:
+    shown = "repeats them until the next" if one.kind == "held" else "has straight lines between them"
+    text = f"the {one.channel} has {1.0 / one.step:.3g} readings a second and {shown}, at {1.0 / one.tick:.3g} rows"
+    if one.channel == "deflection" and highest * one.step > _SPARSE:
+        return Diagnostic(
+            "slow-angle",
+            f"{text}: the joint moves at up to {highest:.2g} Hz, too fast to be followed between them, so that Kc and "
+            "Bc are wrong; read the encoder more often, or lower --band",
+            is_error=True,
+        )
+    used = "only these are used, each at the moment at which it was converted"
+    if one.unsure > _UNSURE * one.tick:
+        used += f"; the age of all of them is known to {1e3 * one.unsure:.2g} ms, which makes Bc less certain"
+    return Diagnostic(
+        "slow-cell" if one.channel == "torque" else "slow-angle",
+        f"{text}: {used}; record the sensor's own readings with its own time stamps",
+        "Bc",
+    )
+
+
 def _flagged(recording: Recording, *flags: Status) -> list[int]:
     """Count the rows with each of the flags."""
     counts = [0] * len(flags)
@@ -164,12 +194,21 @@ def _noise(signals: Signals) -> float:
     """Standard deviation of the torque, N m, about a local polynomial up to the excited band; robust to outliers."""
     time = signals.motion.time
     cycles = signals.band[1] * (time[-1] - time[0]) / (len(time) - 1)
+    if cycles > _SPARSE:
+        return _noise_beside_motion(signals)
     half = widest(0, cycles, max(2, (len(time) - 1) // 8), _GAIN_ERROR)
     residual = signals.torque - local_polynomial(time, signals.torque, half, 0)
     return 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
 
 
+def _noise_beside_motion(signals: Signals) -> float:
+    """Standard deviation of the torque, N m, about what a spring and a damper make; robust to outliers."""
+    motion = signals.motion
+    columns = np.stack([motion.dtheta, motion.dtheta_dot, motion.dtheta_ddot, np.ones(len(motion))], axis=1)
+    residual = signals.torque - columns @ np.linalg.lstsq(columns, signals.torque, rcond=None)[0]
+    return 1.4826 * float(np.median(np.abs(residual)))
+
+
 def _count(stretch: Signals, dtheta: Array) -> float:
-    """The smallest step between two readings of the deflection, which a low-pass takes away."""
-    is_read = stretch.window is None or stretch.window.low_pass is None
-    return smallest_step(dtheta) if is_read or stretch.window is None else stretch.window.count
+    """The smallest step between two readings of the deflection, of which a low-pass or a slow sensor leaves none."""
+    return smallest_step(dtheta) if stretch.window is None else stretch.window.count

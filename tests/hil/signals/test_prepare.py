@@ -12,7 +12,8 @@ import pytest
 from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
-from hil.signals.prepare import glimpse, joined, prepare, spread_stamps, stream
+from hil.signals.prepare import glimpse, joined, prepare, stream
+from hil.signals.stamps import spread_stamps
 from hil.signals.windows import excited_band
 from hil.stand.file import StandTable
 

@@ -1,0 +1,228 @@
+"""A sensor that is slower than the ticks: its readings repeat until the next one, or straight lines join them.
+
+Only its own readings are used, each at the moment at which it was converted. A reading that repeats was converted
+between the tick that shows it first and the one before. Where the sensor keeps a pace of its own, a line through many
+such moments says when to a small part of a tick; otherwise it is the middle of the two. Where lines join the readings,
+the corner between two lines is a reading, with its time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.trajectory import Motion
+
+Array = NDArray[np.float64]
+Kind = Literal["held", "joined"]
+
+_FEWEST: Final = 30  # readings, from which a sensor is judged
+_REPEATS: Final = 0.2  # part of the samples on the move that repeat, from which readings are held
+_MOVING: Final = 2.0  # counts a tick, at which a fast sensor would not show the same count again
+_ROUNDING: Final = 1e-9  # of a range, below which a difference is rounding
+_OFF_PACE: Final = 0.6  # of the time between two ticks, by which a reading may be off an even pace
+_ON_PACE: Final = 0.98  # part of the readings that keep it
+_LOCAL: Final = 40  # readings over which a pace is even, where that of a whole recording drifts
+_TWICE: Final = 1.75  # usual steps, from which a reading is missing
+_CONSTRAINTS: Final = 2000  # readings that a pace must fit
+_MS: Final = 1e3  # a solver's tolerances are for numbers of the size of one
+_ROUNDED: Final = 1e-6  # ms
+_STRAIGHT: Final = 2.1  # counts by which three samples on a line may be off it
+_SMALL_COUNT: Final = 0.05  # of the usual bend: with larger counts a corner cannot be placed
+_LINES: Final = (0.05, 0.98)  # part of the samples on a line with both neighbours: fewer by chance, more on a ramp
+_MOST_SHORT: Final = 10  # lines of two samples one after the other
+_CLEAR: Final = 10.0  # counts a tick by which the slopes of two lines must differ, so that their corner is placed
+_LONGEST: Final = 1.5  # usual ticks: a longer one, beside a lost reply, does not say when a reading was converted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """The readings of a sensor: when they were converted (m,), s, and their values (m,), in the order of time.
+
+    row (m,): the sample in which each stands. unsure: s, the range in which the age of all may lie together.
+    """
+
+    row: NDArray[np.int64]
+    time: Array
+    value: Array
+    unsure: float = 0.0
+
+    @property
+    def step(self) -> float:
+        """The usual time between two readings, s."""
+        return float(np.median(np.diff(self.time)))
+
+
+@dataclass(frozen=True, slots=True)
+class Slower:
+    """A channel whose sensor is slower than the ticks. step, tick: s, the usual time between its readings, and ticks.
+
+    unsure: s, the range in which the age of all its readings may lie together.
+    """
+
+    channel: Literal["torque", "deflection"]
+    kind: Kind
+    step: float
+    tick: float
+    unsure: float
+
+
+def kind_of(time: Array, values: Array) -> Kind | None:
+    """Return how a channel (n,), logged at time (n,) s, shows a sensor that is slower; None where it is not."""
+    if len(values) < _FEWEST or np.ptp(values) == 0.0:
+        return None
+    count = _count(values)
+    if _is_held(values, count):
+        return "held"
+    return "joined" if _is_joined(time, values, count) else None
+
+
+def readings(time: Array, values: Array, kind: Kind) -> Readings:
+    """Return the sensor's own readings of such a channel, (m,), fewer than its samples (n,)."""
+    return _held(time, values) if kind == "held" else _corners(time, values)
+
+
+def stamped(time: Array, values: Array) -> Readings:
+    """Return the readings of a channel (n,) that another device stamped at time (n,) s, NaN where it did not."""
+    row = np.flatnonzero(np.isfinite(time) & (np.diff(time, prepend=np.nan) != 0.0))
+    return Readings(row, time[row], values[row])
+
+
+def repaced(time: Array, motion: Motion, torque: Array, unsure: float) -> Array:
+    """Return the moments (m,), s, of readings at a pace that is also that of the motion (n,) they belong to.
+
+    torque (n,) N m. Where a cell's pace is nearly a multiple of the ticks', the ticks do not say its last digits: the
+    age would drift by up to `unsure`, s, over a recording.
+    """
+    middle = 0.5 * float(time[0] + time[-1])
+    coupling = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
+    stiffness, damping, _ = np.linalg.lstsq(coupling, torque, rcond=None)[0]
+    changes = stiffness * motion.dtheta_dot + damping * motion.dtheta_ddot
+    drifting = np.column_stack([coupling, changes, changes * (motion.time - middle)])
+    drift = float(np.linalg.lstsq(drifting, torque, rcond=None)[0][-1])
+    most = unsure / max(0.5 * float(np.ptp(time)), unsure)
+    return np.asarray(time + float(np.clip(drift, -most, most)) * (time - middle))
+
+
+def _count(values: Array) -> float:
+    """The least difference between two values that is more than rounding."""
+    steps = np.diff(np.unique(values))
+    steps = steps[steps > _ROUNDING * np.ptp(values)]
+    return float(steps.min()) if steps.size else 0.0
+
+
+def _is_held(values: Array, count: float) -> bool:
+    """Whether values repeat where they move by counts a tick: those of a fast sensor repeat only where they rest."""
+    changes = np.flatnonzero(np.diff(values)) + 1
+    if len(changes) < _FEWEST:
+        return False
+    reach = max(2, 2 * int(np.median(np.diff(changes))))
+    if len(values) <= 2 * reach:
+        return False
+    moved = np.abs(values[2 * reach :] - values[: -2 * reach]) / (2.0 * reach)
+    repeats = (values[reach:-reach] == values[reach - 1 : -reach - 1])[moved > _MOVING * count]
+    return len(repeats) >= _FEWEST and bool(np.mean(repeats) > _REPEATS)
+
+
+def _held(time: Array, values: Array) -> Readings:
+    row = np.flatnonzero(np.diff(values)) + 1
+    before, shown = time[row - 1], time[row]
+    row = row[(certain := shown - before <= _LONGEST * float(np.median(np.diff(time))))]
+    before, shown = before[certain], shown[certain]
+    at, unsure = _converted(before, shown)
+    return Readings(row, at, values[row], unsure)
+
+
+def _converted(before: Array, shown: Array) -> tuple[Array, float]:
+    """When readings were converted (m,), s, between these moments (m,), and the range that all may be off by."""
+    middle = 0.5 * (before + shown)
+    whole = _numbered(np.diff(middle))
+    for size in (len(middle), _LOCAL):
+        parts = np.array_split(np.arange(len(middle)), max(1, len(middle) // size))
+        paces = [_even(whole[part], before[part], shown[part]) for part in parts]
+        at = np.concatenate([pace for pace, _ in paces])
+        if np.mean(np.abs(at - middle) <= _OFF_PACE * (shown - before)) >= _ON_PACE:
+            return np.clip(at, before, shown), max(unsure for _, unsure in paces)
+    return middle, 0.0
+
+
+def _numbered(steps: Array) -> Array:
+    """The numbers (m + 1,) of readings that are so far apart (m,), s, some of which may be missing."""
+    usual = float(np.mean(steps[steps < _TWICE * np.median(steps)]))
+    for _ in range(2):  # steps of two and three ticks have a mean of neither
+        counts = np.maximum(np.round(steps / usual), 1.0)
+        usual = float(steps.sum() / counts.sum())
+    return np.concatenate([[0.0], np.cumsum(counts)])
+
+
+def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float]:
+    """The moments (m,), s, at an even pace between those before and those shown (m,), and the range of their middle.
+
+    Of all paces that fit, the one that is farthest from the ends of what it must lie between.
+    """
+    from scipy.optimize import linprog
+
+    few = slice(None, None, max(1, len(number) // _CONSTRAINTS))
+    scale, start = float(np.ptp(number)) or 1.0, float(before[0])
+    line = np.stack([np.ones(len(number)), (number - number.mean()) / scale], axis=1)
+    inside, ends = np.concatenate([line[few], -line[few]]), np.concatenate([shown[few], -before[few]])
+    ends = (ends - np.repeat([start, -start], len(line[few]))) * _MS
+    best = linprog([0.0, 0.0, -1.0], np.column_stack([inside, np.ones(len(inside))]), ends, bounds=(None, None)).x
+    loose = ends - min(float(best[2]), 0.0) + _ROUNDED
+    low, high = (linprog([sign, 0.0], inside, loose, bounds=(None, None)).fun * sign for sign in (1.0, -1.0))
+    return line @ best[:2] / _MS + start, abs(float(high - low)) / _MS
+
+
+def _straight(time: Array, values: Array, count: float) -> NDArray[np.bool_]:
+    """Whether each sample (n,) lies on a line with its two neighbours; the first and last do not."""
+    steps = np.diff(time)
+    slopes = np.diff(values) / steps
+    bends = np.abs(np.diff(slopes)) * np.minimum(steps[1:], steps[:-1])
+    on = bends <= max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
+    return np.concatenate([[False], on, [False]])
+
+
+def _is_joined(time: Array, values: Array, count: float) -> bool:
+    """Whether straight lines of a few samples each make up the channel."""
+    if (np.diff(time) <= 0.0).any():
+        return False
+    bends = np.abs(np.diff(values, 2))
+    if count > _SMALL_COUNT * float(np.quantile(bends, 0.9)):
+        return False  # counts make straight lines too
+    on = _straight(time, values, count)
+    share = float(np.mean(on))
+    return _LINES[0] <= share <= _LINES[1] and len(_runs(on)) >= _FEWEST
+
+
+def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The first and last sample (k, 2) of each line: the neighbours of its inner samples are on it too."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
+    return np.stack([edges[::2] - 1, edges[1::2]], axis=1)
+
+
+def _with_short_ones(lines: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The lines (k, 2), and those of two samples each that are left between two of them."""
+    left = lines[1:, 0] - lines[:-1, 1] - 1
+    pairs = np.where((left > 0) & (left % 2 == 0) & (left <= 2 * _MOST_SHORT), left // 2, 0)
+    within = np.arange(pairs.sum()) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+    first = np.repeat(lines[:-1, 1] + 1, pairs) + 2 * within
+    found = np.concatenate([lines, np.stack([first, first + 1], axis=1)])
+    return found[np.argsort(found[:, 0], kind="stable")]
+
+
+def _corners(time: Array, values: Array) -> Readings:
+    count = _count(values)
+    first, last = _with_short_ones(_runs(_straight(time, values, count))).T
+    slope = (values[last] - values[first]) / (time[last] - time[first])
+    bend = np.diff(slope)
+    # two lines meet between the last sample of one and the first of the next, which may be the same
+    meets = (first[1:] - last[:-1] <= 1) & (np.abs(bend) * float(np.median(np.diff(time))) > _CLEAR * count)
+    apart = values[first[1:]] - slope[1:] * time[first[1:]] - (values[last[:-1]] - slope[:-1] * time[last[:-1]])
+    at = -np.divide(apart, bend, out=np.zeros_like(apart), where=meets)
+    near = 0.1 * float(np.median(np.diff(time)))
+    meets &= (at >= time[last[:-1]] - near) & (at <= time[first[1:]] + near)
+    value = values[last[:-1]] + slope[:-1] * (at - time[last[:-1]])
+    return Readings(last[:-1][meets], at[meets], value[meets])

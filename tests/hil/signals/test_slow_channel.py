@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ga.model.trajectory import Motion
+from hil.signals.slow_channel import kind_of, readings, repaced, stamped
+
+Array = NDArray[np.float64]
+TICKS = np.arange(5000) / 500.0
+OMEGA = 2.0 * np.pi * 5.0
+
+
+def torque(time: Array) -> Array:
+    return np.asarray(0.1 * np.sin(OMEGA * time) + 0.02 * np.sin(1.7 * OMEGA * time))
+
+
+def noisy(time: Array) -> Array:
+    return torque(time) + 1e-3 * np.random.default_rng(1).standard_normal(len(time))
+
+
+def conversions(hertz: float, jitter: float = 0.0) -> Array:
+    steps = (1.0 + jitter * np.random.default_rng(2).uniform(-1.0, 1.0, 3000)) / hertz
+    return np.cumsum(steps) - 0.0123
+
+
+def held(at: Array, values: Array) -> Array:
+    return np.asarray(values[np.searchsorted(at, TICKS, side="right") - 1])
+
+
+@pytest.mark.parametrize("hertz", [30.0, 80.3, 137.0, 217.0])
+def test_a_held_cell_is_read_when_it_converted(hertz: float) -> None:
+    at = conversions(hertz)
+    logged = held(at, noisy(at))
+    assert kind_of(TICKS, logged) == "held"
+    found = readings(TICKS, logged, "held")
+    nearest = at[np.abs(at[:, None] - found.time).argmin(axis=0)]
+    assert np.abs(found.time - nearest).max() < max(2e-4, found.unsure)
+    assert found.unsure < 7e-4
+    np.testing.assert_array_equal(found.value, logged[found.row])
+
+
+def test_the_age_of_readings_at_a_multiple_of_the_ticks_is_unsure_by_a_tick() -> None:
+    at = conversions(100.0)
+    found = readings(TICKS, held(at, noisy(at)), "held")
+    assert found.unsure == pytest.approx(2e-3, rel=0.05)
+    assert np.abs(found.time - np.round((found.time - at[0]) * 100.0) / 100.0 - at[0]).max() <= 1e-3
+
+
+def test_an_uneven_cell_was_read_between_two_ticks() -> None:
+    at = conversions(80.0, jitter=0.5)
+    found = readings(TICKS, held(at, noisy(at)), "held")
+    nearest = at[np.abs(at[:, None] - found.time).argmin(axis=0)]
+    assert np.abs(found.time - nearest).max() <= 1.01e-3
+    assert abs(float(np.mean(found.time - nearest))) < 1e-4
+
+
+@pytest.mark.parametrize(("hertz", "decimals"), [(30.0, 12), (80.3, 12), (80.3, 5), (217.0, 12)])
+def test_the_corners_of_joined_readings_are_the_readings(hertz: float, decimals: int) -> None:
+    at = conversions(hertz)
+    values = noisy(at)
+    logged = np.round(np.interp(TICKS, at, values), decimals)
+    assert kind_of(TICKS, logged) == "joined"
+    found = readings(TICKS, logged, "joined")
+    place = np.abs(at[:, None] - found.time).argmin(axis=0)
+    assert len(found.time) > 0.9 * 10.0 * hertz
+    tolerance = 1e-6 if decimals == 12 else 4e-4
+    assert np.quantile(np.abs(found.time - at[place]), 0.98) < tolerance
+    assert np.abs(found.value - np.interp(found.time, at, values)).max() < 1e-8 + 3.0 * 10.0**-decimals
+
+
+def coarse(values: Array, count: float) -> Array:
+    return np.asarray(count * np.round(values / count))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        noisy(TICKS),
+        torque(TICKS),
+        coarse(noisy(TICKS), 1e-3),
+        coarse(torque(TICKS), 5e-3),
+        coarse(torque(TICKS), 0.04),
+        coarse(torque(TICKS / 50.0), 1e-3),
+        np.abs((TICKS % 2.0) - 1.0),
+        coarse(np.abs((TICKS % 2.0) - 1.0), 0.01),
+        np.where(TICKS % 1.0 < 0.5, 0.1, -0.1),
+        np.where(TICKS < 5.0, 0.0, noisy(TICKS)),
+    ],
+    ids=["noisy", "exact", "counts", "coarse", "few counts", "slow", "ramp", "coarse ramp", "square", "rest"],
+)
+def test_a_sensor_that_is_read_at_every_tick_is_not_slow(values: Array) -> None:
+    assert kind_of(TICKS, values) is None
+
+
+def test_readings_beside_a_lost_reply_have_no_known_age() -> None:
+    at = conversions(80.0)
+    there = np.random.default_rng(3).uniform(size=len(TICKS)) > 0.05
+    time, logged = TICKS[there], held(at, noisy(at))[there]
+    found = readings(time, logged, "held")
+    assert kind_of(time, logged) == "held"
+    assert (np.diff(time)[found.row - 1] < 3e-3).all()
+    assert len(found.time) > 600
+
+
+def test_a_pace_that_the_ticks_leave_open_is_that_of_the_motion() -> None:
+    angle, rate = np.sin(OMEGA * TICKS), OMEGA * np.cos(OMEGA * TICKS)
+    motion = Motion(TICKS, angle, rate, -(OMEGA**2) * angle, np.zeros(5000))
+    at = np.arange(0.1, 9.9, 0.01)
+    true = at + 1e-4 * (at - 5.0)
+    measured = 0.3 * np.sin(OMEGA * true) + 3e-3 * OMEGA * np.cos(OMEGA * true)
+    found = repaced(at, motion.at(at), measured, 2e-3)
+    assert np.abs(found - true).max() < 2e-5
+
+
+def test_stamped_readings_are_those_with_a_new_stamp() -> None:
+    found = stamped(np.array([np.nan, 0.1, 0.1, 0.3, np.nan, 0.4]), np.arange(6.0))
+    np.testing.assert_array_equal(found.row, [1, 3, 5])
+    np.testing.assert_array_equal(found.value, [1.0, 3.0, 5.0])
+
+
+def test_a_channel_without_motion_is_not_slow() -> None:
+    assert kind_of(TICKS, np.full(5000, 0.3)) is None
