@@ -20,6 +20,7 @@ from hil.uncertainty.criteria import (
     BETWEEN,
     COUPLING,
     EVIDENCE_AGAINST,
+    INFLATION,
     LIKE_FRICTION,
     LONGEST_SKEW,
     ONE_SPEED,
@@ -139,7 +140,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     for at, name in enumerate(evidence.names):
         found += _of_parameter(evidence, at, name)
     exact = dict(zip(evidence.names, evidence.exact[0].tolist(), strict=True))
-    found += _implausible_skew(evidence) + other_stiffness(exact, selected=evidence.selected)
+    found += _inertia(evidence) + _implausible_skew(evidence) + other_stiffness(exact, selected=evidence.selected)
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
             Diagnostic(
@@ -218,6 +219,29 @@ def other_stiffness(values: Mapping[str, float], *, selected: bool = False) -> l
         )
         found.append(Diagnostic("two-stiffnesses", text, "Kc"))
     return found
+
+
+def _inertia(evidence: Evidence) -> list[Diagnostic]:
+    """A warning of an inertia in a torque that is said to be the joint's, or of one that one speed would hide."""
+    motion = evidence.signals.motion
+    if "J" in evidence.names and evidence.signals.torque_from != "motor":
+        inertia = float(evidence.values[evidence.names.index("J")])
+        text = (
+            f"the torque holds an inertia of {inertia:.2g} kg m^2 and is the motor's rather than the joint's; the "
+            "model includes it, which would lower Kc otherwise; import it with --motor-torque, and set motor_inertia"
+        )
+        return [Diagnostic("inertia-in-torque", text, "Kc")]
+    if "J" in evidence.names or evidence.signals.torque_from != "given":
+        return []
+    coupling = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
+    left = motion.dtheta_ddot - coupling @ np.linalg.lstsq(coupling, motion.dtheta_ddot, rcond=None)[0]
+    if float(np.var(left)) * INFLATION > float(np.var(motion.dtheta_ddot)):
+        return []
+    text = (
+        "the joint moved at one frequency, at which a stiffness and an inertia are alike: if the torque is the "
+        f"motor's, Kc is too low by its inertia times the frequency squared, in rad/s; {_SEVERAL_SPEEDS}"
+    )
+    return [Diagnostic("one-frequency", text, "Kc")]
 
 
 def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:

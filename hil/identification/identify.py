@@ -44,7 +44,7 @@ from hil.signals.source import Source, open_sources
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
 from hil.uncertainty.effects import Recorded
-from hil.uncertainty.stationarity import pooled_intervals, stationarity_errors
+from hil.uncertainty.stationarity import disagreement, pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
 
@@ -150,6 +150,7 @@ def _identified(
                 stands
                 + data.diagnostics
                 + _stationarity(data, solution)
+                + disagreement(evidence.names, evidence.scattered, [source.path for source in sources])
                 + judge(evidence)
                 + rivals(steps, found)
                 + deflection_diagnostics(evidence)

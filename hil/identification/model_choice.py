@@ -99,9 +99,17 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     # a motor's torque comes through no cell: what it is late by is the time to its next set-point
     absent = {"lag"} if signals.torque_from == "motor" else set()
     rarer = tuple(term for term in rarer if term not in terms and term not in absent)
+    # nobody says that a given torque is the joint's and not the motor's
+    like_skew = ("lag", "inertia") if signals.torque_from == "given" else ("lag",)
     motion, highest = signals.motion, signals.band[1]
     found = stepwise.select(
-        motion, signals.torque, highest, terms, rarer=rarer, describes=lambda found: _describes(found, signals)
+        motion,
+        signals.torque,
+        highest,
+        terms,
+        rarer=rarer,
+        like_skew=tuple(term for term in like_skew if term in rarer),
+        describes=lambda found: _describes(found, signals),
     )
     sticking = _is_sticking(found.model, motion, found.delay, found.residuals)
     if sticking:

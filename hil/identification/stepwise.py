@@ -35,6 +35,7 @@ _STRONG = 10.0  # gain of a term with a break, whose chance is not known to be t
 _CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
 _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
 _LATE = ("skew", "lag")  # why a torque reading may be late
+_EARLIER = (*_LATE, "inertia")  # and why it may seem to be early
 _LIKELY = 3  # rarer terms that are considered, of those that lower the fitness most
 _MARGIN = 1e-4  # of a range, within which a value is at its end
 
@@ -105,20 +106,22 @@ def select(
     terms: tuple[str, ...] = CONSIDERED,
     *,
     rarer: tuple[str, ...] = (),
+    like_skew: tuple[str, ...] = (),
     describes: Callable[[Selection], bool] = lambda _selection: True,
 ) -> Selection:
     """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
 
-    describes: whether a model describes the recording; where it does not, rarer terms are considered too.
+    describes: whether a model describes the recording; where it does not, rarer terms are considered too. like_skew:
+    terms that may be in the torque where a skew seems to be.
     Raises RuntimeError where not even the smallest model can be fitted.
     """
-    selector = _Selector(motion, torque, highest, terms)
+    selector = _Selector(motion, torque, highest, terms, like_skew)
     selector.measure_noise()
     usual = _climbed(selector, selector.candidate(selector.smallest))
     if not rarer:
         return selector.explained(usual)
     if describes(selector.selection(usual)):
-        return selector.explained(selector.lagging(usual) if "lag" in rarer else usual)
+        return selector.explained(selector.instead_of_skew(usual))
     selector.consider(selector.likeliest(rarer, usual.terms))
     selector.measure_noise()
     richer = _climbed(selector, selector.candidate(selector.smallest))
@@ -140,8 +143,11 @@ def _climbed(selector: _Selector, chosen: _Candidate) -> _Candidate:
 class _Selector:
     """A recording, the models fitted to it so far, and the properties of its noise."""
 
-    def __init__(self, motion: Motion, torque: Array, highest: float, terms: tuple[str, ...]) -> None:
+    def __init__(
+        self, motion: Motion, torque: Array, highest: float, terms: tuple[str, ...], like_skew: tuple[str, ...] = ()
+    ) -> None:
         self._motion, self._torque, self._highest, self._candidates = motion, torque, highest, terms
+        self._like_skew = like_skew
         self._fitted: dict[tuple[str, ...], _Candidate] = {}
         self._previews: dict[tuple[str, ...], Fit | None] = {}
         self._size, self._smooth = (
@@ -156,27 +162,29 @@ class _Selector:
         """Consider some more terms, which may be much alike."""
         self._candidates, self._compared = (*self._candidates, *terms), _LIKELY
 
-    def lagging(self, chosen: _Candidate) -> _Candidate:
-        """Return the model with a torque cell's lag in place of its skew where that fits clearly better."""
-        terms = tuple("lag" if term == "skew" else term for term in chosen.terms)
-        if "skew" not in chosen.terms or self._fitness(terms) == np.inf:
-            return chosen
-        lagging = self.candidate(terms)
-        if self._ends(lagging, "lag") or _damping(lagging) < 0.0:
-            return chosen
-        gain = float(self.ratio(chosen, lagging) / self._correlation(lagging, "lag"))
-        return lagging if gain > _STRONG else chosen
+    def instead_of_skew(self, chosen: _Candidate) -> _Candidate:
+        """Return the model with a lag or an inertia in place of its skew where that fits clearly better."""
+        gains = {}
+        for one in self._like_skew if "skew" in chosen.terms else ():
+            terms = _replaced(chosen.terms, one)
+            if self._fitness(terms) < np.inf:
+                other = self.candidate(terms)
+                impossible = self._ends(other, one) or _damping(other) < 0.0 or _is_impossible(other, one)
+                gains[one] = 0.0 if impossible else float(self.ratio(chosen, other) / self._correlation(other, one))
+        best = max(gains, key=lambda one: gains[one], default="")
+        return self.candidate(_replaced(chosen.terms, best)) if gains.get(best, 0.0) > _STRONG else chosen
 
     def _alternatives(self, chosen: _Candidate) -> tuple[Alternative, ...]:
-        """The models with a skew, a lag of the torque cell or both, in place of those that the chosen one has."""
-        if not set(_LATE).intersection(chosen.terms) or "mean" in chosen.terms:
+        """The models with a skew, a lag of the cell, both, or an inertia, in place of those of the chosen one."""
+        if not {*_LATE, *self._like_skew}.intersection(chosen.terms) or "mean" in chosen.terms:
             return ()
-        others = tuple(term for term in chosen.terms if term not in _LATE)
+        others = tuple(term for term in chosen.terms if term not in {*_LATE, *self._like_skew})
         alone = [one for term in _LATE if (one := self._late((*others, term))) is not None]
         nearest = min(alone, key=lambda one: one.fit.fitness, default=chosen)
         both = self._late((*others, *_LATE), beside=nearest)
-        found = [*alone, both] if both is not None else alone
-        alike = max(self._correlation(one, term) for one in (chosen, *found) for term in _LATE if term in one.terms)
+        moved = self._late((*others, "inertia")) if "inertia" in self._like_skew else None
+        found = alone + [one for one in (both, moved) if one is not None]
+        alike = max(self._correlation(one, term) for one in (chosen, *found) for term in _EARLIER if term in one.terms)
         return tuple(
             Alternative(
                 one.model.anchored(self._motion),
@@ -197,7 +205,7 @@ class _Selector:
             rough = polished(found.problem.thinned(), found.fit)
             near = polished(found.problem, descend(found.problem, rough.nonlinear), reach=1.0)
             found = replace(found, fit=min(found.fit, near, key=lambda fit: fit.fitness))
-        late = [term for term in _LATE if term in terms]
+        late = [term for term in _EARLIER if term in terms]
         impossible = any(self._ends(found, term) or _is_impossible(found, term) for term in late)
         return None if impossible or _damping(found) < 0.0 else found
 
@@ -407,6 +415,11 @@ class _Selector:
     def _problem(self, terms: tuple[str, ...]) -> Problem:
         model = _model(terms).anchored(self._motion)
         return Problem(model, self._motion, self._torque, *model.bounds(self._motion, self._highest))
+
+
+def _replaced(terms: tuple[str, ...], one: str) -> tuple[str, ...]:
+    """The terms with another one in place of a skew."""
+    return tuple(one if term == "skew" else term for term in terms)
 
 
 def _model(terms: tuple[str, ...]) -> CouplingModel:

@@ -9,23 +9,59 @@ Array = NDArray[np.float64]
 
 _FAR = 1.5  # times the range of the angle
 _TURN = 2.0 * np.pi  # rad
-_NEAR = 0.1  # of a turn, by which a step may differ from one that was taken for a wrap
+_NEAR = 0.1  # of a jump, by which one may differ from another, and that any other step may be
+_RARE = 0.05  # of the steps may be jumps
+_SEVERAL = 3  # jumps, from which a range that is no turn is certain
+_USUAL = 5.0  # times the usual step of the torque, up to which it goes on at a jump
 _LONGEST = 0.5  # s without any change, from which on a reading may be frozen
 _MOVED = 0.3  # of the torque's range, that it covers while the reading is frozen
 _SLOWER = 10.0  # times the usual time between two changes of the reading
 
 
-def unwrapped(angle: Array) -> tuple[Array, int]:
-    """Return the angle (n,) rad without jumps by a turn, and how many there were.
+def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
+    """Return the angle (n,) rad without jumps by the range of its encoder, and how many there were.
 
-    A step counts as a jump only where it is within a tenth of a turn and no step between a tenth and nine tenths of one
-    occurs: only then is it certain that it was no motion.
+    torque (n,) N m. A step counts as a jump only where all that are more than a tenth of the largest are alike, and
+    certain is it only for a turn, or half of one, or where several jumps go from one end of the readings to the other
+    and the torque goes on: behind a gear an encoder's range may be any.
     """
-    steps = np.abs(np.diff(angle))
-    jumps = np.abs(steps - _TURN) < _NEAR * _TURN
-    if not jumps.any() or bool((steps[~jumps] > _NEAR * _TURN).any()):
+    steps = np.diff(angle)
+    jumps = np.abs(steps) > _NEAR * np.abs(steps).max(initial=0.0)
+    size = _range_of(steps, jumps)
+    turns = [turn for turn in (_TURN, 0.5 * _TURN) if abs(size - turn) < _NEAR * turn]
+    if turns:
+        return np.unwrap(angle, period=turns[0]), int(np.count_nonzero(jumps))
+    if not size or not _goes_round(angle, torque, jumps, size):
         return angle, 0
-    return np.unwrap(angle), int(np.count_nonzero(jumps))
+    return np.unwrap(angle, period=size), int(np.count_nonzero(jumps))
+
+
+def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
+    """The range, rad, that these jumps (n,) among steps (n,) of an angle have in common; 0 where they have none."""
+    if not jumps.any() or np.count_nonzero(jumps) > _RARE * len(steps):
+        return 0.0
+    # the joint moved on during the jump, as it did before
+    places = np.flatnonzero(jumps)
+    before = np.where(places > 0, np.where(jumps[places - 1], 0.0, steps[places - 1]), 0.0)
+    sizes = np.abs(steps[places] - before)
+    size = float(np.median(sizes))
+    return size if float(np.abs(sizes - size).max()) < _NEAR * size else 0.0
+
+
+def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: float) -> bool:
+    """Whether jumps of that size, rad, are the encoder's: from end to end of its range, and none of the torque's."""
+    usual = float(np.abs(np.diff(angle)[~jumps]).max(initial=0.0))
+    low, high = float(angle.min()), float(angle.max())
+    first = angle[:-1][jumps]
+    at_ends = np.minimum(first - low, high - first) <= 2.0 * usual
+    changes = np.abs(np.diff(torque))
+    goes_on = float(np.median(changes[jumps])) <= _USUAL * float(np.median(changes)) + 1e-12 * float(np.ptp(torque))
+    return (
+        int(np.count_nonzero(jumps)) >= _SEVERAL
+        and high - low <= size + 2.0 * usual
+        and bool(at_ends.all())
+        and goes_on
+    )
 
 
 def far_zero(angle: Array) -> float:

@@ -139,7 +139,7 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     usable = _usable(recording, columns, 0, len(recording))
     _refuse_hopeless(recording, usable)
     # of a part of a recording it would not be known by how many turns it is off
-    dtheta, wraps = unwrapped(usable.dtheta)
+    dtheta, wraps = unwrapped(usable.dtheta, usable.torque)
     usable = replace(usable, dtheta=dtheta, wraps=wraps)
     columns = columns.seeing(usable)
     return _signals(usable, columns, _window(usable, columns), (0, len(recording)))

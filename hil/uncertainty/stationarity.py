@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +14,14 @@ from ga.lad.out_of_core import reduce
 from hil.diagnostics import Diagnostic
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
+from hil.uncertainty.criteria import BETWEEN, COUPLING
 from hil.uncertainty.random_effects import between
 
 Array = NDArray[np.float64]
 
 _NORMAL = 1.96
+_CHANCE = 0.001  # that recordings which do not differ are so far apart
+_NOTABLE = 0.005  # of a value, by which a recording must be apart to be named
 _PARTS = 4  # of a recording, each of which gives its own estimate of Kc
 _DIFFERENT = 3.0  # ratio of the largest to the smallest of these estimates
 _PRECISE = 0.2  # half the width of a part's interval over its value, above which its Kc is not compared
@@ -24,10 +29,16 @@ _PRECISE = 0.2  # half the width of a part's interval over its value, above whic
 
 @dataclass(frozen=True, slots=True)
 class VarianceComponents:
-    """Standard deviations of one parameter, in its unit: within a recording (its standard error), and between them."""
+    """Standard deviations of one parameter, in its unit: within a recording (its standard error), and between them.
+
+    values: of each recording on its own, NaN where it cannot be estimated; p_alike: the probability of values so far
+    apart if the recordings did not differ.
+    """
 
     within: float
     between: float
+    values: tuple[float, ...] = ()
+    p_alike: float = 1.0
 
 
 def pooled_intervals(
@@ -50,9 +61,36 @@ def pooled_intervals(
             components.append(None)
             continue
         pooled = between(*np.array(usable).T)
-        components.append(VarianceComponents(pooled.within, pooled.between))
+        values = tuple(float(one[at]) if at < len(half) and 0.0 < half[at] < np.inf else np.nan for one, half in fitted)
+        components.append(VarianceComponents(pooled.within, pooled.between, values, pooled.p_alike))
         widened[at] = max(widened[at], 0.5 * (pooled.ci95[1] - pooled.ci95[0]))
     return ConfidenceIntervals(widened, intervals.inflation), tuple(components)
+
+
+def disagreement(
+    names: Sequence[str], components: Sequence[VarianceComponents | None], paths: Sequence[Path]
+) -> list[Diagnostic]:
+    """Return a warning that names the recording which differs most from the others, where they differ in Kc or Bc.
+
+    names (p,) and components (p,) of the parameters; paths (m,) of the recordings.
+    """
+    found = []
+    for name, one in zip(names, components, strict=True):
+        if name not in COUPLING or one is None or one.p_alike > _CHANCE or not one.between > BETWEEN * one.within:
+            continue
+        values = np.array(one.values)
+        usual = [float(np.nanmedian(np.delete(values, at))) for at in range(len(values))]
+        apart = np.abs(values - usual)
+        at = int(np.nanargmax(apart))
+        if not apart[at] > _NOTABLE * abs(usual[at]):
+            continue
+        other = "the others" if len(values) > 2 else "the other one"
+        text = (
+            f"{name} is {values[at] / usual[at] - 1.0:+.1%} in {paths[at]} from {other}: the pooled {name} is of none "
+            "of them; leave that recording out, or compare them with hil compare"
+        )
+        found.append(Diagnostic("recordings-differ", text, name))
+    return found
 
 
 def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list[Diagnostic]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from ga.model.separable import Problem, fit
 from ga.model.trajectory import Motion, joined
 
 Array = NDArray[np.float64]
+Numbers = NDArray[Any]
 
 KC, BC, NOISE = 0.3, 3e-3, 5e-4
 OMEGA = 2.0 * np.pi * np.arange(1.0, 13.0)
@@ -20,14 +22,14 @@ PHASES = np.random.default_rng(4).uniform(0.0, 2.0 * np.pi, 12)
 STEP = 2e-3
 
 
-def moving(time: Array) -> Motion:
+def moving(time: Numbers) -> Motion:
     """A sum of sines from 1 to 12 Hz."""
     waves = 0.05 * np.exp(1j * (np.outer(time, OMEGA) + PHASES))
     parts = [(waves * (1j * OMEGA) ** order).sum(axis=1).imag for order in range(3)]
     return Motion(time, parts[0], parts[1], parts[2], np.zeros(len(time)))
 
 
-def behind(time: Array, response: Array) -> Array:
+def behind(time: Numbers, response: Numbers) -> Array:
     """The torque of spring and damper behind a filter of that response (12,) to each sine, and noise."""
     waves = 0.05 * np.exp(1j * (np.outer(time, OMEGA) + PHASES)) * (KC + 1j * OMEGA * BC) * response
     return np.asarray(waves.sum(axis=1).imag + NOISE * np.random.default_rng(5).standard_normal(len(time)))
@@ -86,9 +88,7 @@ def test_motion_between_the_ticks_is_delayed_as_exactly_as_at_them() -> None:
 
 
 def test_nothing_is_read_between_two_stretches() -> None:
-    there = Motion(
-        *(getattr(MOTION, one) for one in ("time", "dtheta", "dtheta_dot", "dtheta_ddot", "known")), (0, 1500)
-    )
+    there = replace(MOTION, starts=(0, 1500))
     at = np.array([0.5, 1.0, float(TIME[1499]) + 1e-3, 3.5, 4.0, 9.0])
     found = there.at(at)
     np.testing.assert_array_equal(found.time, at[[0, 1, 3, 4]])

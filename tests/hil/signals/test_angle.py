@@ -21,14 +21,32 @@ def test_a_zero_far_away_is_moved_into_the_middle_of_the_range(zero: float) -> N
 
 
 def test_an_angle_that_passes_a_whole_turn_is_unwrapped() -> None:
-    found, jumps = unwrapped(np.mod(ANGLE + 0.1, 2.0 * np.pi))
+    found, jumps = unwrapped(np.mod(ANGLE + 0.1, 2.0 * np.pi), TORQUE)
 
     assert jumps == 20
     np.testing.assert_allclose(np.diff(found), np.diff(ANGLE), atol=1e-12)
 
 
+@pytest.mark.parametrize("turn", [np.pi, 2.0 * np.pi / 4.0, 2.0 * np.pi / 9.0, 2.0])
+def test_an_angle_that_passes_the_end_of_its_encoder_is_unwrapped(turn: float) -> None:
+    found, jumps = unwrapped(2e-4 * np.round(np.mod(ANGLE + 0.1, turn) / 2e-4), TORQUE)
+
+    assert jumps == 20
+    np.testing.assert_allclose(found - found.mean(), ANGLE - ANGLE.mean(), atol=1e-3)
+
+
+def test_a_joint_that_is_moved_in_steps_has_not_passed_the_end_of_its_encoder() -> None:
+    square = np.where(np.mod(TIME, 1.0) < 0.5, 0.2, -0.2)
+
+    assert unwrapped(square, 0.3 * square)[1] == 0
+
+
+def test_a_cable_that_slipped_once_has_not_passed_the_end_of_its_encoder() -> None:
+    assert unwrapped(ANGLE + np.where(TIME > 5.0, 0.5, 0.0), TORQUE)[1] == 0
+
+
 def test_an_angle_without_jumps_is_left_as_it_is() -> None:
-    found, jumps = unwrapped(ANGLE + 6.0)
+    found, jumps = unwrapped(ANGLE + 6.0, TORQUE)
 
     assert jumps == 0
     np.testing.assert_array_equal(found, ANGLE + 6.0)
@@ -37,7 +55,7 @@ def test_an_angle_without_jumps_is_left_as_it_is() -> None:
 def test_jumps_are_not_taken_back_where_the_angle_moves_as_fast_as_they_do() -> None:
     spinning = np.mod(np.cumsum(np.random.default_rng(0).uniform(-3.0, 3.0, 1000)), 2.0 * np.pi)
 
-    assert unwrapped(spinning)[1] == 0
+    assert unwrapped(spinning, TORQUE[:1000])[1] == 0
 
 
 def test_an_angle_that_stops_while_the_torque_goes_on_is_frozen() -> None:
