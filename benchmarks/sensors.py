@@ -278,8 +278,8 @@ def line(name: str, found: list[Outcome]) -> str:
     """A row of the table."""
     worst = [np.nanmax([abs(getattr(one, which)) for one in found] + [0.0]) for which in ("Kc", "Bc")]
     verdicts = sorted({one.verdict for one in found})
-    told = ", ".join(f"{sum(one.verdict == verdict for one in found)} {verdict}" for verdict in verdicts)
-    return f"| {name} | {worst[0]:.2%} | {worst[1]:.2%} | {told} | {found[0].model} |"
+    counted = ", ".join(f"{sum(one.verdict == verdict for one in found)} {verdict}" for verdict in verdicts)
+    return f"| {name} | {worst[0]:.2%} | {worst[1]:.2%} | {counted} | {found[0].model} |"
 
 
 def main() -> None:

@@ -126,8 +126,8 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
         found.append(Diagnostic("angle-frozen", text))
     if defects.wraps:
         text = (
-            f"the deflection jumps {defects.wraps} times by the range of its encoder: the jumps were taken back, so Kc and "
-            "Bc are not affected; set the encoder's zero so that the joint does not pass it"
+            f"the deflection jumps {defects.wraps} times by the range of its encoder: the jumps were taken back, so "
+            "Kc and Bc are not affected; set the encoder's zero so that the joint does not pass it"
         )
         found.append(Diagnostic("angle-wrapped", text))
     if defects.near_gaps:

@@ -32,7 +32,8 @@ _MS: Final = 1e3  # a solver's tolerances are for numbers of the size of one
 _ROUNDED: Final = 1e-6  # ms
 _STRAIGHT: Final = 2.1  # counts by which three samples on a line may be off it
 _SMALL_COUNT: Final = 0.05  # of the usual bend: with larger counts a corner cannot be placed
-_LINES: Final = (0.05, 0.98)  # part of the samples on a line with both neighbours: fewer by chance, more on a ramp
+_SHARP: Final = 5.0  # times that, from which a corner is no smooth motion
+_LINES: Final = (0.1, 0.98)  # part of the samples on a line with both neighbours: fewer by chance, more on a ramp
 _MOST_SHORT: Final = 10  # lines of two samples one after the other
 _CLEAR: Final = 10.0  # counts a tick by which the slopes of two lines must differ, so that their corner is placed
 _LONGEST: Final = 1.5  # usual ticks: a longer one, beside a lost reply, does not say when a reading was converted
@@ -176,25 +177,39 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float]:
     return line @ best[:2] / _MS + start, abs(float(high - low)) / _MS
 
 
-def _straight(time: Array, values: Array, count: float) -> NDArray[np.bool_]:
-    """Whether each sample (n,) lies on a line with its two neighbours; the first and last do not."""
+def _bends(time: Array, values: Array) -> Array:
+    """How far the line through each sample (n,) and the one before misses the next; infinite at both ends."""
     steps = np.diff(time)
-    slopes = np.diff(values) / steps
-    bends = np.abs(np.diff(slopes)) * np.minimum(steps[1:], steps[:-1])
-    on = bends <= max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
-    return np.concatenate([[False], on, [False]])
+    bends = np.abs(np.diff(np.diff(values) / steps)) * np.minimum(steps[1:], steps[:-1])
+    return np.concatenate([[np.inf], bends, [np.inf]])
+
+
+def _tolerance(values: Array, count: float) -> float:
+    """By how much three samples on a line may be off it."""
+    return max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
 
 
 def _is_joined(time: Array, values: Array, count: float) -> bool:
-    """Whether straight lines of a few samples each make up the channel."""
+    """Whether straight lines of a few samples each make up the channel, also where it bends sharply between them."""
+    from scipy.ndimage import maximum_filter1d
+
     if (np.diff(time) <= 0.0).any():
         return False
-    bends = np.abs(np.diff(values, 2))
-    if count > _SMALL_COUNT * float(np.quantile(bends, 0.9)):
+    bends, tolerance = _bends(time, values), _tolerance(values, count)
+    if count > _SMALL_COUNT * float(np.quantile(bends[1:-1], 0.9)):
         return False  # counts make straight lines too
-    on = _straight(time, values, count)
-    share = float(np.mean(on))
-    return _LINES[0] <= share <= _LINES[1] and len(_runs(on)) >= _FEWEST
+    on = bends <= tolerance
+    runs = _runs(on)
+    if len(runs) < _FEWEST:
+        return False
+    reach = 2 * int(np.median(runs[:, 1] - runs[:, 0]))
+    # a smooth motion hardly bends beside a sample where it does not
+    sharp = maximum_filter1d(np.where(np.isfinite(bends), bends, 0.0), 2 * reach + 1) > _SHARP * tolerance
+    return _LINES[0] <= float(np.mean(on & sharp)) and float(np.mean(on)) <= _LINES[1] and _mostly(sharp[on])
+
+
+def _mostly(where: NDArray[np.bool_]) -> bool:
+    return bool(np.mean(where) > 0.5)
 
 
 def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -215,7 +230,7 @@ def _with_short_ones(lines: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _corners(time: Array, values: Array) -> Readings:
     count = _count(values)
-    first, last = _with_short_ones(_runs(_straight(time, values, count))).T
+    first, last = _with_short_ones(_runs(_bends(time, values) <= _tolerance(values, count))).T
     slope = (values[last] - values[first]) / (time[last] - time[first])
     bend = np.diff(slope)
     # two lines meet between the last sample of one and the first of the next, which may be the same

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -185,7 +187,10 @@ def test_the_slope_of_a_gap_is_half_the_stiffness_on_either_flank() -> None:
 def test_a_skew_is_looked_for_within_a_quarter_of_the_shortest_period() -> None:
     low, high = parse("linear+skew").bounds(MOTION, highest=50.0)
     assert (low[0], high[0]) == (-0.005, 0.005)
-    assert parse("linear+skew").bounds(MOTION, highest=0.1)[1][0] == 0.02
+    ticks = float(np.median(np.diff(MOTION.time)))
+    assert parse("linear+skew").bounds(MOTION, highest=0.1)[1][0] == pytest.approx(10.0 * ticks)
+    faster = replace(MOTION, time=0.01 * MOTION.time)
+    assert parse("linear+skew").bounds(faster, highest=0.1)[1][0] == 0.02
 
 
 def test_two_terms_that_exclude_each_other_are_refused() -> None:

@@ -94,6 +94,17 @@ def test_a_sensor_that_is_read_at_every_tick_is_not_slow(values: Array) -> None:
     assert kind_of(TICKS, values) is None
 
 
+@pytest.mark.parametrize("count", [1e-12, 1e-7, 2.4e-5, 3e-4, 3e-3])
+@pytest.mark.parametrize("top", [1.0, 12.0, 60.0])
+def test_a_smooth_motion_in_counts_is_not_slow(count: float, top: float) -> None:
+    chirp = 0.25 * np.sin(2.0 * np.pi * (0.3 * TICKS + 0.05 * (top - 0.3) * TICKS**2))
+    frequency = 0.1 * np.arange(1.0, 10.0 * top, top / 1.2)
+    phases = np.random.default_rng(7).uniform(0.0, 2.0 * np.pi, len(frequency))
+    sines = 0.03 * np.sin(2.0 * np.pi * np.outer(TICKS, frequency) + phases).sum(axis=1)
+    for motion in (chirp, sines):
+        assert kind_of(TICKS, coarse(motion, count)) is None
+
+
 def test_readings_beside_a_lost_reply_have_no_known_age() -> None:
     at = conversions(80.0)
     there = np.random.default_rng(3).uniform(size=len(TICKS)) > 0.05
