@@ -12,8 +12,8 @@ from drivers.servo import Status
 from hil.diagnostics import Diagnostic, driven_by_position, lateness
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
-from hil.signals.deflection_noise import smallest_step
 from hil.signals.defects import Defects
+from hil.signals.deflection_noise import smallest_step
 from hil.signals.plausibility import Swing, implausible
 from hil.signals.prepare import Signals
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest

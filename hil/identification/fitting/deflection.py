@@ -29,6 +29,8 @@ def read_with_errors(data: Dataset, values: Array, half_width: Array) -> Deflect
     places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in COUPLING]
     if window is None or not places or not np.isfinite(half_width[places]).all():
         return None
+    if data.signals.motion.part_of is not None:  # a slow cell's readings are too few for a window
+        return None
     p = len(model.linear)
     return deflection_errors(
         Fitted(
