@@ -174,11 +174,10 @@ def _slow(one: Slower, highest: float) -> Diagnostic:
     used = "only these are used, each at the moment at which it was converted"
     if one.unsure > _UNSURE * one.tick:
         used += f"; the age of all of them is known to {1e3 * one.unsure:.2g} ms, which makes Bc less certain"
-    return Diagnostic(
-        "slow-cell" if one.channel == "torque" else "slow-angle",
-        f"{text}: {used}; record the sensor's own readings with its own time stamps",
-        "Bc",
-    )
+    text += f": {used}; record the sensor's own readings with its own time stamps"
+    if one.channel == "deflection":
+        return Diagnostic("slow-angle", text, "Bc")
+    return Diagnostic("slow-cell", text, "Bc")
 
 
 def _flagged(recording: Recording, *flags: Status) -> list[int]:
