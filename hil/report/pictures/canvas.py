@@ -28,3 +28,18 @@ def canvas(rows: int, columns: int, size: tuple[float, float], **layout: Any) ->
 def literal(text: str) -> str:
     """Return the text for a picture, where two $ would begin a formula."""
     return text.replace("$", r"\$")
+
+
+def plain_ticks(*panels: Axes) -> None:
+    """Label the logarithmic axes of the panels, whose scale is set already, as 1e-04.
+
+    Powers of ten set as formulas take most of the time that a picture takes, and are no text that can be searched.
+    """
+    from matplotlib.ticker import LogFormatter
+
+    for panel in panels:
+        for axis in (panel.xaxis, panel.yaxis):
+            if axis.get_scale() in {"log", "symlog"}:
+                axis.set_major_formatter(LogFormatter())
+            if axis.get_scale() == "log":
+                axis.set_minor_formatter(LogFormatter(labelOnlyBase=False))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hil.report.formatting import people_unit
 from hil.report.identification import milli
-from hil.report.pictures.canvas import canvas
+from hil.report.pictures.canvas import canvas, plain_ticks
 from hil.report.pictures.traces import modelled
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def residuals_drawn(found: Identification) -> Figure:
     _draw_spectrum(values, rate, spectrum)
     spectrum.set(xlabel="frequency [Hz]", ylabel=f"power of the residuals [({unit})$^2$/Hz]")
     _draw_autocorrelation(values, rate, correlation)
+    plain_ticks(spectrum)
     return drawn
 
 
@@ -144,6 +145,7 @@ def dynamic_stiffness_drawn(found: Identification) -> Figure:
     panels[1].set(xscale="log", xlabel="frequency [Hz]", ylabel=f"B' [{unit} s/rad]", title="damping")
     panels[2].set(xscale="log", xlabel="frequency [Hz]", ylim=(None, 1.0), title="coherence")
     panels[0].set(title="stiffness")
+    plain_ticks(*panels)
     return drawn
 
 

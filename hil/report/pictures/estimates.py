@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.report.formatting import people_unit
 from hil.report.identification import milli, printed
-from hil.report.pictures.canvas import canvas, literal
+from hil.report.pictures.canvas import canvas, literal, plain_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,6 +72,7 @@ def _draw_gains(steps: tuple[Step, ...], panel: Axes) -> None:
             panel.barh(at, step.gain, height=0.6, **_style(included=step.included))
     panel.axvline(0.0, color="0.5", lw=0.8)
     panel.set_xscale("symlog", linthresh=_LINEAR)
+    plain_ticks(panel)
     names = [step.term if at == 0 else f"+ {step.term}" for at, step in enumerate(steps)]
     panel.set_yticks(range(len(steps)), [literal(name) for name in names])
     panel.set(xlabel="gain of the term (above 0: it pays)", ylim=(len(steps) - 0.5, -0.5))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hil.report.formatting import people_unit
 from hil.report.identification import milli
-from hil.report.pictures.canvas import canvas
+from hil.report.pictures.canvas import canvas, plain_ticks
 from hil.report.pictures.traces import linear_problem
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def draw_convergence(trials: Trials, optimum: float, panels: list[Axes], factor:
     panels[0].set(ylabel=f"best fitness [{unit}]")
     panels[0].legend(loc="upper right")
     panels[1].set(yscale="log", ylabel="optimiser gap, relative")
+    plain_ticks(*panels)
 
 
 def convergence_text(found: Identification) -> str:
