@@ -8,6 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("hil", deadline=None)  # a busy computer makes no example wrong
+settings.load_profile("hil")
 
 SHARED = Path(os.environ.get("HIL_SHARED", Path(__file__).parent.parent.parent / "shared"))
 

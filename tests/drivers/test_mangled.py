@@ -83,7 +83,7 @@ def opened(request: pytest.FixtureRequest, kind: str) -> Any:
 
 
 @pytest.mark.parametrize("kind", [*SERIAL, *CAN])
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(plan=st.lists(HOW, min_size=3, max_size=14))
 def test_mangled_replies_raise_only_named_errors_and_the_torque_goes_off(
     request: pytest.FixtureRequest, kind: str, plan: list[tuple[str, int]]

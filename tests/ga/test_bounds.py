@@ -53,7 +53,7 @@ def test_the_papers_bounds_hold_the_papers_joint_far_inside() -> None:
     assert PAPER_BOUNDS.at_bound(np.array([17.75e-3, 0.19e-3])) == (None, None)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     n=st.integers(1, 200),
     p=st.integers(1, 5),

@@ -11,7 +11,7 @@ from ga.fitness.dense import pack
 from ga.fitness.engine import evaluate
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(n=st.integers(1, 700), p=st.integers(1, 8), exponent=st.integers(-6, 6), seed=st.integers(0, 2**32 - 1))
 def test_the_fitness_is_the_mean_absolute_error_of_equation_5(n: int, p: int, exponent: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

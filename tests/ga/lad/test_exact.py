@@ -54,7 +54,7 @@ def recording(kind: str, n: int, p: int, rng: np.random.Generator) -> tuple[NDAr
 KINDS = ["normal", "outliers", "counts", "repeated rows", "collinear", "a zero column"]
 
 
-@settings(deadline=None, max_examples=120)
+@settings(max_examples=120)
 @given(kind=st.sampled_from(KINDS), n=st.integers(1, 120), p=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))
 def test_the_optimum_is_that_of_an_independent_solver(kind: str, n: int, p: int, seed: int) -> None:
     columns, torque = recording(kind, n, p, np.random.default_rng(seed))
@@ -145,7 +145,7 @@ def test_data_with_a_nan_are_refused() -> None:
         least_absolute_deviations(np.array([[np.nan], [1.0]]), np.ones(2))
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(
     rows=st.lists(st.tuples(st.integers(-5, 5), st.integers(-3, 3)), min_size=1, max_size=40),
     slack=st.floats(0.0, 0.99),

@@ -185,9 +185,7 @@ class Runs(RuleBasedStateMachine):
 
 
 TestRuns = Runs.TestCase
-TestRuns.settings = settings(
-    max_examples=25, stateful_step_count=12, deadline=None, suppress_health_check=list(HealthCheck)
-)
+TestRuns.settings = settings(max_examples=25, stateful_step_count=12, suppress_health_check=list(HealthCheck))
 
 
 @pytest.mark.parametrize(("before", "after"), [(a, b) for a in Phase for b in Phase if b not in FOLLOWS[a]])
