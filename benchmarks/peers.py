@@ -30,7 +30,8 @@ import numpy as np
 from optimisers import PEERS, TARGETS, Data, Ended, Reached, Watched, recording
 
 from ga.evolution.evolution import PRESETS, Settings
-from ga.trials.trials import Trials, run_trials
+from ga.trials.outcome import Trials
+from ga.trials.trials import run_trials
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt  # after the backend is chosen: there may be no screen

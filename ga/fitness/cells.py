@@ -1,7 +1,7 @@
 """The cells of the sub-linear engine: the data in coordinates in which they are cubes, and room for those to be grown.
 
 The cells are cubes of v = forward . (genes - origin), coordinates in which the columns are orthogonal, because in them
-no direction needs finer cells than another. `ga.fitness.cell_tree` grows them.
+no direction needs finer cells than another. `ga.fitness.splitting` grows them.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ import numpy as np
 from ga.bounds import Bounds
 from ga.evolution.ask_tell import Search
 from ga.evolution.evolution import Settings
+from ga.model.polishing import polished
 from ga.model.separable import (
     FEW,
     Fit,
@@ -26,10 +27,9 @@ from ga.model.separable import (
     compass_search,
     descend,
     fit,
-    polished,
     solve_or_none,
 )
-from ga.trials.trials import History, Trials
+from ga.trials.outcome import History, Trials
 
 if TYPE_CHECKING:
     from collections.abc import Callable

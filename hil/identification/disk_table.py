@@ -45,7 +45,7 @@ class DiskTable:
         """Add rows: columns (m, p), torque (m,) N m. Raises WrongUse where the disk is full."""
         table = np.column_stack([columns, torque])
         with writing(Path(str(self._file.name))):
-            self._file.write(table.tobytes())
+            self._file.write(table.data)
         self.rows += len(table)
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.record import Parameter
-from ga.trials.trials import Trials
+from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation

@@ -21,7 +21,8 @@ from ga.model.record import Parameter
 from ga.model.separable import Problem, descend
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_nonlinear
-from ga.trials.trials import Trials, run_trials
+from ga.trials.outcome import Trials
+from ga.trials.trials import run_trials
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.first_run import compiled_ahead

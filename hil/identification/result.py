@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.trials.trials import Trials
+from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
 from hil.identification.stepwise import Step

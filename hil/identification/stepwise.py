@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
-from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum, polished
+from ga.model.polishing import polished
+from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
 from ga.model.terms import CONSIDERED, RARER, TERMS, is_addable
 from ga.model.trajectory import Motion
 from hil.signals.windows import is_smooth

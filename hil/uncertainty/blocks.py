@@ -64,4 +64,7 @@ class Blocks:
         for columns, torque in self.read():
             kept = keep(np.arange(first, first + len(torque)))
             first += len(torque)
-            yield columns[kept], torque[kept]
+            if kept.all():  # mostly: what is kept are a few long stretches
+                yield columns, torque
+            elif kept.any():
+                yield columns[kept], torque[kept]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ga.trials.trials import Trials
+    from ga.trials.outcome import Trials
     from hil.identification.result import Estimate, Identification
 
 Array = NDArray[np.float64]

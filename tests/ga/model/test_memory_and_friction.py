@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from ga.model.coupling import CouplingModel, parse
-from ga.model.separable import Fit, Problem, descend, fit, polished
+from ga.model.polishing import polished
+from ga.model.separable import Fit, Problem, descend, fit
 from ga.model.terms import TERMS, is_addable
 from ga.model.trajectory import Motion
 

@@ -11,7 +11,8 @@ import pytest
 from ga.bounds import PAPER_BOUNDS
 from ga.evolution.evolution import PRESETS, Settings
 from ga.trials.checkpoint import SearchState, WrongCheckpoint, load, save
-from ga.trials.trials import Trials, run_trials
+from ga.trials.outcome import Trials
+from ga.trials.trials import run_trials
 
 if TYPE_CHECKING:
     from collections.abc import Callable

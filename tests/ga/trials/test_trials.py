@@ -9,7 +9,8 @@ import pytest
 from ga.bounds import PAPER_BOUNDS, bounds_from_data
 from ga.evolution.evolution import PRESETS
 from ga.lad.exact import least_absolute_deviations
-from ga.trials.trials import Trials, run_trials
+from ga.trials.outcome import Trials
+from ga.trials.trials import run_trials
 
 if TYPE_CHECKING:
     from tests.ga.conftest import Data, Making
