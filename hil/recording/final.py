@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.recording.channels import CHANNELS, ROW
 from hil.recording.integrity import header_hash, plain
@@ -16,6 +18,7 @@ from hil.recording.lateness import Lateness
 from hil.recording.output import atomic_write, check_space
 from hil.recording.reader import BLOCK, SCHEMA, Event, Recording
 
+_LEVEL = 6  # of the deflation
 OVERHEAD = 1 << 18
 """Bytes of a file that are not samples, generously."""
 
@@ -91,8 +94,9 @@ def _write_samples(file: h5py.File, recording: Recording) -> dict[str, str | flo
     """
     group = file.create_group("samples")
     names = [name for name in CHANNELS if name != "joint_torque" or not _from_cell(recording)]
+    _, first = next(recording.rows(), (0, np.empty(0, dtype=ROW)))
     for name in names:
-        _create_channel(group, name, len(recording))
+        _create_channel(group, name, len(recording), first[name])
     if "joint_torque" not in names:
         group["joint_torque"] = group["torque"]
     digest, lateness = hashlib.sha256(), Lateness(_rate(recording))
@@ -104,20 +108,31 @@ def _write_samples(file: h5py.File, recording: Recording) -> dict[str, str | flo
     return {"sha256": digest.hexdigest(), **lateness.attributes()}
 
 
-def _create_channel(group: h5py.Group, name: str, length: int) -> None:
+def _create_channel(group: h5py.Group, name: str, length: int, first: NDArray[Any]) -> None:
+    """Make an empty channel of `length` rows, compressed as its `first` values are best."""
     dataset = group.create_dataset(
         name,
         shape=(length,),
         maxshape=(length or None,),  # HDF5 has no chunks for what is empty and must stay so
         dtype=ROW[name],
         chunks=(min(BLOCK, max(length, 1)),),  # the deflation needs a long stretch to learn from
-        shuffle=True,
+        shuffle=_shrinks_shuffled(first),
         compression="gzip",
-        compression_opts=6,
+        compression_opts=_LEVEL,
         fletcher32=True,
     )
     unit, description = CHANNELS[name]
     dataset.attrs.update(unit=unit, description=description)
+
+
+def _shrinks_shuffled(values: NDArray[Any]) -> bool:
+    """Return whether values deflate better with their bytes sorted by place, as those of a smooth channel do.
+
+    A channel in counts of a coarse sensor has few distinct values, and deflates to half the size as it is.
+    """
+    data = np.ascontiguousarray(values)
+    sorted_ = data.view(np.uint8).reshape(-1, data.itemsize).T.tobytes()
+    return len(zlib.compress(sorted_, _LEVEL)) <= len(zlib.compress(data.tobytes(), _LEVEL))
 
 
 def _from_cell(recording: Recording) -> bool:
