@@ -7,7 +7,7 @@ serial CAN adapter) or over udp_multicast. The times are those of the drive's to
 clock of whoever sends the signal. A stopped recorder is continued afterwards: no torque may come back. A run that ends
 by itself before its signal, as where this computer is too busy for it, is started again. Prints a table for each drive,
 with and without its watchdog; ends with status 1 where less than 95 % are off within 50 ms, one is not within
-150 ms, or torque came back.
+150 ms, or torque came back. What a kill costs in rows is measured by benchmarks/row_loss.py.
 """
 
 from __future__ import annotations
@@ -23,15 +23,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
-
-from hil.errors import Untrustworthy, WrongUse
-from hil.recording.reader import Recording
 
 SOON, ALWAYS, SHARE = 0.05, 0.15, 0.95
 """s within which the torque must be off, in this share of the trials and in all."""
@@ -119,12 +114,9 @@ temperature = 80.0
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """off: s from the signal to the end of the torque, infinity where it went on. lost: s of rows that are not in the
-    file, NaN where the recorder was not killed. again: whether torque came back.
-    """
+    """off: s from the signal to the end of the torque, infinity where it went on. again: whether torque came back."""
 
     off: float
-    lost: float
     again: bool
 
 
@@ -213,11 +205,7 @@ def trial(adapter: Adapter, output: Path, word: str, wait: float, settings: argp
         if word == "STOP":
             process.send_signal(signal.SIGCONT)
             process.wait(PATIENCE)
-        again = log.ended(sent)[1]
-        if word == "STOP":
-            return Trial(off, math.nan, again)
-        lost = settled(lambda: lost_seconds(output, log, begun, sent, threshold))
-        return Trial(off, lost, again)
+        return Trial(off, log.ended(sent)[1])
     finally:
         process.kill()
         process.wait()
@@ -229,33 +217,6 @@ def await_torque(log: Log, process: subprocess.Popen[bytes], begun: float, torqu
         if process.poll() is not None or time.monotonic() > begun + PATIENCE:
             raise EndedBefore
         time.sleep(0.02)
-
-
-def settled(value: Callable[[], float]) -> float:
-    """Return a value once it is the same twice: the process that writes the rows outlives the recorder."""
-    end = time.monotonic() + PATIENCE / 4
-    before, now = math.nan, value()
-    while time.monotonic() < end and not now == before < math.inf:
-        time.sleep(0.5)
-        before, now = now, value()
-    return now
-
-
-def lost_seconds(output: Path, log: Log, begun: float, killed: float, torque: float) -> float:
-    """Return the s of rows before the kill that are not in the file, to about two ticks.
-
-    The first row that commands `torque` is in the file and in the log, so that the two clocks can be compared.
-    """
-    try:
-        with Recording(output.with_name(output.name + ".part")) as recording:
-            times, commands = (np.asarray(recording.channel(name)) for name in ("time", "command"))
-    except (WrongUse, Untrustworthy):
-        return math.inf
-    reached = next(at for at, commanded, _ in log.rows(begun) if abs(commanded) > torque)
-    above = np.flatnonzero(np.abs(commands) > torque)
-    if not len(above):
-        return killed - reached
-    return float(max(0.0, (killed - reached) - (times[-1] - times[above[0]])))
 
 
 def measured(adapter: Adapter, word: str, settings: argparse.Namespace) -> list[Trial]:
@@ -292,7 +253,6 @@ def row(adapter: Adapter, word: str, trials: list[Trial]) -> tuple[str, bool]:
     offs = sorted(one.off for one in trials)
     soon, always = (sum(off <= bar for off in offs) for bar in (SOON, ALWAYS))
     again = sum(one.again for one in trials)
-    lost = max((one.lost for one in trials if not math.isnan(one.lost)), default=math.nan)
     good = soon >= SHARE * len(offs) and always == len(offs) and not again
     cells = [
         adapter.name,
@@ -303,7 +263,6 @@ def row(adapter: Adapter, word: str, trials: list[Trial]) -> tuple[str, bool]:
         f"{soon}",
         f"{always}",
         f"{again}",
-        "-" if math.isnan(lost) else f"{lost * 1e3:.0f}",
         "yes" if good else "NO",
     ]
     return "| " + " | ".join(cells) + " |", good
@@ -318,7 +277,6 @@ COLUMNS = (
     "within 50 ms",
     "within 150 ms",
     "torque came back",
-    "rows lost, worst ms",
     "bar held",
 )
 HEAD = f"| {' | '.join(COLUMNS)} |\n|{' --- |' * len(COLUMNS)}"

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from drivers.clock import Clock, VirtualClock
+from drivers.clock import Clock, MonotonicClock
 
 _PRIORITY = 50  # of 1 to 99; the kernel's own interrupt threads have 50, and what is above is for them
 _SWITCH = 1e-4  # s after which a thread that waits for the interpreter gets it; the default of 5 ms is five ticks
@@ -24,12 +24,12 @@ PERMISSION = (
 
 @contextmanager
 def real_time(clock: Clock) -> Iterator[None]:
-    """Give the block that drives a motor in real time what the system permits; where time is virtual, it may wait.
+    """Give the block that drives a motor in real time what the system permits; where time is not real, it may wait.
 
     No child process inherits the real-time class or the locked memory.
     """
     with _quiet_collector():
-        if isinstance(clock, VirtualClock):
+        if not isinstance(clock, MonotonicClock):
             yield
             return
         gc.collect()

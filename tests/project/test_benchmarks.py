@@ -112,3 +112,34 @@ def test_killing_the_recorder_leaves_no_torque_on_a_drive_without_a_watchdog() -
     drives = ["dynamixel X, no watchdog", "odrive, no watchdog"]
     assert [row[:2] for row in rows] == [[name, word] for name in drives for word in ("KILL", "STOP")], done.stderr
     assert [(row[2], row[4] != "stays on", row[7]) for row in rows] == [("1", True, "0")] * 4
+
+
+def test_a_loss_of_power_costs_no_row_that_was_synced_and_alters_none() -> None:
+    """A short form of what benchmarks/power_loss.py does at every call to the system."""
+    words = ["--seconds", "0.4", "--rate", "100", "--cuts", "12", "--orders", "1"]
+    done = subprocess.run(
+        [sys.executable, "benchmarks/power_loss.py", *words],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode == 2:
+        pytest.skip("strace is not here, or not permitted")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "41 rows, 12 cuts, 36 states of the disk" in done.stdout
+
+
+def test_a_killed_recorder_loses_no_row() -> None:
+    done = subprocess.run(
+        [sys.executable, "benchmarks/row_loss.py", "--times", "1", "--rates", "1000"],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    rows = [line.strip("| ").split(" | ") for line in done.stdout.splitlines() if line.startswith("| 1000 |")]
+    assert [row[1:3] for row in rows] == [["recorder", "1"], ["recorder and writing process", "1"]], done.stderr
+    assert int(rows[0][5]) <= 1  # the row that was under way

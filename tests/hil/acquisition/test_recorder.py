@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import math
 import os
 import signal
@@ -309,7 +308,6 @@ def test_ctrl_c_at_any_line_of_the_recorder_leaves_the_torque_off(
     """Raised by the tracer before the n-th line that is executed, for every n; servo and store are closed forms."""
     monkeypatch.setattr(recorder, "_REST_SAMPLES", 2)
     monkeypatch.setattr(recorder, "SetPoints", Listed)
-    monkeypatch.setattr(gc, "collect", lambda: 0)
     short = excitation.make(
         "sine", Quantity.TORQUE, amplitude=0.05, default_amplitude=1.0, duration=0.03, band=(2.0, 2.0), rate=RATE
     )

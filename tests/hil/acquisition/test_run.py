@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import gc
 import os
 import signal
 import subprocess
@@ -26,6 +25,7 @@ from hil.acquisition.run import run
 from hil.acquisition.setpoints import SetPoints
 from hil.cli import app as cli
 from hil.errors import WrongUse
+from hil.recording import reader
 from hil.recording import writer as writer_module
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
@@ -115,8 +115,9 @@ def test_whatever_fails_at_whichever_call_the_torque_is_off_and_the_rows_are_the
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, after: bool
 ) -> None:
     monkeypatch.setattr(recorder, "_REST_SAMPLES", 2)
-    monkeypatch.setattr(gc, "collect", lambda: 0)  # these two are most of the time a run takes
-    monkeypatch.setattr(writer_module, "_software", dict)
+    monkeypatch.setattr(writer_module, "_software", dict)  # these three are most of the time a run takes
+    monkeypatch.setattr(reader, "in_child", lambda work, **_: work())
+    monkeypatch.setattr(os, "fsync", lambda _: None)
     for at in count(1):
         servo, saboteur = SpringServo(), Saboteur(error, at, after=after)
         output = tmp_path / f"{at}.h5"

@@ -97,7 +97,8 @@ def test_the_torque_of_a_cell_is_stored_once_and_has_both_names(tmp_path: Path) 
 def test_a_channel_is_compressed_as_suits_its_values(tmp_path: Path) -> None:
     """Eight random bytes in each row cannot be compressed; counts of a coarse sensor take two bytes at most."""
     rng = np.random.default_rng(0)
-    counts, noise = rng.integers(0, 200, 5000) * 0.1, rng.normal(size=5000)
+    counts = rng.integers(0, 200, 5000) * np.float64(0.1)
+    noise = np.asarray(rng.normal(size=5000), dtype=np.float64)
     write(tmp_path / "a.h5", HEADER, {"time": np.arange(5000) / 500.0, "dtheta": counts, "torque": noise})
     with h5py.File(tmp_path / "a.h5") as file:
         size = {name: file["samples"][name].id.get_storage_size() / 5000 for name in ("time", "dtheta", "torque")}
