@@ -34,6 +34,7 @@ _NOTHING: Final = 2e-5  # of the power of deflection and rate, below which their
 _LEVEL: Final = 0.3  # of a simulated change, half the interval of its size: the errors' level is not known better
 _WEAK: Final = 0.25  # of the information without instruments, below which they are too weak
 _DELAYS: Final = (-1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the filter from command to motion, in eighths of a period
+_SURE: Final = 2.0  # times half its interval, beyond which a change is no chance
 _BLOCKS: Final = 32  # in time, of which the error of a change is estimated
 _CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
 _NORMAL: Final = 1.959964
@@ -82,6 +83,10 @@ class Fitted:
         at = list(self.decisive)
         return bool((np.abs(change[at]) > _MATTERS * self.half_width[at]).any())
 
+    def shows(self, change: _Change) -> bool:
+        """Return whether a change is one that must be made, and beyond its own error (Hausman 1978)."""
+        return self.matters(np.where(np.abs(change.values) > _SURE * change.half_width, change.values, 0.0))
+
 
 @dataclass(frozen=True, eq=False)
 class _Change:
@@ -128,9 +133,11 @@ def deflection_errors(fitted: Fitted) -> DeflectionErrors:
     simulated, spread = _simulated(part, sound)
     rounded = spread if counts < FEW_COUNTS else nothing
     found = replace(found, predicted=simulated.values, half_width=rounded)
-    if not fitted.matters(simulated.values):
-        return found
     instruments = _by_command(part, sound)
+    # noise that is not white is more than its floor says, which only the command shows
+    is_shown = instruments is not None and instruments[1] >= _WEAK and fitted.shows(instruments[0])
+    if not fitted.matters(simulated.values) and not is_shown:
+        return found
     if instruments is not None:
         found = replace(found, strength=instruments[1])
     change = simulated if instruments is None or found.is_weak else instruments[0]

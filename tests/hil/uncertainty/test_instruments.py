@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
@@ -89,6 +90,25 @@ def test_a_command_that_has_nothing_to_do_with_the_motion_is_weak_and_not_used()
     found = deflection_errors(fitted(0.01, command=noise))
     assert found.is_weak
     assert found.method == "simulation"
+
+
+def test_coloured_noise_which_has_no_floor_is_shown_by_the_command() -> None:
+    rng = np.random.default_rng(4)
+    fit = fitted(0.004, command=multisine(TIME))
+    slow = 0.03 * np.array(lfilter([0.3], [1.0, -0.95], rng.standard_normal(len(TIME))))
+    value, slope, curvature = fit.window.moved(TIME, slow)
+    motion = fit.motion
+    motion = Motion(
+        TIME, motion.dtheta + value, motion.dtheta_dot + slope, motion.dtheta_ddot + curvature, motion.known
+    )
+    columns = fit.model.columns(motion)
+    genes = least_absolute_deviations(columns[fit.used], fit.torque[fit.used]).genes
+    fit = replace(fit, motion=motion, genes=genes)
+    found = deflection_errors(fit)
+    assert found.method == "instruments"
+    before, after = (abs(relative(fit, change)[0]) for change in (np.zeros(2), found.change))
+    assert before > 0.04
+    assert after < 0.4 * before
 
 
 def test_noise_that_is_small_beside_the_intervals_changes_nothing() -> None:
