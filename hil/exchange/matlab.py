@@ -49,7 +49,7 @@ def vectors(source: Path) -> dict[str, Array]:
                 [(kind, content)] = list(_elements(_unpacked(content), order))  # noqa: PLW2901 - unpacked
             if kind == _MATRIX:
                 _collect(found, _Matrix.of(content, order), order)
-    except (ValueError, StopIteration, struct.error, zlib.error) as error:
+    except (ValueError, IndexError, StopIteration, struct.error, zlib.error) as error:
         raise WrongUse(f"{source} is a damaged MAT-file, or is cut off ({error}): save it again") from None
     return found
 

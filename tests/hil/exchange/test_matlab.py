@@ -102,3 +102,12 @@ def test_an_element_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
     path.write_bytes(data)
     with pytest.raises(WrongUse, match="unpack to more than"):
         vectors(path)
+
+
+def test_a_struct_without_a_length_of_its_names_is_damaged(tmp_path: Path) -> None:
+    parts = struct.pack("<IIII", 6, 8, 2, 0) + struct.pack("<IIii", 5, 8, 1, 1) + struct.pack("<II", 1, 0)
+    parts += struct.pack("<II", 5, 0) + struct.pack("<II", 1, 0)
+    place = tmp_path / "a.mat"
+    place.write_bytes(b"MATLAB 5.0".ljust(126) + b"IM" + struct.pack("<II", 14, len(parts)) + parts)
+    with pytest.raises(WrongUse, match="damaged MAT-file"):
+        vectors(place)
