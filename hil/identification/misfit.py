@@ -17,6 +17,17 @@ Array = NDArray[np.float64]
 
 _RESPECTS = 3  # that a message names
 _OF_EVERY_BENCH = {"tau0": "offset", "drift": "drift", "skew": "skew", "Fc": "coulomb"}  # parameter and effect
+_TERMS = {  # parameters of terms that leave nothing of these effects: a Maxwell branch may leave another
+    **_OF_EVERY_BENCH,
+    "lag": "sensor-lag",
+    "J": "inertia",
+    "mu": "capstan",
+    "B2": "quadratic-damping",
+    "K3": "cubic",
+    "gap": "backlash",
+    "Ka": "asymmetry",
+    "Ks": "stiffness-drift",
+}
 _CHANGES = 0.03  # of K' over the band, from which it is said
 
 
@@ -56,7 +67,8 @@ def tested(described: Described) -> LackOfFit | None:
         columns = np.concatenate([columns, *_of_every_bench(described, residuals)], axis=1)
     recorded = described.recorded
     kept = described.kept & is_smooth(recorded.time, recorded.deflection, recorded.rate)
-    fitted = Fitted(residuals, columns, coupling, values, half_width, skew, kept)
+    included = frozenset(code for name, code in _TERMS.items() if name in names)
+    fitted = Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
     return lack_of_fit(described.recorded, fitted)
 
 

@@ -46,6 +46,7 @@ class Fitted:
     coupling: the places of Kc and Bc among them, None for a model without. half_width: of their intervals. skew: the
     place of a skew among the columns, None without.
     kept: the samples (n,) that the model describes; residuals and columns of the others are not read. None: all.
+    included: the codes of effects that the model has a term for, which are therefore no remedy.
     """
 
     residuals: Array
@@ -55,6 +56,7 @@ class Fitted:
     half_width: tuple[float, float]
     skew: int | None = None
     kept: NDArray[np.bool_] | None = None
+    included: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,7 @@ class Suspect:
 class LackOfFit:
     """What the tests found. share: of the residuals' power, predicted in blocks that were not seen.
 
-    Kc, Bc: the size of the misfit, relative: the change by the likeliest suspect, or half the difference between parts;
+    Kc, Bc: the size of the misfit, relative: the largest change by a suspect, or half the difference between parts;
     without either, the change that would make as much torque as is predicted. outside: whether that leaves the interval
     of Kc or Bc.
     lags (l,) s and correlation (l, 2): of the residuals with the deflection and rate of `lags` before. plane: mean
@@ -212,7 +214,8 @@ class _Tests:
 
     def _suspects(self, share: float) -> tuple[Suspect, ...]:
         """The effects that explain most of what can be predicted, the best first."""
-        found = [one for effect in EFFECTS if (one := self._suspect(effect)) is not None and self._is_possible(one)]
+        lacking = [effect for effect in EFFECTS if effect.code not in self._fitted.included]
+        found = [one for effect in lacking if (one := self._suspect(effect)) is not None and self._is_possible(one)]
         most = max((one.share for one in found), default=0.0)
         least = max(_AS_GOOD * most, _EXPLAINS * share)
         ranked = sorted((one for one in found if one.share >= least), key=lambda one: -one.share)
@@ -277,7 +280,8 @@ class _Tests:
             return np.zeros(2)
         # the likeliest effect explains the differences between parts too, but not what changed on the way
         compared = [one for one in respects if one.fails and (one.code == "half" or not suspects)]
-        found = [(abs(one.Kc), abs(one.Bc)) for one in suspects[:1]]
+        # the recording cannot decide between the suspects: the one that moves them most may be there
+        found = [(abs(one.Kc), abs(one.Bc)) for one in suspects]
         found += [(0.5 * abs(one.Kc), 0.5 * abs(one.Bc or 0.0)) for one in compared if one.Kc is not None]
         if found:
             return np.asarray(np.max(found, axis=0), dtype=np.float64)
