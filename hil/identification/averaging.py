@@ -6,6 +6,9 @@ terms without strong evidence for or against them. An offset and a skew are alwa
 recorder can produce, because the two readings of one tick never have quite the same age. Dry friction never turns at
 once: what holds it is about as stiff as the coupling, so that it builds up over some Fc/Kc (Dahl 1976), which stiffens
 small motion.
+
+A reading that is late is known by how it stiffens fast motion, and so does a viscoelastic branch that relaxes faster
+than the joint moved. Any part of what looks late may be that, in one joint of ten, and is then not missing from Bc.
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ Array = NDArray[np.float64]
 _ALWAYS = ("offset", "skew")
 _NORMAL = 1.96  # half a 95 % interval in standard errors
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
+_RELAXING = (1.0 / 11.0 / 3.0) ** 0.5  # one joint in ten: any part of what looks late, a standard deviation
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
 _BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
 
@@ -66,7 +70,16 @@ def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinea
             return {}
     weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     weights /= weights.sum()
-    return {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}
+    mixed = {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}
+    hidden = mixed["Kc"].value * _late(choice.model, nonlinear)
+    bc = mixed["Bc"]
+    return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, _NORMAL * _RELAXING * hidden)))}
+
+
+def _late(model: CouplingModel, nonlinear: Array) -> float:
+    """By how much, s, the torque reading is late in a model with nonlinear parameters (q,)."""
+    names = [parameter.name for parameter in model.nonlinear]
+    return float(sum(abs(nonlinear[names.index(name)]) for name in ("skew", "lag") if name in names))
 
 
 def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:

@@ -37,6 +37,8 @@ _CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be
 _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
 _LATE = ("skew", "lag")  # why a torque reading may be late
 _EARLIER = (*_LATE, "inertia")  # and why it may seem to be early
+_STIFFEST, _FELT = 2.0, 0.1  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
+_RARE = 2.0 * math.log(10.0)  # in Akaike's criterion: one joint in ten relaxes faster than it moves
 _LIKELY = 3  # rarer terms that are considered, of those that lower the fitness most
 _MARGIN = 1e-4  # of a range, within which a value is at its end
 
@@ -176,7 +178,7 @@ class _Selector:
         return self.candidate(_replaced(chosen.terms, best)) if gains.get(best, 0.0) > _STRONG else chosen
 
     def _alternatives(self, chosen: _Candidate) -> tuple[Alternative, ...]:
-        """The models with a skew, a lag of the cell, both, or an inertia, in place of those of the chosen one."""
+        """The models with a skew, a lag of the cell, both, an inertia or a branch, in place of its own."""
         if not {*_LATE, *self._like_skew}.intersection(chosen.terms) or "mean" in chosen.terms:
             return ()
         others = tuple(term for term in chosen.terms if term not in {*_LATE, *self._like_skew})
@@ -184,17 +186,36 @@ class _Selector:
         nearest = min(alone, key=lambda one: one.fit.fitness, default=chosen)
         both = self._late((*others, *_LATE), beside=nearest)
         moved = self._late((*others, "inertia")) if "inertia" in self._like_skew else None
-        found = alone + [one for one in (both, moved) if one is not None]
+        found = alone + [one for one in (both, moved, self._relaxing(chosen, others)) if one is not None]
         alike = max(self._correlation(one, term) for one in (chosen, *found) for term in _EARLIER if term in one.terms)
         return tuple(
             Alternative(
                 one.model.anchored(self._motion),
                 one.fit.nonlinear,
-                2.0 * (len(one.terms) - len(chosen.terms)) - self.ratio(chosen, one) / alike,
+                2.0 * (len(one.model.parameters) - len(chosen.model.parameters))
+                - self.ratio(chosen, one) / alike
+                + (_RARE if "maxwell" in one.terms and "maxwell" not in chosen.terms else 0.0),
             )
             for one in found
             if set(one.terms) != set(chosen.terms)
         )
+
+    def _relaxing(self, chosen: _Candidate, others: tuple[str, ...]) -> _Candidate | None:
+        """The model with a branch that relaxes faster than the joint moved, in place of a late torque reading.
+
+        Both stiffen fast motion, and the branch is a damper besides. None is much stiffer than Kc.
+        """
+        values = _values(chosen)
+        late = sum(abs(values.get(term, 0.0)) for term in _LATE)
+        if not is_addable("maxwell", others) or late * values["Kc"] < _FELT * values["Bc"]:
+            return None
+        terms = (*others, "maxwell")
+        if self._fitness(terms) == np.inf:
+            return None
+        found = self.candidate(terms)
+        branch = _values(found)
+        possible = not _is_impossible(found, "maxwell") and _damping(found) >= 0.0 and not self._ends(found, "maxwell")
+        return found if possible and branch["K1"] <= _STIFFEST * branch["Kc"] else None
 
     def _late(self, terms: tuple[str, ...], beside: _Candidate | None = None) -> _Candidate | None:
         """The model of these terms, where its skew and lag are within their bounds and no damping is negative."""
@@ -446,9 +467,14 @@ def _is_impossible(fitted: _Candidate, term: str) -> bool:
 
     A skew may be negative, but not to undo a part of the lag beside it.
     """
-    values = dict(zip((parameter.name for parameter in fitted.model.parameters), fitted.fit.values, strict=True))
+    values = _values(fitted)
     negative = any(parameter.positive and values[parameter.name] < 0.0 for parameter in TERMS[term].parameters)
     return negative or (term in _LATE and "lag" in values and values.get("skew", 0.0) < 0.0)
+
+
+def _values(fitted: _Candidate) -> dict[str, float]:
+    """All parameters, SI, by name."""
+    return dict(zip((one.name for one in fitted.model.parameters), fitted.fit.values.tolist(), strict=True))
 
 
 def _damping(fitted: _Candidate) -> float:

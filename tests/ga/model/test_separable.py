@@ -71,6 +71,15 @@ def test_a_skew_comes_back_with_stiffness_and_damping(skew: float) -> None:
     assert fit(problem("linear", skewed(skew))).values[1] != pytest.approx(BC, rel=0.1)
 
 
+@pytest.mark.parametrize("late", [2e-3, 6e-3])
+def test_of_two_delays_that_fit_alike_that_with_a_positive_damping_is_found(late: float) -> None:
+    """Bc + Kc late and the stiffening, which goes with late (Bc - Kc late/2), are nearly the same at -Bc and a lead."""
+    damping, then = 1e-4, Chirp(TIME - late).motion
+    found = fit(problem("linear+skew", KC * then.dtheta + damping * then.dtheta_dot + noise(1)))
+    assert found.nonlinear[0] == pytest.approx(late, abs=1e-4)
+    assert found.values[1] == pytest.approx(damping, rel=0.03)
+
+
 def test_the_bottom_of_the_valley_is_that_of_an_independent_minimiser() -> None:
     asked = problem("linear+skew", skewed(2e-3))
     found = fit(asked)
@@ -201,4 +210,4 @@ def test_a_model_is_never_worse_than_the_one_it_contains(name: str) -> None:
     less = fit(smaller)
     near = dict(zip(("gap", "centre"), less.nonlinear.tolist(), strict=False))
     start = larger.low + 0.9 * (larger.high - larger.low)
-    assert local_minimum(larger, start, near).fitness <= less.fitness
+    assert local_minimum(larger, start, near).fitness <= less.fitness * (1.0 + 1e-12)
