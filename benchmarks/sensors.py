@@ -238,7 +238,7 @@ class Outcome:
     seconds: float
 
 
-_BESIDE = {"slow-cell", "filtered", "inertia-in-torque", "misfit", "skew-implausible", "late-torque"}
+_BESIDE = {"slow-cell", "filtered-torque", "inertia-in-torque", "misfit", "skew-implausible", "late-torque"}
 
 
 def outcome(bench: Bench, reading: Reading, folder: Path) -> Outcome:
@@ -301,7 +301,7 @@ def main() -> None:
                 f"    {one.Kc:+.2%} {one.Bc:+.2%} {one.verdict} {one.model} {one.codes} {one.seconds:.1f} s", flush=True
             )
     if options.write:
-        write_section(Path("docs/accuracy.md"), "sensors", "\n".join([machine(), "", *rows]))
+        write_section("sensors", "\n".join(["## What sensors do", "", f"{machine()}.", "", *rows]), file="accuracy.md")
 
 
 if __name__ == "__main__":

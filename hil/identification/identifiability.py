@@ -137,10 +137,12 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
 def judge(evidence: Evidence) -> list[Diagnostic]:
     """Return the warnings and errors of the result."""
     found = _interruption(evidence.trials)
-    for at, name in enumerate(evidence.names):
-        found += _of_parameter(evidence, at, name)
     exact = dict(zip(evidence.names, evidence.exact[0].tolist(), strict=True))
-    found += _inertia(evidence) + _implausible_skew(evidence) + other_stiffness(exact, selected=evidence.selected)
+    stiffnesses = other_stiffness(exact, selected=evidence.selected)
+    for at, name in enumerate(evidence.names):
+        if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
+            found += _of_parameter(evidence, at, name)
+    found += _inertia(evidence) + _implausible_skew(evidence) + stiffnesses
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
             Diagnostic(
@@ -266,18 +268,23 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _filtered(evidence: Evidence) -> Diagnostic:
-    """Return the warning of a torque that a filter averages."""
+    """Return what is said of a torque that a filter averages: an error, unless the user names the mean.
+
+    Another filter of the same delay fits nearly as well and has another Bc (a Butterworth of 30 Hz: 8 % more).
+    """
     window, late = (
         float(evidence.values[evidence.names.index(name)]) if name in evidence.names else 0.0
         for name in ("window", "skew")
     )
     step = float(np.median(np.diff(evidence.signals.motion.whole[0].time)))
+    known = f"; if you know that it is a mean: --model {evidence.model.name}" if evidence.selected else ""
     return Diagnostic(
         "filtered-torque",
         f"the torque is {1e3 * late:.3g} ms late and a mean over {1e3 * window:.3g} ms, {window / step:.2g} ticks: a "
-        "filter stands before it, which the model includes; if it is not a mean, Bc is wrong; switch it off, "
-        "or pass the angle through the same filter",
+        "filter stands before it, and if it is not a mean, Bc is wrong; switch it off, or pass the angle through the "
+        f"same filter{known}",
         "Bc",
+        is_error=evidence.selected,
     )
 
 
@@ -368,11 +375,26 @@ def _too_wide(evidence: Evidence, at: int) -> str:
             f"own errors are {scatter.within:.2g}; see which with hil compare, and pool only those of one joint in the "
             "same units"
         )
+    if evidence.selected and evidence.exact[1][at] < 0.5 * abs(evidence.exact[0][at]):
+        return _by_the_choice(evidence, at)
     wide = "its 95 % interval is as wide as its value"
     if name == "Bc" and evidence.has_friction:
         return f"Bc cannot be distinguished from Coulomb friction (Fc): {wide}; {_corner(evidence)}{_SEVERAL_SPEEDS}"
     corner = _corner(evidence) if name == "Bc" else ""
     return f"{name} is not identifiable: {wide}; {corner}excite it more (--band, --amplitude)"
+
+
+def _by_the_choice(evidence: Evidence, at: int) -> str:
+    """Return which value the selected model alone gives a parameter that other models give another value."""
+    name, unit = evidence.names[at], evidence.parameters[at].unit
+    value, half = (float(of[at]) for of in evidence.exact)
+    late = {"skew", "lag", "window"} & set(evidence.names)
+    cause = "a torque that is read late looks like a viscoelastic coupling that relaxes fast; " if late else ""
+    known = "if you know that the torque cell or its filter is that late" if late else "if you know that it is right"
+    return (
+        f"{name} is {value:.3g} +- {half:.2g} {unit} by the model {evidence.model.name}, but others fit as well with "
+        f"another {name}: {cause}{known}, name the model: --model {evidence.model.name}"
+    )
 
 
 def _corner(evidence: Evidence) -> str:

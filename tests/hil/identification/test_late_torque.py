@@ -1,0 +1,72 @@
+"""What is said of Bc where a filter stands before the torque: its shape and a viscoelastic coupling look alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ga.evolution.evolution import PRESETS
+from ga.model.coupling import parse
+from hil.identification.identify import Search, identify
+from hil.identification.result import Identification
+from hil.recording.reader import Array
+
+from ..conftest import Maker
+
+Response = NDArray[np.complexfloating[Any, Any]]
+KC, BC = 0.3, 3e-3
+OMEGA = 2.0 * np.pi * np.arange(1.0, 13.0)
+SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
+
+
+def identified(
+    make_recording: Maker, response: Response, model: str | None = None, damping: float = BC
+) -> Identification:
+    """The result of a sum of sines of 1 to 12 Hz, with the torque behind a filter of that response (12,)."""
+
+    def change(channels: dict[str, Array]) -> None:
+        rng = np.random.default_rng(4)
+        waves = 0.05 * np.exp(1j * (np.outer(channels["time"], OMEGA) + rng.uniform(0.0, 2.0 * np.pi, 12)))
+        channels["dtheta"] = waves.sum(axis=1).imag
+        torque = (waves * (KC + 1j * OMEGA * damping) * response).sum(axis=1).imag
+        channels["torque"] = torque + 5e-4 * rng.standard_normal(len(torque))
+
+    path = make_recording(change=change, samples=3000)
+    return identify([path], None if model is None else parse(model), SEARCH)
+
+
+@pytest.fixture(scope="module")
+def butterworth() -> Response:
+    """A second order of 30 Hz in closed form, which is no mean and no single pole."""
+    s = 1j * OMEGA / (2.0 * np.pi * 30.0)
+    return np.asarray(1.0 / (1.0 + np.sqrt(2.0) * s + s * s))
+
+
+def test_no_damping_is_trusted_behind_a_filter_whose_shape_nobody_named(
+    make_recording: Maker, butterworth: Response
+) -> None:
+    found = identified(make_recording, butterworth)
+    assert (found.trusted("Kc"), found.trusted("Bc")) == (True, False)
+    assert found["Kc"].value == pytest.approx(KC, rel=5e-3)
+
+
+def test_a_mean_that_is_named_is_a_warning(make_recording: Maker) -> None:
+    mean = np.exp(-1j * np.outer(OMEGA, 2e-3 * np.arange(10))).mean(axis=1)
+    found = identified(make_recording, mean, "linear+skew+mean")
+    assert found["Bc"].value == pytest.approx(BC, rel=0.03)
+    (said,) = [one for one in found.diagnostics if one.code == "filtered-torque"]
+    assert not said.is_error
+    assert "the torque is 8.91 ms late and a mean over 19.5 ms, 9.8 ticks" in said.message
+    assert "--model" not in said.message
+
+
+def test_a_damping_that_another_model_doubts_is_said_with_the_model_that_would_decide(make_recording: Maker) -> None:
+    found = identified(make_recording, 1.0 / (1.0 + 12e-3j * OMEGA), damping=1e-3)
+    assert found.model.name == "linear+lag"
+    said = [one.message for one in found.diagnostics if one.code == "not-identifiable" and one.parameter == "Bc"]
+    assert said
+    assert "name the model: --model linear+lag" in said[0]
+    assert "looks like a viscoelastic coupling that relaxes fast" in said[0]
