@@ -25,7 +25,8 @@ from ga.model.separable import Problem
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, is_addable
 from ga.model.trajectory import Motion
 from hil.identification.model_choice import Choice
-from hil.identification.stepwise import Alternative, Step
+from hil.identification.selection.late import Alternative
+from hil.identification.selection.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance

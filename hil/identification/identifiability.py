@@ -13,7 +13,7 @@ from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation
-from hil.identification.stepwise import Step
+from hil.identification.selection.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
 from hil.uncertainty.criteria import (

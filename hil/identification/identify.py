@@ -38,7 +38,7 @@ from hil.identification.misfit import Described, misfit_diagnostics, tested, wit
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
-from hil.identification.stepwise import Step
+from hil.identification.selection.stepwise import Step
 from hil.recording.ahead import Progress
 from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources

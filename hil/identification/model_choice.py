@@ -12,9 +12,10 @@ from ga.model.separable import Problem, SeparableModel, fit
 from ga.model.terms import CONSIDERED, RARER, TERMS
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
-from hil.identification import stepwise
 from hil.identification.misfit import Described, tested
-from hil.identification.stepwise import Alternative, Selection, Step
+from hil.identification.selection import stepwise
+from hil.identification.selection.late import Alternative
+from hil.identification.selection.stepwise import Selection, Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.effects import Recorded
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
-from hil.identification.stepwise import Step
+from hil.identification.selection.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.instruments import Method

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hil.identification.result import Estimate, Fixture, Identification
-    from hil.identification.stepwise import Step
+    from hil.identification.selection.stepwise import Step
 
 SCHEMA = "hil-identification/2"
 _FIRST = "hil-identification/1"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hil.identification.result import Estimate, Identification
-    from hil.identification.stepwise import Step
+    from hil.identification.selection.stepwise import Step
 
 _LINEAR = 10.0  # gains up to which their axis is linear: others are thousands of times as large
 

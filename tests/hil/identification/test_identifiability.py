@@ -12,7 +12,7 @@ from hil.diagnostics import Diagnostic
 from hil.identification.identifiability import other_stiffness, rivals
 from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification, Repeatability
-from hil.identification.stepwise import Step
+from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array
 from hil.signals.inspection import inspect
 

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.identification import stepwise
-from hil.identification.stepwise import Selection, select
+from hil.identification.selection import criterion
+from hil.identification.selection.stepwise import Selection, select
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
 
 Array = NDArray[np.float64]
@@ -128,7 +128,7 @@ def test_noise_that_follows_itself_is_less_often_taken_for_a_term_than_its_sampl
         return count
 
     allowing = taken()
-    monkeypatch.setattr(stepwise, "measure", as_if_white)
+    monkeypatch.setattr(criterion, "measure", as_if_white)
     assert allowing < taken()
 
 

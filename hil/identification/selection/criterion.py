@@ -1,0 +1,141 @@
+"""Whether a term pays: its gain beyond chance, by the noise of the recording.
+
+The gain of a term is the likelihood ratio of a median regression (Koenker and Machado 1999, 4 f(0) times the fall of
+the sum of absolute residuals), divided by the factor by which the residuals' correlation raises the variance of its
+parameters (`hil.uncertainty.residual_spectrum`), less log n for each (Schwarz 1978) and the cost of choosing from so
+many terms (Chen and Chen 2008). Held-out blocks must not be predicted clearly worse. A term with a break, whose
+likelihood ratio has no known law, must predict them better and gain much. The density f(0) and the correlation are
+those of the richest model's residuals, because a missing term must not be taken for noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.terms import RARER, TERMS, is_addable
+from hil.identification.selection.fits import FOLDS, Candidate, Fits, own
+from hil.signals.windows import is_smooth
+from hil.uncertainty.residual_spectrum import measure
+
+Array = NDArray[np.float64]
+
+STRONG = 10.0
+"""The gain of a term with a break, whose chance is not known to be that of others."""
+
+_WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, and better
+_CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
+_EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
+
+
+@dataclass(frozen=True, eq=False)
+class Criterion:
+    """The noise of a recording, and by it whether a term pays.
+
+    richest: terms of the model whose residuals are taken for the noise; signs: (n,), of these; density: 1/(N m), of
+    these at zero. size: N m, the mean torque. smooth: (n,), where the rate is right. choices: from how many terms one
+    is chosen.
+    """
+
+    richest: tuple[str, ...]
+    signs: Array
+    density: float
+    size: float
+    smooth: NDArray[np.bool_]
+    choices: int
+
+    def pays(self, smaller: Candidate, larger: Candidate, term: str) -> bool:
+        """Return whether the term pays that the larger model has and the smaller has not."""
+        if smaller.fit.fitness < _EXPLAINED * self.size:
+            return False
+        if larger.is_at_end(term) or not _is_distinct(larger, term):
+            return False
+        if larger.stiffness <= 0.0 < smaller.stiffness:  # no coupling pushes: the term stands in for it
+            return False
+        if larger.is_impossible(term) or (larger.damping < 0.0 <= smaller.damping):
+            return False
+        better = smaller.held_out - larger.held_out
+        breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable) or term in RARER
+        least, gain = (_BETTER, STRONG) if breaks else (-_WORSE, 0.0)
+        if better.mean() < least * better.std(ddof=1) / np.sqrt(FOLDS):
+            return False
+        return self.gain(smaller, larger, term) > gain and self._pays_where_smooth(smaller, larger, term)
+
+    def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
+        """Return the gain beyond chance of the term that the larger model has and the smaller has not."""
+        return self._gain(self.ratio(smaller, larger), len(self.signs), self.correlation(larger, term), term)
+
+    def ratio(self, one: Candidate, other: Candidate) -> float:
+        """Return twice by how much the other model's logarithmic likelihood is higher, for independent residuals."""
+        return 4.0 * self.density * len(self.signs) * (one.fit.fitness - other.fit.fitness)
+
+    def correlation(self, fitted: Candidate, term: str) -> float:
+        """Return the factor by which the residuals' correlation raises the variance of the term's parameters."""
+        found = 1.0
+        for _, alone in fitted.own_columns(term):
+            power = float(alone @ alone)
+            spectrum = measure([(alone[:, None], self.signs)])
+            found = max(found, float(spectrum.covariance[0, 0]) / power) if power > 0.0 else np.inf
+        return found
+
+    def schwarz(self, reference: Candidate, one: Candidate) -> float:
+        """Return Schwarz's criterion of a model, less that of the reference without its parameters."""
+        return len(one.model.parameters) * float(np.log(len(self.signs))) - self.ratio(reference, one)
+
+    def _gain(self, ratio: float, count: float, alike: float, term: str) -> float:
+        """The gain of a term by the likelihood ratio of so many samples, alike: their factor of correlation."""
+        chosen_from = np.log(self.choices)  # their gamma of 1/2
+        return float(ratio / alike - len(own(term)) * np.log(max(count / alike, math.e)) - chosen_from)
+
+    def _pays_where_smooth(self, smaller: Candidate, larger: Candidate, term: str) -> bool:
+        """Whether a linear term pays without the samples in which the rate is wrong too: those make a cubic."""
+        if not TERMS[term].linear or self.smooth.all():
+            return True
+        share, alike = float(np.mean(self.smooth)), self.correlation(larger, term)
+        ratio = share * self.ratio(smaller.on(self.smooth), larger.on(self.smooth))
+        return self._gain(ratio, share * len(self.signs), alike, term) > 0.0
+
+
+def criterion_of(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) -> Criterion:
+    """Return the criterion by which terms are chosen from those considered; start: terms that the richest model has.
+
+    The residuals of the richest model are taken for the noise: those of a smaller one would hold missing terms.
+    """
+    richest = _richest(fits, considered, start)
+    residuals = fits.residuals(richest)
+    near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
+    inside = np.count_nonzero(np.abs(residuals) <= near)
+    motion = fits.motion
+    return Criterion(
+        richest,
+        signs=np.sign(residuals),
+        density=inside / (2.0 * near * len(residuals)) if near > 0.0 else np.inf,
+        size=float(np.mean(np.abs(fits.torque))),
+        smooth=is_smooth(motion.time, motion.dtheta, motion.dtheta_dot),
+        choices=len(considered),
+    )
+
+
+def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) -> tuple[str, ...]:
+    """All terms that lower the fitness one after the other, the better of two that exclude each other."""
+    found = {start}
+    for term in considered:
+        for terms in tuple(found):
+            more = (*terms, term)
+            if is_addable(term, terms) and fits.fitness(more) < fits.fitness(terms):
+                found.add(more)
+                found -= set() if _has_rivals(term, considered) else {terms}
+    return min(found, key=fits.fitness)
+
+
+def _has_rivals(term: str, considered: tuple[str, ...]) -> bool:
+    """Whether there is a term considered that the term cannot stand beside."""
+    return bool(TERMS[term].excludes) or any(term in TERMS[other].excludes for other in considered)
+
+
+def _is_distinct(fitted: Candidate, term: str) -> bool:
+    """Whether the term can be distinguished from the others: where the joint moves slowly a skew is a damping."""
+    return all(column @ column < _CONFUSED * (alone @ alone) for column, alone in fitted.own_columns(term))

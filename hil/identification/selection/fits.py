@@ -1,0 +1,171 @@
+"""Fits of models to one recording: to some of its samples for a preview, to all of them, and to held-out blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.coupling import CouplingModel, parse
+from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
+from ga.model.terms import TERMS
+from ga.model.trajectory import Motion
+
+Array = NDArray[np.float64]
+
+LATE = ("skew", "lag")
+"""The terms of a torque reading that is late."""
+
+FOLDS = 10
+"""Blocks in time, two of which at a time are held out."""
+
+_MARGIN = 1e-4  # of a range, within which a value is at its end
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A model's fit to all the samples; held_out: (FOLDS,) N m, of blocks that fits to the others did not see."""
+
+    terms: tuple[str, ...]
+    model: CouplingModel
+    problem: Problem
+    fit: Fit
+    held_out: Array
+
+    @property
+    def stiffness(self) -> float:
+        """Kc, N m/rad."""
+        return float(self.fit.optimum.genes[0])
+
+    @property
+    def damping(self) -> float:
+        """Bc, N m s/rad."""
+        return float(self.fit.optimum.genes[1])
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All parameters, SI, by name."""
+        return dict(zip((one.name for one in self.model.parameters), self.fit.values.tolist(), strict=True))
+
+    @property
+    def anchored(self) -> CouplingModel:
+        """The model, anchored to the recording."""
+        return self.model.anchored(self.problem.motion)
+
+    def on(self, rows: NDArray[np.bool_]) -> Candidate:
+        """Return the fit to some of the samples (n,), with the nonlinear parameters of all."""
+        part = self.problem.of(rows)
+        return replace(self, problem=part, fit=part.solve(self.fit.nonlinear, self.fit))
+
+    def own_columns(self, term: str) -> Iterator[tuple[Array, Array]]:
+        """For each parameter of the term: its column (n,), and the part of it orthogonal to all other columns."""
+        columns = self.problem.linearised(self.fit)[0]
+        names = [parameter.name for parameter in self.model.parameters]
+        for name in own(term):
+            at = names.index(name)
+            others = np.delete(columns, at, axis=1)
+            yield columns[:, at], columns[:, at] - others @ np.linalg.lstsq(others, columns[:, at], rcond=None)[0]
+
+    def is_possible(self, *terms: str) -> bool:
+        """Return whether the damping and these terms are possible, and the data do not reject one of the terms."""
+        return self.damping >= 0.0 and not any(self.is_at_end(term) or self.is_impossible(term) for term in terms)
+
+    def is_at_end(self, term: str) -> bool:
+        """Return whether a parameter of the term came to an end of its bounds: the data reject it."""
+        problem, values = self.problem, self.fit.nonlinear
+        near = _MARGIN * (problem.high - problem.low)
+        ends = (values <= problem.low + near) | (values >= problem.high - near)
+        return any(end and p.name in own(term) for end, p in zip(ends, self.model.nonlinear, strict=True))
+
+    def is_impossible(self, term: str) -> bool:
+        """Return whether a parameter of the term is negative that nature has no negative one of, as a friction.
+
+        A skew may be negative, but not to undo a part of the lag beside it.
+        """
+        values = self.values
+        negative = any(parameter.positive and values[parameter.name] < 0.0 for parameter in TERMS[term].parameters)
+        return negative or (term in LATE and "lag" in values and values.get("skew", 0.0) < 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """A recording, and the models fitted to it so far, each of them once.
+
+    motion: (n,); torque: (n,) N m; highest: Hz, up to where the joint moved.
+    """
+
+    motion: Motion
+    torque: Array
+    highest: float
+    _fitted: dict[tuple[str, ...], Candidate] = field(default_factory=dict, init=False)
+    _previews: dict[tuple[str, ...], Fit | None] = field(default_factory=dict, init=False)
+
+    def preview(self, terms: tuple[str, ...]) -> Fit | None:
+        """Return the fit to some of the samples; None where the columns are too much alike."""
+        if terms not in self._previews:
+            less = self.preview(terms[:-1]) if len(terms) > 1 else None
+            near = {} if less is None else _named(_model(terms[:-1]), less)
+            try:
+                self._previews[terms] = best_start(self._problem(terms).thinned(), near)
+            except RuntimeError:
+                self._previews[terms] = None
+        return self._previews[terms]
+
+    def fitness(self, terms: tuple[str, ...]) -> float:
+        """Return the fitness, N m, on some of the samples; infinite where the columns are too much alike."""
+        seen = self.preview(terms)
+        return seen.fitness if seen else np.inf
+
+    def candidate(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate:
+        """Return the model of these terms, fitted to all samples; beside: a fit with similar nonlinear parameters.
+
+        Raises RuntimeError where its columns are too much alike.
+        """
+        if terms not in self._fitted:
+            problem, seen = self._problem(terms), self._previews.get(terms)
+            near = _named(beside.model, beside.fit) if beside else {}
+            found = fit(problem, near) if seen is None else local_minimum(problem, seen.nonlinear, near)
+            self._fitted[terms] = Candidate(terms, _model(terms), problem, found, _held_out(problem, found))
+        return self._fitted[terms]
+
+    def held_out(self, terms: tuple[str, ...], found: Fit) -> Array:
+        """Return the errors (FOLDS,), N m, of held-out blocks with the nonlinear parameters of a fit."""
+        return _held_out(self._problem(terms), found)
+
+    def residuals(self, terms: tuple[str, ...]) -> Array:
+        """Return the residuals (n,), N m, of the local minimum to which the preview leads on all samples."""
+        problem, seen = self._problem(terms), self.preview(terms)
+        return problem.residuals(descend(problem, seen.nonlinear if seen else problem.low))
+
+    def _problem(self, terms: tuple[str, ...]) -> Problem:
+        model = _model(terms).anchored(self.motion)
+        return Problem(model, self.motion, self.torque, *model.bounds(self.motion, self.highest))
+
+
+def own(term: str) -> tuple[str, ...]:
+    """Return the names of a term's own parameters."""
+    return tuple(parameter.name for parameter in TERMS[term].parameters)
+
+
+def _held_out(problem: Problem, found: Fit) -> Array:
+    """The mean error, N m, of each block in time under a fit to the others with all's nonlinear parameters."""
+    thin = problem.thinned()
+    block = np.arange(len(thin.torque)) * FOLDS // len(thin.torque)
+    errors = np.empty(FOLDS)
+    for first in range(FOLDS // 2):
+        out = block % (FOLDS // 2) == first
+        left = np.abs(thin.of(out).residuals(thin.of(~out).solve(found.nonlinear)))
+        for number in (first, first + FOLDS // 2):
+            errors[number] = left[block[out] == number].mean()
+    return errors
+
+
+def _model(terms: tuple[str, ...]) -> CouplingModel:
+    return parse("+".join(terms))
+
+
+def _named(model: CouplingModel, found: Fit) -> dict[str, float]:
+    """The nonlinear parameters of a fit by name."""
+    return dict(zip((parameter.name for parameter in model.nonlinear), found.nonlinear.tolist(), strict=True))

@@ -1,0 +1,124 @@
+"""Other models of a late torque reading: a skew, a lag of the cell, an inertia, or a branch that relaxes fast."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.coupling import CouplingModel
+from ga.model.polishing import polished
+from ga.model.separable import descend
+from ga.model.terms import is_addable
+from hil.identification.selection.criterion import STRONG, Criterion
+from hil.identification.selection.fits import LATE, Candidate, Fits
+
+Array = NDArray[np.float64]
+
+_EARLIER = (*LATE, "inertia")  # why a torque reading may be late, or may seem to be early
+_STIFFEST, _FELT = 2.0, 0.1  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
+_RARE = 2.0 * math.log(10.0)  # in Akaike's criterion: one joint in ten relaxes faster than it moves
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """A model that may stand in place of the one selected, its nonlinear parameters (q,), SI, and Akaike's criterion of
+    it less that of the one selected.
+    """
+
+    model: CouplingModel
+    nonlinear: Array
+    criterion: float
+
+
+@dataclass(frozen=True, eq=False)
+class LateReading:
+    """A recording whose torque reading may be late; like_skew: terms that may be there where a skew seems to be."""
+
+    fits: Fits
+    criterion: Criterion
+    like_skew: tuple[str, ...] = ()
+
+    def instead_of_skew(self, chosen: Candidate) -> Candidate:
+        """Return the model with a lag or an inertia in place of its skew where that fits clearly better."""
+        gains = {}
+        for one in self.like_skew if "skew" in chosen.terms else ():
+            terms = _replaced(chosen.terms, one)
+            if self.fits.fitness(terms) < np.inf:
+                other = self.fits.candidate(terms)
+                gains[one] = self._independent(chosen, other, one) if other.is_possible(one) else 0.0
+        best = max(gains, key=lambda one: gains[one], default="")
+        return self.fits.candidate(_replaced(chosen.terms, best)) if gains.get(best, 0.0) > STRONG else chosen
+
+    def alternatives(self, chosen: Candidate) -> tuple[Alternative, ...]:
+        """Return the models with a skew, a lag of the cell, both, an inertia or a branch, in place of its own."""
+        if not {*LATE, *self.like_skew}.intersection(chosen.terms) or "mean" in chosen.terms:
+            return ()
+        found = self._others(chosen)
+        alike = max(
+            self.criterion.correlation(one, term) for one in (chosen, *found) for term in _EARLIER if term in one.terms
+        )
+        return tuple(
+            Alternative(one.anchored, one.fit.nonlinear, self._akaike(chosen, one, alike))
+            for one in found
+            if set(one.terms) != set(chosen.terms)
+        )
+
+    def _independent(self, chosen: Candidate, other: Candidate, one: str) -> float:
+        """The likelihood ratio of the other model, divided by the factor of correlation of its term."""
+        return float(self.criterion.ratio(chosen, other) / self.criterion.correlation(other, one))
+
+    def _others(self, chosen: Candidate) -> list[Candidate]:
+        """The models with any account of a late torque reading, that of the model chosen among them."""
+        others = tuple(term for term in chosen.terms if term not in {*LATE, *self.like_skew})
+        alone = [one for term in LATE if (one := self._with((*others, term))) is not None]
+        nearest = min(alone, key=lambda one: one.fit.fitness, default=chosen)
+        both = self._with((*others, *LATE), beside=nearest)
+        moved = self._with((*others, "inertia")) if "inertia" in self.like_skew else None
+        return alone + [one for one in (both, moved, self._relaxing(chosen, others)) if one is not None]
+
+    def _akaike(self, chosen: Candidate, one: Candidate, alike: float) -> float:
+        """Akaike's criterion of a model less that of the one chosen, alike: their factor of correlation."""
+        return (
+            2.0 * (len(one.model.parameters) - len(chosen.model.parameters))
+            - self.criterion.ratio(chosen, one) / alike
+            + (_RARE if "maxwell" in one.terms and "maxwell" not in chosen.terms else 0.0)
+        )
+
+    def _relaxing(self, chosen: Candidate, others: tuple[str, ...]) -> Candidate | None:
+        """The model with a branch that relaxes faster than the joint moved, in place of a late torque reading.
+
+        Both stiffen fast motion, and the branch is a damper besides. None is much stiffer than Kc.
+        """
+        values = chosen.values
+        late = sum(abs(values.get(term, 0.0)) for term in LATE)
+        if not is_addable("maxwell", others) or late * values["Kc"] < _FELT * values["Bc"]:
+            return None
+        terms = (*others, "maxwell")
+        if self.fits.fitness(terms) == np.inf:
+            return None
+        found = self.fits.candidate(terms)
+        branch = found.values
+        return found if found.is_possible("maxwell") and branch["K1"] <= _STIFFEST * branch["Kc"] else None
+
+    def _with(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate | None:
+        """The model of these terms, where its skew and lag are within their bounds and no damping is negative."""
+        if self.fits.fitness(terms) == np.inf:
+            return None
+        found = self.fits.candidate(terms, beside)
+        found = found if beside is None else _deeper(found)
+        return found if found.is_possible(*(term for term in _EARLIER if term in terms)) else None
+
+
+def _deeper(found: Candidate) -> Candidate:
+    """The fit of terms that are much alike: roughly on some of the samples, then on all."""
+    rough = polished(found.problem.thinned(), found.fit)
+    near = polished(found.problem, descend(found.problem, rough.nonlinear), reach=1.0)
+    return replace(found, fit=min(found.fit, near, key=lambda fit: fit.fitness))
+
+
+def _replaced(terms: tuple[str, ...], one: str) -> tuple[str, ...]:
+    """The terms with another one in place of a skew."""
+    return tuple(one if term == "skew" else term for term in terms)

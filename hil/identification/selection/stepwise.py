@@ -1,0 +1,205 @@
+"""Model selection by forward steps: a term is included as long as the data pay for it.
+
+Each step includes the term that predicts held-out blocks best, of those that pay
+(`hil.identification.selection.criterion`); terms that do not pay any more are removed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.coupling import CouplingModel
+from ga.model.separable import Fit
+from ga.model.terms import CONSIDERED, TERMS, is_addable
+from ga.model.trajectory import Motion
+from hil.identification.selection.criterion import Criterion, criterion_of
+from hil.identification.selection.fits import Candidate, Fits
+from hil.identification.selection.late import Alternative, LateReading
+
+Array = NDArray[np.float64]
+
+_RIVAL = 1.1  # a term that makes the fitness worse than by this factor is none
+_LIKELY = 3  # rarer terms that are considered, of those that lower the fitness most
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One model of the selection, and the gain of its last term.
+
+    fitness: N m, of all samples; held_out: N m, of blocks that the fit did not see. gain: by how much the criterion
+    falls for `term`, in units in which chance gives less than zero; NaN for the first. Kc, Bc: SI. included: whether
+    the term is in the model selected, or was rejected.
+    """
+
+    model: str
+    term: str
+    fitness: float
+    held_out: float
+    gain: float
+    Kc: float
+    Bc: float
+    included: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The model selected, anchored, and the steps: up to it, then one for each rejected term on top of it.
+
+    residuals: (n,) N m, of its fit; columns: (n, p + q), of the problem linearised there, and values (p + q,), SI.
+    delay: s, how much older the torque reading is, 0 where no term of the model says. alternatives: models with another
+    account of why the torque reading is late.
+    """
+
+    model: CouplingModel
+    steps: tuple[Step, ...]
+    residuals: Array
+    columns: Array
+    values: Array
+    delay: float
+    alternatives: tuple[Alternative, ...] = ()
+
+
+def select(
+    motion: Motion,
+    torque: Array,
+    highest: float,
+    terms: tuple[str, ...] = CONSIDERED,
+    *,
+    rarer: tuple[str, ...] = (),
+    like_skew: tuple[str, ...] = (),
+    describes: Callable[[Selection], bool] = lambda _selection: True,
+) -> Selection:
+    """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
+
+    describes: whether a model describes the recording; where it does not, rarer terms are considered too. like_skew:
+    terms that may be in the torque where a skew seems to be.
+    Raises RuntimeError where not even the smallest model can be fitted.
+    """
+    fits, smallest = Fits(motion, torque, highest), _smallest(terms)
+    steps = _Steps(fits, criterion_of(fits, terms, smallest), terms)
+    usual = steps.forward(fits.candidate(smallest))
+    late = LateReading(fits, steps.criterion, like_skew)
+    if not rarer:
+        return _explained(usual, steps, late)
+    if describes(_selection(usual)):
+        return _explained(late.instead_of_skew(usual), steps, late)
+    more = (*terms, *_likeliest(fits, rarer, (smallest, usual.terms)))
+    steps = _Steps(fits, criterion_of(fits, more, steps.criterion.richest), more, compared=_LIKELY)
+    richer = steps.forward(fits.candidate(smallest))
+    chosen = richer if set(rarer).intersection(richer.terms) else usual
+    return _explained(chosen, steps, LateReading(fits, steps.criterion, like_skew))
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """The steps among the terms considered; compared: how many terms that pay the best is taken from."""
+
+    fits: Fits
+    criterion: Criterion
+    considered: tuple[str, ...]
+    compared: int = 1
+
+    def forward(self, chosen: Candidate) -> Candidate:
+        """Return the model after the steps from one chosen, each with the term that pays most, without those idle."""
+        seen: set[frozenset[str]] = set()
+        while (larger := self._larger(chosen)) is not None:
+            seen.add(frozenset(chosen.terms))
+            larger = self._pruned(larger)
+            if frozenset(larger.terms) in seen:
+                break  # the new term replaced one that it needs: this would repeat for ever
+            chosen = larger
+        return self._pruned(chosen)
+
+    def to(self, chosen: Candidate) -> tuple[Step, ...]:
+        """Return the steps up to the chosen model, then one with each rejected term on top of it."""
+        nested = [self.fits.candidate(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
+        found = [_step(nested[0], float("nan"), included=True)]
+        found += [_step(b, self.criterion.gain(a, b, b.terms[-1]), included=True) for a, b in pairwise(nested)]
+        for term in self.considered:
+            seen = self.fits.preview((*chosen.terms, term)) if is_addable(term, chosen.terms) else None
+            if seen is not None and seen.fitness < _RIVAL * chosen.fit.fitness:
+                more = self.fits.candidate((*chosen.terms, term), beside=chosen)
+                found.append(_step(more, self.criterion.gain(chosen, more, term), included=False))
+        return tuple(found)
+
+    def _larger(self, smaller: Candidate) -> Candidate | None:
+        """The model with one more term that pays, the one that predicts held-out blocks best; None if none."""
+        errors = {
+            term: self.fits.held_out((*smaller.terms, term), found).mean()
+            for term, found in self._beyond(smaller.terms).items()
+        }
+        paying: list[Candidate] = []
+        for term in sorted(errors, key=lambda term: errors[term]):
+            larger = self.fits.candidate((*smaller.terms, term), beside=smaller)
+            if self.criterion.pays(smaller, larger, term):
+                paying.append(larger)
+            if len(paying) == self.compared:
+                break
+        # held-out blocks cannot distinguish terms that are much alike: all samples may
+        return min(paying, key=lambda larger: self.criterion.schwarz(smaller, larger)) if paying else None
+
+    def _beyond(self, terms: tuple[str, ...]) -> dict[str, Fit]:
+        """The terms that lower the fitness on some of the samples, each with its fit to these."""
+        less, found = self.fits.preview(terms), {}
+        for term in self.considered:
+            more = self.fits.preview((*terms, term)) if is_addable(term, terms) else None
+            if less is not None and more is not None and more.fitness < less.fitness:
+                found[term] = more
+        return found
+
+    def _pruned(self, larger: Candidate) -> Candidate:
+        """The model without the terms that, now that all are there, do not pay."""
+        idle = []
+        for term in larger.terms[1:]:
+            if term not in (TERMS[other].needs for other in larger.terms):
+                smaller = self.fits.candidate(tuple(other for other in larger.terms if other != term), beside=larger)
+                if not self.criterion.pays(smaller, larger, term):
+                    idle.append((self.criterion.gain(smaller, larger, term), smaller))
+        return self._pruned(min(idle, key=lambda pair: pair[0])[1]) if idle else larger
+
+
+def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
+    """The terms of the smallest model, as far as they are considered."""
+    smallest = [name for name, term in TERMS.items() if term.selection == "smallest"]
+    return tuple(name for name in smallest if name == "linear" or name in terms)
+
+
+def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """The terms that lower the fitness most, on top of any of the models."""
+    lowest = {}
+    for term in terms:
+        larger = [(*less, term) for less in models if is_addable(term, less)]
+        lowest[term] = min((fits.fitness(more) for more in larger), default=np.inf)
+    return tuple(sorted((term for term in terms if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY])
+
+
+def _explained(chosen: Candidate, steps: _Steps, late: LateReading) -> Selection:
+    """The model selected, with the steps to it, the terms rejected and the alternatives."""
+    return _selection(chosen, steps.to(chosen), late.alternatives(chosen))
+
+
+def _selection(
+    chosen: Candidate, steps: tuple[Step, ...] = (), alternatives: tuple[Alternative, ...] = ()
+) -> Selection:
+    model, residuals = chosen.anchored, chosen.problem.residuals(chosen.fit)
+    columns, _ = chosen.problem.linearised(chosen.fit)
+    delay = model.delay(chosen.fit.nonlinear)
+    return Selection(model, steps, residuals, columns, chosen.fit.values, delay, alternatives)
+
+
+def _step(fitted: Candidate, gain: float, *, included: bool) -> Step:
+    return Step(
+        fitted.model.name,
+        fitted.terms[-1],
+        fitted.fit.fitness,
+        float(fitted.held_out.mean()),
+        gain,
+        fitted.stiffness,
+        fitted.damping,
+        included,
+    )
