@@ -1,21 +1,17 @@
-"""Identifiability: the interval of each parameter, whether the recording identifies it, and why not."""
+"""Identifiability: what is doubtful about a result, and why a recording does not identify a parameter."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.record import Parameter
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
-from hil.identification.model_choice import Coupling
-from hil.identification.result import Conditional, Estimate, Repeatability, Validation
+from hil.identification.evidence import Evidence
+from hil.identification.result import Estimate
 from hil.identification.selection.stepwise import Step
-from hil.signals.prepare import Signals
-from hil.uncertainty.confidence import ConfidenceIntervals
 from hil.uncertainty.criteria import (
     BETWEEN,
     COUPLING,
@@ -27,111 +23,9 @@ from hil.uncertainty.criteria import (
     OPTIMISER_GAP,
     UNEXPLAINED,
     distinguishable,
-    friction_likeness,
-    narrow,
 )
-from hil.uncertainty.instruments import DeflectionErrors
-from hil.uncertainty.stationarity import VarianceComponents
 
 Array = NDArray[np.float64]
-
-_MARGIN = 1e-4  # part of a range within which a value is at its end
-
-
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """What identifiability is derived from.
-
-    columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters. exact: the values and
-    half the intervals given the model, where `values` and `errors` are averaged over models. scattered: the variance
-    components of pooled recordings. gap: of the optimiser, relative. deflection: what its errors do to the values, None
-    where the rate was recorded too. unmoved: why nothing moved, "" where it did.
-    selected: whether the model was selected, and not named.
-    """
-
-    model: Coupling
-    signals: Signals
-    columns: Array
-    values: Array
-    errors: ConfidenceIntervals
-    scattered: tuple[VarianceComponents | None, ...]
-    trials: Trials
-    low: Array
-    high: Array
-    gap: float
-    holdout: Validation
-    exact: tuple[Array, Array]
-    deflection: DeflectionErrors | None = None
-    unmoved: str = ""
-    selected: bool = False
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, the linear ones first."""
-        return (*self.model.linear, *self.model.nonlinear)
-
-    @property
-    def names(self) -> list[str]:
-        """All parameters' names."""
-        return [parameter.name for parameter in self.parameters]
-
-    @property
-    def has_friction(self) -> bool:
-        """Whether a parameter of the model is friction."""
-        return any(parameter.friction for parameter in self.parameters)
-
-    def identifiable(self, at: int) -> bool:
-        """Return whether the recording identifies the parameter at that place."""
-        half, value, name = float(self.errors.half_width[at]), float(self.values[at]), self.names[at]
-        found = distinguishable(half, float(self.errors.inflation[at]))
-        if name == "Bc":  # friction that the model leaves out would be in it, whatever the interval
-            found = found and self.friction_likeness < LIKE_FRICTION
-        if name in COUPLING:
-            found = found and narrow(half, value) and not self.unmoved
-        if self.parameters[at].presence:
-            found = found and half < abs(value)
-        return found
-
-    @property
-    def friction_likeness(self) -> float:
-        """The part of a damping torque that dry friction would explain, 0 where the model has friction.
-
-        0 for a user's own model, which may have friction by any name.
-        """
-        return 0.0 if self.has_friction or not self.model.linear else friction_likeness(self.signals.motion.dtheta_dot)
-
-    def at_bound(self, at: int) -> str | None:
-        """Return which end of its bounds the exact optimum lies at or beyond, None for neither."""
-        value, half = (float(of[at]) for of in self.exact)
-        near = min(_MARGIN * (self.high[at] - self.low[at]), half)
-        if value <= self.low[at] + near:
-            return "low"
-        return "high" if value >= self.high[at] - near else None
-
-
-def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
-    """Return the estimates of all parameters, in the model's order."""
-    found = []
-    for at, parameter in enumerate(evidence.parameters):
-        value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
-        exact, own = (float(of[at]) for of in evidence.exact)
-        is_average = (exact, own) != (value, half)
-        best, mean, std = (float(of[at]) for of in (evidence.trials.best, evidence.trials.mean, evidence.trials.std))
-        found.append(
-            Estimate(
-                name=parameter.name,
-                unit=parameter.unit,
-                value=value,
-                ci95=(value - half, value + half),
-                optimiser=Repeatability(best, mean, std),
-                identifiable=evidence.identifiable(at),
-                at_bound=evidence.at_bound(at),
-                bounds=(float(evidence.low[at]), float(evidence.high[at])),
-                components=evidence.scattered[at],
-                conditional=Conditional(exact, (exact - own, exact + own)) if is_average else None,
-            )
-        )
-    return tuple(found)
 
 
 def judge(evidence: Evidence) -> list[Diagnostic]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
 from hil.identification.dataset import Dataset
-from hil.identification.identifiability import Evidence
+from hil.identification.evidence import Evidence
 from hil.identification.result import Deflection
 from hil.uncertainty.criteria import COUPLING, INTERVAL
 from hil.uncertainty.instruments import DeflectionErrors, Fitted, deflection_errors

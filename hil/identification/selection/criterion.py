@@ -121,13 +121,14 @@ def criterion_of(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]
 
 def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) -> tuple[str, ...]:
     """All terms that lower the fitness one after the other, the better of two that exclude each other."""
-    found = {start}
+    found = [start]  # in an order that does not depend on hashes: some fits are equally good
     for term in considered:
         for terms in tuple(found):
             more = (*terms, term)
             if is_addable(term, terms) and fits.fitness(more) < fits.fitness(terms):
-                found.add(more)
-                found -= set() if _has_rivals(term, considered) else {terms}
+                found.append(more)
+                if not _has_rivals(term, considered):
+                    found.remove(terms)
     return min(found, key=fits.fitness)
 
 

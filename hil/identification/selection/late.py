@@ -90,7 +90,8 @@ class LateReading:
     def _relaxing(self, chosen: Candidate, others: tuple[str, ...]) -> Candidate | None:
         """The model with a branch that relaxes faster than the joint moved, in place of a late torque reading.
 
-        Both stiffen fast motion, and the branch is a damper besides. None is much stiffer than Kc.
+        Both stiffen fast motion, and the branch is a damper besides. None is much stiffer than Kc, and none stands
+        alone: without a damper beside it, it has the form of a lag, which has a parameter less.
         """
         values = chosen.values
         late = sum(abs(values.get(term, 0.0)) for term in LATE)
@@ -101,7 +102,8 @@ class LateReading:
             return None
         found = self.fits.candidate(terms)
         branch = found.values
-        return found if found.is_possible("maxwell") and branch["K1"] <= _STIFFEST * branch["Kc"] else None
+        likely = branch["K1"] <= _STIFFEST * branch["Kc"] and branch["Bc"] >= _FELT * values["Bc"]
+        return found if likely and found.is_possible("maxwell") else None
 
     def _with(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate | None:
         """The model of these terms, where its skew and lag are within their bounds and no damping is negative."""
