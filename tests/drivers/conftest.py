@@ -92,7 +92,9 @@ class Loopback(SerialPort):
 
 @dataclass
 class Rig:
-    """An emulated bus or board, and what is needed to open a drive on it, in virtual time. plug: makes a new port."""
+    """An emulated bus or board, and what is needed to open a drive on it, in virtual time. plug: makes a new port
+    where the last one was closed.
+    """
 
     bus: Any
     clock: VirtualClock
@@ -103,7 +105,7 @@ class Rig:
 
     def open(self, **changes: Any) -> Any:
         config = replace(self.config, **changes)
-        self.port = self.plug() if self.plug else self.port
+        self.port = self.plug() if self.plug and self.port.closed else self.port
         if isinstance(self.port, Loopback):
             self.port.baudrate = config.baudrate
         end = {"bus": self.port} if isinstance(self.port, CanLoopback) else {"port": self.port}
