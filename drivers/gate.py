@@ -225,8 +225,8 @@ def confirm_torque_off(servo: Servo, limit: float = math.inf) -> TorqueOff:
     """Call `disarm` until it succeeds, for about one second of the servo's clock. Never raises.
 
     limit: of the torque, N m at the motor: a drive that says that it is off and still reports a tenth of that, in
-    several readings, has not confirmed it. No interrupt ends this early: a live motor is worse than anything it could
-    stand for.
+    several readings, has not confirmed it. It is told once more after it was read. No interrupt ends this early: a live
+    motor is worse than anything it could stand for.
     """
     last: BaseException | None = None
     for _ in range(_CALLS):
@@ -235,7 +235,8 @@ def confirm_torque_off(servo: Servo, limit: float = math.inf) -> TorqueOff:
         except BaseException as error:  # noqa: BLE001 - see above
             last = error
         else:
-            return _read_back(servo, limit, None if isinstance(last, Exception) else last)
+            result = _read_back(servo, limit, None if isinstance(last, Exception) else last)
+            return _once_more(servo, result) if math.isfinite(limit) else result
         try:
             servo.clock.sleep_until(servo.clock.now() + _PAUSE)
         except BaseException as error:  # noqa: BLE001 - see above
@@ -264,6 +265,17 @@ def _read_back(servo: Servo, limit: float, interrupt: BaseException | None) -> T
     if abs(torque) > most:
         return TorqueOff(False, DriverError(f"the drive says that it is off and still reports {torque:.2g} N m"))
     return TorqueOff(True, interrupt)
+
+
+def _once_more(servo: Servo, result: TorqueOff) -> TorqueOff:
+    """Tell the drive again that it is off: an adapter may send a set-point where it should only read. Never raises."""
+    try:
+        servo.disarm()
+    except Exception:  # noqa: BLE001 - it has confirmed the first one
+        return result
+    except BaseException as error:  # noqa: BLE001 - to be obeyed once the torque is off
+        return result._replace(error=result.error or error)
+    return result
 
 
 def to_counts(value: float, lsb: float) -> int:

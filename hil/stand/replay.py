@@ -84,7 +84,7 @@ class ReplayServo:
             pass
 
     def exchange(self, command: Command) -> Sample:
-        """The next row; while disarmed the first one, again and again.
+        """The next row; while disarmed the same one, again and again, without torque: nothing is driven.
 
         Raises UnsafeCommand, NoReply where the row's reply was lost, LinkLost where the recording ends.
         """
@@ -96,7 +96,8 @@ class ReplayServo:
             raise LinkLost(f"{self._recording.path} ends here: ask for a shorter --duration")
         if sample.status & _LOST and self._gate.armed:
             raise NoReply("this reply was lost when it was recorded")
-        return _at(sample, self._clock.now())
+        sample = _at(sample, self._clock.now())
+        return sample if self._gate.armed else replace(sample, motor_torque=0.0)
 
     def disarm(self) -> None:
         """Stop playing."""

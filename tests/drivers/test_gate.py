@@ -195,6 +195,25 @@ def test_a_device_that_confirms_and_still_reports_torque_has_not_confirmed(
     assert ("CUT THE POWER" in result.alarm) != off
 
 
+class Rearming(Pulling):
+    """A device whose adapter sends a set-point where it should only read, which switches its output stage on."""
+
+    is_on = True
+
+    def disarm(self) -> None:
+        self.is_on = False
+
+    def exchange(self, command: Command) -> Sample:
+        self.is_on = True
+        return super().exchange(command)
+
+
+def test_a_device_that_reading_switches_on_again_ends_off() -> None:
+    device = Rearming(0.0)
+    assert confirm_torque_off(device, 0.1).confirmed  # type: ignore[arg-type]  # only what it calls
+    assert not device.is_on
+
+
 @pytest.mark.parametrize(("value", "lsb"), [(math.nan, 1.0), (math.inf, 1.0), (1e300, 1e-300)])
 def test_what_cannot_be_encoded_is_refused(value: float, lsb: float) -> None:
     with pytest.raises(UnsafeCommand):

@@ -75,8 +75,10 @@ class LineBoard:
         if line == "X":
             self.torque = self.torque if self.refuses_off else None
             return b"busy\n" if self.refuses_off else b"off\n"
-        self.torque = float(line.removeprefix("T "))
-        return f"{self.torque / 0.02:.6f} 0.0 {self.torque:.6f}\n".encode()
+        if line != "S":
+            self.torque = float(line.removeprefix("T "))
+        torque = self.torque or 0.0
+        return f"{torque / 0.02:.6f} 0.0 {torque:.6f}\n".encode()
 
 
 @pytest.fixture

@@ -53,7 +53,7 @@ def test_the_main_job_finds_the_stiffness_the_simulator_was_given(hil: Hil) -> N
 def test_the_json_of_identify_is_the_designs(hil: Hil, make_recording: Maker) -> None:
     found = hil("identify", make_recording(noise=1e-5), "--json").json
     keys = "schema recordings model preset seed parameters fitness samples trials evaluations seconds validation"
-    tests = ["warnings", "errors", "model_selection", "lack_of_fit", "dynamic_stiffness"]
+    tests = ["warnings", "errors", "model_selection", "lack_of_fit", "dynamic_stiffness", "deflection"]
     assert list(found) == [*keys.split(), *tests, "fixture"]
     assert (found["schema"], found["model"], found["preset"]) == ("hil-identification/2", "linear", "default")
     kc = found["parameters"]["Kc"]
@@ -348,7 +348,7 @@ def test_channels_of_unequal_length_are_wrong_use(hil: Hil, make_recording: Make
 def test_an_unfinished_recording_is_identified_and_said_to_be_one(hil: Hil, tmp_path: Path) -> None:
     path = unfinished(tmp_path / "a.h5")
     ended = hil("identify", path, "--json")
-    assert 700 < ended.json["samples"] < 800
+    assert 600 < ended.json["samples"] < 800  # the ends are left out
     assert ended.json["parameters"]["Kc"]["value"] == pytest.approx(0.02, rel=1e-3)
     assert "unfinished" in {warning["code"] for warning in ended.json["warnings"]}
     assert "it never ended" in ended.err

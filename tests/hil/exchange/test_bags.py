@@ -84,7 +84,7 @@ def test_another_message_is_read_by_the_paths_of_its_numbers(tmp_path: Path) -> 
         (
             "/joint_state",
             "finger",
-            r"no topic /joint_state; did you mean /joint_states\? it has /joint_states",
+            r"no topic /joint_state; did you mean '/joint_states'\? it has /joint_states",
         ),
         ("/joint_states", "fingr", r"has no joint 'fingr'; it has finger, thumb"),
         ("/joint_states", None, r"name the joint with --joint; it has finger, thumb"),

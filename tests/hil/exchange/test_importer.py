@@ -151,7 +151,7 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
 @pytest.mark.parametrize(
     ("text", "where", "said"),
     [
-        (TABLE.replace("TAU", "tau"), (), "no column 'TAU'; it has TIME, POS, tau, run"),
+        (TABLE.replace("TAU", "tau"), (), "no column 'TAU'; did you mean 'tau'\\? it has TIME, POS, tau, run"),
         (TABLE.replace("run", "TAU"), (), "2 columns named 'TAU'"),
         (TABLE.replace("20", "twenty"), (), "row 3, column TAU: 'twenty' is not a number"),
         (TABLE.replace("20", "20 mNm"), (), "row 3, column TAU: '20 mNm' is not a number"),
