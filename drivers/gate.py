@@ -225,8 +225,8 @@ def confirm_torque_off(servo: Servo, limit: float = math.inf) -> TorqueOff:
     """Call `disarm` until it succeeds, for about one second of the servo's clock. Never raises.
 
     limit: of the torque, N m at the motor: a drive that says that it is off and still reports a tenth of that, in
-    several readings, has not confirmed it. It is told once more after it was read. No interrupt ends this early: a live
-    motor is worse than anything it could stand for.
+    several readings, has not confirmed it. The torque-off is repeated once it was read. No interrupt ends this early:
+    a live motor is worse than anything it could stand for.
     """
     last: BaseException | None = None
     for _ in range(_CALLS):
@@ -268,7 +268,7 @@ def _read_back(servo: Servo, limit: float, interrupt: BaseException | None) -> T
 
 
 def _once_more(servo: Servo, result: TorqueOff) -> TorqueOff:
-    """Tell the drive again that it is off: an adapter may send a set-point where it should only read. Never raises."""
+    """Repeat the torque-off: an adapter may send a set-point where it should only read. Never raises."""
     try:
         servo.disarm()
     except Exception:  # noqa: BLE001 - it has confirmed the first one
