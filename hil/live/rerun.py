@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
@@ -65,11 +67,14 @@ class _Columns:
         self._recording = self._rerun.RecordingStream("hil")
         try:
             if place == WINDOW:
-                self._recording.spawn()
+                # the viewer is installed beside Python, which is not on the PATH unless its environment is active
+                beside = shutil.which("rerun", path=str(Path(sys.executable).parent))
+                self._rerun.spawn(recording=self._recording, executable_path=beside)
             else:
                 self._recording.save(place)
         except (RuntimeError, OSError) as error:
-            raise WrongUse(f"--rerun {place}: Rerun cannot show it ({error}): try a file, such as run.rrd") from None
+            reason = str(error).partition("\n")[0].rstrip(".")  # further lines are commands of its installers
+            raise WrongUse(f"--rerun {place}: Rerun cannot show it ({reason}): try a file, such as run.rrd") from None
 
     def send(self, channels: Mapping[str, Array]) -> None:
         """Send channels (n,), SI, at their "time"; what is not finite is left out."""
