@@ -204,6 +204,7 @@ def recover(
     force: options.Force = False,
 ) -> None:
     """Turn an unfinished .part file into a recording; the .part file is kept."""
+    from hil.recording.background import complete
     from hil.recording.final import finalise
     from hil.recording.output import check_ended, check_output, check_recording_name
 
@@ -213,6 +214,7 @@ def recover(
     check_output(target, force=force, inputs=[part])
     check_recording_name(target)
     check_ended(part)
+    complete(part)
     done = finalise(part, target, force=force)
     out(f"{target}: {done.samples} samples recovered; {part} is still there")
     print_diagnostics(_damage(part, done.damaged, trusted=done.trusted))

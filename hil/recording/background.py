@@ -15,9 +15,11 @@ from hil.child import command
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import Row
 from hil.recording.integrity import EVENT, LIVE, packed, packed_event
-from hil.recording.reader import EVENTS
+from hil.recording.output import writing
+from hil.recording.reader import EVENTS, Recording
 from hil.recording.ring import Ring, Shape
 from hil.recording.writer import RecordingWriter
+from hil.recording.writer_process import finish
 
 _HELD = 8.0  # s of rows that fit into the ring; the run ends when it is half full
 _FEWEST = 256  # rows
@@ -32,15 +34,20 @@ class BackgroundWriter:
     """A recording in progress at `rate` Hz whose rows a process of their own writes into the file of `recording`.
 
     Used as the `RecordingWriter` that it stands in front of, whose attributes it has. Where the recorder is killed, the
-    process writes every row that it was given; where the process is killed, this one does. A disk that does not take
-    rows raises Untrustworthy from `append` once the memory is half full. Raises WrongUse where it cannot be started.
+    process writes every row that it was given; where the process is killed, this one does; where both are, `complete`
+    does. A disk that does not take rows raises Untrustworthy from `append` once the memory is half full. Raises
+    WrongUse where it cannot be started.
     """
 
     def __init__(self, recording: RecordingWriter, rate: float) -> None:
         self._recording = recording
         place = recording.place
         rows = max(_FEWEST, int(_HELD * rate))
-        self._ring = Ring.create(Shape(rows, LIVE.itemsize, EVENTS, EVENT.itemsize, place.rows_at, place.events_at))
+        shape = Shape(rows, LIVE.itemsize, EVENTS, EVENT.itemsize, place.rows_at, place.events_at)
+        try:
+            self._ring = Ring.create(shape, recording.uid)
+        except OSError as error:
+            raise WrongUse(f"there is no memory for the rows of a run ({error.strerror}): make room") from None
         self._ring.set_last_event(_LAST)
         self._half = rows // 2
         self._look = max(1, int(_LOOK * rate))
@@ -49,11 +56,12 @@ class BackgroundWriter:
         try:
             self._process = self._start(place.file)
         except BaseException:
+            self._ring.remove()
             self._ring.close()
             raise
 
     def _start(self, file: int) -> subprocess.Popen[bytes]:
-        words = command("hil.recording.writer_process", str(self._ring.file), str(file))
+        words = command("hil.recording.writer_process", str(self._ring.file), str(self._ring.path), str(file))
         process = subprocess.Popen(  # noqa: S603 - our own module
             words,
             stdin=subprocess.PIPE,
@@ -161,8 +169,11 @@ class BackgroundWriter:
                 f"the disk does not answer: {self._ring.put - self._ring.taken} of {self._rows} rows are in the memory "
                 f"of process {self._process.pid}, which goes on writing them into {self.path} and then ends"
             )
-        self._recording.resume(self._ring)
-        self._ring.close()
+        try:
+            self._recording.resume(self._ring)
+            self._ring.remove()
+        finally:
+            self._ring.close()
 
     def _advances(self) -> bool:
         """Wait a moment; return False where no row was written and the process did not end for `_PATIENCE` s."""
@@ -172,3 +183,21 @@ class BackgroundWriter:
                 return False
             time.sleep(_PAUSE)
         return True
+
+
+def complete(path: Path) -> None:
+    """Write into the unfinished recording `path` the rows that its two processes, both killed, have left in memory.
+
+    Harmless where they left none. Raises WrongUse and Untrustworthy as reading it does, and where it cannot be written.
+    """
+    with Recording(path) as recording:
+        places = recording.live_places() if recording.live else None
+        ring = Ring.left(str(recording.attributes.get("uid", ""))) if places else None
+    if ring is None:
+        return
+    try:
+        if ring.shape[1:] == (LIVE.itemsize, EVENTS, EVENT.itemsize, *(places or ())):
+            with writing(path), path.open("r+b") as file:
+                finish(ring, file.fileno())
+    finally:
+        ring.close()

@@ -1,17 +1,25 @@
 """Rows and events on their way from the control loop to the process that writes them, in memory that both share.
 
-One process puts, one takes, and neither waits for the other. The memory has no name: it lives as long as one of the two
-has it open, so that the rows outlive the death of either. Imports no numpy, since the writing process must start soon.
+One process puts, one takes, and neither waits for the other. The memory has a name, so that the rows outlive the death
+of both: `Ring.left` finds them. Imports no numpy, since the writing process must start soon.
 """
 
 from __future__ import annotations
 
+import errno
 import mmap
 import os
+import stat
 import tempfile
+import uuid
+from contextlib import suppress
+from pathlib import Path
 from typing import NamedTuple, Self
 
+from hil.recording.posix import lock
+
 _HEADER = 128  # bytes, of 8 each
+_FOLDERS = ("/dev/shm", tempfile.gettempdir())  # noqa: S108 - memory; else a disk, for which a row may have to wait
 _PUT, _TAKEN, _EVENTS_PUT, _EVENTS_TAKEN, _CLOSED, _FAILURE, _SHAPE = range(7)
 
 
@@ -36,37 +44,58 @@ class Shape(NamedTuple):
 
 
 class Ring:
-    """Shared memory for `shape`, open as the descriptor `file`."""
+    """Shared memory in the open `file` with the name `path`, which is locked while a process has it open."""
 
-    def __init__(self, file: int, shape: Shape) -> None:
+    def __init__(self, file: int, path: Path) -> None:
         self.file = file
-        self.shape = shape
-        self._memory = mmap.mmap(file, shape.size)
+        self.path = path
+        self._memory = mmap.mmap(file, 0)
         self._numbers = memoryview(self._memory)[:_HEADER].cast("Q")
-        self._events = _HEADER + shape.rows * shape.row
+        self.shape = Shape(*self._numbers[_SHAPE : _SHAPE + len(Shape._fields)])
+        self._events = _HEADER + self.shape.rows * self.shape.row
 
     @classmethod
-    def create(cls, shape: Shape) -> Self:
-        """Return a new, empty one."""
-        if hasattr(os, "memfd_create"):
-            file = os.memfd_create("hil")
-        else:
-            with tempfile.TemporaryFile() as unnamed:
-                file = os.dup(unnamed.fileno())
-        os.truncate(file, shape.size)
-        ring = cls(file, shape)
+    def create(cls, shape: Shape, uid: str) -> Self:
+        """Return a new, empty one for the recording `uid`. Raises OSError where there is no room for it."""
+        for folder in _FOLDERS:
+            path = _path(folder, uid)
+            with suppress(OSError):
+                file = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
+                try:
+                    return cls._filled(file, path, shape)
+                except OSError:
+                    path.unlink()
+                    os.close(file)
+        raise OSError(errno.ENOSPC, f"neither {' nor '.join(_FOLDERS)} has room for {shape.size} bytes")
+
+    @classmethod
+    def _filled(cls, file: int, path: Path, shape: Shape) -> Self:
+        lock(file, shared=True)
+        head = memoryview(bytearray(_HEADER)).cast("Q")
         for place, number in enumerate(shape, _SHAPE):
-            ring._numbers[place] = number
-        return ring
+            head[place] = number
+        data = bytes(head) + bytes(shape.size - _HEADER)
+        if os.write(file, data) != len(data):  # all of it now: memory that is full would end the process later
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return cls(file, path)
 
     @classmethod
-    def opened(cls, file: int) -> Self:
-        """Return one that another process has created."""
-        with mmap.mmap(file, _HEADER) as head:
-            numbers = memoryview(head).cast("Q")
-            shape = Shape(*numbers[_SHAPE : _SHAPE + len(Shape._fields)])
-            numbers.release()
-        return cls(file, shape)
+    def left(cls, uid: str) -> Self | None:
+        """Return that of the recording `uid` whose processes were all killed, None where they left none."""
+        for folder in _FOLDERS:
+            with suppress(OSError, ValueError):  # none; somebody else's; one that a process has; a name that is none
+                path = _path(folder, uid)
+                file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+                try:
+                    status = os.fstat(file)
+                    if not stat.S_ISREG(status.st_mode) or status.st_uid != os.geteuid():
+                        raise PermissionError(errno.EPERM, f"{path} is not ours")
+                    lock(file, shared=False)
+                    return cls(file, path)
+                except BaseException:
+                    os.close(file)
+                    raise
+        return None
 
     @property
     def put(self) -> int:
@@ -151,8 +180,17 @@ class Ring:
         """Say that `events` events of `events_waiting` are with the operating system."""
         self._numbers[_EVENTS_TAKEN] += events
 
+    def remove(self) -> None:
+        """Remove its name, once all that was put is with the operating system. Harmless where it has none."""
+        self.path.unlink(missing_ok=True)
+
     def close(self) -> None:
         """Give the memory up."""
         self._numbers.release()
         self._memory.close()
         os.close(self.file)
+
+
+def _path(folder: str, uid: str) -> Path:
+    """Return the name of the ring of the recording `uid`. Raises ValueError where that is not one that hil gives."""
+    return Path(folder, f"hil-{uuid.UUID(uid)}.rows")

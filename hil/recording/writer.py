@@ -61,14 +61,16 @@ class RecordingWriter:
     `length` rows are reserved on disk before anything moves. Rows are handed to the operating system in batches of
     `batch` rows, so a killed process loses at most one batch; a thread makes them durable four times a second, so a
     power cut loses little more. The file is locked until it is closed, so that nobody removes it.
-    path: of the `.part`. final: of the finished file. moved: a sentence, where both had to be put elsewhere.
-    Raises WrongUse where the disk cannot hold the run, NameTaken where another recording has its name.
+    path: of the `.part`. final: of the finished file. moved: a sentence, where both had to be put elsewhere. uid: the
+    recording's own, which no other has. Raises WrongUse where the disk cannot hold the run, NameTaken where another
+    recording has its name.
     """
 
     def __init__(self, path: Path, header: Header, length: int, *, batch: int = 10) -> None:
         self.path = part_path(path)
         self.final = path
         self.moved = ""
+        self.uid = str(uuid.uuid4())
         self._pending: list[Row] = []
         self._batch = batch
         self._rows = 0
@@ -91,7 +93,7 @@ class RecordingWriter:
         """Make the `.part` under another name: it appears when it is whole, so that a kill leaves none that is not."""
         self._file, temporary = new_temporary(self.path)
         try:
-            self._offset, self._event_offset = _fill_part(temporary, header, length)
+            self._offset, self._event_offset = _fill_part(temporary, self.uid, header, length)
             self._reserve(max(length, 1))
             self._file = take_name(self._file, temporary, self.path, replace=False)
         except FileExistsError:
@@ -252,10 +254,10 @@ def _taken(path: Path) -> NameTaken:
     return NameTaken(f"{path} is another recording that has not ended (File exists): name another with -o")
 
 
-def _fill_part(path: Path, header: Header, length: int) -> tuple[int, int]:
+def _fill_part(path: Path, uid: str, header: Header, length: int) -> tuple[int, int]:
     """Make the locked file a `.part` without rows. Return the byte offsets of the rows and of the events."""
     with h5py.File(path, "w", libver="latest", locking=False) as file:  # we have locked it already
-        _write_header(file, header)
+        _write_header(file, uid, header)
         file.attrs.update(complete=False, end_reason="")
         sign(file, header.truth, [])
         return _reserve_contiguous(file, "live", length, LIVE), _reserve_contiguous(file, "live_events", EVENTS, EVENT)
@@ -274,9 +276,9 @@ def _reserve_contiguous(file: h5py.File, name: str, length: int, dtype: np.dtype
     return int(offset)
 
 
-def _write_header(file: h5py.File, header: Header) -> None:
+def _write_header(file: h5py.File, uid: str, header: Header) -> None:
     attributes = {
-        "uid": str(uuid.uuid4()),
+        "uid": uid,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "software": json.dumps(_software()),
         "host": platform.node(),

@@ -13,6 +13,7 @@ import struct
 import sys
 import threading
 import zlib
+from pathlib import Path
 
 from hil.recording.ring import Ring
 
@@ -29,13 +30,19 @@ def write(ring: Ring, file: int, recorder: int) -> None:
     try:
         while not select.select([recorder], [], [], _PAUSE)[0]:
             drain(ring, file)
-        drain(ring, file)
-        if not ring.closed:
-            _note_death(ring, file)
+        finish(ring, file)
     except OSError as error:
         ring.failure = error.errno or 5
     ended.set()
     syncer.join()
+
+
+def finish(ring: Ring, file: int) -> None:
+    """Write what the recorder has left in `ring`, and remove its name. Raises OSError."""
+    drain(ring, file)
+    if not ring.closed:
+        _note_death(ring, file)
+    ring.remove()
 
 
 def drain(ring: Ring, file: int) -> None:
@@ -79,4 +86,4 @@ if __name__ == "__main__":
     for number in _DEAF_TO:
         signal.signal(number, signal.SIG_IGN)
     os.write(1, b"\n")  # ready
-    write(Ring.opened(int(sys.argv[1])), int(sys.argv[2]), 0)
+    write(Ring(int(sys.argv[1]), Path(sys.argv[2])), int(sys.argv[3]), 0)

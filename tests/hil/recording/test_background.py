@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import pytest
 
 from hil.errors import Untrustworthy
 from hil.recording import background
-from hil.recording.background import BackgroundWriter
+from hil.recording import ring as ring_module
+from hil.recording.background import BackgroundWriter, complete
 from hil.recording.channels import Row
 from hil.recording.reader import Recording
 from hil.recording.ring import Ring, Shape
@@ -23,6 +27,14 @@ from hil.recording.writer_process import drain
 
 RATE = 1000.0
 HALF = 4000  # rows
+
+
+@pytest.fixture(autouse=True)
+def memory(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the shared memory of this test."""
+    folder = tmp_path_factory.mktemp("memory")
+    monkeypatch.setattr(ring_module, "_FOLDERS", (str(folder),))
+    return folder
 
 
 def started(folder: Path, planned: int = 20_000) -> BackgroundWriter:
@@ -61,8 +73,8 @@ def until(condition: Callable[[], bool]) -> bool:
 
 
 def test_a_ring_gives_back_what_was_put_in_order_and_says_how_much_is_waiting(tmp_path: Path) -> None:
-    ring = Ring.create(Shape(rows=4, row=8, events=3, event=4, rows_at=0, events_at=800))
-    other = Ring.opened(os.dup(ring.file))
+    ring = Ring.create(Shape(rows=4, row=8, events=3, event=4, rows_at=0, events_at=800), str(uuid.uuid4()))
+    other = Ring(os.dup(ring.file), ring.path)
     with (tmp_path / "file").open("w+b") as file:
         for number in range(10):
             assert ring.add(number.to_bytes(8, "little")) == 1 + number % 3
@@ -77,6 +89,7 @@ def test_a_ring_gives_back_what_was_put_in_order_and_says_how_much_is_waiting(tm
     for number in range(6):
         assert ring.add(bytes(8)) == min(number, 4) + 1
     assert (ring.put, other.taken) == (14, 10)
+    ring.remove()
     ring.close()
     other.close()
 
@@ -100,26 +113,63 @@ def test_a_run_without_rows_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("rate", [20, 1000])
-def test_the_death_of_the_recorder_costs_no_row_and_leaves_no_process(tmp_path: Path, rate: int) -> None:
+def killed(folder: Path, memory: Path, rate: float, *, both: bool) -> Path:
+    """The `.part` of a run of 97 rows whose recorder was killed, and at once or before it its writing process."""
     code = (
         "import os, signal, sys; from pathlib import Path\n"
+        "from hil.recording import ring; ring._FOLDERS = (sys.argv[2],)\n"
         "from hil.recording.background import BackgroundWriter\n"
         "from hil.recording.channels import Row\n"
         "from hil.recording.writer import Header, RecordingWriter\n"
         "recording = RecordingWriter(Path(sys.argv[1]), Header(profile={'kind': 'sine'}), 1000)\n"
         f"writer = BackgroundWriter(recording, {rate})\n"
-        "print(Path(f'/proc/self/task/{os.getpid()}/children').read_text(), flush=True)\n"
+        "print(writer.process, flush=True)\n"
+        f"if {both}: os.kill(writer.process, signal.SIGSTOP)\n"
         "for seq in range(97): writer.append(Row(seq, time=seq / 1000, torque=0.01 * seq))\n"
+        f"if {both}: os.kill(writer.process, signal.SIGKILL)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    words = [sys.executable, "-c", code, str(tmp_path / "a.h5")]
+    words = [sys.executable, "-c", code, str(folder / "a.h5"), str(memory)]
     run = subprocess.run(words, check=False, capture_output=True, text=True)
     assert run.returncode == -signal.SIGKILL
     assert until(lambda: not Path(f"/proc/{int(run.stdout)}").exists())
-    assert whole(tmp_path / "a.h5.part", 97)
-    with Recording(tmp_path / "a.h5.part") as recording:
+    return folder / "a.h5.part"
+
+
+@pytest.mark.parametrize(("rate", "both"), [(1000, False), (20, True)])
+def test_the_death_of_the_recorder_or_of_both_costs_no_row(
+    tmp_path: Path, memory: Path, rate: float, *, both: bool
+) -> None:
+    part = killed(tmp_path, memory, rate, both=both)
+    assert len(list(memory.iterdir())) == both
+    for _ in range(2):
+        complete(part)
+        assert whole(part, 97)
+        assert list(memory.iterdir()) == []
+    with Recording(part) as recording:
         assert [(event.time, event.code) for event in recording.events()] == [(0.096, "interrupted")]
+
+
+def test_rows_in_memory_are_left_alone_while_a_process_has_them_or_where_the_file_is_another(
+    tmp_path: Path, memory: Path
+) -> None:
+    with started(tmp_path) as writer:
+        feed(writer, 100)
+        copy = Path(shutil.copy(writer.path, tmp_path / "copy.h5.part"))
+        complete(copy)
+        assert len(list(memory.iterdir())) == 1
+        assert whole(writer.finish("done"), 100)
+    assert list(memory.iterdir()) == []
+    uid = str(uuid.uuid4())
+    Ring.create(Shape(rows=4, row=8, events=3, event=4, rows_at=0, events_at=800), uid).close()
+    with h5py.File(copy, "r+") as file:
+        file.attrs["uid"] = uid
+    before = copy.read_bytes()
+    complete(copy)
+    assert len(list(memory.iterdir())) == 1
+    assert copy.read_bytes() == before
+    for uid in ("../../etc/passwd", "", "\x00"):
+        assert Ring.left(uid) is None
 
 
 def test_the_death_of_the_writing_process_ends_the_run_and_costs_no_row(tmp_path: Path) -> None:
