@@ -50,19 +50,23 @@ class GuardedClock(MonotonicClock):
 class GuardedServo:
     """`servo`, whose torque a guardian switches off where this process cannot. It runs from arming to `close`.
 
-    After it has acted nothing is sent but torque-off: see `exchange`.
+    It runs from the beginning where opening the servo has changed a setting, which a kill before arming would leave so.
+    After it has acted nothing is sent but torque-off: see `exchange`. Raises DriverError where it cannot be started.
     """
 
     def __init__(self, servo: Servo, path: HasOffPath, watch: Watch) -> None:
         self._servo = servo
         self._path = path
         self._watch = watch
-        self._guardian: Guardian | None = None
+        self._guardian = self._started() if path.off_path().restore else None
         self._beating = False
         self._took: list[float] = []
         self._usual = 0.0
         self._off_since = math.nan
         self._clock = GuardedClock(self.beat)
+
+    def _started(self) -> Guardian:
+        return Guardian(self._path.off_path(), self._watch.silence)
 
     @property
     def info(self) -> ServoInfo:
@@ -83,7 +87,7 @@ class GuardedServo:
     def arm(self, limits: Limits) -> None:
         """Start the guardian, then arm the servo. Raises as the servo does, and DriverError without a guardian."""
         if self._guardian is None:
-            self._guardian = Guardian(self._path.off_path(), self._watch.silence)
+            self._guardian = self._started()
         guardian = self._guardian
         guardian.check()
         self._usual = min(median(self._took), _SLOWEST) if self._took else 0.0
@@ -164,8 +168,12 @@ class GuardedServo:
 
 def guarded(servo: Servo, watch: Watch) -> Servo:
     """Return `servo` under a guardian; as it is, where its time is not real, no other process can reach its drive, or
-    the system is Windows.
+    the system is Windows. Raises DriverError where the guardian cannot be started; the servo is closed then.
     """
     if not (isinstance(servo, HasOffPath) and isinstance(servo.clock, MonotonicClock) and available()):
         return servo
-    return GuardedServo(servo, servo, watch) if servo.off_path().reachable else servo
+    try:
+        return GuardedServo(servo, servo, watch) if servo.off_path().reachable else servo
+    except BaseException:
+        servo.close()
+        raise

@@ -227,9 +227,10 @@ class Piped:
         self.done: list[str] = []
         self.unconfirmed = 0
         self.takes = 0.0
+        self.restore: tuple[bytes, ...] = ()
 
     def off_path(self) -> OffPath:
-        return self.line.path()
+        return self.line.path(restore=self.restore)
 
     def arm(self, limits: Limits) -> None:
         del limits
@@ -266,6 +267,28 @@ def test_a_whole_run_under_a_guardian_sends_no_torque_off_of_its_own(line: Line)
     servo.close()
     assert inner.done == ["exchange 0", "arm", "exchange 0.5", "disarm", "close", "close"]
     assert line.read() == b""
+
+
+def test_a_setting_that_opening_has_changed_is_restored_where_the_process_dies_before_it_arms(line: Line) -> None:
+    inner = Piped(line)
+    inner.restore = (RESTORE,)
+    child = os.fork()
+    if child == 0:
+        with contextlib.suppress(BaseException):
+            guarded(inner, Watch(silence=LONG))
+        os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(child, 0)
+    assert until(lambda: line.read().endswith(RESTORE))
+    assert OFF in line.seen
+
+
+def test_a_servo_whose_guardian_cannot_be_started_is_closed(line: Line) -> None:
+    inner = Piped(line)
+    gone = line.path(descriptor=-1, restore=(RESTORE,), bus=OwnBus("serial-nowhere", "none", 1))
+    inner.off_path = lambda: gone  # type: ignore[method-assign]  # an adapter that cannot be opened a second time
+    with pytest.raises(DriverError, match="the guardian cannot be started"):
+        guarded(inner, Watch())
+    assert inner.done == ["close"]
 
 
 def test_no_set_point_is_sent_once_the_guardian_has_acted(line: Line) -> None:
