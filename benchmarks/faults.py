@@ -5,7 +5,8 @@ on how many the run goes on and ends with its torque off; --write puts the table
 is left on must at least raise the alarm ("CUT THE POWER"); ends with status 1 where one is left on without it. The
 faults are those of `hil record --faults` and `hil emulate --faults`. A killed process sends nothing more; 5 ms later
 the guardian's packets arrive, as its process sends them. A run whose drive ignores torque-off is ended by two signals,
-since the profile's own end leaves no torque on. A disk that hangs needs real time, and is tested there.
+since the profile's own end leaves no torque on. Of a disk that does not answer the memory between the recorder and the
+writing process holds 0.1 s of rows here, and not 8 s: the run ends when it is half full.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ import math
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, cast
+from unittest.mock import MagicMock, patch
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
@@ -28,9 +31,13 @@ from hil.acquisition import excitation  # noqa: E402
 from hil.acquisition.interrupt import StopRequest  # noqa: E402
 from hil.acquisition.phases import Phase  # noqa: E402
 from hil.acquisition.recorder import Outcome, Recorder  # noqa: E402
-from hil.acquisition.sink import Memory  # noqa: E402
+from hil.acquisition.sink import Memory, Sink  # noqa: E402
 from hil.errors import Untrustworthy  # noqa: E402
+from hil.recording import background  # noqa: E402
+from hil.recording.background import BackgroundWriter  # noqa: E402
 from hil.recording.channels import Row  # noqa: E402
+from hil.recording.writer import Header, RecordingWriter  # noqa: E402
+from hil.recording.writer_process import drain  # noqa: E402
 from hil.stand.file import parse  # noqa: E402
 from sim_backend.fault_plan import DRIVE, HOST, LINK, FaultPlan, PlannedFault  # noqa: E402
 from sim_backend.faults import WatchdogBroken  # noqa: E402
@@ -46,7 +53,8 @@ LASTS = 0.4  # s of a fault of the link that would be over at once
 AFTER = 0.5  # s after the run in which a watchdog may act
 LOOKS, SENDS = 5e-3, 40  # s until the guardian sends, and how often
 PHASES = (Phase.REST, Phase.ARMING, Phase.FADE_IN, Phase.RUN, Phase.RAMP_DOWN)
-KINDS = [*LINK, *DRIVE, "kill", "disk-full"]
+HELD = 0.1  # s of rows between the recorder and the writing process
+KINDS = [*LINK, *DRIVE, *HOST]
 SIZES = {"ignored-off": 0.5}  # share of the torque limit, where 0.05 is none
 UNKNOWABLE = {("ignored-off", "commander")}  # the board repeats its last current while it is off
 PAGE, BEGIN, END = ROOT / "docs" / "reliability.md", "<!-- faults -->\n", "<!-- end of faults -->\n"
@@ -191,6 +199,36 @@ class FullDisk(Memory):
         super().append(row)
 
 
+class FrozenDisk(BackgroundWriter):
+    """A recording whose rows are written at once, and not at all from a time on until the run has ended."""
+
+    def __init__(self, folder: Path, clock: Clock, frozen: float) -> None:
+        self._clock, self._frozen = clock, frozen
+        with patch.object(background, "_HELD", HELD), patch.object(background, "_FEWEST", 1):
+            super().__init__(RecordingWriter(folder / "run.h5", Header(profile={"kind": "sine"}), 1000), RATE)
+
+    def _start(self, file: int) -> Any:
+        self._disk = file
+        process = MagicMock()  # its work is done by `append`
+        process.poll = lambda: 0 if process.stdin.close.called else None
+        return process
+
+    def append(self, row: Row) -> None:
+        """Add one row. Raises Untrustworthy once the memory is half full."""
+        super().append(row)
+        if self._clock.now() < self._frozen:
+            drain(self._ring, self._disk)
+
+
+def sink_of(kind: str, at: float, clock: Clock, folder: Path, stack: ExitStack) -> Sink:
+    """Return what takes the rows. kind, at: a fault of the computer and its time, s. stack: discards them."""
+    if kind != "disk-frozen":
+        return FullDisk(clock, at if kind == "disk-full" else math.inf)
+    writer = FrozenDisk(folder, clock, at)
+    stack.callback(writer.discard)
+    return writer
+
+
 def driven(stand: Stand, *, stopped: bool, kind: str = "", at: float = math.inf) -> Outcome:
     """Run a sine on it; return how that went. The torque is off afterwards where anything can switch it off.
 
@@ -206,8 +244,8 @@ def driven(stand: Stand, *, stopped: bool, kind: str = "", at: float = math.inf)
     stop = StopRequest()
     signals, tick = (2, RAMP_AT) if kind == "ignored-off" else (1, RAMP_AT if stopped else math.inf)
     servo = Watched(stand, stop, tick, signals, at if kind == "kill" else math.inf)
-    sink = FullDisk(stand.servo.clock, at if kind == "disk-full" else math.inf)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        sink = sink_of(kind, at, stand.servo.clock, Path(folder), stack)
         outcome = Recorder(file, cast("Servo", servo), profile, RATE, sink, scratch=Path(folder)).run(stop)
     if not isinstance(outcome.error, Killed):
         stand.servo.close()
