@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.recording.channels import CHANNELS, ROW
-from hil.recording.integrity import header_hash, plain
+from hil.recording.integrity import header_hash, plain, stored_hash
 from hil.recording.lateness import Lateness
 from hil.recording.output import atomic_write, check_space
 from hil.recording.reader import BLOCK, SCHEMA, Event, Recording
@@ -105,7 +105,9 @@ def _write_samples(file: h5py.File, recording: Recording) -> dict[str, str | flo
             group[name][start : start + len(rows)] = rows[name]
         digest.update(rows.tobytes())
         lateness.add(rows)
-    return {"sha256": digest.hexdigest(), **lateness.attributes()}
+    file.flush()
+    stored = stored_hash(group, CHANNELS)
+    return {"sha256": digest.hexdigest(), "sha256_stored": stored, **lateness.attributes()}
 
 
 def _create_channel(group: h5py.Group, name: str, length: int, first: NDArray[Any]) -> None:

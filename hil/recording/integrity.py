@@ -14,10 +14,12 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.channels import END_MARK, ROW, Row, Rows
+from hil.recording.ahead import Progress
+from hil.recording.channels import CHANNELS, END_MARK, ROW, Row, Rows
 
 LIVE = np.dtype([*ROW.descr, ("crc", "<u4")])
 """A row of a recording in progress: the bytes of ROW and their CRC-32."""
@@ -100,6 +102,40 @@ def header_hash(
     own = {name: value for name, value in attributes.items() if name != "sha256_header"}
     text = json.dumps([own, dict(profile), dict(truth), list(events)], sort_keys=True, default=repr)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def rows_hash(blocks: Iterable[tuple[int, Rows]], names: list[str], length: int, progress: Progress | None) -> str:
+    """Return the SHA-256 of the named channels of rows, in blocks with the index of the first, of `length` in all."""
+    digest = hashlib.sha256()
+    for start, rows in blocks:
+        digest.update((rows if names == list(CHANNELS) else repack_fields(rows[names])).data)
+        if progress is not None:
+            progress("checking that it is as it was written", (start + len(rows)) / length)
+    return digest.hexdigest()
+
+
+def stored_hash(samples: h5py.Group, names: Iterable[str]) -> str:
+    """Return the SHA-256 of the named channels as they are stored, before anything is decompressed.
+
+    Of each channel, in order: the JSON of its name, length, rows of a chunk and filters (number and parameters); then
+    of each chunk its mask of filters, four bytes, and its bytes. "" where a channel is not stored in such chunks alone,
+    or its type is not that of the channel: then its bytes do not say what its values are.
+    """
+    digest = hashlib.sha256()
+    for name in names:
+        dataset = samples[name]
+        if dataset.chunks is None or not dataset.id.get_type().equal(h5py.h5t.py_create(ROW[name])):
+            return ""
+        stored, layout = dataset.id, dataset.id.get_create_plist()
+        filters = [layout.get_filter(number)[::2] for number in range(layout.get_nfilters())]
+        digest.update(json.dumps([name, dataset.shape, dataset.chunks, filters], default=list).encode())
+        for start in range(0, len(dataset), dataset.chunks[0]):
+            if stored.get_chunk_info_by_coord((start,)).byte_offset is None:
+                return ""
+            mask, chunk = stored.read_direct_chunk((start,))
+            digest.update(mask.to_bytes(4))
+            digest.update(chunk)
+    return digest.hexdigest()
 
 
 def plain(attributes: Mapping[str, Any]) -> dict[str, Any]:

@@ -38,20 +38,24 @@ def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array
     time (n,) s, rising; values (n,). A window is the sample and `half` neighbours a side; at the ends it is the first
     or last 2*half+1 samples, evaluated off its centre, where the noise is many times larger.
     """
-    time, values, ends = np.ascontiguousarray(time), np.ascontiguousarray(values), 2 * half + 1
-    if len(time) <= 2 * ends or not _is_even(time):
+    time, values = np.ascontiguousarray(time), np.ascontiguousarray(values)
+    if len(time) <= 4 * half + 2 or not _is_even(time):
         return _fitted(time, values, half, order)
-    found = np.empty(len(time))
-    found[:ends] = _fitted(time[: 2 * ends], values[: 2 * ends], half, order)[:ends]
-    found[-ends:] = _fitted(time[-2 * ends :], values[-2 * ends :], half, order)[-ends:]
-    weights = kernel(half, order) * ((len(time) - 1) / (time[-1] - time[0])) ** order
+    found, width = np.empty(len(time)), 2 * half + 1
+    per_time = ((len(time) - 1) / (time[-1] - time[0])) ** order
+
+    def weighed(near: Array, weigh: Callable[[Array], Array]) -> Array:
+        base = near[half]  # small numbers lose fewer digits
+        return np.asarray(weigh(near - base) * per_time + (base if order == 0 else 0.0))
 
     def convolve(first: int, last: int) -> None:
         near = values[first - half : last + half]
-        base = near[half]  # small numbers lose fewer digits
-        found[first:last] = np.correlate(near - base, weights, "valid") + (base if order == 0 else 0.0)
+        found[first:last] = weighed(near, lambda near: np.correlate(near, centred, "valid"))
 
-    _in_parts(convolve, ends, len(time) - ends)
+    centred, after = kernel(half, order), np.arange(1.0, half + 1.0)
+    found[:half] = weighed(values[:width], kernels(half, order, after - (half + 1)).__matmul__)
+    found[-half:] = weighed(values[-width:], kernels(half, order, after).__matmul__)
+    _in_parts(convolve, half, len(time) - half)
     return found
 
 
@@ -97,13 +101,15 @@ def _together(half: int) -> int:
 
 def kernel(half: int, order: int) -> Array:
     """Return the weights (2*half+1,) of the derivative of that order, per sample^order, on an even grid."""
+    return np.asarray(kernels(half, order, np.zeros(1))[0])
+
+
+def kernels(half: int, order: int, samples: Array) -> Array:
+    """Return the same weights (m, 2*half+1) for samples (m,) that are so far from the centre of the window."""
     offsets = np.arange(-half, half + 1, dtype=np.float64) / half
     weights = np.linalg.pinv(np.polynomial.chebyshev.chebvander(offsets, DEGREE))
-    at_centre = [
-        np.polynomial.chebyshev.chebval(0.0, np.polynomial.chebyshev.chebder(np.eye(DEGREE + 1)[k], order))
-        for k in range(DEGREE + 1)
-    ]
-    return np.asarray(np.array(at_centre) @ weights / half**order)
+    derivatives = np.polynomial.chebyshev.chebder(np.eye(DEGREE + 1), order)
+    return np.asarray(np.polynomial.chebyshev.chebval(samples / half, derivatives).T @ weights / half**order)
 
 
 def gain(half: int, order: int, cycles: float) -> float:

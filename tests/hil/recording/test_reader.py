@@ -16,6 +16,7 @@ from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import h5py
 import numpy as np
@@ -265,6 +266,42 @@ def test_a_changed_sample_does_not_verify(tmp_path: Path) -> None:
     path = recorded(tmp_path / "a.h5", 12).finish("done")
     with h5py.File(path, "r+") as file:
         file["samples"]["torque"][3] += 1e-9
+    with Recording(path) as recording:
+        assert not recording.verify()
+
+
+@pytest.mark.parametrize("packed", [{"chunks": (5,)}, {"compression": "lzf"}, {"dtype": ">f8"}, {}])
+def test_rows_that_another_program_packed_anew_are_held_to_their_own_hash(
+    tmp_path: Path, packed: dict[str, Any]
+) -> None:
+    path = recorded(tmp_path / "a.h5", 12).finish("done")
+    for change, intact in ((0.0, True), (1e-9, False)):
+        with h5py.File(path, "r+") as file:
+            values = file["samples/torque"][()] + change
+            del file["samples/torque"]
+            file["samples"].create_dataset("torque", data=values, **packed)
+        with Recording(path) as recording:
+            assert recording.verify() is intact
+
+
+def test_an_intact_recording_is_verified_without_decompressing_its_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = recorded(tmp_path / "a.h5", 12).finish("done")
+    with Recording(path) as recording:
+        monkeypatch.setattr(recording, "rows", None)
+        assert recording.verify()
+
+
+def test_a_recording_of_an_earlier_program_is_verified_by_its_rows(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "a.h5", 12).finish("done")
+    with h5py.File(path, "r+") as file:
+        del file.attrs["sha256_stored"], file.attrs["sha256_header"]
+        file.attrs["schema"] = "hil-recording/2"
+    with Recording(path) as recording:
+        assert recording.verify()
+    with h5py.File(path, "r+") as file:
+        file["samples/torque"][3] += 1e-9
     with Recording(path) as recording:
         assert not recording.verify()
 
