@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
+from drivers.dynamixel.config import Baudrate
 from drivers.dynamixel.models import models, name_of
+from drivers.dynamixel.wire import Wire2, wire_1
+from drivers.packets.scan import search_every_rate
 from drivers.retry import ATTEMPTS, retry
 from drivers.servo import BadReply, DriverError, NoReply
 
 if TYPE_CHECKING:
+    from drivers.clock import Clock
     from drivers.dynamixel.config import DynamixelConfig
     from drivers.dynamixel.series import Series
     from drivers.packets.bus import Bus
     from drivers.packets.control_table import ControlTable
+    from drivers.packets.port import SerialPort
 
 RETURN_DELAY_LSB = 2e-6
 """s in one count of Return Delay Time."""
@@ -42,7 +47,7 @@ def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Ser
         for _ in range(ATTEMPTS):
             bus.read(*series.block)
     except BadReply as error:
-        raise BadReply(_garbled(config, error)) from None
+        raise bus.garbled(error) from None
     return str(firmware)
 
 
@@ -51,16 +56,15 @@ def _model_and_firmware(bus: Bus, config: DynamixelConfig, series: Series) -> tu
     try:
         return retry(lambda: series.identity(bus))
     except BadReply as error:
-        raise BadReply(_garbled(config, error)) from None
+        raise bus.garbled(error) from None
     except NoReply:
-        raise NoReply(
-            f"no servo {config.id} answers on {config.port} at {config.baudrate} baud: check its power, the cable, the "
-            "id and the baud rate (a new servo has id 1 and 57600 baud), and the USB adapter's latency timer (1 ms)"
-        ) from None
+        raise bus.silent(57600) from None
 
 
-def _garbled(config: DynamixelConfig, error: BadReply) -> str:
-    return (
-        f"the replies of servo {config.id} cannot be understood ({error}): two servos with that id, a wrong baud rate, "
-        "or a bad cable; connect one servo alone and give each its own id"
-    )
+def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:
+    """Return a sentence for every servo on the port; see `search_every_rate`. Only pings are sent; 2 s a rate."""
+
+    def name(_line: SerialPort, _ident: int, number: int) -> str:
+        return f"a {name_of(number)}" if number else "a servo on protocol 1.0"
+
+    return search_every_rate(config.port, get_args(Baudrate), (Wire2(), wire_1()), name=name, clock=clock, port=port)

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, get_args
+
+from drivers.clock import MonotonicClock
 from drivers.feetech.block import START
-from drivers.feetech.config import FeetechConfig
+from drivers.feetech.config import Baudrate, FeetechConfig
+from drivers.feetech.faults import ALERTS
 from drivers.feetech.models import models, name_of, registers
 from drivers.packets.bus import Bus
+from drivers.packets.scan import search_every_rate
+from drivers.packets.wire import Wire1
 from drivers.retry import ATTEMPTS, retry
 from drivers.servo import BadReply, DriverError, NoReply
 
+if TYPE_CHECKING:
+    from drivers.clock import Clock
+    from drivers.packets.port import SerialPort
+
 _MEMORY = 71
 _LINE = 16
+_PATIENCE = 0.02  # s
 
 
 def identify(bus: Bus, config: FeetechConfig) -> str:
@@ -28,15 +39,9 @@ def identify(bus: Bus, config: FeetechConfig) -> str:
         for _ in range(ATTEMPTS):
             bus.read(START, 8)
     except NoReply:
-        raise NoReply(
-            f"no servo {config.id} answers on {config.port} at {config.baudrate} baud: check its power, the cable, the "
-            "id and the baud rate (a new servo has id 1 and 1000000 baud), and the USB adapter's latency timer (1 ms)"
-        ) from None
+        raise bus.silent(1_000_000) from None
     except BadReply as error:
-        raise BadReply(
-            f"the replies of servo {config.id} cannot be understood ({error}): two servos with that id, a wrong baud "
-            "rate, or a bad cable; connect one servo alone and give each its own id"
-        ) from None
+        raise bus.garbled(error) from None
     return f"{head[0]}.{head[1]}"
 
 
@@ -73,3 +78,21 @@ def _dump(bus: Bus) -> str:
         except (NoReply, BadReply):
             lines.append(f"{first}: not readable")
     return "; ".join(lines)
+
+
+def search(config: FeetechConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:
+    """Return a sentence for every servo on the port; see `search_every_rate`. Nothing is written; 1 s a rate."""
+    clock = clock or MonotonicClock()
+
+    def name(line: SerialPort, ident: int, _number: int) -> str:
+        return f"a {_kind(Bus(line, ident, clock, _PATIENCE, Wire1(ALERTS)))}"
+
+    return search_every_rate(config.port, get_args(Baudrate), (Wire1(ALERTS),), name=name, clock=clock, port=port)
+
+
+def _kind(bus: Bus) -> str:
+    try:
+        head = bus.read(0, 5)
+    except DriverError:
+        return "servo of a kind that it does not tell"
+    return name_of((head[3], head[4])) or f"servo of a kind not known here (version {head[3]}.{head[4]})"

@@ -81,6 +81,21 @@ class Bus:
         """
         return self._ask(self.unanswered(address, data) + self._read_frame(start, size), size, "reading the state")
 
+    def silent(self, factory_rate: int) -> NoReply:
+        """Return the error of a servo that replies to nothing. factory_rate: bit/s of a new one."""
+        return NoReply(
+            f"no servo {self._id} answers on {self._port.port_name} at {self._port.baudrate} baud: check its power, "
+            f"the cable, the id and the baud rate (a new servo has id 1 and {factory_rate} baud), and the USB "
+            "adapter's latency timer (1 ms)"
+        )
+
+    def garbled(self, error: BadReply) -> BadReply:
+        """Return the error of replies that cannot be decoded."""
+        return BadReply(
+            f"the replies of servo {self._id} cannot be understood ({error}): two servos with that id, a wrong baud "
+            "rate, or a bad cable; connect one servo alone and give each its own id"
+        )
+
     def quarantine(self) -> None:
         """Wait until the line is silent before the next request."""
         self._quarantined = True

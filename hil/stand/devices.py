@@ -98,7 +98,7 @@ BACKENDS: Mapping[str, Device] = _Devices(
             "DYNAMIXEL on a serial port",
             "drivers.dynamixel.config:DynamixelConfig",
             "drivers.dynamixel.servo:DynamixelServo",
-            "drivers.dynamixel.scan:search",
+            "drivers.dynamixel.identity:search",
         ),
         "odrive": Device(
             "ODrive (CANSimple)", "drivers.odrive.config:OdriveConfig", "drivers.odrive.servo:OdriveServo"
@@ -122,7 +122,7 @@ BACKENDS: Mapping[str, Device] = _Devices(
             "Feetech STS, HLS and SCS on a serial port",
             "drivers.feetech.config:FeetechConfig",
             "drivers.feetech.servo:FeetechServo",
-            "drivers.feetech.scan:search",
+            "drivers.feetech.identity:search",
         ),
         "replay": Device(
             "a recording played back: nothing turns", "hil.stand.replay:ReplayConfig", "hil.stand.replay:ReplayServo"

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from drivers.feetech.config import FeetechConfig
+from drivers.feetech.identity import search
 from drivers.feetech.models import models
-from drivers.feetech.scan import search
 from drivers.servo import Command, DeviceFault, DriverError, Limits, Quantity, Sample, Status
 from hil.cli.app import run
 from hil.doctor.checks import CheckList

@@ -193,11 +193,10 @@ def test_real_locked_outputs_are_imported_and_identified(
     )
 
 
-@pytest.mark.parametrize("number", [0, 2])
-def test_the_play_of_a_real_drive_is_seen_as_backlash(hil: Hil, locked_output: Path, number: int) -> None:
+def test_the_play_of_a_real_drive_is_seen_as_backlash(hil: Hil, locked_output: Path) -> None:
     """Its encoder moves by 0.03 rad while hardly any torque is there (SOURCE.md)."""
     source = locked_output / "base_onyx_runin1.csv.gz"
-    assert hil("import", source, *LOCKED, "--where", f"test_nr=={number}", "-o", "a.h5").status == 0
+    assert hil("import", source, *LOCKED, "--where", "test_nr==2", "-o", "a.h5").status == 0
     found = hil("identify", "a.h5", "--trials", "2", "--json").json
     assert "backlash" in found["model"]
     gap = found["parameters"]["gap"]
@@ -221,9 +220,12 @@ temperature = 80.0
 """
 
 
-@pytest.mark.parametrize(("quantity", "amplitude", "warned"), [("torque", 0.006, False), ("position", 0.3, True)])
+@pytest.mark.parametrize(
+    ("quantity", "amplitude", "model", "warned"),
+    [("torque", 0.006, "auto", False), ("position", 0.3, "linear+offset", True)],
+)
 def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
-    hil: Hil, tmp_path: Path, quantity: str, amplitude: float, *, warned: bool
+    hil: Hil, tmp_path: Path, quantity: str, amplitude: float, model: str, *, warned: bool
 ) -> None:
     (tmp_path / "stand.toml").write_text(MOTOR_SIDE)
     words = ("--mode", quantity, "--amplitude", amplitude, "--duration", "4", "-o", "a.h5", "--json")
@@ -231,7 +233,7 @@ def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
     assert recorded.status == 0
     assert [warning["code"] for warning in recorded.json["warnings"]] == ["motor-side"] * warned
     assert ("warning [motor-side]" in recorded.err) == warned
-    found = hil("identify", "a.h5", "--trials", "2", "--json")
+    found = hil("identify", "a.h5", "--model", model, "--trials", "2", "--json")
     said = [error for error in found.json["errors"] if error["code"] == "motor-side"]
     assert found.status == (1 if warned else 0)
     assert [warning["parameter"] for warning in said] == ["Bc"] * warned
@@ -241,7 +243,8 @@ def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
 
 
 def test_a_report_is_one_page(hil: Hil, make_recording: Maker, tmp_path: Path) -> None:
-    ended = hil("identify", make_recording(noise=1e-4), "--report", "page.html")
+    words = ("--model", "linear", "--trials", 1, "--report", "page.html")
+    ended = hil("identify", make_recording(noise=1e-4), *words)
     assert ended.status == 0
     page = (tmp_path / "page.html").read_text()
     assert "Kc" in page

@@ -16,7 +16,7 @@ import pytest
 import hil.doctor.examine
 import hil.doctor.tune
 from drivers.dynamixel.config import DynamixelConfig
-from drivers.dynamixel.scan import search
+from drivers.dynamixel.identity import search
 from drivers.dynamixel.servo import DynamixelServo
 from drivers.ports import latency_timer, set_latency_timer
 from drivers.servo import Command, DriverError, Quantity, Sample, Servo
