@@ -28,7 +28,7 @@ def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Ser
 
     Raises NoReply, BadReply where several reply at once, DriverError for another model or firmware without a watchdog.
     """
-    number, firmware = _model_and_firmware(bus, config, series)
+    number, firmware = _model_and_firmware(bus, series)
     model = models()[config.model]
     if number != model.number:
         raise DriverError(
@@ -51,7 +51,7 @@ def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Ser
     return str(firmware)
 
 
-def _model_and_firmware(bus: Bus, config: DynamixelConfig, series: Series) -> tuple[int, int]:
+def _model_and_firmware(bus: Bus, series: Series) -> tuple[int, int]:
     """Return model number and firmware version; replies may be lost."""
     try:
         return retry(lambda: series.identity(bus))

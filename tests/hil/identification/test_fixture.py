@@ -38,14 +38,14 @@ def in_series(folder: Path) -> Path:
 def test_the_fixture_is_taken_off_the_result(
     make_recording: Maker, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    def identified(*words: str) -> dict[str, Any]:
-        assert run(["identify", str(joint), "--json", *words]) == 0
+    def identified(status: int, *words: str) -> dict[str, Any]:
+        assert run(["identify", str(joint), "--json", *words]) == status
         found: dict[str, Any] = json.loads(capfd.readouterr().out)["parameters"]
         return found
 
     joint = in_series(tmp_path)
     rig = make_recording("rig.h5", kc=FIXTURE[0], bc=FIXTURE[1], noise=1e-5)
-    plain, alone = identified(), identified("--fixture", str(rig))
+    plain, alone = identified(1, "--model", "linear"), identified(0, "--fixture", str(rig))
     assert plain["Kc"]["value"] == pytest.approx(1.0 / (1.0 / KC + 1.0 / FIXTURE[0]), rel=0.03)
     assert alone["Kc"]["value"] == pytest.approx(KC, rel=5e-3)
     assert alone["Bc"]["value"] == pytest.approx(BC, rel=1e-2)
@@ -72,7 +72,7 @@ def test_the_fixture_that_was_taken_off_is_named_with_what_it_gave(
     status, found = identified(capfd, joint, rig)
     assert (status, found["warnings"] + found["errors"], found["fixture"]["recording"]) == (0, [], str(rig))
     assert found["fixture"]["parameters"]["Kc"]["value"] == pytest.approx(FIXTURE[0], rel=1e-3)
-    assert run(["identify", str(joint), "--trials", "2", "--json"]) == 0
+    run(["identify", str(joint), "--model", "linear", "--trials", "2", "--json"])
     assert json.loads(capfd.readouterr().out)["fixture"] is None
     assert run(["identify", str(joint), "--fixture", str(rig), "--trials", "2"]) == 0
     assert f"without the fixture of {rig}, Kc 200 mN m/rad and Bc 1 mN m s/rad" in capfd.readouterr().out

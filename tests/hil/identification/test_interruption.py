@@ -17,7 +17,14 @@ from hil.cli.progress import Lines, progress
 
 from ..conftest import Maker
 
-LONG = ("--preset", "paper", "--generations", "3000000", "--trials", "3", "--workers", "2", "--json")
+LONG = ("--preset", "paper", "--generations", "300000", "--trials", "3", "--workers", "2", "--json")
+
+
+@pytest.fixture(autouse=True)
+def in_short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a search look for Ctrl-C often, so that a short one is interrupted on a quick computer too."""
+    monkeypatch.setattr("ga.trials.trials._POLL", 0.01)
+    monkeypatch.setattr("ga.trials.trials._CHUNK", 10_000_000)
 
 
 @contextmanager
@@ -42,7 +49,7 @@ def test_an_interrupted_search_goes_on_to_the_result_of_one_in_one_go(
         assert run([*words, "--checkpoint", str(state)]) == 130
     out, err = capfd.readouterr()
     part = json.loads(out)
-    assert part["evaluations"] < 3 * 3_000_000
+    assert part["evaluations"] < 3 * 300_000
     assert "interrupted" in [warning["code"] for warning in part["warnings"]]
     assert f"resume with: hil {' '.join(words)} --checkpoint {state}" in err
 
@@ -68,19 +75,19 @@ def test_an_interrupted_search_without_a_checkpoint_still_prints_its_result(
 def test_an_interrupted_replication_goes_on_when_the_command_is_given_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["replicate", "--evaluations", "3000000", "--trials", "2", "-o", str(tmp_path), "--json"]
+    words = ["replicate", "--evaluations", "300000", "--trials", "2", "-o", str(tmp_path), "--json"]
     with monkeypatch.context() as patch:
         patch.setattr("hil.cli.replicate.progress", interrupting)
         assert run(words) == 130
     out, err = capfd.readouterr()
     assert json.loads(out)["interrupted"]
-    state = tmp_path / "search-2x3000000-seed0.npz"
+    state = tmp_path / "search-2x300000-seed0.npz"
     assert f"{state} holds the progress" in err
     assert state.exists()
     assert run(words) == 0
     found = json.loads(capfd.readouterr().out)
     assert not found["interrupted"]
-    assert found["evaluations"] == 2 * (10 + 3_000_000)
+    assert found["evaluations"] == 2 * (10 + 300_000)
     assert not state.exists()
 
 
@@ -135,11 +142,12 @@ def test_what_the_first_run_compiles_is_said_at_once_and_goes_on(capfd: pytest.C
 
 
 def test_a_search_of_many_generations_says_first_how_long_it_will_take(
-    make_recording: Maker, capfd: pytest.CaptureFixture[str]
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr("hil.identification.fitting.forecast._LONG_SEARCH", 100_000)
     words = ["identify", str(make_recording()), "--preset", "paper", "--trials", "1", "--workers", "1", "--json"]
-    run([*words, "--generations", "5000000"])
+    run([*words, "--generations", "100000"])
     said = capfd.readouterr().err
-    assert re.search(r"searching with 5,000,000 evaluations: about \d+ (s|minutes); Ctrl-C ends it", said)
+    assert re.search(r"searching with 100,000 evaluations: about \d+ (s|minutes); Ctrl-C ends it", said)
     run([*words, "--generations", "10000"])
     assert "evaluations: about" not in capfd.readouterr().err

@@ -113,7 +113,8 @@ def test_a_recording_too_short_for_the_test_is_warned_of(tmp_path: Path, capfd: 
 def test_the_report_draws_the_test(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
 
-    app.run(["identify", str(recording(tmp_path / "a.h5", sheathed())), "--trials", "1", "--report", str(page)])
+    words = ["--model", "linear", "--trials", "1", "--report", str(page)]
+    app.run(["identify", str(recording(tmp_path / "a.h5", sheathed())), *words])
 
     assert "Does the model describe the recording?" in page.read_text()
 

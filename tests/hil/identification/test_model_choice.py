@@ -43,7 +43,7 @@ temperature = 80.0
 [sim.coupling]
 coulomb_friction = {friction}
 static_friction_ratio = 1.0
-bristle_stiffness = 20.0
+bristle_stiffness = {stiffness}
 bristle_damping = 0.0
 [sim.fixture]
 stiffness = 2000.0
@@ -70,8 +70,8 @@ jitter = 0.0
 
 @cache
 def recorded(friction: float, skew: float = 0.0) -> Signals:
-    """Ten seconds of a chirp from 0.2 to 12 Hz."""
-    text = STAND.format(friction=friction, skew=skew)
+    """Ten seconds of a chirp from 0.2 to 12 Hz; the friction builds up over 50 urad, whatever its size."""
+    text = STAND.format(friction=friction, stiffness=2e4 * friction, skew=skew)
     stand = parse(text)
     profile = make(
         "chirp", Quantity.POSITION, amplitude=0.376, default_amplitude=0.376, duration=10.0, band=(0.2, 12.0), rate=RATE
