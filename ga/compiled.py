@@ -10,6 +10,8 @@ the machine code can come from: code of a changed, renamed or moved module is ne
 Several processes share the folder. Each function has a lock in it, so that one process compiles it and the others wait
 and load what it made. A function locks those that it calls while it is locked itself; calls have no cycles, so two
 processes never wait for each other.
+
+Ctrl-C takes effect between two functions: LLVM calls back into Python, where a KeyboardInterrupt would be lost.
 """
 
 from __future__ import annotations
@@ -17,8 +19,10 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import signal
 import sys
 import tempfile
+import threading
 import time
 from contextlib import contextmanager, suppress
 from functools import cache, partial
@@ -99,10 +103,44 @@ def _compiled_once(compile_or_load: Callable[..., Any], lock: Path, *signature: 
         try:
             file = lock.open("ab")
         except OSError:  # the folder was pruned: the function is compiled once more
-            return compile_or_load(*signature)
+            return _between_interrupts(compile_or_load, *signature)
         with file:
             _lock(file)
-            return compile_or_load(*signature)
+            return _between_interrupts(compile_or_load, *signature)
+
+
+class _Held:
+    """A handler of Ctrl-C that notes it."""
+
+    came = False
+
+    def __call__(self, *_: object) -> None:
+        self.came = True
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt where it came."""
+        if self.came:
+            raise KeyboardInterrupt
+
+
+_held: Final = _Held()
+
+
+def _between_interrupts(compile_or_load: Callable[..., Any], *signature: Any) -> Any:
+    """Compile or load a function, which may compile others that it calls; a Ctrl-C meanwhile is raised afterwards."""
+    handler = signal.getsignal(signal.SIGINT)
+    outermost = handler is signal.default_int_handler and threading.current_thread() is threading.main_thread()
+    if outermost:
+        signal.signal(signal.SIGINT, _held)
+    try:
+        made = compile_or_load(*signature)
+        if outermost or handler is _held:
+            _held.check()
+        return made
+    finally:
+        if outermost:
+            _held.came = False
+            signal.signal(signal.SIGINT, handler)
 
 
 def _lock(file: IO[bytes]) -> None:
@@ -116,6 +154,7 @@ def _lock(file: IO[bytes]) -> None:
             except BlockingIOError:
                 first_run.announce(compiled=0)
                 time.sleep(_POLL)
+                _held.check()
             else:
                 return
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +13,7 @@ from typing import Any
 import numba
 import pytest
 
-from ga.compiled import KEPT, cache_folder, compiled
+from ga.compiled import KEPT, _compiled_once, cache_folder, compiled
 from ga.first_run import announced_to
 
 CONFIG: Any = numba.config
@@ -131,3 +132,22 @@ def test_the_users_own_setting_of_numba_is_left_alone(monkeypatch: pytest.Monkey
         monkeypatch.setattr(CONFIG, "CACHE_DIR", setting)
         compiled(lambda x: x)
         assert setting == CONFIG.CACHE_DIR
+
+
+def test_ctrl_c_while_a_function_is_compiled_ends_the_work_once_that_function_is_done(tmp_path: Path) -> None:
+    done: list[str] = []
+
+    def inner() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        done.append("inner")
+
+    def outer() -> None:
+        _compiled_once(inner, tmp_path / "inner.lock")
+        done.append("outer")
+
+    with pytest.raises(KeyboardInterrupt):
+        _compiled_once(outer, tmp_path / "outer.lock")
+    assert done == ["inner"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    _compiled_once(lambda: done.append("next"), tmp_path / "next.lock")
+    assert done == ["inner", "next"]
