@@ -13,6 +13,7 @@ import struct
 import sys
 import threading
 import zlib
+from contextlib import suppress
 from pathlib import Path
 
 from hil.recording.ring import Ring
@@ -85,5 +86,6 @@ def _note_death(ring: Ring, file: int) -> None:
 if __name__ == "__main__":
     for number in _DEAF_TO:
         signal.signal(number, signal.SIG_IGN)
-    os.write(1, b"\n")  # ready
+    with suppress(BrokenPipeError):  # the recorder is dead already
+        os.write(1, b"\n")  # ready
     write(Ring(int(sys.argv[1]), Path(sys.argv[2])), int(sys.argv[3]), 0)
