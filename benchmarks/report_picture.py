@@ -33,7 +33,8 @@ def main() -> None:
             run(sys.argv[1:])
         page = next(Path(folder).glob("*.html"))
         words = ["--headless", "--no-sandbox", "--hide-scrollbars", f"--window-size={SIZE}", f"--screenshot={PICTURE}"]
-        subprocess.run([browser, *words, f"--user-data-dir={folder}/profile", page.as_uri()], check=True, capture_output=True)
+        words += [f"--user-data-dir={folder}/profile", page.as_uri()]
+        subprocess.run([browser, *words], check=True, capture_output=True)
 
 
 if __name__ == "__main__":
