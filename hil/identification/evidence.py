@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,9 +94,21 @@ class Evidence:
         return "high" if value >= self.high[at] - near else None
 
 
+def sliding(values: Mapping[str, float]) -> tuple[float, float] | None:
+    """Return by how much Kc is higher before friction slides, N m/rad, and over which deflection, rad; None without.
+
+    values: of a model, SI, by name.
+    """
+    for force, length in (("Fd", "reach"), ("Fy", "yield")):
+        if force in values and values[length] > 0.0:
+            return values[force] / values[length], values[length]
+    return None
+
+
 def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
     """Return the estimates of all parameters, in the model's order."""
-    found = []
+    found, before = [], sliding(dict(zip(evidence.names, evidence.exact[0].tolist(), strict=True)))
+    spans = evidence.selected and before is not None and before[0] > 0.0
     for at, parameter in enumerate(evidence.parameters):
         value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
         exact, own = (float(of[at]) for of in evidence.exact)
@@ -113,6 +126,7 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
                 bounds=(float(evidence.low[at]), float(evidence.high[at])),
                 components=evidence.scattered[at],
                 conditional=Conditional(exact, (exact - own, exact + own)) if is_average else None,
+                depends_on="amplitude" if spans and parameter.name == "Kc" else None,
             )
         )
     return tuple(found)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
-from hil.identification.evidence import Evidence
+from hil.identification.evidence import Evidence, sliding
 from hil.identification.result import Estimate
 from hil.identification.selection.stepwise import Step
 from hil.uncertainty.criteria import (
@@ -77,17 +77,6 @@ def rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> list[Diagnos
                     )
                 )
     return undecided
-
-
-def sliding(values: Mapping[str, float]) -> tuple[float, float] | None:
-    """Return by how much Kc is higher before friction slides, N m/rad, and over which deflection, rad; None without.
-
-    values: of a model, SI, by name.
-    """
-    for force, length in (("Fd", "reach"), ("Fy", "yield")):
-        if force in values and values[length] > 0.0:
-            return values[force] / values[length], values[length]
-    return None
 
 
 def other_stiffness(values: Mapping[str, float], *, selected: bool = False) -> list[Diagnostic]:

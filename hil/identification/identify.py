@@ -28,13 +28,13 @@ from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
-from hil.identification.evidence import Evidence, estimates
+from hil.identification.evidence import Evidence, estimates, sliding
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
 from hil.identification.fitting.exact import solved, unproven
 from hil.identification.fitting.forecast import forecast
 from hil.identification.fitting.validation import validated
-from hil.identification.identifiability import judge, rivals, sliding
+from hil.identification.identifiability import judge, rivals
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification

@@ -51,7 +51,8 @@ class Estimate:
 
     conditional: given the selected model, None where that is what value and ci95 are.
     bounds: NaN where the parameter was solved for and not searched. components: within and between pooled recordings,
-    None for a single recording and where fewer than two can estimate the parameter.
+    None for a single recording and where fewer than two can estimate the parameter. depends_on: what the parameter
+    changes with, "amplitude", where it has no single value: ci95 then spans what it may be, and value is its middle.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Estimate:
     bounds: tuple[float, float]
     components: VarianceComponents | None = None
     conditional: Conditional | None = None
+    depends_on: str | None = None
 
     @property
     def exact(self) -> float:

@@ -95,6 +95,7 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
         "ci95": [json_number(end) for end in estimate.ci95],
         "conditional": _conditional(estimate),
         "choice_share": estimate.choice,
+        "depends_on": estimate.depends_on,
         "identifiable": estimate.identifiable,
         "at_bound": estimate.at_bound,
         "bounds": [json_number(end) for end in estimate.bounds],
@@ -197,10 +198,13 @@ def verdicts(found: Identification) -> list[str]:
 
 
 def _verdict(found: Identification, estimate: Estimate) -> str:
-    value, half, _, unit = printed(found, estimate)
+    value, half, interval, unit = printed(found, estimate)
+    codes = [code for code in found.doubts(estimate.name) if code != "two-stiffnesses" or not estimate.depends_on]
+    doubts = f" (not to be trusted: {', '.join(codes)})" if codes else ""
+    if estimate.depends_on is not None:
+        return f"{estimate.name} from {interval} {unit}, it depends on the {estimate.depends_on}{doubts}"
     if not estimate.identifiable or half is None:
         return f"{estimate.name} = {value} {unit} (not identifiable)"
-    doubts = "" if found.trusted(estimate.name) else f" (not to be trusted: {', '.join(found.doubts(estimate.name))})"
     return f"{estimate.name} = {value} ± {half} {unit}{doubts}"
 
 
@@ -223,6 +227,9 @@ def estimates_table(found: Identification) -> Table:
     rows = []
     for estimate in found.estimates:
         value, _, interval, unit = printed(found, estimate)
+        if estimate.depends_on is not None:
+            rows.append((f"{estimate.name} (depends on the {estimate.depends_on})", "", interval, unit))
+            continue
         name = estimate.name if estimate.identifiable else f"{estimate.name} (not identifiable)"
         rows.append((name, value, interval, unit))
     return plain_table(f"{found.model.name}, {found.samples} samples", ("", "value", "95 % interval", ""), rows)

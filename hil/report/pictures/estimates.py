@@ -38,8 +38,8 @@ def intervals_text(found: Identification) -> str:
     """Return the intervals in words."""
     parts = []
     for estimate in _known(found):
-        value, half, _, unit = printed(found, estimate)
-        parts.append(f"{estimate.name} {value} ± {half} {unit}")
+        _, _, interval, unit = printed(found, estimate)
+        parts.append(f"{estimate.name} {interval} {unit}")
     return f"95 % intervals: {'; '.join(parts)}." if parts else "No parameter has an interval."
 
 

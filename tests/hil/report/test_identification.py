@@ -167,6 +167,18 @@ def test_a_parameter_that_is_not_identifiable_is_said_to_be_in_every_place(make_
     assert headline(doubted).endswith("mN m s/rad (not identifiable)")
 
 
+def test_a_stiffness_that_depends_on_the_amplitude_is_a_range_and_has_no_value(make_recording: Maker) -> None:
+    result = found(make_recording(noise=2e-4))
+    kc, bc = result.estimates
+    wide = replace(kc, value=0.6, ci95=(0.48, 0.72), depends_on="amplitude", identifiable=False)
+    spans = replace(result, estimates=(wide, bc))
+    first = headline(spans).split(",  ")[0]
+    assert first == "Kc from 480 to 720 mN m/rad, it depends on the amplitude"
+    assert "600" not in text(spans, 100).split("optimiser")[0]
+    assert as_json(spans)["parameters"]["Kc"]["depends_on"] == "amplitude"
+    assert as_json(result)["parameters"]["Kc"]["depends_on"] is None
+
+
 def test_the_summary_names_every_other_parameter_and_the_fit(make_recording: Maker) -> None:
     result = found(make_recording(noise=2e-4), model="linear+offset+drift")
     model, fit, work = summary_lines(result)
