@@ -156,7 +156,8 @@ def _driven(time: Array, command: Array, peak: float, speed: float) -> Motion:
     x = v = 0.0
     for at, wanted in enumerate(command.tolist()):
         a = speed * speed * (wanted - x) - 1.6 * speed * v
-        deflection[at], rate[at], acceleration[at] = x, v, a
+        # the slope of the deflection is that in the middle of the two steps beside it
+        deflection[at], rate[at], acceleration[at] = x, v + 0.5 * a * step, a
         v += a * step
         x += v * step
     scale = peak / np.abs(deflection).max()

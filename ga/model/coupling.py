@@ -90,6 +90,12 @@ class CouplingModel:
         """Whether the columns depend on Bc/Kc: where flanks part and how friction acts, the torque's sign says."""
         return any(term.contact is not None for term in self.terms)
 
+    @cached_property
+    def bends(self) -> tuple[bool, ...]:
+        """Whether each term's torque is no linear filter of the motion."""
+        beyond = any(term.remaining is not None or term.contact is not None for term in self.terms)
+        return tuple(term.bends or (beyond and term.pushed is not None) for term in self.terms)
+
     @property
     def remembers(self) -> bool:
         """Whether the torque depends on other samples too."""
@@ -163,7 +169,7 @@ class CouplingModel:
             elif term.shifts is not None:
                 for shift in term.shifts(regressors.angle):
                     pushed = -model._pushed(regressors, nonlinear, genes, shift * regressors.contact)
-                    behind = model._behind_cell(whole, pushed, nonlinear)[rows]
+                    behind = model._behind_cell(whole, whole.filtered(pushed), nonlinear)[rows]
                     found.append(model._known(whole, rows, behind, nonlinear))
             else:
                 found += [model._difference(motion, nonlinear, genes, lag, len(found) + k) for k in range(len(values))]
@@ -197,7 +203,8 @@ class CouplingModel:
 
     def _needed(self, motion: Motion) -> tuple[Motion, slice | NDArray[np.int64]]:
         """The samples that the torque is computed of, and the rows that the motion is of these."""
-        return motion.whole if self.remembers else (motion, slice(None))
+        is_filtered = motion.behind is not None and any(self.bends)
+        return motion.whole if self.remembers or is_filtered else (motion, slice(None))
 
     def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
         """What a torque (n,) or columns (n, p) of it become behind the torque cell."""
@@ -245,11 +252,14 @@ class CouplingModel:
     def _stacked(self, regressors: Regressors, nonlinear: Array | None, changing: Motion | None = None) -> Array:
         """The columns, or how fast they change in time."""
         columns: list[Array] = []
+        bends = dict(zip((term.name for term in self.terms), self.bends, strict=True))
         for term, own in self._own(regressors, nonlinear):
+            found: tuple[Array, ...] = ()
             if term.columns is not None and changing is None:
-                columns += term.columns(own)
+                found = term.columns(own)
             elif term.rates is not None and changing is not None:
-                columns += term.rates(own, changing)
+                found = term.rates(own, changing)
+            columns += map(regressors.motion.filtered, found) if bends[term.name] else found
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
 
 

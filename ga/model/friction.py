@@ -206,4 +206,5 @@ INERTIA: Final = Term(
     columns=lambda r: (r.motion.dtheta_ddot,),
     rates=lambda _r, c: (c.dtheta_ddot,),
     selection="motor torque",  # elsewhere it differs too little from skew
+    bends=False,
 )

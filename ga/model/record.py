@@ -86,6 +86,7 @@ class Term:
     parameters. forgets: where the torque depends on earlier samples too, what is left (n,) at each sample of the state
     that its stretch began with, which is unknown; for a motion and the term's parameters.
     needs: the term without which it means nothing. excludes: the terms that it cannot stand beside, and why.
+    bends: whether its torque is no linear filter of the motion, so that it changes in one that torque and motion pass.
     breaks: whether the torque has breaks in it. confusable: terms beside which it must pay as much as one with breaks,
     because it can pass for a part of them. sticks: whether friction holds the joint where it is slow.
     selection: in the smallest model that `auto` begins with, among the terms that it considers, among them only where
@@ -108,6 +109,7 @@ class Term:
     needs: str = ""
     excludes: tuple[str, ...] = ()
     reason: str = ""
+    bends: bool = True
     breaks: bool = False
     confusable: tuple[str, ...] = ()
     sticks: bool = False

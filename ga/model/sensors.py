@@ -64,6 +64,7 @@ OFFSET: Final = Term(
     columns=_one,
     rates=_still,
     selection="smallest",  # no reading's zero is quite the coupling's: other terms would stand in for it on the way
+    bends=False,
 )
 
 DRIFT: Final = Term(
@@ -74,6 +75,7 @@ DRIFT: Final = Term(
     columns=lambda r: (r.time,),
     rates=_still,
     needs="offset",
+    bends=False,
 )
 
 SKEW: Final = Term(
@@ -94,6 +96,7 @@ SKEW: Final = Term(
     delays=True,
     # it moves the breaks that friction makes at every reversal, and differs little from what else follows late
     confusable=("coulomb", "lag", "maxwell"),
+    bends=False,
 )
 
 LAG: Final = Term(
@@ -115,6 +118,7 @@ LAG: Final = Term(
     cell=lambda m, torque, own: m.lagged(torque, float(own[0])),
     forgets=lambda m, own: m.fading(m.time, float(own[0])),
     selection="misfit",
+    bends=False,
 )
 
 MEAN: Final = Term(
@@ -137,4 +141,5 @@ MEAN: Final = Term(
     excludes=("lag",),
     reason="lag and mean are two accounts of the torque cell's filter",
     selection="misfit",
+    bends=False,
 )

@@ -142,6 +142,7 @@ def _branch(number: int, needs: str) -> Term:
         forgets=lambda m, own: m.fading(m.time, float(own[0])),
         needs=needs,
         selection="misfit" if number == 1 else "named",
+        bends=False,
     )
 
 
@@ -156,6 +157,7 @@ LINEAR: Final = Term(
     rates=lambda r, c: (c.dtheta * r.contact, c.dtheta_dot * r.contact),
     pushed=lambda _r, genes, moved: genes[0] * moved,
     selection="smallest",
+    bends=False,
 )
 
 CUBIC: Final = Term(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -17,6 +17,12 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
+class Filter(Protocol):
+    """What readings went through, each as every other."""
+
+    def alike(self, time: Array, values: Array) -> Array: ...  # noqa: D102
+
+
 _PARTS: Final = ("dtheta", "dtheta_dot", "dtheta_ddot", "known")
 
 
@@ -27,6 +33,7 @@ class Motion:
     known: the part of the measured torque that is not the coupling's and needs no parameter, such as the motor's own
     inertia in equation (1). starts: where a new stretch begins, 0 first: a stretch is of one recording and gapless,
     and nothing is interpolated from one to the next. rate_noise: rad/s, what of the rate is noise; None: unknown.
+    behind: what the torque went through, as all parts of the motion; None: nothing.
     part_of: the motion that this one is some rows of, and these; None: it is whole.
     Raises ValueError where the lengths differ.
     """
@@ -39,6 +46,7 @@ class Motion:
     starts: tuple[int, ...] = (0,)
     rate_noise: float | None = None
     part_of: tuple[Motion, NDArray[np.int64]] | None = None
+    behind: Filter | None = None
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in ("time", *_PARTS)}
@@ -123,6 +131,12 @@ class Motion:
         parts = [memory.averaged(self.time[a:b], values[a:b], width) for a, b in self._stretches()]
         return np.concatenate(parts)
 
+    def filtered(self, values: Array) -> Array:
+        """Values (n,) behind what the torque went through."""
+        if self.behind is None:
+            return values
+        return np.concatenate([self.behind.alike(self.time[a:b], values[a:b]) for a, b in self._stretches()])
+
     def presliding(self, length: float) -> Array:
         """The friction of Dahl (1976), (n,) -1 to 1, that builds up over `length` rad after a reversal."""
         from ga.model import memory
@@ -197,6 +211,7 @@ def joined(motions: Sequence[Motion]) -> Motion:
         starts=starts,
         rate_noise=max(noises) if len(noises) == len(motions) else None,
         part_of=_joined_wholes(motions) if any(motion.part_of for motion in motions) else None,
+        behind=next((motion.behind for motion in motions if motion.behind), None),
     )
 
 

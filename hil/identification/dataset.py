@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,7 @@ class Dataset:
     choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones; whole: whether they
     are all. used (n,): which of these signals are fitted. blocks: columns of the linear parameters, and torque, of all
     fitted samples; in_memory: of those in `signals`. edges: where each recording ends in the blocks. uncertainty: of
-    the torque's scale, relative, one standard deviation. command (n,): the set-points at the signals' times, None where
-    they were not recorded or the samples are on disk.
+    the torque's scale, relative, one standard deviation.
     """
 
     choice: Choice
@@ -48,7 +47,6 @@ class Dataset:
     edges: tuple[int, ...]
     uncertainty: float
     diagnostics: list[Diagnostic]
-    command: Array | None = None
 
     @property
     def samples(self) -> int:
@@ -88,7 +86,7 @@ def _in_memory(sources: Sequence[Source], choose: Choose, *, centred: bool) -> D
     parts, diagnostics = [], []
     for source in sources:
         part = prepare(source.recording, source.table)
-        parts.append(part)
+        parts.append(replace(part, command=_command(source, part)))
         diagnostics += _diagnostics(source, [part], part.defects)
     signals = joined(parts)
     reference = far_zero(signals.motion.dtheta) if centred else 0.0
@@ -100,10 +98,7 @@ def _in_memory(sources: Sequence[Source], choose: Choose, *, centred: bool) -> D
     blocks = Blocks.of(*rows)
     edges = tuple(np.cumsum(used)[np.cumsum([len(part) for part in parts]) - 1].tolist())
     diagnostics += _slow(len(used) - blocks.rows, len(used))
-    commands = [_command(source, part) for source, part in zip(sources, parts, strict=True)]
-    known = [command for command in commands if command is not None]
-    command = np.concatenate(known) if len(known) == len(parts) else None
-    return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), diagnostics, command)
+    return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), diagnostics)
 
 
 def _far_zero(reference: float) -> list[Diagnostic]:

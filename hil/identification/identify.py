@@ -45,7 +45,6 @@ from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
-from hil.uncertainty.effects import Recorded
 from hil.uncertainty.stationarity import disagreement, pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
@@ -224,15 +223,12 @@ def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Ar
 def _described(data: Dataset, solution: _Solution, evidence: Evidence) -> Described:
     """The signals and the fit to them, to be tested."""
     columns, target = next(iter(solution.blocks())) if data.choice.model.nonlinear else data.in_memory
-    signals, motion = data.signals, data.signals.motion
     return Described(
-        recorded=Recorded(motion.time, signals.coupling_torque, motion.dtheta, motion.dtheta_dot, motion.starts),
-        band=signals.band,
-        command=data.command,
+        model=data.choice.model,
+        signals=data.signals,
         kept=data.used,
         residuals=target - columns @ solution.values,
         columns=columns,
-        names=tuple(evidence.names),
         values=solution.values,
         half_width=evidence.errors.half_width + np.abs(evidence.values - solution.values),
         averaged=bool(data.choice.steps),

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.separable import SeparableModel
+from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
+from hil.signals.prepare import Signals
 from hil.signals.windows import is_smooth
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
+from hil.uncertainty.instruments import followed, is_instrument, linearised
 from hil.uncertainty.lack_of_fit import Fitted, LackOfFit, lack_of_fit
 
 Array = NDArray[np.float64]
@@ -28,6 +32,7 @@ _TERMS = {  # parameters of terms that leave nothing of these effects: a Maxwell
     "Ka": "asymmetry",
     "Ks": "stiffness-drift",
 }
+_FOLLOWED = 0.01  # of the power of the deflection, which a motion that follows from the command may lack
 _CHANGES = 0.03  # of K' over the band, from which it is said
 
 
@@ -35,53 +40,78 @@ _CHANGES = 0.03  # of K' over the band, from which it is said
 class Described:
     """A recording and the model fitted to it, SI.
 
-    recorded: all samples (n,). kept (n,): those that the model describes. residuals (m,) N m and columns (m, p): of
-    these m, the columns named by `names`. values and half_width (p,): of the parameters and of their intervals.
+    signals: all samples (n,). kept (n,): those that the model describes. residuals (m,) N m and columns (m, p): of
+    these m, the columns of its parameters. values and half_width (p,): of these and of their intervals.
     averaged: whether the intervals include the small effects that every bench has, so that these are no misfit.
     """
 
-    recorded: Recorded
-    band: tuple[float, float]
-    command: Array | None
+    model: SeparableModel
+    signals: Signals
     kept: NDArray[np.bool_]
     residuals: Array
     columns: Array
-    names: tuple[str, ...]
     values: Array
     half_width: Array
     averaged: bool = False
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the parameters."""
+        return tuple(parameter.name for parameter in (*self.model.linear, *self.model.nonlinear))
+
+    def recorded(self, motion: Motion) -> Recorded:
+        """Return the samples with this motion (n,)."""
+        return Recorded(motion.time, self.signals.coupling_torque, motion.dtheta, motion.dtheta_dot, motion.starts)
+
 
 def tested(described: Described) -> LackOfFit | None:
     """Test the fit; None where the recording is too short."""
-    names, count = described.names, len(described.recorded)
+    names, count = described.names, len(described.signals)
+    motion = _without_errors(described.signals)
+    recorded = described.recorded(motion)
     coupling = (names.index("Kc"), names.index("Bc")) if {"Kc", "Bc"} <= set(names) else None
     residuals, columns = np.zeros(count), np.zeros((count, len(names)))
     residuals[described.kept], columns[described.kept] = described.residuals, described.columns
+    if motion is not described.signals.motion:
+        p = len(described.model.linear)
+        columns = linearised(described.model, motion, described.values[:p], described.values[p:])
     values, half_width = (
         (0.0, 0.0) if coupling is None else (float(array[coupling[0]]), float(array[coupling[1]]))
         for array in (described.values, described.half_width)
     )
     skew = names.index("skew") if "skew" in names else None
     if described.averaged:
-        columns = np.concatenate([columns, *_of_every_bench(described, residuals)], axis=1)
-    recorded = described.recorded
+        columns = np.concatenate([columns, *_of_every_bench(described, recorded, residuals)], axis=1)
     kept = described.kept & is_smooth(recorded.time, recorded.deflection, recorded.rate)
     included = frozenset(code for name, code in _TERMS.items() if name in names)
     fitted = Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
-    return lack_of_fit(described.recorded, fitted)
+    return lack_of_fit(recorded, fitted)
 
 
-def _of_every_bench(described: Described, residuals: Array) -> list[Array]:
+def _without_errors(signals: Signals) -> Motion:
+    """The motion to test with: what follows from the command, where the deflection's noise stands in the residuals too.
+
+    The tests would find that noise in both.
+    """
+    window, command = signals.window, signals.command
+    if window is None or window.low_pass is None or not is_instrument(command):
+        return signals.motion
+    motion = followed(signals.motion, window, command, window.sound(signals.motion.time))
+    left = float(np.var(motion.dtheta - signals.motion.dtheta))
+    return motion if left < _FOLLOWED * float(np.var(signals.motion.dtheta)) else signals.motion
+
+
+def _of_every_bench(described: Described, recorded: Recorded, residuals: Array) -> list[Array]:
     """What the small effects add (n, 1) each that the model lacks and every bench has."""
-    model, lacking = described.recorded.torque - residuals, set(_OF_EVERY_BENCH).difference(described.names)
+    model, lacking = recorded.torque - residuals, set(_OF_EVERY_BENCH).difference(described.names)
     codes = {code for name, code in _OF_EVERY_BENCH.items() if name in lacking}
-    return [column for one in EFFECTS if one.code in codes for column in one.signature(described.recorded, model)]
+    return [column for one in EFFECTS if one.code in codes for column in one.signature(recorded, model)]
 
 
 def without_model(described: Described) -> DynamicStiffness | None:
     """Return the dynamic stiffness in the excited band; None where the recording is too short."""
-    return dynamic_stiffness(described.recorded, described.band, described.command)
+    signals = described.signals
+    return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
 
 
 def misfit_diagnostics(model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None) -> list[Diagnostic]:

@@ -17,7 +17,6 @@ from hil.identification.selection import stepwise
 from hil.identification.selection.late import Alternative
 from hil.identification.selection.stepwise import Selection, Step
 from hil.signals.prepare import Signals
-from hil.uncertainty.effects import Recorded
 
 Array = NDArray[np.float64]
 
@@ -131,13 +130,11 @@ def _describes(found: Selection, signals: Signals) -> bool:
         kept = found.model.described(motion, found.delay)
     fit = tested(
         Described(
-            recorded=Recorded(motion.time, signals.coupling_torque, motion.dtheta, motion.dtheta_dot, motion.starts),
-            band=signals.band,
-            command=None,
+            model=found.model,
+            signals=signals,
             kept=kept,
             residuals=found.residuals[kept],
             columns=found.columns[kept],
-            names=tuple(parameter.name for parameter in found.model.parameters),
             values=found.values,
             half_width=np.zeros(len(found.values)),
             averaged=True,

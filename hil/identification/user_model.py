@@ -96,7 +96,8 @@ class UserModel:
     def _torque(self, motion: Motion, values: Array) -> Array:
         given = dict(zip((parameter.name for parameter in self.nonlinear), values.tolist(), strict=True))
         where = ", ".join(f"{name} = {value:g}" for name, value in given.items())
-        arrays = [_read_only(values) for values in (motion.time, motion.dtheta, motion.dtheta_dot)]
+        whole, rows = (motion, slice(None)) if motion.behind is None else motion.whole
+        arrays = [_read_only(values) for values in (whole.time, whole.dtheta, whole.dtheta_dot)]
         try:
             answer = np.asarray(self.function(*arrays, **given))
         except (Exception, SystemExit) as error:
@@ -104,11 +105,11 @@ class UserModel:
         if answer.dtype.kind not in "fiu":
             raise WrongUse(f"--model {self.name}: it gave {answer.dtype} and not real numbers; at {where}")
         torque = answer.astype(np.float64)
-        if torque.shape != motion.time.shape:
-            raise WrongUse(f"--model {self.name}: it gave {torque.shape} for {motion.time.shape} samples; at {where}")
+        if torque.shape != whole.time.shape:
+            raise WrongUse(f"--model {self.name}: it gave {torque.shape} for {whole.time.shape} samples; at {where}")
         if not np.isfinite(torque).all():
             raise WrongUse(f"--model {self.name}: it gave a torque that is not a number; at {where}")
-        return torque
+        return whole.filtered(torque)[rows]
 
 
 def _read_only(values: Array) -> Array:

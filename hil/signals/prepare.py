@@ -23,7 +23,8 @@ from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import frozen, unwrapped
-from hil.signals.defects import Defects
+from hil.signals.defects import FEWEST, Defects, refuse_hopeless
+from hil.signals.own_rate import OwnRate, own_rate
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Kind, Readings, Slower
 from hil.signals.stamps import spread_stamps, starts_within, stretches, within
@@ -33,21 +34,20 @@ from hil.stand.transmission import Transmission
 
 Array = NDArray[np.float64]
 
-_FINEST = 1e-9  # s between two samples
-_STILL_ANGLE, _STILL_TORQUE = 1e-12, 1e-15  # rad and N m peak to peak, below which a reading never changes
-_FEWEST = 16  # samples, below which nothing is concluded
 _PROBE = 1 << 20  # rows from which the columns to read and the windows are chosen
 _MARGIN = 256  # rows beyond the windows of a block, to replace those that were lost
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
-    """How the joint moved, and its torque (n,), N m, as it was read.
+    """How the joint moved, and its torque (n,), N m, behind the low-pass that the deflection went through, if any.
 
     band: Hz, the excited band. rate_window: s, the width of the local polynomial, 0 where the rate was recorded.
     torque_from: "joint", "motor", "given" or, of several, "mixed". window: that rate and acceleration were computed in,
     of several that of the noisiest, None where the rate was recorded. slower: the sensors that are
-    slower than the ticks.
+    slower than the ticks. command (n,): the set-points at these times, None where they were not recorded.
+    refused_rate: how a recorded rate differs from the deflection's derivative, so that it is not used.
+    unfiltered (n,): N m, the torque as it was read where that is another; not kept for several recordings together.
     """
 
     motion: Motion
@@ -58,6 +58,9 @@ class Signals:
     torque_from: str
     window: Window | None = None
     slower: tuple[Slower, ...] = ()
+    command: Array | None = None
+    refused_rate: OwnRate | None = None
+    unfiltered: Array | None = None
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -69,6 +72,11 @@ class Signals:
         return replace(self, motion=self.motion.shifted(reference))
 
     @property
+    def as_read(self) -> Array:
+        """The torque (n,) N m as it was read."""
+        return self.torque if self.unfiltered is None else self.unfiltered
+
+    @property
     def coupling_torque(self) -> Array:
         """The torque in the coupling, (n,) N m: the reading without the motor's own torque."""
         return self.torque - self.motion.known
@@ -76,6 +84,7 @@ class Signals:
 
 def joined(parts: list[Signals]) -> Signals:
     """Return the signals of several recordings, or of the blocks of one, one after the other."""
+    commands = [part.command for part in parts if part.command is not None]
     return Signals(
         motion=one_after_the_other([part.motion for part in parts]),
         torque=np.concatenate([part.torque for part in parts]),
@@ -85,13 +94,15 @@ def joined(parts: list[Signals]) -> Signals:
         window=max((part.window for part in parts if part.window), key=lambda one: one.of_deflection, default=None),
         torque_from=parts[0].torque_from if len({part.torque_from for part in parts}) == 1 else "mixed",
         slower=tuple(dict.fromkeys(one for part in parts for one in part.slower)),
+        command=np.concatenate(commands) if len(commands) == len(parts) else None,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
     """Which channels are read: the motor's torque or the joint's, a recorded rate or the deflection's slope, whether
-    the torque has times of its own, and how torque and deflection show a sensor that is slower than the ticks.
+    the torque has times of its own, how torque and deflection show a sensor that is slower than the ticks, and why a
+    recorded rate is not used.
     """
 
     stand: StandTable | None
@@ -100,9 +111,20 @@ class _Columns:
     own_time: bool
     torque: Kind | None = None
     dtheta: Kind | None = None
+    refused: OwnRate | None = None
 
-    def seeing(self, usable: _Usable) -> _Columns:
-        """Return the columns with how the usable rows show slower sensors."""
+    def seeing(self, usable: _Usable) -> tuple[_Columns, Window]:
+        """Return the columns with how the usable rows show slower sensors and another rate, and the windows."""
+        columns = self._slower(usable)
+        window = _window(usable, columns)
+        if not columns.rate_given:
+            return columns, window
+        time = spread_stamps(usable.time)[0]
+        derived = np.where(window.sound(time), window.moved(time, usable.dtheta)[1], np.nan)
+        refused = own_rate(time, usable.reported_rate, derived, window.band[1])
+        return replace(columns, rate_given=refused is None, refused=refused), window
+
+    def _slower(self, usable: _Usable) -> _Columns:
         time = spread_stamps(usable.time)[0]
         torque = None if self.own_time else slow_channel.kind_of(time, usable.torque)
         dtheta = slow_channel.kind_of(time, usable.dtheta)
@@ -137,12 +159,11 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     """
     columns = _columns_of(recording, stand)
     usable = _usable(recording, columns, 0, len(recording))
-    _refuse_hopeless(recording, usable)
+    refuse_hopeless(recording, usable.time, usable.torque, usable.dtheta)
     # of a part of a recording it would not be known by how many turns it is off
     dtheta, wraps = unwrapped(usable.dtheta, usable.torque)
     usable = replace(usable, dtheta=dtheta, wraps=wraps)
-    columns = columns.seeing(usable)
-    return _signals(usable, columns, _window(usable, columns), (0, len(recording)))
+    return _signals(usable, *columns.seeing(usable), (0, len(recording)))
 
 
 def stream(recording: Recording, stand: StandTable | None, block: int = 1 << 18) -> Iterator[Signals]:
@@ -170,9 +191,8 @@ def glimpse(recording: Recording, stand: StandTable | None, parts: int = 16, row
 
 def _probed(recording: Recording, columns: _Columns) -> tuple[_Columns, Window]:
     first = _usable(recording, columns, 0, min(_PROBE, len(recording)))
-    _refuse_hopeless(recording, first)
-    columns = columns.seeing(first)
-    return columns, _window(first, columns)
+    refuse_hopeless(recording, first.time, first.torque, first.dtheta)
+    return columns.seeing(first)
 
 
 def _window(usable: _Usable, columns: _Columns) -> Window:
@@ -252,6 +272,7 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
     starts, long_enough = stretches(time, sound, window.step)
     own = _own_readings(usable, columns)
     kept = long_enough & (inside if own is None else True)
+    is_filtered = own is None and not columns.rate_given and window.low_pass is not None
     motion = Motion(
         time[kept],
         dtheta[kept],
@@ -260,9 +281,10 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
         known[kept],
         starts=starts_within(starts, kept),
         rate_noise=None if columns.rate_given else window.noise,
+        behind=window if is_filtered else None,
     )
     if own is None:
-        torque = usable.torque[kept]
+        torque = (window.alike(time, usable.torque) if is_filtered else usable.torque)[kept]
     else:
         motion, torque = _at_readings(motion, own, within(usable.row[own.row], rows))
     return Signals(
@@ -281,6 +303,8 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
         window=None if columns.rate_given else window,
         torque_from="motor" if columns.motor_side else ("given" if columns.stand is None else "joint"),
         slower=_slower(columns, angle, own, float(np.median(np.diff(stamps)))),
+        refused_rate=columns.refused,
+        unfiltered=_at_joint(usable.torque[kept], columns) if is_filtered else None,
     )
 
 
@@ -289,10 +313,10 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
     time, torque = own.time[wanted], own.value[wanted]
     for is_last in (own.unsure == 0.0, True):
         at = motion.at(time)
-        if len(at) < _FEWEST:
+        if len(at) < FEWEST:
             raise Untrustworthy(
                 f"the torque cell has {len(at)} readings of its own beside the angle's, and Kc and Bc need at least "
-                f"{_FEWEST}: record for longer"
+                f"{FEWEST}: record for longer"
             )
         found = torque[np.searchsorted(time, at.time)]
         if is_last:
@@ -322,24 +346,3 @@ def _motor_share(rate: Array, acceleration: Array, columns: _Columns) -> Array:
     if not columns.motor_side or columns.stand is None:
         return np.zeros_like(rate)
     return Transmission.of(columns.stand).motor_share(rate, acceleration)
-
-
-def _refuse_hopeless(recording: Recording, usable: _Usable) -> None:
-    name, time, dtheta = recording.path, usable.time, usable.dtheta
-    if len(time) < _FEWEST:
-        raise Untrustworthy(f"{name} holds {len(time)} usable sample(s) of {len(recording)}: record at least {_FEWEST}")
-    backwards = np.flatnonzero(np.diff(time) < 0.0)
-    if backwards.size:
-        raise Untrustworthy(f"{name}: time goes backwards after usable row {int(backwards[0])}: mend the stamps first")
-    if np.ptp(time) == 0.0:
-        raise Untrustworthy(f"{name}: every sample has the same time: mend the stamps first")
-    if (step := float(np.ptp(time)) / len(time)) < _FINEST:
-        raise Untrustworthy(f"{name}: the samples are {step:.2g} s apart, which no recorder does: check --time-unit")
-    if np.ptp(usable.torque) < _STILL_TORQUE:
-        raise Untrustworthy(
-            f"{name}: the torque never changes: no Kc or Bc can be estimated; check the torque sensor and its unit"
-        )
-    if np.ptp(dtheta) < _STILL_ANGLE:
-        raise Untrustworthy(
-            f"{name}: the deflection never changes: no Kc or Bc can be estimated; raise --amplitude or free the cable"
-        )

@@ -14,6 +14,7 @@ from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
+from hil.signals.own_rate import OwnRate
 from hil.signals.plausibility import Swing, implausible
 from hil.signals.prepare import Signals
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
@@ -37,7 +38,8 @@ class Quality:
     """samples: rows of the file. saturated, late: rows of them. torque_from: as of `Signals`. torque: N m, and
     deflection: rad, peak to peak; deflection_lsb: rad, the smallest step seen. torque_noise: N m, standard deviation of
     the torque about a local polynomial. snr: dB, the torque's variance over that noise's; infinite without noise.
-    slower: the sensors that are slower than the ticks. highest: Hz, up to where the joint moved.
+    slower: the sensors that are slower than the ticks. highest: Hz, up to where the joint moved. refused_rate: how a
+    recorded rate that is not used differs from the deflection's derivative.
     """
 
     samples: int
@@ -52,13 +54,14 @@ class Quality:
     snr: float
     slower: tuple[Slower, ...] = ()
     highest: float = 0.0
+    refused_rate: OwnRate | None = None
 
 
 def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects) -> Quality:
     """Return the quality of a recording from all its signals, or from some stretches of them, and all its defects."""
     noise = float(np.median([_noise(stretch) for stretch in stretches]))
     dtheta = np.concatenate([stretch.motion.dtheta for stretch in stretches])
-    torque = np.concatenate([stretch.torque for stretch in stretches])
+    torque = np.concatenate([stretch.as_read for stretch in stretches])
     variance = float(np.var(torque))
     saturated, late = _flagged(recording, Status.SATURATED, Status.LATE)
     return Quality(
@@ -74,6 +77,7 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
         snr=10.0 * float(np.log10(variance / noise**2)) if noise > 0.0 else float("inf"),
         slower=stretches[0].slower,
         highest=max(stretch.band[1] for stretch in stretches),
+        refused_rate=stretches[0].refused_rate,
     )
 
 
@@ -89,6 +93,7 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
         *([driven_by_position(is_error=True)] if by_position else []),
         *_weaknesses(quality),
         *(_slow(one, quality.highest) for one in quality.slower),
+        *([quality.refused_rate.diagnostic()] if quality.refused_rate else []),
         *implausible(_swing(quality.torque), _swing(quality.deflection), limits),
         *lateness(quality.late, quality.samples),
     ]
@@ -196,7 +201,7 @@ def _noise(signals: Signals) -> float:
     if cycles > _SPARSE:
         return _noise_beside_motion(signals)
     half = widest(0, cycles, max(2, (len(time) - 1) // 8), _GAIN_ERROR)
-    residual = signals.torque - local_polynomial(time, signals.torque, half, 0)
+    residual = signals.as_read - local_polynomial(time, signals.as_read, half, 0)
     return 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
 
 
@@ -204,7 +209,7 @@ def _noise_beside_motion(signals: Signals) -> float:
     """Standard deviation of the torque, N m, about what a spring and a damper make; robust to outliers."""
     motion = signals.motion
     columns = np.stack([motion.dtheta, motion.dtheta_dot, motion.dtheta_ddot, np.ones(len(motion))], axis=1)
-    residual = signals.torque - columns @ np.linalg.lstsq(columns, signals.torque, rcond=None)[0]
+    residual = signals.as_read - columns @ np.linalg.lstsq(columns, signals.as_read, rcond=None)[0]
     return 1.4826 * float(np.median(np.abs(residual)))
 
 

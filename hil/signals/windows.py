@@ -57,6 +57,13 @@ class Window:
         rate = local_polynomial(time, dtheta, self.slope, 1)
         return dtheta, rate, local_polynomial(time, dtheta, self.curvature, 2)
 
+    def alike(self, time: Array, values: Array) -> Array:
+        """Return values (n,) behind what the deflection went through, so that what is between them stays as it is."""
+        if self.low_pass is None:
+            return values
+        found = passed(time, values, self.low_pass)[0]
+        return np.where(np.isfinite(found), found, values)
+
     def sound(self, time: Array) -> NDArray[np.bool_]:
         """Return whether (n,) each sample has all the neighbours that its rate is computed from."""
         return is_sound(time, self.low_pass) if self.low_pass else is_whole(time, self)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final, Literal, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,11 +72,9 @@ class Fitted:
 
     def linearised(self, motion: Motion) -> tuple[Array, Array]:
         """Return columns (n, p + q) and residuals (n,) N m of the model for another motion."""
-        genes, nonlinear = self.genes, self.nonlinear
-        lag = max(0.0, float(genes[1] / genes[0])) if self.model.needs_ratio and genes[0] > 0.0 else 0.0
-        columns = self.model.columns(motion, nonlinear, lag)
-        left = self.model.target(motion, self.torque, nonlinear) - columns @ genes
-        return np.concatenate([columns, self.model.jacobian(motion, nonlinear, genes, lag)], axis=1), left
+        columns = linearised(self.model, motion, self.genes, self.nonlinear)
+        left = self.model.target(motion, self.torque, self.nonlinear) - columns[:, : len(self.genes)] @ self.genes
+        return columns, left
 
     def matters(self, change: Array) -> bool:
         """Return whether a change (p + q,) is one that must be made."""
@@ -86,6 +84,13 @@ class Fitted:
     def shows(self, change: _Change) -> bool:
         """Return whether a change is one that must be made, and beyond its own error (Hausman 1978)."""
         return self.matters(np.where(np.abs(change.values) > _SURE * change.half_width, change.values, 0.0))
+
+
+def linearised(model: SeparableModel, motion: Motion, genes: Array, nonlinear: Array) -> Array:
+    """Return how the torque of a motion (n,) changes with genes (p,) and nonlinear parameters (q,): (n, p + q)."""
+    lag = max(0.0, float(genes[1] / genes[0])) if model.needs_ratio and genes[0] > 0.0 else 0.0
+    columns = model.columns(motion, nonlinear, lag)
+    return np.concatenate([columns, model.jacobian(motion, nonlinear, genes, lag)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,11 +214,11 @@ def _moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
 
 def _by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, float] | None:
     """The change that the instruments make, and their strength; None without a command."""
-    if part.command is None or not np.isfinite(part.command).all() or np.ptp(part.command) == 0.0:
+    if not is_instrument(part.command):
         return None
-    followed = _followed(part, part.command, sound)
+    motion = followed(part.motion, part.window, part.command, sound)
     columns, left = (of[sound] for of in part.linearised(part.motion))
-    instruments, residuals = part.linearised(followed)[0][sound], _clipped(left)
+    instruments, residuals = part.linearised(motion)[0][sound], _clipped(left)
     sizes = np.linalg.norm(columns, axis=0)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     z, x = instruments / sizes, columns / sizes
@@ -227,11 +232,16 @@ def _by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, float]
     return change, float(min(1.0, 1.0 / max(float(less_certain.max()), 1e-300)))
 
 
-def _followed(part: Fitted, command: Array, sound: NDArray[np.bool_]) -> Motion:
-    """The motion that follows from the command by a filter of a few delays."""
-    motion, unit = part.motion, 1.0 / (8.0 * part.window.band[1])
-    recorded = Recorded(motion.time, part.torque, motion.dtheta, motion.dtheta_dot, motion.starts)
-    parts = part.window.moved(motion.time, command - command.mean())
+def is_instrument(command: Array | None) -> TypeGuard[Array]:
+    """Return whether set-points (n,) were recorded and change."""
+    return command is not None and bool(np.isfinite(command).all()) and float(np.ptp(command)) > 0.0
+
+
+def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.bool_]) -> Motion:
+    """Return the motion that follows from the command (n,) by a filter of a few delays, fitted where sound (n,)."""
+    unit = 1.0 / (8.0 * window.band[1])
+    recorded = Recorded(motion.time, motion.known, motion.dtheta, motion.dtheta_dot, motion.starts)
+    parts = window.moved(motion.time, command - command.mean())
     value, *rates = (np.stack([recorded.delayed(one, lag * unit) for lag in _DELAYS], axis=1) for one in parts)
     value = value - value[sound].mean(axis=0)
     middle = float(motion.dtheta[sound].mean())

@@ -43,7 +43,7 @@ def read_with_errors(data: Dataset, values: Array, half_width: Array) -> Deflect
             half_width=half_width,
             decisive=tuple(places),
             window=window,
-            command=data.command,
+            command=data.signals.command,
         )
     )
 

@@ -44,6 +44,16 @@ def binary() -> tuple[Array, Array]:
     return 0.5 * erf(apart) @ steps, np.exp(-(apart**2)) @ steps / (width * math.sqrt(math.pi))
 
 
+def jerky() -> tuple[Array, Array]:
+    """Random steps every 0.2 s through a second-order low-pass of 12 Hz: the acceleration jumps."""
+    since = np.maximum(TIME[:, None] - np.arange(100) * 0.2, 0.0)
+    steps = np.diff(np.random.default_rng(6).choice([-1.0, 1.0], 101))
+    speed, damped = 24.0 * math.pi, 0.8
+    turning = math.sqrt(1.0 - damped**2)
+    wave = np.exp((-damped + 1j * turning) * speed * since)
+    return (1.0 - (wave.real + damped / turning * wave.imag)) @ steps, speed / turning * wave.imag @ steps
+
+
 Motion = Callable[[], tuple[Array, Array]]
 
 
@@ -60,18 +70,19 @@ def recorded(
     commanded: bool = True,
     zero: float = 0.0,
     seed: int = 0,
+    friction: float = 0.0,
 ) -> Identification:
-    """The linear model of a recording with white noise of so many rad, or counts, in its deflection."""
+    """The linear model, with any friction, of a recording with white noise of so many rad, or counts, in its angle."""
     rng = np.random.default_rng([seed, 1])
     angle, rate = motion()
     scale = peak / float(np.abs(angle).max())
     angle, rate = scale * angle, scale * rate
-    torque = kc * angle + bc * rate + torque_noise * rng.standard_normal(len(TIME))
+    torque = kc * angle + bc * rate + friction * np.sign(rate) + torque_noise * rng.standard_normal(len(TIME))
     read = angle + noise * rng.standard_normal(len(TIME)) + zero
     count = 2.0 * math.pi / 2.0**bits
     channels = {"time": TIME, "torque": torque, "dtheta": count * np.round(read / count) if bits else read}
     write(path, Header(profile={}, stand_toml=""), channels | ({"command": angle} if commanded else {}), force=True)
-    return identify([path], LINEAR, SEARCH)
+    return identify([path], parse("linear+offset+coulomb") if friction else LINEAR, SEARCH)
 
 
 def errors(found: Identification, kc: float = 0.3, bc: float = 3e-3) -> tuple[float, float]:
@@ -93,6 +104,20 @@ def test_kc_and_bc_are_right_beside_white_noise(tmp_path: Path, noise: float, mo
     kc, bc = errors(found)
     assert abs(kc) < 5e-3
     assert abs(bc) < 0.03
+    assert holds(found)
+
+
+@pytest.mark.parametrize(("motion", "friction"), [(jerky, 0.0), (multisine, 2e-3)])
+def test_a_low_pass_makes_no_misfit_of_jumps_that_the_torque_has(
+    tmp_path: Path, motion: Motion, friction: float
+) -> None:
+    """The deflection passes a low-pass for its noise: torque and friction have to pass it too."""
+    found = recorded(tmp_path / "a.h5", motion, noise=2e-3, friction=friction)
+    assert found.deflection is not None
+    assert found.deflection.low_pass is not None
+    assert not any(one.code == "misfit" for one in found.diagnostics)
+    assert abs(errors(found)[0]) < 5e-3
+    assert abs(errors(found)[1]) < 0.03
     assert holds(found)
 
 

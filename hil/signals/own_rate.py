@@ -1,0 +1,75 @@
+"""A rate that was recorded beside the deflection: whether it is the deflection's derivative, or late by a filter.
+
+Drives filter the velocity that they report. Beside a deflection that is not filtered such a rate is late, and Kc takes
+up Bc times the lag times the frequency squared. The lag and the size of the rate are those at which it is most like the
+derivative of the deflection.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnostics import Diagnostic
+
+Array = NDArray[np.float64]
+
+_LOOKED: Final = 1 << 16  # samples
+_PHASE: Final = 5e-3  # rad at the upper end of the band, and of the rate's size, that Kc and Bc do not feel
+_SURE: Final = 4.0  # standard errors, from which a lag or a size is no chance
+_LONGEST: Final = 0.5  # of the shortest period, that a lag is looked for
+_FINE: Final = 16  # lags a side that are tried first
+_EFFECTIVE: Final = 2.0  # samples a period of the band's upper end, that count as independent
+
+
+@dataclass(frozen=True, slots=True)
+class OwnRate:
+    """A rate that is not the deflection's derivative. lag: s, by which it is late; size: times the derivative."""
+
+    lag: float
+    size: float
+
+    def diagnostic(self) -> Diagnostic:
+        """Return what is said of it."""
+        late = "late" if self.lag >= 0.0 else "early"
+        text = (
+            f"the recorded rate is {1e3 * abs(self.lag):.3g} ms {late} beside the derivative of the deflection, and "
+            f"{self.size:.3g} times as large: whatever reported it filters it, and Kc and Bc would be wrong with it; "
+            "the derivative is used instead, so nothing is lost; leave the column out"
+        )
+        return Diagnostic("filtered-rate", text)
+
+
+def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRate | None:
+    """Return how a recorded rate (n,) rad/s differs from the derivative of the deflection (n,); None where it does not.
+
+    time (n,) s; highest: Hz, the upper end of the excited band. Samples without a derivative are NaN.
+    """
+    good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
+    time, given, derived = time[good], given[good], derived[good]
+    power = float(derived @ derived)
+    if power == 0.0:
+        return None
+
+    def left(lag: float) -> tuple[float, float]:
+        shifted = np.interp(time - lag, time, derived)
+        size = float(shifted @ given) / float(shifted @ shifted)
+        return float(np.sum((given - size * shifted) ** 2)), size
+
+    from scipy.optimize import minimize_scalar
+
+    longest = _LONGEST / highest
+    coarse = longest * np.arange(-_FINE, _FINE + 1) / _FINE
+    nearest = float(coarse[np.argmin([left(lag)[0] for lag in coarse.tolist()])])
+    width = longest / _FINE
+    lag = float(minimize_scalar(lambda at: left(at)[0], bounds=(nearest - width, nearest + width), method="bounded").x)
+    rest, size = left(lag)
+    turning = np.gradient(derived, time)
+    independent = max(1.0, min(float(len(time)), _EFFECTIVE * highest * float(time[-1] - time[0])))
+    error = np.sqrt(rest / len(time) / independent)  # of a rate of 1 rad/s, coloured as the band is
+    late = abs(lag) > max(_PHASE / (2.0 * np.pi * highest), _SURE * error / float(np.sqrt(np.mean(turning**2))))
+    other = abs(size - 1.0) > max(_PHASE, _SURE * error / float(np.sqrt(power / len(time))))
+    return OwnRate(lag, size) if late or other else None

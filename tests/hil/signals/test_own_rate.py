@@ -1,0 +1,75 @@
+"""A rate that a drive reports beside the deflection: used where it is the derivative, noticed where it is filtered."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ga.model.coupling import parse
+from hil.identification.identify import Search, identify
+from hil.identification.result import Identification
+from hil.recording.reader import Array
+from hil.recording.writer import Header, write
+from hil.signals.own_rate import own_rate
+
+TIME = np.arange(5000) / 500.0
+KC, BC = 0.3, 3e-3
+
+
+def moved() -> tuple[Array, Array]:
+    phases = np.random.default_rng(5).uniform(0.0, 2.0 * np.pi, 30)
+    speeds = 2.0 * np.pi * np.geomspace(0.2, 12.0, 30)
+    waves = 0.02 * np.exp(1j * (np.outer(TIME, speeds) + phases))
+    return waves.real.sum(axis=1), (1j * speeds * waves).real.sum(axis=1)
+
+
+ANGLE, RATE = moved()
+NOISE = np.random.default_rng(1).standard_normal((2, len(TIME)))
+
+
+def lagged(rate: Array, constant: float) -> Array:
+    keep = math.exp(-(TIME[1] - TIME[0]) / constant)
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], rate))
+
+
+def delayed(rate: Array, delay: float) -> Array:
+    return np.interp(TIME - delay, TIME, rate)
+
+
+def identified(path: Path, rate: Array) -> Identification:
+    torque = KC * ANGLE + BC * RATE + 1e-3 * NOISE[0]
+    channels = {"time": TIME, "torque": torque, "dtheta": ANGLE, "dtheta_dot": rate}
+    write(path, Header(profile={}, stand_toml=""), channels)
+    return identify([path], parse("linear+offset"), Search(trials=1, seed=0, workers=1))
+
+
+@pytest.mark.parametrize("late", [3e-3, 0.015])
+def test_a_rate_that_is_late_is_noticed_with_its_lag(late: float) -> None:
+    found = own_rate(TIME, delayed(RATE, late) + 0.01 * NOISE[1], RATE, 12.0)
+    assert found is not None
+    assert found.lag == pytest.approx(late, rel=0.05)
+    assert found.size == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.5])
+def test_noise_of_a_reported_rate_is_no_lag(noise: float) -> None:
+    assert own_rate(TIME, RATE + noise * NOISE[1], RATE, 12.0) is None
+
+
+def test_kc_and_bc_do_not_follow_the_filter_of_a_drive(tmp_path: Path) -> None:
+    found = identified(tmp_path / "a.h5", lagged(RATE, 8e-3))
+    (said,) = [one.message for one in found.diagnostics if one.code == "filtered-rate"]
+    assert "ms late beside the derivative of the deflection" in said
+    assert found["Kc"].value == pytest.approx(KC, rel=5e-3)
+    assert found["Bc"].value == pytest.approx(BC, rel=0.03)
+    assert found.signals.rate_window > 0.0
+
+
+def test_a_rate_that_is_the_derivative_is_used(tmp_path: Path) -> None:
+    found = identified(tmp_path / "a.h5", RATE)
+    assert not any(one.code == "filtered-rate" for one in found.diagnostics)
+    assert found.signals.rate_window == 0.0
