@@ -7,6 +7,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
+from functools import cache
 from typing import Annotated, Any, NoReturn, cast
 
 import typer
@@ -106,13 +107,18 @@ def main() -> NoReturn:
     sys.exit(status)
 
 
+@cache
+def _commands() -> Any:
+    """Return all commands with their options, which take longer to build than most commands to run."""
+    return typer.main.get_command(app)
+
+
 def run(words: list[str]) -> int:
     """Run a command and return its exit status. "--debug" and "--quiet" may be anywhere among the words."""
     be_quiet("--quiet" in words)
     try:
-        answer = app(
-            [word for word in words if word not in {"--debug", "--quiet"}], prog_name="hil", standalone_mode=False
-        )
+        parsed = [word for word in words if word not in {"--debug", "--quiet"}]
+        answer = _commands().main(parsed, prog_name="hil", standalone_mode=False)
     except _UsageError as error:
         say(_usage(error))
         return WRONG_USE
