@@ -168,7 +168,7 @@ def measured(rate: float, times: int, rng: random.Random, *, both: bool) -> list
     """Return what `times` kills at random instants lost."""
     found: list[Lost] = []
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(2 * times + 10):
+        for number in range(20 * times):
             lost = trial(Path(folder) / f"run{number}.h5", rate, rng.uniform(0.0, LONGEST), both=both)
             found += [] if lost is None else [lost]
             if len(found) == times:

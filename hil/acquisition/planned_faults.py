@@ -6,7 +6,7 @@ import os
 import signal
 
 from hil.acquisition.sink import Sink
-from hil.errors import Untrustworthy, WrongUse
+from hil.errors import Untrustworthy
 from hil.recording.background import BackgroundWriter
 from hil.recording.channels import Row
 from hil.recording.writer import RecordingWriter
@@ -14,10 +14,7 @@ from sim_backend.fault_plan import PlannedFault
 
 
 class FaultyHost:
-    """The faults of `FaultyServo` that are not the servo's; `sink` is what the recorder writes to.
-
-    Raises WrongUse where a fault needs time that is real.
-    """
+    """The faults of `FaultyServo` that are not the servo's; `sink` is what the recorder writes to."""
 
     def __init__(self) -> None:
         self._full = False
@@ -36,8 +33,6 @@ class FaultyHost:
             self._full = True
         elif isinstance(self._writer, BackgroundWriter):
             os.kill(self._writer.process, signal.SIGSTOP)
-        else:
-            raise WrongUse("disk-frozen: in virtual time nobody waits for a disk: add --realtime")
 
     def check(self) -> None:
         """Raise Untrustworthy where the disk is full."""

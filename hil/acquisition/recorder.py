@@ -55,7 +55,8 @@ class Outcome:
     late: ticks that began more than half a period after their time. missed: those of them that were skipped, since the
     next one was due already. error: the fault that ended it, None where it ran to its end or was stopped on request.
     signal: of that request. alarm: a sentence to show first, where the torque may still be on; "" otherwise. moved:
-    one that says where the recording is, where its file was removed during the run. phases: of the run.
+    one that says where the recording is, where its file was removed during the run or could not be made final. phases:
+    of the run.
     """
 
     samples: int = 0

@@ -75,6 +75,8 @@ def run(
     """
     host = FaultyHost()
     _check(stand, output, rerun, force=force)
+    if faults is not None and "disk-frozen" in faults.kinds() and not realtime:
+        raise WrongUse("disk-frozen: in virtual time nobody waits for a disk: add --realtime")
     with StopRequest().listening() as stop:
         servo, truth = _opened(stand, profile, (faults, host), seed=seed, realtime=realtime, guardian=guardian)
         outcome = Outcome()
@@ -205,6 +207,9 @@ def _finish(writer: Writer, outcome: Outcome, *, force: bool) -> Path:
         hint = "" if kept is None else f"\nThe run itself is safe: hil recover {kept} -o OTHER.h5"
         failure = WrongUse(f"{error}{hint}")
         failure.__cause__ = error
-        outcome.error = outcome.error or failure
+        if outcome.error is None:
+            outcome.error = failure
+        else:  # two things to say: why the run ended, and where its rows are
+            outcome.moved = str(failure)
         return kept or writer.final
     return writer.final

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -52,6 +54,8 @@ def record(
         _list_kinds(profiles=list_profiles)
         return
     chosen = _replayed(recording, backend, stand) if recording else options.stand_of(backend, stand)
+    if recording and duration is None:
+        duration = _length(recording, rate)
     if output is not None:
         check_output(output, force=force, inputs=[path for path in (stand, setpoints, faults) if path is not None])
     run = runs.record(
@@ -75,7 +79,7 @@ def record(
         command_line=command_line(),
         warn=print_diagnostics,
         alarm=say,
-        ended=_print_json if as_json else _print_line,
+        ended=partial(_print, as_json=as_json),
     )
     _end(run)
 
@@ -84,7 +88,6 @@ def _end(run: Run) -> None:
     """End the command with the status that the run asks for."""
     if run.outcome.signal:
         raise typer.Exit(128 + run.outcome.signal)
-    print_diagnostics([one for one in run.diagnostics if one.code in {"file-moved", "many-late"}])
     if not run.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)
 
@@ -97,8 +100,21 @@ def _replayed(recording: Path, backend: str | None, stand: Path | None) -> Stand
     return replayed(recording)
 
 
-def _print_json(run: Run) -> None:
-    print_json(run.as_json())
+def _length(recording: Path, rate: float) -> float:
+    """Return for how many s the rows of a recording last at `rate` Hz."""
+    from hil.recording.reader import Recording
+
+    with Recording(recording) as opened:
+        return (len(opened) - 1) / rate
+
+
+def _print(run: Run, *, as_json: bool) -> None:
+    """Print how a run went, a run that a fault ended too."""
+    if as_json:
+        print_json(run.as_json())
+    else:
+        _print_line(run)
+    print_diagnostics([one for one in run.diagnostics if one.code in {"file-moved", "many-late"}])
 
 
 def _print_line(run: Run) -> None:
@@ -115,7 +131,7 @@ def _print_lateness(run: Run) -> None:
     """Print how late the set-points were sent; nothing in virtual time, in which they are not."""
     from hil.report.formatting import engineering
 
-    if run.lateness[2] > _ROUNDING or run.outcome.missed:
+    if run.lateness[2] > _ROUNDING or (run.outcome.missed and math.isfinite(run.lateness[2])):
         median, most, largest = (engineering(value, "s", 2) for value in run.lateness)
         missed = f"{run.outcome.missed} ticks missed"
         detail(f"set-points late by {median} (median), {most} (99 %), {largest} at most; {missed}")

@@ -403,7 +403,6 @@ def test_a_signal_before_the_start_records_nothing(
         ("stuck-encoder", 3, "angle did not change"),
         ("over-temperature", 4, "winding reached 150"),
         ("disk-full", 1, "disk is full, as planned"),
-        ("disk-frozen", 2, "add --realtime"),
         ("kill", None, ""),
     ],
 )
@@ -427,6 +426,35 @@ def test_a_planned_fault_happens_in_a_run(
     assert words in capfd.readouterr().err
     with Recording(Path("a.h5")) as recording:
         assert 450 <= len(recording) <= 750
+
+
+def test_a_disk_that_does_not_answer_in_virtual_time_is_refused_before_anything_moves(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("plan.toml").write_text('[[fault]]\nkind = "disk-frozen"\nat = 1.0\n')
+    assert cli.run(["record", "--backend", "sim", "--faults", "plan.toml", "-o", "a.h5"]) == 2
+    assert "add --realtime" in capfd.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"]
+
+
+def test_a_run_that_a_fault_ends_says_where_its_rows_are_when_its_name_was_taken_meanwhile(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def finish(writer: RecordingWriter, end_reason: str, *, force: bool = False) -> Path:
+        writer.final.write_text("mine")
+        return finished(writer, end_reason, force=force)
+
+    finished = RecordingWriter.finish
+    monkeypatch.setattr(RecordingWriter, "finish", finish)
+    monkeypatch.chdir(tmp_path)
+    Path("plan.toml").write_text('[[fault]]\nkind = "over-temperature"\nat = 0.5\n')
+    assert cli.run(["record", "--backend", "sim", "--duration", "1", "--faults", "plan.toml", "-o", "a.h5"]) == 4
+    said = capfd.readouterr().err
+    assert "winding reached 150" in said
+    assert "a.h5 exists" in said
+    assert "hil recover a.h5.part -o OTHER.h5" in said
+    assert Path("a.h5").read_text() == "mine"
 
 
 def test_faults_are_planned_for_a_simulated_stand_only(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
