@@ -470,6 +470,20 @@ def test_a_rate_the_servo_cannot_answer_at_is_refused_before_the_motor_is_live(b
     assert bench.servo.limits is None
 
 
+def test_a_computer_that_is_busy_before_the_run_is_not_taken_for_a_slow_servo(bench: Bench) -> None:
+    class Delayed(SpringServo):
+        asked = 0
+
+        def exchange(self, command: Command) -> Sample:
+            sample = super().exchange(command)
+            self.asked += 1
+            self.clock.t += 0.016 * (self.limits is None and self.asked % 3 > 0)
+            return sample
+
+    bench.servo = Delayed()
+    assert bench.run().error is None
+
+
 def test_what_is_ignored_stays_ignored_and_what_ends_a_process_is_a_flag() -> None:
     """nohup has SIGHUP ignored; the run it shields must not be ended by a closed terminal."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
