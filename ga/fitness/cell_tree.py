@@ -3,6 +3,7 @@
 The fitness is convex and piecewise linear. Inside a cell most residuals torque_i - columns_i . genes keep their sign
 and collapse into p + 1 sums; only the undecided ones, whose zero plane crosses the cell, are looked at one by one. A
 cell is split, 4^p ways at a time, until 16 or fewer are undecided, so a chromosome costs what its leaf costs, not n.
+Rows that are alike are decided and listed in groups (`ga.fitness.row_groups`), so that a split does not cost n either.
 
 The numbers in a cell depend on the cell alone, never on the way the search came: the tree is a cache of a pure
 function. It may be thrown away at any time, which is what bounds its memory, and whoever asks gets the same bits.
@@ -24,13 +25,14 @@ from ga.fitness.cells import (
     LEAVES,
     NEXT_RECENT,
     RECENT,
+    ROWS,
     SHIFT,
     START,
     Tree,
     Vector,
 )
 from ga.fitness.dense import ROUNDING
-from ga.fitness.splitting import add_carrying, blocks_of, child_of, residual_at, row_of, split
+from ga.fitness.splitting import add_carrying, blocks_of, child_of, item_of, residual_at, rows_of, split
 
 
 @compiled_inline
@@ -114,10 +116,11 @@ def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
                 slope[k] -= np.sign(residual) * rows[k + 1, j]
     else:
         for i in range(tree.nodes[node, COUNT]):
-            row = row_of(tree, tree.nodes[node, START], i)
-            residual = residual_at(tree.rows[row], tree.place)
-            for k in range(p):
-                slope[k] -= np.sign(residual) * tree.rows[row, k + 1]
+            first, end = rows_of(tree, item_of(tree, node, i))
+            for row in range(first, end):
+                sign = np.sign(residual_at(tree.rows[row], tree.place))
+                for k in range(p):
+                    slope[k] -= sign * tree.rows[row, k + 1]
 
 
 @compiled_no_refcount
@@ -125,8 +128,9 @@ def _list_error(tree: Tree, node: int) -> float:
     """The sum of the absolute residuals of the rows that a cell without a leaf has not decided."""
     total = carry = 0.0
     for i in range(tree.nodes[node, COUNT]):
-        row = row_of(tree, tree.nodes[node, START], i)
-        total, carry = add_carrying(total, carry, abs(residual_at(tree.rows[row], tree.place)))
+        first, end = rows_of(tree, item_of(tree, node, i))
+        for row in range(first, end):
+            total, carry = add_carrying(total, carry, abs(residual_at(tree.rows[row], tree.place)))
     return total + carry
 
 
@@ -170,7 +174,7 @@ def _holds(tree: Tree, node: int) -> bool:
 @compiled_no_refcount
 def _descend(tree: Tree, limit: float) -> int:
     node: int = np.int64(0)  # type: ignore[assignment]  # with a plain 0 all below is compiled for that constant too
-    if tree.nodes[0, COUNT] <= LEAF:
+    if tree.nodes[0, ROWS] <= LEAF:
         return node
     while tree.nodes[node, KIND] == INNER:
         child = child_of(tree, node)

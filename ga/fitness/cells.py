@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import compiled
+from ga.fitness.row_groups import arranged, group
 from ga.samples import check, resolution
 
 if TYPE_CHECKING:
@@ -37,12 +38,15 @@ _FINEST: Final = 1e-6
 """The least part of the largest direction's weight that a direction is given: collinear columns have one of none."""
 
 _LISTED: Final = 1 << 26
-"""Places for undecided rows, 256 MiB, beyond which no more are provided than are needed."""
+"""Places for undecided rows and groups, 256 MiB, beyond which no more are provided than are needed."""
 
 _NODES: Final = 1 << 16
 
-PARENT, CODE, SHIFT, START, COUNT, KIND, CELL = range(7)
-"""Columns of `nodes`; from CELL on come the p coordinates of the cell in units of its own size."""
+_WAITING: Final = 256  # groups: eight of each level
+
+PARENT, CODE, SHIFT, START, COUNT, ROWS, KIND, CELL = range(8)
+"""Columns of `nodes`: COUNT rows and groups are listed from START on, with ROWS rows in all; from CELL on come the p
+coordinates of the cell in units of its own size."""
 
 INNER, LEAVES, LIST = range(3)
 """Kinds: to be split; rows copied to `leaves`; too small to split, rows in `undecided`."""
@@ -55,13 +59,16 @@ class Tree(NamedTuple):
     """The data, and the cells grown so far. One thread at a time may use it; `another` makes one over the same data.
 
     rows: (n, p + 2), the residual at the origin, the columns, and how fast the residual can change as v moves in the
-    largest of its coordinates. length: how many samples the mean is over. floor: N m, the least fitness that relative
-    comparisons divide by. origin (p,), forward and backward (p, p), its inverse: the change of coordinates. corner (p,)
-    and width: the root cube. blur: by how much cells overlap, against rounding.
+    largest of its coordinates; rows that are alike stand together. groups (m, 2 p + 4) and contents (m, 4): of these,
+    as `ga.fitness.row_groups.group` returns them. length: how many samples the mean is over. floor: N m, the least
+    fitness that relative comparisons divide by. origin (p,), forward and backward (p, p), its inverse: the change of
+    coordinates. corner (p,) and width: the root cube. blur: by how much cells overlap, against rounding.
     The rest is working space.
     """
 
     rows: Matrix
+    groups: Matrix
+    contents: NDArray[np.int32]
     length: int
     floor: float
     origin: Vector
@@ -82,8 +89,10 @@ class Tree(NamedTuple):
     total: Vector
     left: Vector
     centre: Vector
+    middle: Vector
     carry: Vector
     part: Vector
+    stack: Whole
 
 
 def grow(columns: Matrix, torque: Vector, bounds: Bounds) -> Tree:
@@ -98,12 +107,16 @@ def grow(columns: Matrix, torque: Vector, bounds: Bounds) -> Tree:
     backward = np.asarray(np.linalg.inv(forward), dtype=np.float64)
     extent = 1.001 * float((np.abs(forward) @ half).max())
     centre = forward @ (bounds.low + half - origin)
+    order = arranged(torque - columns @ origin, columns @ backward)
     rows = np.empty((len(torque), columns.shape[1] + 2))
-    fill(columns, torque, origin, backward, rows)
+    fill(columns, torque, origin, backward, order, rows)
+    groups, contents = group(rows, backward)
     condition = float((np.abs(forward) @ np.abs(backward)).sum(axis=1).max())
     blur = 8.0 * float(np.finfo(np.float64).eps) * condition * (extent + float(np.abs(centre).max()))
     return Tree(
         rows=rows,
+        groups=groups,
+        contents=contents,
         length=len(torque),
         floor=resolution(torque),
         origin=origin,
@@ -124,7 +137,7 @@ def another(tree: Tree) -> Tree:
 def _space(n: int, p: int) -> dict[str, Any]:
     """The working space of a tree over n samples of p columns, with the root alone."""
     nodes = np.zeros((_NODES, CELL + p), np.int64)
-    nodes[0, SHIFT], nodes[0, START], nodes[0, COUNT] = BITS, -1, n  # a start of -1: all rows
+    nodes[0, SHIFT], nodes[0, START], nodes[0, COUNT], nodes[0, ROWS] = BITS, -1, 1, n  # a start of -1: the last group
     return {
         "nodes": nodes,
         "sums": np.zeros((_NODES, p + 1)),
@@ -139,8 +152,10 @@ def _space(n: int, p: int) -> dict[str, Any]:
         "total": np.empty(LANES),
         "left": np.empty(LANES),
         "centre": np.empty(p),
+        "middle": np.empty(p),
         "carry": np.empty(p + 1),
         "part": np.empty(p + 1),
+        "stack": np.empty(_WAITING, np.int64),
     }
 
 
@@ -175,16 +190,19 @@ def _orthogonal_coordinates(columns: Matrix, half: Vector) -> Matrix:
 
 
 @compiled
-def fill(columns: Matrix, torque: Vector, origin: Vector, backward: Matrix, rows: Matrix) -> None:
-    """Fill in the rows of a tree."""
+def fill(  # noqa: PLR0917 - compiled functions take their parts by position
+    columns: Matrix, torque: Vector, origin: Vector, backward: Matrix, order: Whole, rows: Matrix
+) -> None:
+    """Fill in the rows of a tree, in an order (n,)."""
     n, p = columns.shape
     for i in range(n):
-        residual, speed = torque[i], 0.0
+        column = columns[order[i]]
+        residual, speed = torque[order[i]], 0.0
         for k in range(p):
-            residual -= columns[i, k] * origin[k]
-            rows[i, k + 1] = columns[i, k]
+            residual -= column[k] * origin[k]
+            rows[i, k + 1] = column[k]
             along = 0.0
             for j in range(p):
-                along += columns[i, j] * backward[j, k]
+                along += column[j] * backward[j, k]
             speed += abs(along)
         rows[i, 0], rows[i, p + 1] = residual, speed

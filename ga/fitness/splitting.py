@@ -20,6 +20,7 @@ from ga.fitness.cells import (
     LIST,
     PARENT,
     RECENT,
+    ROWS,
     SHIFT,
     START,
     USED_LEAVES,
@@ -28,13 +29,13 @@ from ga.fitness.cells import (
     Tree,
     Vector,
 )
-
-_FEW: Final = 256
-_MANY: Final = 16
-"""Rows that show whether a cell is worth its own list, where there are many times as many to go through for one."""
+from ga.fitness.row_groups import END_ROW, FAN, FIRST_PART, FIRST_ROW, PARTS
 
 _TOGETHER: Final = 64
 """Rows that are added up before their sum is added with what its rounding takes."""
+
+_RESOLVED: Final = 500
+"""Of a cell's rows, the part that is small enough to be listed as a group some of whose rows have one sign."""
 
 _STEP: Final = 2
 """Binary digits that a cell is shorter than its parent, in each direction."""
@@ -47,9 +48,19 @@ def blocks_of(tree: Tree, node: int) -> int:
 
 
 @compiled_inline
-def row_of(tree: Tree, start: int, i: int) -> int:
-    """The row that is number i of a list; a list that starts before 0 is of all rows."""
-    return i if start < 0 else tree.undecided[start + i]
+def item_of(tree: Tree, node: int, i: int) -> int:
+    """The row or group that is number i in a cell's list."""
+    start = tree.nodes[node, START]
+    return len(tree.rows) + len(tree.contents) - 1 if start < 0 else tree.undecided[start + i]
+
+
+@compiled_inline
+def rows_of(tree: Tree, item: int) -> tuple[int, int]:
+    """The first row of a row or group, and the one behind its last."""
+    group = item - len(tree.rows)
+    if group < 0:
+        return item, item + 1
+    return tree.contents[group, FIRST_ROW], tree.contents[group, END_ROW]
 
 
 @compiled_inline
@@ -101,9 +112,9 @@ def child_of(tree: Tree, node: int) -> int:
 @compiled_no_refcount
 def split(tree: Tree, node: int) -> int:
     """Grow the part of a cell that the place is in; the root, all else forgotten, where there is no room."""
-    count, p = tree.nodes[node, COUNT], tree.at.size
+    rows, p = tree.nodes[node, ROWS], tree.at.size
     no_node = tree.used[USED_NODES] == len(tree.nodes)
-    no_list = tree.used[USED_UNDECIDED] + count > tree.undecided.size
+    no_list = tree.used[USED_UNDECIDED] + rows > tree.undecided.size
     no_leaf = tree.used[USED_LEAVES] + LEAF // LANES > len(tree.leaves)
     if no_node or no_list or no_leaf:
         _forget(tree)
@@ -115,19 +126,21 @@ def split(tree: Tree, node: int) -> int:
     tree.nodes[child, PARENT], tree.nodes[child, CODE], tree.nodes[child, SHIFT] = node, code, shift
     for k in range(p):
         tree.nodes[child, CELL + k] = tree.at[k] >> shift
-    reach = _enter(tree, child)
-    left = count if _is_wide(tree, node, reach) else _settle(tree, node, child, reach)
     tree.nodes[child, KIND], tree.nodes[child, START] = INNER, tree.used[USED_UNDECIDED]
-    tree.nodes[child, COUNT] = left
+    reach, small = _enter(tree, child), rows // _RESOLVED
+    while _settle(tree, node, child, reach, small) > rows // 4:  # smaller groups would decide more
+        small //= FAN
+    left = tree.nodes[child, ROWS]
     if left <= LEAF:
         _copy_leaf(tree, child)
         return child  # type: ignore[no-any-return]  # int in numba
-    if 2 * left > count:  # not worth a list of its own
+    if 2 * left > rows:  # not worth a list of its own
         for k in range(p + 1):
             tree.sums[child, k] = tree.sums[node, k]
-        tree.nodes[child, START], tree.nodes[child, COUNT] = tree.nodes[node, START], count
+        for k in (START, COUNT, ROWS):
+            tree.nodes[child, k] = tree.nodes[node, k]
     else:
-        tree.used[USED_UNDECIDED] += left
+        tree.used[USED_UNDECIDED] += tree.nodes[child, COUNT]
     if shift < _STEP:
         tree.nodes[child, KIND] = LIST
     return child  # type: ignore[no-any-return]  # int in numba
@@ -145,56 +158,95 @@ def _forget(tree: Tree) -> None:
 
 @compiled_no_refcount
 def _enter(tree: Tree, child: int) -> float:
-    """Set `centre` to a cell's; returns how far v may be from it in each coordinate."""
+    """Set `middle`, in v, and `centre`, in genes, to a cell's; returns how far v may be from it in each coordinate."""
     p = tree.at.size
     half = tree.width * 2.0 ** (tree.nodes[child, SHIFT] - BITS - 1.0)
+    for k in range(p):
+        tree.middle[k] = tree.corner[k] + half * (2.0 * tree.nodes[child, CELL + k] + 1.0)
     for j in range(p):
         tree.centre[j] = 0.0
         for k in range(p):
-            v = tree.corner[k] + half * (2.0 * tree.nodes[child, CELL + k] + 1.0)
-            tree.centre[j] += tree.backward[j, k] * v
+            tree.centre[j] += tree.backward[j, k] * tree.middle[k]
     return half * (1.0 + 1e-9) + tree.blur  # type: ignore[no-any-return]  # float in numba
 
 
-@compiled_inline
-def _is_wide(tree: Tree, node: int, reach: float) -> bool:
-    """Whether most of a few of the parent's rows may have either sign within reach: then so may most of all."""
-    count, wide = tree.nodes[node, COUNT], 0
-    if count < _MANY * _FEW:
-        return False
-    for i in range(_FEW):
-        row = row_of(tree, tree.nodes[node, START], i * (count // _FEW))
-        if abs(residual_at(tree.rows[row], tree.centre)) < reach * tree.rows[row, tree.at.size + 1]:
-            wide += 1
-    return 2 * wide > _FEW
-
-
 @compiled_no_refcount
-def _settle(tree: Tree, node: int, child: int, reach: float) -> int:
-    """Sum up the parent's rows that have one sign throughout the child, list the others; returns how many those are.
+def _settle(tree: Tree, node: int, child: int, reach: float, small: int) -> int:
+    """Sum up the parent's rows that have one sign throughout the child, list the others.
 
-    centre, reach: where the child is, as `_enter` gives.
+    centre, middle, reach: where the child is, as `_enter` gives. A group in which some rows may have one sign and some
+    either is looked at part by part, unless it is small; returns the rows of those that are.
     """
-    p, part = tree.at.size, tree.part
+    p, free, listed, rows, added, unsure = tree.at.size, tree.used[USED_UNDECIDED], 0, 0, 0, 0
     for k in range(p + 1):
-        tree.sums[child, k], tree.carry[k], part[k] = tree.sums[node, k], 0.0, 0.0
-    free, left = tree.used[USED_UNDECIDED], 0
+        tree.sums[child, k], tree.carry[k], tree.part[k] = tree.sums[node, k], 0.0, 0.0
     for i in range(tree.nodes[node, COUNT]):
-        row = row_of(tree, tree.nodes[node, START], i)
-        residual = residual_at(tree.rows[row], tree.centre)
-        if abs(residual) < reach * tree.rows[row, p + 1]:
-            tree.undecided[free + left] = row
-            left += 1
-        else:
-            sign = 1.0 if residual >= 0.0 else -1.0
-            for k in range(p + 1):
-                part[k] += sign * tree.rows[row, k]
-        if i % _TOGETHER == _TOGETHER - 1:
-            _add_part(tree, child)
+        tree.stack[0], waiting = item_of(tree, node, i), 1
+        while waiting > 0:
+            waiting -= 1
+            item = tree.stack[waiting]
+            group = item - len(tree.rows)
+            sign = _sign_of(tree, item, reach)
+            if sign != 0.0:
+                values = tree.rows[item] if group < 0 else tree.groups[group]
+                for k in range(p + 1):
+                    tree.part[k] += sign * values[k]
+                added += 1
+                if added % _TOGETHER == 0:
+                    _add_part(tree, child)
+                continue
+            first, end = rows_of(tree, item)
+            is_open = group < 0 or _is_open(tree, group, reach)
+            if is_open or end - first <= small:
+                tree.undecided[free + listed] = item
+                listed += 1
+                rows += end - first
+                unsure += 0 if is_open else end - first
+            else:
+                for part in range(tree.contents[group, PARTS]):
+                    tree.stack[waiting] = tree.contents[group, FIRST_PART] + part
+                    waiting += 1
     _add_part(tree, child)
     for k in range(p + 1):
         tree.sums[child, k] += tree.carry[k]
-    return left
+    tree.nodes[child, COUNT], tree.nodes[child, ROWS] = listed, rows
+    return unsure
+
+
+@compiled_inline
+def _sign_of(tree: Tree, item: int, reach: float) -> float:
+    """The sign that the residuals of a row or group have throughout a cell, 0 where none is known."""
+    group, p = item - len(tree.rows), tree.at.size
+    if group < 0:
+        residual, needed = residual_at(tree.rows[item], tree.centre), reach * tree.rows[item, p + 1]
+    else:
+        residual, needed = _mean_at(tree, group), reach * tree.groups[group, 2 * p + 3] + _spread_at(tree, group)
+    if abs(residual) < needed:
+        return 0.0
+    return 1.0 if residual >= 0.0 else -1.0
+
+
+@compiled_inline
+def _is_open(tree: Tree, group: int, reach: float) -> bool:
+    """Whether all rows of a group may have either sign in a cell."""
+    return abs(_mean_at(tree, group)) + _spread_at(tree, group) < reach * tree.groups[group, 2 * tree.at.size + 2]  # type: ignore[no-any-return]  # bool in numba
+
+
+@compiled_inline
+def _mean_at(tree: Tree, group: int) -> float:
+    """The mean residual of a group's rows at the centre of a cell, N m."""
+    size = tree.contents[group, END_ROW] - tree.contents[group, FIRST_ROW]
+    return residual_at(tree.groups[group], tree.centre) / size  # type: ignore[no-any-return]  # float in numba
+
+
+@compiled_inline
+def _spread_at(tree: Tree, group: int) -> float:
+    """How far the residual of any of a group's rows can be from their mean there, N m."""
+    p = tree.at.size
+    spread = tree.groups[group, p + 1]
+    for k in range(p):
+        spread += tree.groups[group, p + 2 + k] * abs(tree.middle[k])
+    return spread  # type: ignore[no-any-return]  # float in numba
 
 
 @compiled_no_refcount
@@ -208,11 +260,17 @@ def _add_part(tree: Tree, node: int) -> None:
 @compiled_no_refcount
 def _copy_leaf(tree: Tree, node: int) -> None:
     """Copy a leaf's rows side by side, in blocks of eight, filled up with rows of nothing."""
-    p, count, listed = tree.at.size, tree.nodes[node, COUNT], tree.nodes[node, START]
-    start, blocks = tree.used[USED_LEAVES], blocks_of(tree, node)
-    for i in range(blocks * LANES):
+    p, items, rows = tree.at.size, tree.nodes[node, COUNT], tree.nodes[node, ROWS]
+    start, blocks = tree.used[USED_LEAVES], (rows + LANES - 1) // LANES
+    for i in range(rows, blocks * LANES):
         for k in range(p + 1):
-            number = tree.rows[tree.undecided[listed + i], k] if i < count else 0.0
-            tree.leaves[start + i // LANES, k, i % LANES] = number
-    tree.nodes[node, KIND], tree.nodes[node, START] = LEAVES, start
+            tree.leaves[start + i // LANES, k, i % LANES] = 0.0
+    at = 0
+    for i in range(items):
+        first, end = rows_of(tree, item_of(tree, node, i))
+        for row in range(first, end):
+            for k in range(p + 1):
+                tree.leaves[start + at // LANES, k, at % LANES] = tree.rows[row, k]
+            at += 1
+    tree.nodes[node, KIND], tree.nodes[node, START], tree.nodes[node, COUNT] = LEAVES, start, rows
     tree.used[USED_LEAVES] += blocks

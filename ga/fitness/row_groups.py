@@ -1,0 +1,150 @@
+"""The rows of a cell tree in groups of rows that are alike, and these in groups again: most are decided as a whole.
+
+Rows are alike whose residuals at the origin and whose columns are: then so are their residuals at any place nearby. A
+group has one sign throughout a cell where the mean of its residuals is further from zero than any of them can be from
+that mean there. What a cell costs to grow then depends on the boundary between its signs, and little on the number of
+rows. The idea is that of a ball tree (Omohundro 1989).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from ga.compiled import compiled, compiled_no_refcount
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    Matrix = NDArray[np.float64]
+    Whole = NDArray[np.int64]
+
+FAN: Final = 8
+"""Groups in a group, and rows in the smallest."""
+
+FIRST_PART, PARTS, FIRST_ROW, END_ROW = range(4)
+"""Columns of `contents`."""
+
+_LEVELS: Final = 64  # ranges that wait to be divided: one a level
+
+
+def arranged(residuals: Vector, along: Matrix) -> Whole:
+    """Return the order (n,) in which rows that are alike stand together, in ranges that `group` takes.
+
+    residuals: (n,) N m, at the origin. along: (n, p), the columns in the coordinates of the cells, of mean square one.
+    The mean residual is the unit of the others: in cells of that size a fit is looked for.
+    """
+    size = float(np.mean(np.abs(residuals))) or 1.0
+    points = np.column_stack([residuals / size, along, np.arange(len(along), dtype=np.float64)])
+    sort(points, np.empty((_LEVELS, 2), np.int64))
+    return points[:, -1].astype(np.int64)
+
+
+def group(rows: Matrix, backward: Matrix) -> tuple[Matrix, NDArray[np.int32]]:
+    """Return the groups of arranged rows (n, p + 2) of a tree, each after those it holds, the last one of all rows.
+
+    A row is known by its number, a group by n and its own.
+    values: (m, 2 p + 4), the sum of the rows, how far their residual at the origin and their columns in the coordinates
+    of the cells are from the mean, and the least and the largest of their speeds. contents: (m, 4), the first of its
+    parts and their number, its first row and the one behind its last.
+    """
+    n, p = len(rows), rows.shape[1] - 2
+    counts = [-(-n // FAN)]
+    while counts[-1] > 1:
+        counts.append(-(-counts[-1] // FAN))
+    contents = np.empty((sum(counts), 4), np.int32)
+    first, below, below_at, reach = 0, n, 0, FAN
+    for count in counts:
+        number, level = np.arange(count), contents[first : first + count]
+        level[:, FIRST_PART] = below_at + number * FAN
+        level[:, PARTS] = np.minimum(FAN, below - number * FAN)
+        level[:, FIRST_ROW], level[:, END_ROW] = number * reach, np.minimum(number * reach + reach, n)
+        first, below, below_at, reach = first + count, count, n + first, reach * FAN
+    values = np.zeros((len(contents), 2 * p + 4))
+    measure(rows, backward, contents, values)
+    return values, contents
+
+
+@compiled_no_refcount
+def sort(points: Matrix, waiting: Whole) -> None:
+    """Order points (n, d + 1), of which the last number is carried along, by halves of the direction they are longest
+    in.
+
+    Ranges are cut at multiples of a power of FAN, so that every group is a range. waiting: working space.
+    """
+    waiting[0, 0], waiting[0, 1], left = 0, len(points), 1
+    while left > 0:
+        left -= 1
+        begin, end = waiting[left, 0], waiting[left, 1]
+        unit = FAN
+        while unit * FAN < end - begin:
+            unit *= FAN
+        blocks = (end - begin + unit - 1) // unit
+        if blocks < 2:
+            continue
+        middle = begin + unit * (blocks // 2)
+        _part(points, begin, end, middle, _longest(points, begin, end))
+        waiting[left, 0], waiting[left, 1] = begin, middle
+        waiting[left + 1, 0], waiting[left + 1, 1] = middle, end
+        left += 2
+
+
+@compiled_no_refcount
+def _longest(points: Matrix, begin: int, end: int) -> int:
+    """The direction in which the points of a range are furthest apart."""
+    longest, found = -1.0, 0
+    for k in range(points.shape[1] - 1):
+        low = high = points[begin, k]
+        for i in range(begin, end):
+            low, high = min(low, points[i, k]), max(high, points[i, k])
+        if high - low > longest:
+            longest, found = high - low, k
+    return found
+
+
+@compiled_no_refcount
+def _part(points: Matrix, begin: int, end: int, middle: int, k: int) -> None:
+    """Bring the points with the smallest number k of a range before `middle` (Hoare 1961)."""
+    low, high = begin, end - 1
+    while low < high:
+        pivot, i, j = points[(low + high) // 2, k], low, high
+        while i <= j:
+            while points[i, k] < pivot:
+                i += 1
+            while points[j, k] > pivot:
+                j -= 1
+            if i <= j:
+                for m in range(points.shape[1]):
+                    points[i, m], points[j, m] = points[j, m], points[i, m]
+                i += 1
+                j -= 1
+        if j < middle:
+            low = i
+        if i > middle:
+            high = j
+
+
+@compiled
+def measure(rows: Matrix, backward: Matrix, contents: NDArray[np.int32], values: Matrix) -> None:
+    """Fill in the values of groups."""
+    n, p = rows.shape[0], rows.shape[1] - 2
+    mean = np.empty(p + 1)
+    for g in range(len(contents)):
+        value, at, size = values[g], contents[g, FIRST_PART], contents[g, END_ROW] - contents[g, FIRST_ROW]
+        for part in range(at, at + contents[g, PARTS]):
+            for k in range(p + 1):
+                value[k] += rows[part, k] if part < n else values[part - n, k]
+        for k in range(p + 1):
+            mean[k] = value[k] / size
+        value[2 * p + 2] = np.inf
+        for i in range(contents[g, FIRST_ROW], contents[g, END_ROW]):
+            value[p + 1] = max(value[p + 1], abs(rows[i, 0] - mean[0]))
+            for k in range(p):
+                off = 0.0
+                for j in range(p):
+                    off += (rows[i, j + 1] - mean[j + 1]) * backward[j, k]
+                value[p + 2 + k] = max(value[p + 2 + k], abs(off))
+            value[2 * p + 2] = min(value[2 * p + 2], rows[i, p + 1])
+            value[2 * p + 3] = max(value[2 * p + 3], rows[i, p + 1])
