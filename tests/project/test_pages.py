@@ -22,6 +22,7 @@ def test_the_commands_of_a_page_run_from_top_to_bottom(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # half of the time, and the README's is drawn
     for _, written, text in BLOCK.findall((DOCS / page).read_text(encoding="utf-8")):
         if written:
             Path(written).write_text(text + "\n", encoding="utf-8")

@@ -84,6 +84,7 @@ def test_the_commands_for_ones_own_stand_run_on_the_stand_file_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # that of the transcript is drawn
     text = block("stand", "toml")
     assert parse(text).sim.coupling.stiffness == 0.02
     (tmp_path / "stand.toml").write_text(text)
