@@ -180,7 +180,7 @@ def test_damaged_files_are_said_to_be_damaged(hil: Hil, make_recording: Maker) -
     data = make_recording("a.h5", samples=64).read_bytes()
     generator = random.Random(1)  # noqa: S311 - no secret
     seen = set()
-    for _ in range(30):
+    for _ in range(20):
         damaged = bytearray(data)
         for _ in range(generator.choice([0, 1, 4, 8, 64])):
             damaged[generator.randrange(len(data))] = generator.randrange(256)

@@ -55,7 +55,7 @@ def test_a_joint_that_the_model_describes_has_no_misfit(tmp_path: Path, capfd: p
 
 
 def test_the_stiffness_without_a_model_is_in_the_json(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    _, found = identified(capfd, recording(tmp_path / "a.h5", plain()))
+    _, found = identified(capfd, recording(tmp_path / "a.h5", plain()), "--model", "linear")
 
     dynamic = found["dynamic_stiffness"]
     assert dynamic["instrument"] == "command"
@@ -119,12 +119,11 @@ def test_the_report_draws_the_test(tmp_path: Path) -> None:
     assert "Does the model describe the recording?" in page.read_text()
 
 
-@pytest.mark.parametrize("zero", [2.0, -6.0])
 def test_where_an_encoder_has_its_zero_changes_neither_kc_nor_bc(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], zero: float
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     paths = [tmp_path / "far.h5", tmp_path / "further.h5"]
-    for path, shift in zip(paths, (zero, 3.0 * zero), strict=True):
+    for path, shift in zip(paths, (2.0, -6.0), strict=True):
         torque = plain() + 5e-4 * np.random.default_rng(0).standard_normal(len(TIME))
         channels = {"time": TIME, "torque": torque, "dtheta": multisine(TIME)[0] + shift}
         write(path, Header(profile={"kind": "prescribed"}, stand_toml=""), channels)

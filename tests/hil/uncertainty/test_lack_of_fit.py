@@ -72,9 +72,9 @@ WRONG = {
 
 @pytest.mark.parametrize("colour", ["white", "coloured", "heavy"])
 def test_a_model_that_describes_its_recording_is_not_rejected(colour: str) -> None:
-    rejected = sum(judged(PLAIN + noise(seed, colour)).misfit for seed in range(15))
+    rejected = sum(judged(PLAIN + noise(seed, colour)).misfit for seed in range(10))
 
-    assert rejected <= 1  # two of 15 come about once in 2,000 where one in 500 is rejected
+    assert rejected <= 1  # two of 10 come about once in 5,000 where one in 500 is rejected
 
 
 @pytest.mark.parametrize("effect", list(WRONG))
