@@ -21,7 +21,7 @@ from ga.model.terms import TERMS as TABLE
 from ga.model.trajectory import Motion as Signals
 from hil.experiment_design.response import Joint, Motion
 from hil.signals.savitzky_golay import kernel
-from hil.signals.windows import excited_band, narrowed, windows
+from hil.signals.windows import excited_band, hides_in_rate, narrowed, windows
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
@@ -159,7 +159,7 @@ class _Window:
         self.step = float(motion.time[1] - motion.time[0])
         slope, curvature = windows(motion.time, excited_band(motion.time, seen)[1])
         noise = angle_lsb / math.sqrt(12.0)
-        self.halves = narrowed(slope, self.step, noise, motion.dtheta_dot), curvature
+        self.halves = narrowed(slope, self.step, noise, hides_in_rate(motion.dtheta_dot)), curvature
         # the response at one sample to another's value: the slope's is odd, so the order matters
         self.slope, self.curvature = (
             kernel(half, order)[::-1] / self.step**order for order, half in zip((1, 2), self.halves, strict=True)

@@ -109,17 +109,21 @@ def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array) -> Ar
     from scipy.interpolate import CubicHermiteSpline
     from scipy.signal import oaconvolve
 
-    grid = np.linspace(time[0], time[-1], 1 + round((time[-1] - time[0]) / low_pass.step))
-    is_even = len(grid) == len(time) and bool(np.all(np.abs(grid - time) < _EVEN * low_pass.step))
-    even = values if is_even or len(time) < 2 * low_pass.near + 1 else _on_grid(grid, time, values, low_pass.near)
-    if len(even) != len(grid):  # too few to be used
-        return np.full((_SIGNALS, len(time)), np.nan)
-    padded = np.pad(even - even[0], low_pass.half, mode="edge")
-    found = np.array([oaconvolve(padded, kernel, mode="valid") for kernel in kernels])
-    found[0] += even[0]
-    if is_even:
+    def filtered(even: Array) -> Array:
+        padded = np.pad(even - even[0], low_pass.half, mode="edge")
+        found = np.array([oaconvolve(padded, kernel, mode="valid") for kernel in kernels])
+        found[0] += even[0]
         return found
-    value, slope, curvature = found
+
+    grid = np.linspace(time[0], time[-1], 1 + round((time[-1] - time[0]) / low_pass.step))
+    if len(grid) == len(time) and bool(np.all(np.abs(grid - time) < _EVEN * low_pass.step)):
+        return filtered(values)
+    if len(time) < 2 * low_pass.near + 1:
+        return np.full((_SIGNALS, len(time)), np.nan)
+    # the same grid whichever part of a recording is read
+    first, last = np.floor(time[0] / low_pass.step), np.ceil(time[-1] / low_pass.step)
+    grid = low_pass.step * np.arange(first, last + 1.0)
+    value, slope, curvature = filtered(_on_grid(grid, time, values, low_pass.near))
     return np.array(
         [
             CubicHermiteSpline(grid, value, slope)(time),

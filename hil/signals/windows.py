@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 _GAIN_ERROR = 3e-4  # of rate and acceleration, at the upper end of the band
 _NOISE = 0.01  # of the rate's RMS: so much noise in it lowers Bc by 0.01 %
+_HIDDEN = 0.3  # of the torque's own noise, that the rate's may add to it by way of Bc
+_KNOWN = 3e-4  # of the torque's deviation, to which the rate is accurate: less noise than this is not looked for
 _FAST = 0.9  # quantile of the speed above which a sample is a fast one
 _NARROWEST = 6  # samples on each side of a window
 _WIDEST = 250  # samples on each side of a window
@@ -24,6 +26,7 @@ _UNSURE, _BEYOND_NOISE = 0.01, 8.0  # of the r.m.s. rate, and times the usual di
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
 _LOOKED = 1 << 18  # samples that the noise of the deflection is held against the torque of
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
+_CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion are not white
 _TAPER = 0.02  # of a recording at each end
 
 
@@ -78,40 +81,65 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     rounding = count / float(np.sqrt(12.0))
     # few counts round in step with the motion, which makes lines far above it
     is_coarse = float(np.ptp(dtheta)) < FEW_COUNTS * count
-    band, floor = _band_and_floor(time, dtheta, rounding if is_coarse else 0.0)
+    spectrum = Spectrum.of(time, dtheta, rounding if is_coarse else 0.0)
+    band, floor = spectrum.band, spectrum.noise
     slope, curvature = windows(time, band[1])
     rate = local_polynomial(time, dtheta, slope, 1)
-    left = np.abs(dtheta - local_polynomial(time, dtheta, _NARROWEST, 0))
-    left *= 1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))
+    left = _noise_of(time, dtheta)
     known = np.isfinite(rate)  # a window across a long gap has no slope
+    some = slice(0, _LOOKED)
+    hidden = _hidden(*(values[some][known[some]] for values in (time, dtheta, torque, rate)))
     rate, left = rate[known], left[known]
     fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))
-    slope = max(narrowed(slope, step, noise, rate), narrowed(slope, step, fastest, rate[fast]))
-    found = Window(
-        slope, curvature, step, band, noise * _amplified(slope, step), max(min(noise, floor), rounding), count
+    of_deflection = max(min(noise, floor), rounding)
+    slope = max(
+        narrowed(slope, step, noise, hides_in_rate(rate)),
+        narrowed(slope, step, fastest, hides_in_rate(rate[fast])),
+        narrowed(slope, step, of_deflection, hidden),
     )
-    some = slice(0, _LOOKED)
+    found = Window(slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count)
     acceleration = local_polynomial(time[some], dtheta[some], curvature, 2)
     read, of_rate = Read(torque[some], dtheta[some], rate[some], acceleration, step), _amplified(slope, step)
     if not disturbs(read, found.of_deflection, found.of_deflection * of_rate):
         return found
-    low_pass = low_pass_for(time, band[1], min(slope, _NARROWEST))
+    low_pass = low_pass_for(time, spectrum.above_noise, min(slope, _NARROWEST))
     if low_pass is None:
         return found
     return replace(found, noise=float(low_pass.amplification()[1]) * found.of_deflection, low_pass=low_pass)
 
 
-def narrowed(slope: int, step: float, noise: float, rate: Array) -> int:
-    """Return the narrowest window, at most `slope` neighbours a side, whose noise is below 1 % of the rate's RMS.
+def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
+    """Return the narrowest window, at most `slope` neighbours a side, whose noise is below what is allowed, rad/s.
 
-    step: s between two samples; noise: rad, standard deviation of the deflection's; rate (n,) rad/s. A wide window
-    smooths away details, such as the kinks where the joint sticks, and lowers Bc.
+    step: s between two samples; noise: rad, standard deviation of the deflection's. A wide window smooths away
+    details, such as the kinks where the joint sticks, and lowers Bc.
     """
-    allowed = _NOISE * float(np.sqrt(np.mean(rate**2)))
     while slope > _NARROWEST and noise * _amplified(slope - 1, step) <= allowed:
         slope -= 1
     return slope
+
+
+def hides_in_rate(rate: Array) -> float:
+    """Return the noise, rad/s, that lowers the Bc of a rate (n,) rad/s by 0.01 %."""
+    return _NOISE * float(np.sqrt(np.mean(rate**2)))
+
+
+def _hidden(time: Array, dtheta: Array, torque: Array, rate: Array) -> float:
+    """The noise of the rate, rad/s, that cannot be seen beside that of the torque (n,) N m.
+
+    More of it would make up the residuals, in which it can be predicted from the deflection's readings.
+    """
+    columns = np.stack([np.ones_like(rate), dtheta, rate], axis=1)
+    damping = float(np.linalg.lstsq(columns, torque, rcond=None)[0][2])
+    own = max(float(np.nanmedian(_noise_of(time, torque))), _KNOWN * float(np.std(torque)))
+    return _HIDDEN * own / abs(damping) if damping else np.inf
+
+
+def _noise_of(time: Array, values: Array) -> Array:
+    """The distance (n,) of values from a narrow local polynomial, whose median is the deviation of normal noise."""
+    left = np.abs(values - local_polynomial(time, values, _NARROWEST, 0))
+    return np.asarray(left * (1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))))
 
 
 def _amplified(half: int, step: float) -> float:
@@ -153,30 +181,53 @@ def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
     It reaches from 1 % of the deflection's power at the lower end to 99 % of the rate's at the upper. The noise floor
     is the median density in the upper half of the spectrum.
     """
-    return _band_and_floor(time, dtheta)[0]
+    return Spectrum.of(time, dtheta).band
 
 
-def _band_and_floor(time: Array, dtheta: Array, least: float = 0.0) -> tuple[tuple[float, float], float]:
-    """The excited band, Hz, and the standard deviation of white noise, rad, that has the noise floor's density.
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """The spectrum of a deflection. frequency (n,) Hz, without zero; density (n,): smoothed; floor: that of its noise.
 
-    least: rad, white noise that the floor is at least made of.
-    Only the very ends are tapered, since a chirp is fastest at its end.
+    noise: rad, the standard deviation of white noise that has the floor's density.
     """
-    count = len(time)
-    uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
-    step = (time[-1] - time[0]) / (count - 1)
-    taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(count) + 0.5) / (_TAPER * count))) ** 2
-    spectrum = np.abs(np.fft.rfft((uniform - uniform.mean()) * taper * taper[::-1])) ** 2
-    frequency = np.fft.rfftfreq(count, step)
-    density = np.convolve(spectrum, np.full(5, 0.2), mode="same")
-    floor = float(np.median(density[len(density) // 2 :]))
-    of_white = _MEDIAN * float(np.sum((taper * taper[::-1]) ** 2))  # the density of white noise of 1 rad
-    floor = max(floor, least**2 * of_white)
-    noise = float(np.sqrt(floor / of_white))
-    excited = np.where(density > 10.0 * floor, density - floor, 0.0)[1:]
-    if not excited.any():
-        return (float(frequency[1]), float(frequency[-1])), noise
-    power, rate_power = np.cumsum(excited), np.cumsum(excited * frequency[1:] ** 2)
-    low = int(np.searchsorted(power, _LOW_SHARE * power[-1]))
-    high = int(np.searchsorted(rate_power, _HIGH_SHARE * rate_power[-1]))
-    return (float(frequency[1 + low]), float(frequency[1 + max(low, high)])), noise
+
+    frequency: Array
+    density: Array
+    floor: float
+    noise: float
+
+    @classmethod
+    def of(cls, time: Array, dtheta: Array, least: float = 0.0) -> Spectrum:
+        """Return that of readings (n,) rad at rising stamps (n,) s; least: rad, white noise that they have at least.
+
+        Only the very ends are tapered, since a chirp is fastest at its end.
+        """
+        count = len(time)
+        uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
+        step = (time[-1] - time[0]) / (count - 1)
+        taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(count) + 0.5) / (_TAPER * count))) ** 2
+        power = np.abs(np.fft.rfft((uniform - uniform.mean()) * taper * taper[::-1])) ** 2
+        density = np.convolve(power, np.full(5, 0.2), mode="same")
+        of_white = _MEDIAN * float(np.sum((taper * taper[::-1]) ** 2))  # the density of white noise of 1 rad
+        floor = max(float(np.median(density[len(density) // 2 :])), least**2 * of_white)
+        return cls(np.fft.rfftfreq(count, step)[1:], density[1:], floor, float(np.sqrt(floor / of_white)))
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """The excited band, Hz."""
+        excited = np.where(self.density > _CLEARLY * self.floor, self.density - self.floor, 0.0)
+        if not excited.any():
+            return float(self.frequency[0]), float(self.frequency[-1])
+        power, rate_power = np.cumsum(excited), np.cumsum(excited * self.frequency**2)
+        low = int(np.searchsorted(power, _LOW_SHARE * power[-1]))
+        high = int(np.searchsorted(rate_power, _HIGH_SHARE * rate_power[-1]))
+        return float(self.frequency[low]), float(self.frequency[max(low, high)])
+
+    @property
+    def above_noise(self) -> float:
+        """Up to where, Hz, the motion is clearly above the noise, the hundredth of its rate beyond the band too.
+
+        That hundredth of a random walk, or of corners, may be far above the noise of the torque.
+        """
+        gained = np.cumsum(self.density - _CLEARLY * self.floor)
+        return max(self.band[1], float(self.frequency[int(np.argmax(gained))]))

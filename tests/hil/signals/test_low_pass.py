@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 from hil.recording.reader import Array
 from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed
@@ -71,3 +72,32 @@ def test_only_noise_that_would_change_kc_or_bc_is_passed_through_it(noise: float
     torque = 0.3 * x + 3e-3 * v + 1e-3 * rng.standard_normal(len(TIME))
     window = window_for(TIME, x + noise * rng.standard_normal(len(TIME)), torque)
     assert (window.low_pass is not None) is passes
+
+
+def test_noise_of_the_rate_stays_below_that_of_the_torque() -> None:
+    """18 bits a turn at 3 kHz: a rate with noise of 1 % of it would be 7 times the noise of the torque."""
+    time, count = np.arange(9000) / 3000.0, 2.0 * np.pi / 2.0**18
+    phase, rng = 2.0 * np.pi * (0.7 * time + 1.4 * time**2), np.random.default_rng(0)
+    x, v = 0.035 * np.sin(phase), 0.035 * np.cos(phase) * 2.0 * np.pi * (0.7 + 2.8 * time)
+    damping, noise = 0.035, 1e-3 * float(np.std(x + 0.035 * v))
+    torque = x + damping * v + noise * rng.standard_normal(len(time))
+    window = window_for(time, count * np.round(x / count), torque)
+    _, rate, _ = window.moved(time, count * np.round(x / count))
+    sound = window.sound(time)
+    assert damping * float(np.std((rate - v)[sound])) < 0.5 * noise
+
+
+def test_the_low_pass_leaves_the_motion_beyond_the_band_that_is_above_the_noise() -> None:
+    """A random walk has 1 % of its rate beyond the excited band, which is far more than the noise of its angle."""
+    rng, count = np.random.default_rng(1), 2e-4
+    walk = sosfilt(
+        butter(2, 4.0, fs=700.0, output="sos"),
+        sosfilt(butter(1, 0.2, fs=700.0, output="sos"), rng.standard_normal(8000)),
+    )
+    time, x = np.arange(8000) / 700.0, walk / np.abs(walk).max()
+    v = np.gradient(x, time)
+    read = count * np.round(x / count)
+    window = window_for(time, read, x + 0.01 * v + 1e-3 * rng.standard_normal(len(time)))
+    assert window.low_pass is not None
+    found, _, _ = window.moved(time, read)
+    assert float(np.std((found - x)[window.sound(time)])) < count / np.sqrt(12.0)

@@ -122,8 +122,8 @@ def test_a_skew_of_the_model_is_corrected_with_the_other_parameters() -> None:
     fit = fitted(0.01, command=multisine(TIME), name="+skew")
     found = deflection_errors(fit)
     assert found.method == "instruments"
-    assert abs(relative(fit, found.change)[0]) < 0.01
-    assert abs(fit.nonlinear[0] + found.change[-1]) < 1e-3  # s; there is none
+    assert abs(relative(fit, found.change)[0]) < 0.015
+    assert abs(fit.nonlinear[0] + found.change[-1]) < 2e-3  # s, of 16.7 between two readings; there is none
 
 
 def test_where_the_encoder_has_its_zero_changes_nothing() -> None:
