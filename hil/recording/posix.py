@@ -7,10 +7,13 @@ import faulthandler
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+
+_DURABLE = 0.25  # s between two requests that the disk keep what it was given
 
 if sys.platform == "win32":
     import msvcrt
@@ -141,6 +144,16 @@ else:
         with suppress(OSError, ValueError):  # where there is no /proc, or the limit is lower already
             size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
             resource.setrlimit(resource.RLIMIT_AS, (size + memory, size + memory))
+
+
+def keep_durable(file: int, ended: threading.Event) -> OSError | None:
+    """Ask the disk four times a second to keep what an open file was given, until `ended`; return what failed."""
+    while not ended.wait(_DURABLE):
+        try:
+            os.fsync(file)
+        except OSError as error:
+            return error
+    return None
 
 
 def is_at(file: int, path: Path) -> bool:

@@ -27,12 +27,10 @@ from hil.recording.channels import END_MARK, ROW, Row, Rows
 from hil.recording.final import OVERHEAD, finalise, sign, write_attributes
 from hil.recording.integrity import EVENT, LIVE, packed, packed_array, packed_event
 from hil.recording.output import NameTaken, check_space, new_temporary, part_path, writing
-from hil.recording.posix import is_at, remove, sync_folder, take_name, write_at
+from hil.recording.posix import is_at, keep_durable, remove, sync_folder, take_name, write_at
 from hil.recording.reader import BLOCK, EVENTS, Array
 from hil.recording.rescue import rescue
 from hil.recording.ring import Ring
-
-_DURABLE = 0.25  # s between two requests that the disk keep what it was given
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +76,7 @@ class RecordingWriter:
         self._file: int | None = None
         self._failure: OSError | None = None
         self._closing = threading.Event()
-        self._syncer = threading.Thread(target=self._keep_durable, daemon=True)
+        self._syncer = threading.Thread(target=self._sync, daemon=True)
         with writing(self.path):
             if os.path.lexists(self.path):
                 raise _taken(self.path)
@@ -103,14 +101,10 @@ class RecordingWriter:
                 temporary.unlink()
         sync_folder(self.path.parent)
 
-    def _keep_durable(self) -> None:
-        # outside the control loop, which a slow disk must not stop
-        while not self._closing.wait(_DURABLE) and self._file is not None:
-            try:
-                os.fsync(self._file)
-            except OSError as error:
-                self._failure = error  # the next row that is written raises it
-                return
+    def _sync(self) -> None:
+        # outside the control loop, which a slow disk must not stop; the next row that is written raises the failure
+        if self._file is not None:
+            self._failure = keep_durable(self._file, self._closing)
 
     @property
     def place(self) -> Place:

@@ -16,17 +16,17 @@ import zlib
 from contextlib import suppress
 from pathlib import Path
 
+from hil.recording.posix import keep_durable
 from hil.recording.ring import Ring
 
 _PAUSE = 5e-3  # s between two looks at the ring
-_DURABLE = 0.25  # s between two requests that the disk keep what it was given
 _DEAF_TO = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # meant for the recorder, which ramps down and closes us
 
 
 def write(ring: Ring, file: int, recorder: int) -> None:
     """Write the rows of `ring` to the open `file`, until the pipe `recorder` ends."""
     ended = threading.Event()
-    syncer = threading.Thread(target=_keep_durable, args=(ring, file, ended), daemon=True)
+    syncer = threading.Thread(target=_sync, args=(ring, file, ended), daemon=True)
     syncer.start()
     try:
         while not select.select([recorder], [], [], _PAUSE)[0]:
@@ -39,10 +39,11 @@ def write(ring: Ring, file: int, recorder: int) -> None:
 
 
 def finish(ring: Ring, file: int) -> None:
-    """Write what the recorder has left in `ring`, and remove its name. Raises OSError."""
+    """Write what the recorder has left in `ring`, durably, and remove its name. Raises OSError."""
     drain(ring, file)
     if not ring.closed:
         _note_death(ring, file)
+    os.fsync(file)
     ring.remove()
 
 
@@ -63,15 +64,9 @@ def _write(file: int, data: bytes, at: int) -> None:
         data, at = data[written:], at + written
 
 
-def _keep_durable(ring: Ring, file: int, ended: threading.Event) -> None:
-    last = False
-    while not last:
-        last = ended.wait(_DURABLE)
-        try:
-            os.fsync(file)
-        except OSError as error:
-            ring.failure = error.errno or 5
-            return
+def _sync(ring: Ring, file: int, ended: threading.Event) -> None:
+    if error := keep_durable(file, ended):
+        ring.failure = error.errno or 5
 
 
 def _note_death(ring: Ring, file: int) -> None:
