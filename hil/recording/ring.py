@@ -11,6 +11,7 @@ import mmap
 import os
 import stat
 import tempfile
+import time
 import uuid
 from contextlib import suppress
 from pathlib import Path
@@ -20,6 +21,7 @@ from hil.recording.posix import lock
 
 _HEADER = 128  # bytes, of 8 each
 _FOLDERS = ("/dev/shm", tempfile.gettempdir())  # noqa: S108 - memory; else a disk, for which a row may have to wait
+_KEPT = 7 * 86400.0  # s that rows which nobody recovers stay in memory
 _PUT, _TAKEN, _EVENTS_PUT, _EVENTS_TAKEN, _CLOSED, _FAILURE, _SHAPE = range(7)
 
 
@@ -56,8 +58,12 @@ class Ring:
 
     @classmethod
     def create(cls, shape: Shape, uid: str) -> Self:
-        """Return a new, empty one for the recording `uid`. Raises OSError where there is no room for it."""
+        """Return a new, empty one for the recording `uid`. Raises OSError where there is no room for it.
+
+        Those that runs of long ago have left and nobody has recovered are removed.
+        """
         for folder in _FOLDERS:
+            cls._remove_old(folder)
             path = _path(folder, uid)
             with suppress(OSError):
                 file = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
@@ -78,6 +84,15 @@ class Ring:
         if os.write(file, data) != len(data):  # all of it now: memory that is full would end the process later
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return cls(file, path)
+
+    @classmethod
+    def _remove_old(cls, folder: str) -> None:
+        for path in Path(folder).glob(_name("*")):
+            with suppress(OSError):
+                old = time.time() - path.stat().st_mtime > _KEPT
+                if old and (ring := cls.left(path.stem.partition("-")[2])):
+                    ring.remove()
+                    ring.close()
 
     @classmethod
     def left(cls, uid: str) -> Self | None:
@@ -193,4 +208,8 @@ class Ring:
 
 def _path(folder: str, uid: str) -> Path:
     """Return the name of the ring of the recording `uid`. Raises ValueError where that is not one that hil gives."""
-    return Path(folder, f"hil-{uuid.UUID(uid)}.rows")
+    return Path(folder, _name(str(uuid.UUID(uid))))
+
+
+def _name(uid: str) -> str:
+    return f"hil-{uid}.rows"

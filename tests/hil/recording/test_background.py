@@ -172,6 +172,19 @@ def test_rows_in_memory_are_left_alone_while_a_process_has_them_or_where_the_fil
         assert Ring.left(uid) is None
 
 
+def test_rows_in_memory_that_nobody_recovers_are_removed_after_a_week_unless_a_process_has_them(memory: Path) -> None:
+    shape = Shape(rows=4, row=8, events=3, event=4, rows_at=0, events_at=800)
+    new, old, used = (Ring.create(shape, str(uuid.uuid4())) for _ in range(3))
+    new.close()
+    old.close()
+    for ring in (old, used):
+        os.utime(ring.path, (0, time.time() - 8 * 86400))
+    latest = Ring.create(shape, str(uuid.uuid4()))
+    assert {path.name for path in memory.iterdir()} == {ring.path.name for ring in (new, used, latest)}
+    used.close()
+    latest.close()
+
+
 def test_the_death_of_the_writing_process_ends_the_run_and_costs_no_row(tmp_path: Path) -> None:
     with started(tmp_path) as writer:
         os.kill(pid(writer), signal.SIGKILL)
