@@ -82,7 +82,8 @@ def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     edges = np.concatenate([[0], changes, [len(angle)]])
     lasted = time[edges[1:] - 1] - time[edges[:-1]]
     found = np.zeros(len(angle), dtype=bool)
-    for at in np.flatnonzero(lasted > max(_LONGEST, _SLOWER * float(np.mean(np.sort(lasted)[:-1])))).tolist():
+    usual = float(lasted.sum() - lasted.max()) / (len(lasted) - 1)
+    for at in np.flatnonzero(lasted > max(_LONGEST, _SLOWER * usual)).tolist():
         rows = slice(int(edges[at]) + 1, int(edges[at + 1]))
         found[rows] = np.ptp(torque[rows]) > _MOVED * np.ptp(torque)
     return found

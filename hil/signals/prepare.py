@@ -19,6 +19,7 @@ from drivers.servo import Status
 from ga.model.trajectory import Motion
 from ga.model.trajectory import joined as one_after_the_other
 from hil.errors import Untrustworthy
+from hil.recording.ahead import ahead
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
@@ -174,10 +175,10 @@ def stream(recording: Recording, stand: StandTable | None, block: int = 1 << 18)
     """
     columns, window = _probed(recording, _columns_of(recording, stand))
     margin = 2 * window.widest + _MARGIN  # lost rows take room too
-    for start in range(0, len(recording), block):
-        stop = min(start + block, len(recording))
-        usable = _usable(recording, columns, max(0, start - margin), min(stop + margin, len(recording)))
-        yield _signals(usable, columns, window, (start, stop))
+    starts = range(0, len(recording), block)
+    around = ((max(0, start - margin), min(start + block + margin, len(recording))) for start in starts)
+    for start, usable in zip(starts, ahead(_usable(recording, columns, *rows) for rows in around), strict=True):
+        yield _signals(usable, columns, window, (start, min(start + block, len(recording))))
 
 
 def glimpse(recording: Recording, stand: StandTable | None, parts: int = 16, rows: int = 1 << 14) -> list[Signals]:
@@ -302,7 +303,7 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
         rate_window=0.0 if columns.rate_given else (2 * window.slope + 1) * window.step,
         window=None if columns.rate_given else window,
         torque_from="motor" if columns.motor_side else ("given" if columns.stand is None else "joint"),
-        slower=_slower(columns, angle, own, float(np.median(np.diff(stamps)))),
+        slower=_slower(columns, angle, own, stamps),
         refused_rate=columns.refused,
         unfiltered=_at_joint(usable.torque[kept], columns) if is_filtered else None,
     )
@@ -325,8 +326,8 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
     return at, found
 
 
-def _slower(columns: _Columns, angle: Readings, torque: Readings | None, step: float) -> tuple[Slower, ...]:
-    found = []
+def _slower(columns: _Columns, angle: Readings, torque: Readings | None, stamps: Array) -> tuple[Slower, ...]:
+    found, step = [], float(np.median(np.diff(stamps))) if columns.torque or columns.dtheta else np.nan
     if columns.torque is not None and torque is not None:
         found.append(Slower("torque", columns.torque, torque.step, step, torque.unsure))
     if columns.dtheta is not None:
