@@ -155,7 +155,7 @@ def _identified(
                 + judge(evidence)
                 + rivals(steps, found)
                 + deflection_diagnostics(evidence)
-                + misfit_diagnostics(data.choice.model.name, fit, dynamic)
+                + misfit_diagnostics(described, data.choice.model.name, fit, dynamic)
             ),
             signals=data.signals,
             fitted=data.used,

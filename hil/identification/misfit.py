@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.coupling import parse
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
 from hil.signals.prepare import Signals
+from hil.signals.torque_reading import seen_in_torque
 from hil.signals.windows import is_smooth
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
@@ -114,8 +116,13 @@ def without_model(described: Described) -> DynamicStiffness | None:
     return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
 
 
-def misfit_diagnostics(model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None) -> list[Diagnostic]:
-    """Return the warning or error about a model that does not describe its recording; none where it does."""
+def misfit_diagnostics(
+    described: Described, model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None
+) -> list[Diagnostic]:
+    """Return the warning or error about a model of that name that does not describe its recording; none where it does.
+
+    Where the torque's readings show what was done to them, that is the remedy, and not a term that looks like it.
+    """
     if found is None:
         return [
             Diagnostic(
@@ -126,7 +133,10 @@ def misfit_diagnostics(model: str, found: LackOfFit | None, dynamic: DynamicStif
         ]
     if not found.misfit:
         return []
-    parts = [_respects(model, found), _consequence(found), _remedy(found), _frequencies(dynamic)]
+    signals = described.signals
+    longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
+    remedy = seen_in_torque(signals, longest) or _remedy(found)
+    parts = [_respects(model, found), _consequence(found), remedy, _frequencies(dynamic)]
     message = "; ".join(part for part in parts if part)
     return [Diagnostic("misfit", message, found.affected, is_error=found.is_grave)]
 

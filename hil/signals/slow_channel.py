@@ -21,6 +21,8 @@ Kind = Literal["held", "joined"]
 
 _FEWEST: Final = 30  # readings, from which a sensor is judged
 _REPEATS: Final = 0.2  # part of the samples on the move that repeat, from which readings are held
+_UNEVEN: Final = 0.35  # of a pace, by which it varies at most
+_ODD: Final = 0.1  # ticks squared, by which chance varies it
 _MOVING: Final = 2.0  # counts a tick, at which a fast sensor would not show the same count again
 _ROUNDING: Final = 1e-9  # of a range, below which a difference is rounding
 _OFF_PACE: Final = 0.6  # of the time between two ticks, by which a reading may be off an even pace
@@ -125,7 +127,17 @@ def _is_held(values: Array, count: float) -> bool:
         return False
     moved = np.abs(values[2 * reach :] - values[: -2 * reach]) / (2.0 * reach)
     repeats = (values[reach:-reach] == values[reach - 1 : -reach - 1])[moved > _MOVING * count]
-    return len(repeats) >= _FEWEST and bool(np.mean(repeats) > _REPEATS)
+    return len(repeats) >= _FEWEST and bool(np.mean(repeats) > _REPEATS) and _is_paced(np.diff(changes))
+
+
+def _is_paced(ticks: NDArray[np.int64]) -> bool:
+    """Whether readings that last so many ticks (m,) each come at a pace, and do not now and then repeat, as medians do.
+
+    A reading at an even pace lasts one of two neighbouring numbers of ticks.
+    """
+    usual = np.minimum(ticks, 3.0 * np.median(ticks) + 6.0)  # counts that repeat at rest last longer
+    pace, part = float(usual.mean()), float(usual.mean()) % 1.0
+    return bool(np.var(usual) < part * (1.0 - part) + (_UNEVEN * pace) ** 2 + _ODD)
 
 
 def _held(time: Array, values: Array) -> Readings:
@@ -198,7 +210,8 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
     bends, tolerance = _bends(time, values), _tolerance(values, count)
     if count > _SMALL_COUNT * float(np.quantile(bends[1:-1], 0.9)):
         return False  # counts make straight lines too
-    on = bends <= tolerance
+    still = np.concatenate([[False], (values[1:-1] == values[:-2]) | (values[2:] == values[1:-1]), [False]])
+    on = (bends <= tolerance) & ~still
     runs = _runs(on)
     if len(runs) < _FEWEST:
         return False

@@ -1,0 +1,139 @@
+"""What stands between the torque and its readings, seen from the readings alone: a filter, a resampling, a delay.
+
+Such a reading is no torque of the coupling, and no model of the coupling describes it. The part of the torque that no
+linear filter of the deflection makes is noise, which passes what the torque passes: a moving mean takes out the
+multiples of one frequency, a curve through the readings of a slower cell everything above half its rate. A median
+repeats a reading now and then, where a slow cell repeats all of them. A delay is found where torque and deflection go
+best together.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.signals.prepare import Signals
+
+Array = NDArray[np.float64]
+
+_SEGMENT: Final = 1024  # samples of a segment of the spectrum, at most
+_SEGMENTS: Final = 8  # of that length at least that must fit
+_BEYOND: Final = 1.3  # times the upper end of the band, from where the torque is mostly noise
+_WHOLE: Final = 0.48  # of the sampling rate, up to where a spectrum is looked at
+_CLIFF: Final = 1e3  # of power lost within an octave, which a filter of the fourth order does not reach
+_EDGE: Final = 10.0  # of power lost, where the cliff begins
+_GAPS: Final = -1.0  # decades of power by which each gap of a moving mean is below what is beside it
+_LOBES: Final = 0.8  # decades of power, by which those between the gaps differ from a mean's
+_LONGEST_MEAN: Final = 120  # readings
+_REPEATS: Final = 0.03  # part of the readings, from which they are no chance
+_LATEST: Final = 0.2  # s, that a torque may be late
+_LATE: Final = 0.5  # of the power that is left, which a delay must explain
+_FINE: Final = 40.0  # delays that are tried in the shortest period
+
+
+def seen_in_torque(signals: Signals, longest: float) -> str:
+    """Return what the torque's readings went through and what to do, as a sentence; "" where nothing is seen.
+
+    longest: s, up to which the models of the coupling know a delay.
+    """
+    torque, motion = signals.as_read, signals.motion
+    step = float(np.median(np.diff(motion.time)))
+    if signals.slower or motion.part_of is not None or len(motion.starts) > 1:
+        return ""
+    found = _seen_in_noise(signals, step)
+    if found:
+        return found
+    if float(np.mean(np.diff(torque) == 0.0)) > _REPEATS and len(np.unique(torque)) > len(torque) // 2:
+        return (
+            "single readings of the torque repeat, as behind a median filter, which is no filter of one delay: switch "
+            "it off"
+        )
+    late = _delay(signals, step)
+    if late <= longest:
+        return ""
+    return (
+        f"torque and deflection go best together with the torque {1e3 * late:.3g} ms late, and a model knows at most "
+        f"{1e3 * longest:.2g} ms: take it off the time stamps of the torque, or look for what keeps its readings back"
+    )
+
+
+def _seen_in_noise(signals: Signals, step: float) -> str:
+    """What the noise of the torque shows of a resampling or a moving mean."""
+    length = min(_SEGMENT, len(signals) // _SEGMENTS)
+    frequency, power = _noise_spectrum(signals.as_read, signals.motion.dtheta, length, step)
+    looked = (frequency > _BEYOND * signals.band[1]) & (frequency < _WHOLE / step)
+    if np.count_nonzero(looked) <= _SEGMENTS:
+        return ""
+    if (edge := _cliff(frequency[1:], power[1:], signals.band[1])) is not None:
+        return (
+            f"the torque has nothing above {edge:.2g} Hz, not even noise: a smooth curve was laid through the readings "
+            f"of a cell of about {2.0 * edge:.2g} Hz; record these readings with their own time stamps"
+        )
+    if (count := _mean_of(frequency[looked], power[looked], step)) is not None:
+        return (
+            f"the noise of the torque lacks the multiples of {1.0 / (count * step):.3g} Hz: each reading is the mean "
+            f"of {count}, {1e3 * 0.5 * (count - 1) * step:.3g} ms late; switch the mean off, or pass the angle through "
+            "the same one"
+        )
+    return ""
+
+
+def _noise_spectrum(torque: Array, angle: Array, length: int, step: float) -> tuple[Array, Array]:
+    """Frequencies (l,) Hz and power (l,) of what of the torque no linear filter of the deflection makes."""
+    firsts = np.arange(0, len(torque) - length + 1, length // 2)
+    window = np.hanning(length + 1)[:-1]
+    pieces = [values[firsts[:, None] + np.arange(length)] for values in (torque, angle)]
+    tau, moved = (np.fft.rfft((one - one.mean(axis=1, keepdims=True)) * window) for one in pieces)
+    own = (np.abs(moved) ** 2).sum(axis=0)
+    common = np.abs((tau * moved.conj()).sum(axis=0)) ** 2 / np.maximum(own, 1e-300)
+    power = np.maximum((np.abs(tau) ** 2).sum(axis=0) - common, 0.0)
+    return np.fft.rfftfreq(length, step), np.convolve(power, np.full(3, 1.0 / 3.0), mode="same")
+
+
+def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
+    """Where the noise ends, Hz: an octave above there is next to none. None where it does not end."""
+    usual = float(np.median(power[frequency < _BEYOND * highest]))
+    gone = np.flatnonzero((power < usual / _EDGE) & (frequency > highest))
+    for first in frequency[gone[:1]].tolist():
+        above = power[(frequency > 1.8 * first) & (frequency < 2.2 * first)]
+        if above.size and float(np.median(above)) < usual / (_EDGE * _CLIFF):
+            return float(first)
+    return None
+
+
+def _mean_of(frequency: Array, power: Array, step: float) -> int | None:
+    """How many readings a reading is the mean of, by the gaps in the noise; None where there are none."""
+    decades = np.log10(np.maximum(power, 1e-300))
+    found, lobes = None, np.zeros(1)
+    for count in range(3, _LONGEST_MEAN):
+        half = 0.5 / (count * step)
+        gaps = 2.0 * half * np.arange(1, count)
+        gaps = gaps[(gaps - half > frequency[0]) & (gaps + half < frequency[-1])]
+        around = [np.interp(gaps + shift, frequency, decades) for shift in (-half, 0.0, half)]
+        if gaps.size and (around[1] - 0.5 * (around[0] + around[2]) < _GAPS).all():
+            # the longest: a divisor of it has a part of the gaps
+            found, lobes = count, around[2] + 2.0 * np.log10(np.sin(np.pi * (gaps + half) * step))
+    return found if np.ptp(lobes) < _LOBES else None
+
+
+def _delay(signals: Signals, step: float) -> float:
+    """By how much the torque is late, s, where spring and damper then explain it much better; else 0."""
+    motion, torque = signals.motion, signals.torque
+    columns = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
+    pace = max(step, 1.0 / (_FINE * signals.band[1]))
+    most = min(int(_LATEST / pace), len(torque) // (4 * max(1, round(pace / step))))
+    tried = pace * np.arange(most + 1)
+    inside = slice(int(_LATEST / step) + 1, None)
+
+    def left(delay: float) -> float:
+        shift = round(delay / step)
+        then = columns[inside.start - shift : len(columns) - shift]
+        found = torque[inside]
+        return float(np.sum((found - then @ np.linalg.lstsq(then, found, rcond=None)[0]) ** 2))
+
+    if len(torque[inside]) < 8 * columns.shape[1]:
+        return 0.0
+    rest = np.array([left(delay) for delay in tried.tolist()])
+    return float(tried[np.argmin(rest)]) if rest.min() < _LATE * rest[0] else 0.0

@@ -1,0 +1,116 @@
+"""What was done to the readings of a torque, seen from them: named with its size, and not where nothing was done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.signal import butter, lfilter, resample
+
+from hil.recording.reader import Array, Recording
+from hil.recording.writer import Header, write
+from hil.signals.prepare import prepare
+from hil.signals.torque_reading import seen_in_torque
+
+STEP = 2e-3
+FINE = 10  # points a sample
+TIME = np.arange(100_000) * STEP / FINE
+LONGEST = 0.02
+
+Reading = Callable[[Array, np.random.Generator], Array]
+"""What is logged every 2 ms of a torque on the fine grid."""
+
+
+def moved() -> Array:
+    phases = np.random.default_rng(5).uniform(0.0, 2.0 * np.pi, 30)
+    speeds = 2.0 * np.pi * np.geomspace(0.2, 12.0, 30)
+    return np.asarray(0.02 * np.exp(1j * (np.outer(TIME, speeds) + phases)).real.sum(axis=1))
+
+
+ANGLE = moved()
+TORQUE = 0.3 * ANGLE + 3e-3 * np.gradient(ANGLE, TIME)
+
+
+def plain(torque: Array, rng: np.random.Generator) -> Array:
+    return torque[::FINE] + 1e-3 * rng.standard_normal(len(torque) // FINE)
+
+
+def mean(count: int) -> Reading:
+    return lambda torque, rng: lfilter(np.full(count, 1.0 / count), [1.0], plain(torque, rng))
+
+
+def median(count: int) -> Reading:
+    def read(torque: Array, rng: np.random.Generator) -> Array:
+        before = np.pad(plain(torque, rng), (count - 1, 0), mode="edge")
+        return np.median(np.lib.stride_tricks.sliding_window_view(before, count), axis=1)
+
+    return read
+
+
+def resampled(curve: Callable[[Array, Array], Callable[[Array], Array]], hertz: float) -> Reading:
+    def read(torque: Array, rng: np.random.Generator) -> Array:
+        at = np.arange(-0.01, TIME[-1] + 0.05, 1.0 / hertz)
+        readings = np.interp(at, TIME, torque) + 1e-3 * rng.standard_normal(len(at))
+        return np.asarray(curve(at, readings)(TIME[::FINE]))
+
+    return read
+
+
+def by_fourier(torque: Array, rng: np.random.Generator) -> Array:
+    """A cell of 100 Hz, resampled by its spectrum."""
+    readings = torque[:: 5 * FINE] + 1e-3 * rng.standard_normal(len(torque) // (5 * FINE))
+    return np.asarray(resample(readings, 5 * len(readings)))
+
+
+def late(delay: float) -> Reading:
+    return lambda torque, rng: plain(np.interp(TIME - delay, TIME, torque), rng)
+
+
+def low_passed(order: int) -> Reading:
+    return lambda torque, rng: lfilter(*butter(order, 40.0 / 250.0), plain(torque, rng))
+
+
+def seen(path: Path, reading: Reading) -> str:
+    torque = np.asarray(reading(TORQUE, np.random.default_rng(3)))
+    channels = {"time": TIME[::FINE], "torque": torque, "dtheta": ANGLE[::FINE]}
+    write(path, Header(profile={}, stand_toml=""), channels)
+    with Recording(path) as recording:
+        return seen_in_torque(prepare(recording, None), LONGEST)
+
+
+SEEN: dict[str, tuple[Reading, str]] = {
+    "mean of 20": (mean(20), "multiples of 25 Hz: each reading is the mean of 20, 19 ms late"),
+    "mean of 7": (mean(7), "the mean of 7, 6 ms late"),
+    "spline of 80 Hz": (resampled(CubicSpline, 80.0), "a smooth curve was laid through the readings of a cell"),
+    "spectrum of 100 Hz": (by_fourier, "the torque has nothing above 5"),
+    "median of 5": (median(5), "as behind a median filter"),
+    "median of 21": (median(21), "as behind a median filter"),
+    "30 ms late": (late(0.03), "and a model knows at most 20 ms"),
+}
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_what_was_done_to_the_torque_is_named(tmp_path: Path, name: str) -> None:
+    reading, said = SEEN[name]
+    assert said in seen(tmp_path / "a.h5", reading)
+
+
+UNSEEN: dict[str, Reading] = {
+    "nothing": plain,
+    "9 ms late": late(9e-3),
+    "Butterworth of order 2": low_passed(2),
+    "Butterworth of order 4": low_passed(4),
+    "a cell of 80 Hz, held": lambda torque, rng: np.repeat(plain(torque, rng)[::6], 6)[: len(torque) // FINE],
+}
+
+
+@pytest.mark.parametrize("name", UNSEEN)
+def test_nothing_is_named_that_was_not_done(tmp_path: Path, name: str) -> None:
+    assert seen(tmp_path / "a.h5", UNSEEN[name]) == ""
+
+
+def test_a_piecewise_cubic_is_no_mean(tmp_path: Path) -> None:
+    assert "mean" not in seen(tmp_path / "a.h5", resampled(PchipInterpolator, 50.0))
