@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from hil.signals.torque_reading import seen_in_torque
 from hil.signals.windows import is_smooth
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
-from hil.uncertainty.instruments import followed, is_instrument, linearised
+from hil.uncertainty.instruments import followed, is_instrument, linearised, noisier
 from hil.uncertainty.lack_of_fit import Fitted, LackOfFit, lack_of_fit
 
 Array = NDArray[np.float64]
@@ -68,15 +68,26 @@ class Described:
 
 def tested(described: Described) -> LackOfFit | None:
     """Test the fit; None where the recording is too short."""
-    names, count = described.names, len(described.signals)
-    motion = _without_errors(described.signals)
-    recorded = described.recorded(motion)
+    signals, motion = described.signals, _without_errors(described.signals)
+    found = _tested(described, motion)
+    if found is None or not found.misfit or motion is not signals.motion:
+        return found
+    if signals.window is None or signals.window.low_pass is None or motion.part_of is not None:
+        return found
+    noisy, p = noisier(motion, signals.window), len(described.model.linear)
+    before, after = (linearised(described.model, one, *np.split(described.values, [p])) for one in (motion, noisy))
+    more = ((after - before)[:, :p] @ described.values[:p])[described.kept]
+    return found.beside_noise(_tested(replace(described, residuals=described.residuals - more), noisy))
+
+
+def _tested(described: Described, motion: Motion) -> LackOfFit | None:
+    """Test the fit with regressors and columns of a motion (n,): that of the signals, or one with other errors."""
+    names, count, recorded = described.names, len(described.signals), described.recorded(motion)
     coupling = (names.index("Kc"), names.index("Bc")) if {"Kc", "Bc"} <= set(names) else None
     residuals, columns = np.zeros(count), np.zeros((count, len(names)))
     residuals[described.kept], columns[described.kept] = described.residuals, described.columns
     if motion is not described.signals.motion:
-        p = len(described.model.linear)
-        columns = linearised(described.model, motion, described.values[:p], described.values[p:])
+        columns = linearised(described.model, motion, *np.split(described.values, [len(described.model.linear)]))
     values, half_width = (
         (0.0, 0.0) if coupling is None else (float(array[coupling[0]]), float(array[coupling[1]]))
         for array in (described.values, described.half_width)
@@ -121,7 +132,7 @@ def misfit_diagnostics(
 ) -> list[Diagnostic]:
     """Return the warning or error about a model of that name that does not describe its recording; none where it does.
 
-    Where the torque's readings show what was done to them, that is the remedy, and not a term that looks like it.
+    Where the torque's readings show what was done to them, that comes first, and no term that looks like it.
     """
     if found is None:
         return [
@@ -135,10 +146,11 @@ def misfit_diagnostics(
         return []
     signals = described.signals
     longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
-    remedy = seen_in_torque(signals, longest) or _remedy(found)
-    parts = [_respects(model, found), _consequence(found), remedy, _frequencies(dynamic)]
+    seen = seen_in_torque(signals, longest)
+    parts = [_respects(model, found), _consequence(found), "" if seen else _remedy(found), _frequencies(dynamic)]
     message = "; ".join(part for part in parts if part)
-    return [Diagnostic("misfit", message, found.affected, is_error=found.is_grave)]
+    misfit = Diagnostic("misfit", message, found.affected, is_error=found.is_grave)
+    return [Diagnostic("torque-reading", seen, found.affected, is_error=found.is_grave), misfit] if seen else [misfit]
 
 
 def _respects(model: str, found: LackOfFit) -> str:

@@ -89,7 +89,8 @@ def _noise_spectrum(torque: Array, angle: Array, length: int, step: float) -> tu
     own = (np.abs(moved) ** 2).sum(axis=0)
     common = np.abs((tau * moved.conj()).sum(axis=0)) ** 2 / np.maximum(own, 1e-300)
     power = np.maximum((np.abs(tau) ** 2).sum(axis=0) - common, 0.0)
-    return np.fft.rfftfreq(length, step), np.convolve(power, np.full(3, 1.0 / 3.0), mode="same")
+    frequency = np.asarray(np.fft.rfftfreq(length, step), dtype=np.float64)
+    return frequency, np.convolve(power, np.full(3, 1.0 / 3.0), mode="same")
 
 
 def _cliff(frequency: Array, power: Array, highest: float) -> float | None:

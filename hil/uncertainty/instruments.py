@@ -250,6 +250,12 @@ def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.b
     return _moved(motion, (less[0], less[1] - motion.dtheta_dot, less[2] - motion.dtheta_ddot))
 
 
+def noisier(motion: Motion, window: Window) -> Motion:
+    """Return the motion with as much noise again in the readings of its deflection."""
+    errors = window.of_deflection * np.random.default_rng(0).standard_normal(len(motion))
+    return _moved(motion, window.moved(motion.time, errors))
+
+
 def _solved(columns: Array, instruments: Array, left: Array) -> Array:
     """By how much the parameters (p + q,) change until the residuals (n,) have nothing of the instruments."""
     sizes = np.linalg.norm(columns, axis=0)

@@ -93,7 +93,8 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
-    """What the tests found. share: of the residuals' power, predicted in blocks that were not seen.
+    """What the tests found. share: of the residuals' power, predicted in blocks that were not seen; predicted: N m,
+    r.m.s., of that. of_noise: whether noise of the deflection predicts it, which stands in the residuals too.
 
     Kc, Bc: the size of the misfit, relative: the largest change by a suspect, or half the difference between parts;
     without either, the change that would make as much torque as is predicted. outside: whether that leaves the interval
@@ -112,6 +113,18 @@ class LackOfFit:
     lags: Array
     correlation: Array
     plane: Array
+    predicted: float = 0.0
+    of_noise: bool = False
+
+    def beside_noise(self, noisier: LackOfFit | None) -> LackOfFit:
+        """Return what is left of it, given the same tests with twice the power of noise in the deflection.
+
+        What a wrong model leaves stays as it is, and what noise leaves doubles (Cook and Stefanski 1994).
+        """
+        if noisier is None or self.share <= 0.0:
+            return self
+        left = 2.0 * self.predicted**2 - noisier.predicted**2
+        return replace(self, of_noise=left < _SHARE * self.predicted**2 / self.share)
 
     @property
     def affected(self) -> str | None:
@@ -136,6 +149,8 @@ class LackOfFit:
     @property
     def misfit(self) -> bool:
         """Whether the model is rejected, and by an amount that matters."""
+        if self.of_noise:
+            return False
         return bool(self.failed) and (self.outside or (self.share >= _SHARE and not self._is_harmless))
 
     @property
@@ -196,6 +211,7 @@ class _Tests:
             lags=lags,
             correlation=correlation,
             plane=mean_over_plane(self._recorded, self._tested.scores),
+            predicted=predicted,
         )
 
     def _compared(self, code: str, weights: Array | float) -> Respect | None:

@@ -20,7 +20,6 @@ from hil.report.deflection import deflection_json, deflection_lines
 
 TIME = np.arange(10_000) / 500.0
 SEARCH = Search(trials=1, seed=0, workers=1)
-LINEAR = parse("linear+offset")
 
 
 def multisine() -> tuple[Array, Array]:
@@ -71,8 +70,9 @@ def recorded(
     zero: float = 0.0,
     seed: int = 0,
     friction: float = 0.0,
+    model: str = "linear+offset",
 ) -> Identification:
-    """The linear model, with any friction, of a recording with white noise of so many rad, or counts, in its angle."""
+    """A model of a recording with white noise of so many rad, or counts, in its deflection."""
     rng = np.random.default_rng([seed, 1])
     angle, rate = motion()
     scale = peak / float(np.abs(angle).max())
@@ -82,7 +82,7 @@ def recorded(
     count = 2.0 * math.pi / 2.0**bits
     channels = {"time": TIME, "torque": torque, "dtheta": count * np.round(read / count) if bits else read}
     write(path, Header(profile={}, stand_toml=""), channels | ({"command": angle} if commanded else {}), force=True)
-    return identify([path], parse("linear+offset+coulomb") if friction else LINEAR, SEARCH)
+    return identify([path], parse(model), SEARCH)
 
 
 def errors(found: Identification, kc: float = 0.3, bc: float = 3e-3) -> tuple[float, float]:
@@ -107,18 +107,31 @@ def test_kc_and_bc_are_right_beside_white_noise(tmp_path: Path, noise: float, mo
     assert holds(found)
 
 
-@pytest.mark.parametrize(("motion", "friction"), [(jerky, 0.0), (multisine, 2e-3)])
+def misfits(found: Identification) -> bool:
+    return any(one.code == "misfit" for one in found.diagnostics)
+
+
+@pytest.mark.parametrize(
+    ("motion", "friction", "commanded"), [(jerky, 0.0, True), (jerky, 0.0, False), (multisine, 2e-3, True)]
+)
 def test_a_low_pass_makes_no_misfit_of_jumps_that_the_torque_has(
-    tmp_path: Path, motion: Motion, friction: float
+    tmp_path: Path, motion: Motion, friction: float, commanded: bool
 ) -> None:
     """The deflection passes a low-pass for its noise: torque and friction have to pass it too."""
-    found = recorded(tmp_path / "a.h5", motion, noise=2e-3, friction=friction)
+    model = "linear+offset+coulomb" if friction else "linear+offset"
+    path = tmp_path / "a.h5"
+    found = recorded(path, motion, noise=2e-3, friction=friction, model=model, commanded=commanded)
     assert found.deflection is not None
     assert found.deflection.low_pass is not None
-    assert not any(one.code == "misfit" for one in found.diagnostics)
+    assert not misfits(found)
     assert abs(errors(found)[0]) < 5e-3
     assert abs(errors(found)[1]) < 0.03
     assert holds(found)
+
+
+@pytest.mark.parametrize("commanded", [True, False])
+def test_noise_of_the_deflection_hides_no_friction_that_the_model_lacks(tmp_path: Path, commanded: bool) -> None:
+    assert misfits(recorded(tmp_path / "a.h5", jerky, noise=2e-3, friction=5e-3, commanded=commanded))
 
 
 @pytest.mark.parametrize("noise", [2e-3, 5e-3])
