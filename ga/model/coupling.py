@@ -137,7 +137,8 @@ class CouplingModel:
         """
         model = self if self.smoothing is not None else self.anchored(motion)
         whole, rows = model._needed(motion)
-        stacked = model._stacked(model._regressors(whole, nonlinear, lag), nonlinear)
+        seen = whole.delayed(model.delay(nonlinear))
+        stacked = model._stacked(model._regressors(whole, seen, nonlinear, lag), nonlinear)
         return model._known(whole, rows, model._behind_cell(whole, stacked, nonlinear)[rows], nonlinear)
 
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
@@ -146,8 +147,10 @@ class CouplingModel:
         Where the model remembers, neither has the part that the unknown state at the beginning of a stretch can make.
         """
         whole, rows = self._needed(motion)
-        known = whole.delayed(self.delay(nonlinear)).known
-        return self._known(whole, rows, torque - self._behind_cell(whole, known, nonlinear)[rows], nonlinear)
+        if whole.known.any():
+            known = whole.delayed(self.delay(nonlinear)).known
+            torque = torque - self._behind_cell(whole, known, nonlinear)[rows]
+        return self._known(whole, rows, torque, nonlinear)
 
     def jacobian(
         self, motion: Motion, nonlinear: Array, genes: Array, lag: float = 0.0, *, changing: Motion | None = None
@@ -159,7 +162,8 @@ class CouplingModel:
         """
         model = self if self.smoothing is not None else self.anchored(motion)
         whole, rows = model._needed(motion)
-        regressors = model._regressors(whole, nonlinear, lag)
+        seen = whole.delayed(model.delay(nonlinear))
+        regressors = model._regressors(whole, seen, nonlinear, lag)
         found: list[Array] = []
         for term, values in model._valued(nonlinear):
             if term.delays:
@@ -172,20 +176,33 @@ class CouplingModel:
                     behind = model._behind_cell(whole, whole.filtered(pushed), nonlinear)[rows]
                     found.append(model._known(whole, rows, behind, nonlinear))
             else:
-                found += [model._difference(motion, nonlinear, genes, lag, len(found) + k) for k in range(len(values))]
+                for _ in values:
+                    ends = model._beside(nonlinear, len(found))
+                    low, high = (model._torque(whole, rows, seen, end, genes, lag=lag) for end in ends)
+                    found.append((high - low) / (ends[1] - ends[0])[len(found)])
         return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
 
-    def _difference(self, motion: Motion, nonlinear: Array, genes: Array, lag: float, at: int) -> Array:
-        """How the torque changes with one nonlinear parameter that it has no breaks along, by a difference."""
-        step, torques = STEP * max(abs(nonlinear[at]), SMALLEST), []
+    def _beside(self, nonlinear: Array, at: int) -> Array:
+        """The nonlinear parameters (2, q) a little below and above, of one of them."""
+        step = STEP * max(abs(nonlinear[at]), SMALLEST)
         ends = nonlinear[at] + np.array([-step, step])
-        if self.nonlinear[at].positive:
-            ends = np.maximum(ends, 0.0)
-        for end in ends:
-            moved = nonlinear.copy()
-            moved[at] = end
-            torques.append(self.columns(motion, moved, lag) @ genes - self.target(motion, np.zeros(len(motion)), moved))
-        return np.asarray((torques[1] - torques[0]) / (ends[1] - ends[0]))
+        beside = np.tile(nonlinear, (2, 1))
+        beside[:, at] = np.maximum(ends, 0.0) if self.nonlinear[at].positive else ends
+        return beside
+
+    def _torque(
+        self,
+        motion: Motion,
+        rows: slice | NDArray[np.int64],
+        seen: Motion,
+        nonlinear: Array,
+        genes: Array,
+        *,
+        lag: float,
+    ) -> Array:
+        """The torque (m,), N m, of some rows, for a motion seen with its delay, without what the beginnings make."""
+        torque = self._stacked(self._regressors(motion, seen, nonlinear, lag), nonlinear) @ genes + seen.known
+        return self._known(motion, rows, self._behind_cell(motion, torque, nonlinear)[rows], nonlinear)
 
     def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]:
         """Return low (q,) and high (q,) of the nonlinear parameters, for motion up to `highest` Hz."""
@@ -218,9 +235,8 @@ class CouplingModel:
         left = [term.forgets(motion, own)[rows] for term, own in valued if term.forgets is not None]
         return without_beginnings(values, np.stack(left, axis=1), motion.stretch[rows]) if left else values
 
-    def _regressors(self, motion: Motion, nonlinear: Array | None, lag: float = 0.0) -> Regressors:
-        """The motion as the torque reading saw it, beyond the gap or slack."""
-        seen = motion.delayed(self.delay(nonlinear))
+    def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
+        """The motion, seen as it was the delay before, beyond the gap or slack."""
         angle, contact, smoothing = seen.dtheta, np.ones(len(motion)), self.smoothing or 0.0
         for term, values in self._valued(nonlinear):
             if term.remaining is not None:

@@ -29,16 +29,8 @@ def lagged(time: Array, values: Array, constant: float) -> Array:
     """
     if len(time) < 2:
         return values
-    table = values.reshape(len(time), -1)
-    step, slope = np.diff(time)[:, None], np.asarray(np.gradient(table, time, axis=0))
-    chord = np.diff(table, axis=0) / step
-    third = 6.0 * (slope[:-1] + slope[1:] - 2.0 * chord) / step**2
-    second = 2.0 * (3.0 * chord - 2.0 * slope[:-1] - slope[1:]) / step
-    # a cubic less its slopes, p - T p' + T^2 p'' - T^3 p''', is what the lag has settled to; the rest decays
-    begin = table[:-1] + constant * (constant * (second - constant * third) - slope[:-1])
-    end = table[1:] + constant * (constant * (second + third * step - constant * third) - slope[1:])
-    keep = np.exp(-step[:, 0] / constant)
-    return _recursion(keep, end - keep[:, None] * begin, table[0]).reshape(values.shape)
+    table = np.ascontiguousarray(values.reshape(len(time), -1), dtype=np.float64)
+    return _lagged(np.ascontiguousarray(time), table, constant).reshape(values.shape)
 
 
 def averaged(time: Array, values: Array, width: float) -> Array:
@@ -82,9 +74,14 @@ def without_beginnings(values: Array, left: Array, stretch: NDArray[np.int64]) -
     near = np.flatnonzero(left.max(axis=1) > _FORGOTTEN)
     for number in np.unique(stretch[near]).tolist():
         rows = near[stretch[near] == number]
-        basis = np.linalg.qr(left[rows])[0]
+        basis = _orthonormal(left[rows])
         found[rows] -= basis @ (basis.T @ found[rows])
     return found
+
+
+def _orthonormal(left: Array) -> Array:
+    """An orthonormal basis of what the columns (n, k) span; QR takes ten times as long for the usual one."""
+    return np.asarray(left / np.linalg.norm(left)) if left.shape[1] == 1 else np.linalg.qr(left)[0]
 
 
 @compiled
@@ -98,6 +95,37 @@ def _yielding(moves: Array) -> Array:
         if way > unloading:
             load = 1.0 - (1.0 - load) * np.exp(unloading - way)
         found[at + 1] = load if moves[at] >= 0.0 else -load
+    return found
+
+
+@compiled
+def _lagged(time: Array, table: Array, constant: float) -> Array:
+    """What `lagged` returns of values (n, k)."""
+    count, width = table.shape
+    found = np.empty((count, width))
+    found[0] = table[0]
+    chord = (table[1] - table[0]) / (time[1] - time[0])  # to the next time
+    slope = chord.copy()
+    for at in range(count - 1):
+        step = time[at + 1] - time[at]
+        following = time[at + 2] - time[at + 1] if at + 2 < count else step
+        keep, part, per_part, per_following = (
+            np.exp(-step / constant),
+            constant / step,
+            step / constant,
+            1.0 / following,
+        )
+        share = following / (step + following)
+        for k in range(width):
+            beyond = (table[at + 2, k] - table[at + 1, k]) * per_following if at + 2 < count else chord[k]
+            next_slope = share * chord[k] + (1.0 - share) * beyond
+            # a cubic less its slopes, p - T p' + T^2 p'' - T^3 p''', is what the lag has settled to; the rest decays
+            third = 6.0 * (slope[k] + next_slope - 2.0 * chord[k]) * part
+            second = 2.0 * (3.0 * chord[k] - 2.0 * slope[k] - next_slope)
+            begin = table[at, k] + constant * (part * (second - third) - slope[k])
+            end = table[at + 1, k] + constant * (part * (second + third * per_part - third) - next_slope)
+            found[at + 1, k] = keep * found[at, k] + end - keep * begin
+            slope[k], chord[k] = next_slope, beyond
     return found
 
 

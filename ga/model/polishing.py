@@ -10,6 +10,8 @@ from ga.lad.exact import least_absolute_deviations
 from ga.model.separable import descend
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from ga.model.separable import Fit, Problem
@@ -17,17 +19,16 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _REACH: Final = 12.0
+_NARROWER: Final = 0.25
 _NEAREST: Final = 0.5
 _ROUNDS: Final = 12
 _POLISHED: Final = 1e-5
-_SECTIONS: Final = 9
-_CROSSINGS: Final = 2
+_PLACES: Final = 10
+_CLOSE: Final = 0.01
 _DEPENDENT: Final = 1e-6
-_GOLDEN: Final = 0.5 * (np.sqrt(5.0) - 1.0)
-_INNER: Final = 2.0 * _GOLDEN - 1.0
-"""Of a polish: how far it looks, in standard errors, at first and at last; rounds at most; the part of the fitness that
-one must gain for the next to look as far; golden sections of a line; steps back to the floor; the part of a column that
-must be its own; the ratio of the sections, and where on a line from -1 to 1 the first two points are."""
+"""Of a polish: how far it looks, in standard errors, at first, from round to round, and at last; rounds at most; the
+part of the fitness that one must gain for the next to look as far; places on a line, at most, and how close they may be
+to each other, in standard errors; the part of a column that must be its own."""
 
 
 def polished(problem: Problem, best: Fit, reach: float = _REACH) -> Fit:
@@ -40,11 +41,12 @@ def polished(problem: Problem, best: Fit, reach: float = _REACH) -> Fit:
     for _ in range(_ROUNDS if problem.low.size else 0):
         if reach < _NEAREST:
             break
-        before, directions = best.fitness, reach * _weak_directions(problem, best)
+        before, outside, directions = best.fitness, False, _weak_directions(problem, best)
         for at, direction in enumerate(directions):
-            best = _lowest_along(problem, best, direction, directions[:at])
+            best, is_end = _lowest_along(problem, best, direction, directions[:at], reach)
+            outside |= is_end
         best = min(best, descend(problem, best.nonlinear), key=lambda fit: fit.fitness)
-        reach *= 1.0 if before - best.fitness > _POLISHED * before else 0.25
+        reach *= 1.0 if outside and before - best.fitness > _POLISHED * before else _NARROWER
     return best
 
 
@@ -63,38 +65,44 @@ def _weak_directions(problem: Problem, best: Fit) -> Array:
     return best.fitness * found
 
 
-def _lowest_along(problem: Problem, best: Fit, direction: Array, across: Array) -> Fit:
-    """Return the lowest fit seen on a way through another one, which is searched by golden sections."""
+def _lowest_along(problem: Problem, best: Fit, direction: Array, across: Array, reach: float) -> tuple[Fit, bool]:
+    """Return the lowest fit seen on a way through another one, and whether that is at an end of the way.
 
-    def beside(part: float, near: Fit) -> Fit:
-        return _floor(problem, start + part * direction, near, across)
+    Each next place is the lowest of the parabola through the lowest one seen and those next to it.
+    """
+    start, seen = best.nonlinear, {0.0: best}
+    tried = [-reach, reach]
+    while tried:
+        for part in tried:
+            near = seen[min(seen, key=lambda other: abs(other - part))]
+            seen[part] = _floor(problem, start + part * direction, near, across)
+        lowest = min(seen, key=lambda part: seen[part].fitness)
+        tried = [] if len(seen) >= _PLACES else _next_places(seen, lowest)
+    return seen[lowest], abs(lowest) == reach
 
-    start, low, high = best.nonlinear, -1.0, 1.0
-    left, right = beside(-_INNER, best), beside(_INNER, best)
-    for _ in range(_SECTIONS):
-        if left.fitness < right.fitness:
-            high, right = low + _GOLDEN * (high - low), left
-            left = beside(high - _GOLDEN * (high - low), right)
-        else:
-            low, left = high - _GOLDEN * (high - low), right
-            right = beside(low + _GOLDEN * (high - low), left)
-        best = min(best, left, right, key=lambda fit: fit.fitness)
-    return best
+
+def _next_places(seen: Mapping[float, Fit], lowest: float) -> list[float]:
+    """Return where to look next, nothing where the lowest place is at an end or close to what was seen."""
+    parts = sorted(seen)
+    at = parts.index(lowest)
+    if at in (0, len(parts) - 1):
+        return []
+    left, right = lowest - parts[at - 1], parts[at + 1] - lowest
+    rise, fall = (seen[parts[k]].fitness - seen[lowest].fitness for k in (at - 1, at + 1))
+    bend = rise * right + fall * left
+    place = lowest + 0.5 * (rise * right**2 - fall * left**2) / bend if bend > 0.0 else lowest
+    return [place] if min(abs(place - part) for part in parts) > _CLOSE else []
 
 
 def _floor(problem: Problem, nonlinear: Array, near: Fit, across: Array) -> Fit:
-    """Return the fit after a few Gauss-Newton steps from nonlinear parameters (q,), in directions `across` (k, q)."""
+    """Return the fit after a Gauss-Newton step from nonlinear parameters (q,), in directions `across` (k, q)."""
     best = problem.solve(np.clip(nonlinear, problem.low, problem.high), near)
-    for _ in range(_CROSSINGS if len(across) else 0):
-        columns, target = problem.linearised(best)
-        linear, jacobian = columns[:, : -len(nonlinear)], columns[:, -len(nonlinear) :]
-        known = np.concatenate([best.optimum.genes, np.zeros(len(across))])
-        table = np.concatenate([linear, jacobian @ across.T], axis=1)
-        step = (
-            least_absolute_deviations(table, target - jacobian @ best.nonlinear, known).genes[-len(across) :] @ across
-        )
-        tried = problem.solve(np.clip(best.nonlinear + step, problem.low, problem.high), best)
-        if tried.fitness >= best.fitness:
-            break
-        best = tried
-    return best
+    if not len(across):
+        return best
+    columns, target = problem.linearised(best)
+    linear, jacobian = columns[:, : -len(nonlinear)], columns[:, -len(nonlinear) :]
+    known = np.concatenate([best.optimum.genes, np.zeros(len(across))])
+    table = np.concatenate([linear, jacobian @ across.T], axis=1)
+    step = least_absolute_deviations(table, target - jacobian @ best.nonlinear, known).genes[-len(across) :] @ across
+    tried = problem.solve(np.clip(best.nonlinear + step, problem.low, problem.high), best)
+    return min(best, tried, key=lambda fit: fit.fitness)

@@ -167,7 +167,7 @@ class Motion:
         moved = np.diff(self.time) * 0.5 * np.abs(self.dtheta_dot[:-1] + self.dtheta_dot[1:])
         return np.concatenate([[0.0], np.cumsum(moved)])
 
-    @property
+    @cached_property
     def stretch(self) -> NDArray[np.int64]:
         """The number (n,) of the stretch that each sample is in."""
         return np.asarray(np.searchsorted(self.starts, np.arange(len(self)), side="right") - 1)

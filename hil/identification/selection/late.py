@@ -117,7 +117,7 @@ class LateReading:
 def _deeper(found: Candidate) -> Candidate:
     """The fit of terms that are much alike: roughly on some of the samples, then on all."""
     rough = polished(found.problem.thinned(), found.fit)
-    near = polished(found.problem, descend(found.problem, rough.nonlinear), reach=1.0)
+    near = polished(found.problem, descend(found.problem, rough.nonlinear), reach=2.0)
     return replace(found, fit=min(found.fit, near, key=lambda fit: fit.fitness))
 
 
