@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
 from hil.uncertainty.criteria import COUPLING, LIKE_FRICTION, distinguishable, friction_likeness, narrow
 from hil.uncertainty.instruments import DeflectionErrors
+from hil.uncertainty.lack_of_fit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 
 Array = NDArray[np.float64]
@@ -130,3 +131,12 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
             )
         )
     return tuple(found)
+
+
+def with_small_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Estimate, ...]:
+    """Return the estimates, intervals of Kc and Bc wider by what the model lacks if that is too little to warn of."""
+    more = dict(zip(COUPLING, fit.in_intervals, strict=True)) if fit else {}
+    widths = [more.get(one.name, 0.0) * abs(one.value) for one in found]
+    return tuple(
+        replace(one, ci95=(one.ci95[0] - width, one.ci95[1] + width)) for one, width in zip(found, widths, strict=True)
+    )

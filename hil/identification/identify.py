@@ -28,7 +28,7 @@ from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
-from hil.identification.evidence import Evidence, estimates, sliding
+from hil.identification.evidence import Evidence, estimates, sliding, with_small_misfit
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
 from hil.identification.fitting.exact import solved, unproven
@@ -132,6 +132,7 @@ def _identified(
         steps = _with_result(data.choice.steps, found, solution)
         described = _described(data, solution, evidence)
         fit, dynamic = tested(described), without_model(described)
+        found = with_small_misfit(found, fit)
         return Identification(
             recordings=tuple(source.path for source in sources),
             model=data.choice.model,

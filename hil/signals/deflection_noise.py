@@ -18,6 +18,7 @@ FEW_COUNTS: Final = 40.0
 """Counts of the encoder, peak to peak, below which they are no white noise: they round in step with the motion."""
 
 _MATTERS: Final = 5e-4  # of Kc or Bc
+_CONFUSED: Final = 1000.0  # variance inflation from which model selection includes no skew
 _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
 
 
@@ -53,6 +54,8 @@ def _drawn(read: Read, noise: float) -> float:
     slope = damping * read.acceleration
     others = columns[:, :3]
     alone = slope - others @ np.linalg.lstsq(others, slope, rcond=None)[0]
+    if float(np.mean(alone**2)) * _CONFUSED < float(np.mean(slope**2)):
+        return 0.0  # a skew cannot be distinguished, and is not included
     gained = _DRAWN * (stiffness * noise) ** 2 / read.step
     longest = 0.5 * read.step
     drawn = min(longest, gained / max(float(np.mean(alone**2)), 1e-300))

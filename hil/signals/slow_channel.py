@@ -80,7 +80,8 @@ def kind_of(time: Array, values: Array) -> Kind | None:
     count = _count(values)
     if _is_held(values, count):
         return "held"
-    return "joined" if _is_joined(time, values, count) else None
+    # a clock that rounds bends a smooth motion here and there
+    return "joined" if _is_joined(time, values, count) and len(_corners(time, values).row) >= _FEWEST else None
 
 
 def readings(time: Array, values: Array, kind: Kind) -> Readings:

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _COARSE = 0.05  # share of repeated stamps above which a clock is called coarse
+_DECIMALS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # s, to which stamps are often rounded
+_LOOKED = 1000  # stamps at the beginning that show whether they are
 _APART = 4.0  # median steps between two samples above which they belong to two stretches
 _SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 
@@ -20,13 +22,37 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
     """
     starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > 0.0)))
     if len(time) - len(starts) == 0:
-        return time, False
+        return _before_rounding(time), False
     rows = np.arange(len(time), dtype=np.float64)
     last, before = starts[-1], starts[max(0, len(starts) - 50)]
     pace = (time[last] - time[before]) / max(last - before, 1)
     anchors = np.append(starts.astype(np.float64), len(time))
     at_anchors = np.append(time[starts], time[last] + pace * (len(time) - last))
     return np.interp(rows, anchors, at_anchors), (len(time) - len(starts)) > _COARSE * len(time)
+
+
+def _before_rounding(time: Array) -> Array:
+    """Rising stamps (n,) s at an even pace, where they differ from one by no more than the rounding of the stamps.
+
+    A sample that was taken 0.3 ms from its stamp, at a millisecond of resolution, has a deflection that is off by as
+    much as 2 % at 10 Hz.
+    """
+    first = time[:_LOOKED] - time[0]
+    near = 1e-9 + 4.0 * float(np.spacing(np.abs(time[[0, -1]]).max()))
+    unit = next((unit for unit in _DECIMALS if np.abs(first - unit * np.round(first / unit)).max() < near), 0.0)
+    pace = float(time[-1] - time[0]) / max(len(time) - 1, 1)
+    if unit == 0.0 or len(time) < 2 * _SHORTEST or unit > pace:
+        return time
+    steps = np.diff(time)
+    usual = float(np.mean(steps[steps < 2.0 * np.median(steps)]))
+    # no row is lost, or rows are
+    for rows in (np.ones(len(steps)), np.maximum(1.0, np.round(steps / usual))):
+        place = np.concatenate([[0.0], np.cumsum(rows)])
+        slope, start = np.polyfit(place, time - time[0], 1)
+        even = time[0] + start + slope * place
+        if float(np.abs(even - time).max()) < unit:
+            return np.asarray(even)
+    return time
 
 
 def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -37,6 +37,8 @@ _MOST_NOISE: Final = 4.0  # times what noise of the deflection's size adds to th
 _ACCURATE: Final = 5e-4  # of Kc and Bc, within which the rate is known
 _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
 _GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
+_SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals
+_PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,9 +151,21 @@ class LackOfFit:
     @property
     def misfit(self) -> bool:
         """Whether the model is rejected, and by an amount that matters."""
-        if self.of_noise:
+        if self.of_noise or not self.failed:
             return False
-        return bool(self.failed) and (self.outside or (self.share >= _SHARE and not self._is_harmless))
+        if self._is_small:
+            return self.share >= _PLAIN and not self._is_harmless
+        return self.outside or (self.share >= _SHARE and not self._is_harmless)
+
+    @property
+    def in_intervals(self) -> tuple[float, float]:
+        """By how much the intervals of Kc and Bc are wider for what the model lacks, relative; 0 for a misfit."""
+        return (0.0, 0.0) if self.misfit or not self._is_small else (self.Kc, self.Bc)
+
+    @property
+    def _is_small(self) -> bool:
+        """Whether it moves Kc and Bc by less than readings of torque and angle are ever right to."""
+        return self.Kc <= _SMALL[0] and self.Bc <= _SMALL[1]
 
     @property
     def _is_harmless(self) -> bool:

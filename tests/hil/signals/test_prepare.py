@@ -44,6 +44,16 @@ def test_a_coarse_clock_is_spread_to_within_its_own_tick() -> None:
     assert np.std(np.diff(time)) < 0.0004
 
 
+@pytest.mark.parametrize(("pace", "lost"), [(350.0, 0.0), (350.0, 0.05), (777.0, 0.0)])
+def test_stamps_that_a_millisecond_rounds_are_those_of_an_even_pace(pace: float, lost: float) -> None:
+    true = np.arange(3000)[np.random.default_rng(0).random(3000) >= lost] / pace
+    time, coarse = spread_stamps(1.7e9 + np.floor(1e3 * true) / 1e3)
+    assert not coarse
+    assert float(np.std(time - 1.7e9 - true)) < 0.02e-3
+    jittered = np.round(true + 5e-5 * np.random.default_rng(1).standard_normal(len(true)), 6)
+    np.testing.assert_array_equal(spread_stamps(np.sort(jittered))[0], np.sort(jittered))
+
+
 def test_a_fine_clock_is_left_alone() -> None:
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.003, 500))
     time, coarse = spread_stamps(stamps)

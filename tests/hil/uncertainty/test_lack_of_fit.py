@@ -97,6 +97,14 @@ def test_the_change_that_an_effect_makes_of_bc_is_told() -> None:
     assert found.outside
 
 
+def test_a_misfit_too_small_to_matter_widens_the_intervals_instead() -> None:
+    found = judged(0.997 * PLAIN + 0.003 * WRONG["quadratic-damping"] + 0.02 * noise(1))
+
+    assert found.failed
+    assert not found.misfit
+    assert 0.0 < found.in_intervals[1] < 5e-3
+
+
 def test_kc_of_the_second_half_is_compared_with_that_of_the_first() -> None:
     torque = PLAIN - 0.06 * PLAIN * np.repeat([0.0, 1.0], len(TIME) // 2)
 
