@@ -204,6 +204,17 @@ def _registry() -> UnitRegistry:
     return registry
 
 
+_NOT_PARSED = (
+    TypeError,
+    ValueError,
+    SyntaxError,
+    AttributeError,
+    ArithmeticError,
+    LookupError,
+    RecursionError,
+)  # of pint's parser, beside its own
+
+
 def _factor(dimension: str, expression: str) -> float | None:
     """Return the factor of an expression that the registry can parse, None where it has another dimension."""
     import pint
@@ -211,7 +222,7 @@ def _factor(dimension: str, expression: str) -> float | None:
     registry = _registry()
     try:
         unit, wanted = registry.Unit(expression), registry.Unit(_ALL[dimension].replace("^", "**"))
-    except (pint.PintError, TypeError, ValueError, SyntaxError, AttributeError, ArithmeticError, RecursionError):
+    except (pint.PintError, *_NOT_PARSED):
         return None
     weight = 1.0
     if unit.dimensionality != wanted.dimensionality:
