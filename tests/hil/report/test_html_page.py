@@ -256,6 +256,7 @@ def test_axe_finds_no_barrier_in_a_report(opened: Opened, hil: Hil, make_recordi
 def test_the_command_line_that_made_a_report_is_in_it(
     make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")
     path = make_recording(noise=2e-4)
     words = ["identify", str(path), "--model", "linear", "--trials", "1", "--report", str(tmp_path / "r.html")]
     monkeypatch.setattr("sys.argv", ["hil", *words])

@@ -48,9 +48,10 @@ def text(result: Identification, width: int) -> str:
 
 @pytest.mark.parametrize(("kc", "factor", "unit"), [(0.02, 1e3, "mN m"), (20.0, 1.0, "N m")])
 def test_a_page_says_value_interval_and_unit_as_they_were_found(
-    make_recording: Maker, tmp_path: Path, kc: float, factor: float, unit: str
+    make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, kc: float, factor: float, unit: str
 ) -> None:
     """A hand's joint is spoken of in mN m, as in the paper; an arm's is not."""
+    monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")
     result = found(make_recording(kc=kc, bc=kc / 100.0, noise=kc / 100.0))
     page = write_page(result, tmp_path / "a.html", force=True).read_text()
     pattern = r'<tr><th scope="row">(\w+)</th><td>(\S+)</td><td>(\S+) to (\S+)</td><td>([^<]+)</td></tr>'
