@@ -24,6 +24,8 @@ _BEYOND: Final = 1.3  # times the upper end of the band, from where the torque i
 _WHOLE: Final = 0.48  # of the sampling rate, up to where a spectrum is looked at
 _CLIFF: Final = 1e3  # of power lost within an octave, which a filter of the fourth order does not reach
 _EDGE: Final = 10.0  # of power lost, where the cliff begins
+_FALLS: Final = 0.1  # of the power an octave above a cliff, that is left at the end of the spectrum
+_ROUNDING: Final = 1e-12  # of power, that is rounding
 _GAPS: Final = -1.0  # decades of power by which each gap of a moving mean is below what is beside it
 _LOBES: Final = 0.8  # decades of power, by which those between the gaps differ from a mean's
 _LONGEST_MEAN: Final = 120  # readings
@@ -42,14 +44,14 @@ def seen_in_torque(signals: Signals, longest: float) -> str:
     step = float(np.median(np.diff(motion.time)))
     if signals.slower or motion.part_of is not None or len(motion.starts) > 1:
         return ""
-    found = _seen_in_noise(signals, step)
-    if found:
-        return found
     if float(np.mean(np.diff(torque) == 0.0)) > _REPEATS and len(np.unique(torque)) > len(torque) // 2:
         return (
             "single readings of the torque repeat, as behind a median filter, which is no filter of one delay: switch "
             "it off"
         )
+    found = _seen_in_noise(signals, step)
+    if found:
+        return found
     late = _delay(signals, step)
     if late <= longest:
         return ""
@@ -99,7 +101,10 @@ def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
     gone = np.flatnonzero((power < usual / _EDGE) & (frequency > highest))
     for first in frequency[gone[:1]].tolist():
         above = power[(frequency > 1.8 * first) & (frequency < 2.2 * first)]
-        if above.size and float(np.median(above)) < usual / (_EDGE * _CLIFF):
+        octave, last = float(np.median(above)) if above.size else np.inf, float(np.median(power[-len(power) // 8 :]))
+        # harmonics of a law that bends end too, but in noise, which does not fall any further
+        is_noise = last > _FALLS * octave and octave > _ROUNDING * usual
+        if octave < usual / (_EDGE * _CLIFF) and not is_noise:
             return float(first)
     return None
 
