@@ -48,7 +48,7 @@ class Signals:
     of several that of the noisiest, None where the rate was recorded. slower: the sensors that are
     slower than the ticks. command (n,): the set-points at these times, None where they were not recorded.
     refused_rate: how a recorded rate differs from the deflection's derivative, so that it is not used.
-    unfiltered (n,): N m, the torque as it was read where that is another; not kept for several recordings together.
+    unfiltered (n,): N m, the torque as it was read where that is another.
     """
 
     motion: Motion
@@ -96,6 +96,7 @@ def joined(parts: list[Signals]) -> Signals:
         torque_from=parts[0].torque_from if len({part.torque_from for part in parts}) == 1 else "mixed",
         slower=tuple(dict.fromkeys(one for part in parts for one in part.slower)),
         command=np.concatenate(commands) if len(commands) == len(parts) else None,
+        unfiltered=np.concatenate([part.as_read for part in parts]),
     )
 
 

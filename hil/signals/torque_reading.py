@@ -25,7 +25,7 @@ _WHOLE: Final = 0.48  # of the sampling rate, up to where a spectrum is looked a
 _CLIFF: Final = 1e3  # of power lost within an octave, which a filter of the fourth order does not reach
 _EDGE: Final = 10.0  # of power lost, where the cliff begins
 _FALLS: Final = 0.1  # of the power an octave above a cliff, that is left at the end of the spectrum
-_ROUNDING: Final = 1e-12  # of power, that is rounding
+_NOTHING: Final = 1e-6  # of the power in the band, that is no noise
 _GAPS: Final = -1.0  # decades of power by which each gap of a moving mean is below what is beside it
 _LOBES: Final = 0.8  # decades of power, by which those between the gaps differ from a mean's
 _LONGEST_MEAN: Final = 120  # readings
@@ -101,9 +101,10 @@ def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
     gone = np.flatnonzero((power < usual / _EDGE) & (frequency > highest))
     for first in frequency[gone[:1]].tolist():
         above = power[(frequency > 1.8 * first) & (frequency < 2.2 * first)]
-        octave, last = float(np.median(above)) if above.size else np.inf, float(np.median(power[-len(power) // 8 :]))
+        octave = float(np.median(above)) if above.size else np.inf
+        last = float(np.median(power[-len(power) // 3 :]))
         # harmonics of a law that bends end too, but in noise, which does not fall any further
-        is_noise = last > _FALLS * octave and octave > _ROUNDING * usual
+        is_noise = last > _FALLS * octave and octave > _NOTHING * usual
         if octave < usual / (_EDGE * _CLIFF) and not is_noise:
             return float(first)
     return None
