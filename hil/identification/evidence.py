@@ -16,7 +16,7 @@ from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
 from hil.uncertainty.criteria import COUPLING, LIKE_FRICTION, distinguishable, friction_likeness, narrow
 from hil.uncertainty.instruments import DeflectionErrors
-from hil.uncertainty.lack_of_fit import LackOfFit
+from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 
 Array = NDArray[np.float64]

@@ -17,7 +17,8 @@ from hil.signals.windows import is_smooth
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
 from hil.uncertainty.instruments import followed, is_instrument, linearised, noisier
-from hil.uncertainty.lack_of_fit import Fitted, LackOfFit, lack_of_fit
+from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit
+from hil.uncertainty.misfit import LackOfFit
 
 Array = NDArray[np.float64]
 

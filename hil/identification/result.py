@@ -17,7 +17,7 @@ from hil.identification.selection.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.instruments import Method
-from hil.uncertainty.lack_of_fit import LackOfFit
+from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 
 _NORMAL = 1.959964  # half a 95 % interval in standard errors

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hil.uncertainty.dynamic_stiffness import Bands, DynamicStiffness
-    from hil.uncertainty.lack_of_fit import LackOfFit
+    from hil.uncertainty.misfit import LackOfFit
 
 
 def lack_of_fit_json(found: LackOfFit | None) -> dict[str, Any] | None:

@@ -18,27 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, Recorded, reading_noise
+from hil.uncertainty.misfit import LackOfFit, Respect, Suspect
 from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
 from hil.uncertainty.scores import FEWEST, SHORTEST, Scores
 
 Array = NDArray[np.float64]
 
-FALSE_ALARMS: Final = 0.002
-"""Probability that any test calls a model wrong that is right."""
-
 _EXACT: Final = 1e-9  # of the torque, below which residuals are rounding
 _LIMIT: Final = 20_000  # samples that are looked at
 _DENSE: Final = 40.0  # samples a period that are enough
 _PIECES: Final = 16  # stretches that are taken of longer recordings
-_SHARE: Final = 0.02  # of the residuals' power, below which what is predicted is of no size
 _AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
 _EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
 _MOST_NOISE: Final = 4.0  # times what noise of the deflection's size adds to the residuals, that it may explain of them
 _ACCURATE: Final = 5e-4  # of Kc and Bc, within which the rate is known
 _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
-_GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
-_SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals
-_PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,120 +53,6 @@ class Fitted:
     skew: int | None = None
     kept: NDArray[np.bool_] | None = None
     included: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True, slots=True)
-class Respect:
-    """One test. p: the probability by chance, corrected for the number of tests.
-
-    Kc, Bc: by how much they differ between the two parts, relative; None where the test compares no parts.
-    """
-
-    code: str
-    name: str
-    p: float
-    Kc: float | None = None
-    Bc: float | None = None
-
-    @property
-    def fails(self) -> bool:
-        """Whether the model is rejected in this respect."""
-        return self.p < FALSE_ALARMS
-
-
-@dataclass(frozen=True, slots=True)
-class Suspect:
-    """An effect that the residuals look like. share: of the residuals' power that it explains.
-
-    Kc, Bc: by how much they would change with it in the model, relative.
-    """
-
-    effect: Effect
-    share: float
-    Kc: float
-    Bc: float
-
-
-@dataclass(frozen=True, slots=True)
-class LackOfFit:
-    """What the tests found. share: of the residuals' power, predicted in blocks that were not seen; predicted: N m,
-    r.m.s., of that. of_noise: whether noise of the deflection predicts it, which stands in the residuals too.
-
-    Kc, Bc: the size of the misfit, relative: the largest change by a suspect, or half the difference between parts;
-    without either, the change that would make as much torque as is predicted. outside: whether that leaves the interval
-    of Kc or Bc.
-    lags (l,) s and correlation (l, 2): of the residuals with the deflection and rate of `lags` before. plane: mean
-    residual, N m, in cells of equal counts of deflection (rows, rising) and rate (columns, rising), NaN where none is.
-    """
-
-    respects: tuple[Respect, ...]
-    share: float
-    suspects: tuple[Suspect, ...]
-    Kc: float
-    Bc: float
-    outside: bool
-    samples: int
-    lags: Array
-    correlation: Array
-    plane: Array
-    predicted: float = 0.0
-    of_noise: bool = False
-
-    def beside_noise(self, noisier: LackOfFit | None) -> LackOfFit:
-        """Return what is left of it, given the same tests with twice the power of noise in the deflection.
-
-        What a wrong model leaves stays as it is, and what noise leaves doubles (Cook and Stefanski 1994).
-        """
-        if noisier is None:
-            return self
-        if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
-            return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
-        left = 2.0 * self.predicted**2 - noisier.predicted**2
-        return replace(self, of_noise=left < _SHARE * self.predicted**2 / self.share)
-
-    @property
-    def affected(self) -> str | None:
-        """The one of Kc and Bc that is wrong by more than matters; None where both are, or neither."""
-        return self._grave[0] if len(self._grave) == 1 else None
-
-    @property
-    def is_grave(self) -> bool:
-        """Whether Kc or Bc would leave its interval by an amount that matters: 0.5 % of Kc or 3 % of Bc."""
-        return self.outside and bool(self._grave)
-
-    @property
-    def _grave(self) -> list[str]:
-        sizes = zip(("Kc", "Bc"), (self.Kc, self.Bc), _GRAVE, strict=True)
-        return [name for name, size, most in sizes if size > most]
-
-    @property
-    def failed(self) -> tuple[Respect, ...]:
-        """The respects in which the model is rejected, the surest first."""
-        return tuple(sorted((one for one in self.respects if one.fails), key=lambda one: one.p))
-
-    @property
-    def misfit(self) -> bool:
-        """Whether the model is rejected, and by an amount that matters."""
-        if self.of_noise or not self.failed:
-            return False
-        if self._is_small:
-            return self.share >= _PLAIN and not self._is_harmless
-        return self.outside or (self.share >= _SHARE and not self._is_harmless)
-
-    @property
-    def in_intervals(self) -> tuple[float, float]:
-        """By how much the intervals of Kc and Bc are wider for what the model lacks, relative; 0 for a misfit."""
-        return (0.0, 0.0) if self.misfit or not self._is_small else (self.Kc, self.Bc)
-
-    @property
-    def _is_small(self) -> bool:
-        """Whether it moves Kc and Bc by less than readings of torque and angle are ever right to."""
-        return self.Kc <= _SMALL[0] and self.Bc <= _SMALL[1]
-
-    @property
-    def _is_harmless(self) -> bool:
-        """Whether it is noise in the deflection that moves neither Kc nor Bc by what matters."""
-        return bool(self.suspects) and self.suspects[0].effect.in_deflection and not self._grave
 
 
 def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:

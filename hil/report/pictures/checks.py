@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from hil.identification.result import Identification
     from hil.uncertainty.dynamic_stiffness import DynamicStiffness
-    from hil.uncertainty.lack_of_fit import LackOfFit
+    from hil.uncertainty.misfit import LackOfFit
 
 Array = NDArray[np.float64]
 

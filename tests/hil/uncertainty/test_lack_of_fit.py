@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hil.uncertainty.effects import Recorded
-from hil.uncertainty.lack_of_fit import Fitted, LackOfFit, lack_of_fit
+from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit
+from hil.uncertainty.misfit import LackOfFit
 
 Array = NDArray[np.float64]
 
