@@ -162,6 +162,7 @@ class Motion:
         left = np.exp(-elapsed / constant) if constant > 0.0 else np.arange(len(self)) == firsts
         return np.asarray(left, dtype=np.float64)
 
+    @cached_property
     def travelled(self) -> Array:
         """The way (n,) rad of the joint since the first sample, back and forth."""
         moved = np.diff(self.time) * 0.5 * np.abs(self.dtheta_dot[:-1] + self.dtheta_dot[1:])

@@ -114,7 +114,8 @@ def test_noise_free_data_give_back_what_they_were_made_with() -> None:
     rng = np.random.default_rng(1)
     columns, truth = rng.normal(size=(20_000, 4)) * [1e-2, 1.0, 1e2, 1e-4], np.array([263.0, -1e-4, 0.5, 17.75e-3])
     optimum = least_absolute_deviations(columns, columns @ truth)
-    assert optimum.genes == pytest.approx(truth, rel=1e-9)
+    # the column of 1e-4 makes 4e-8 of the torque, whose rounding leaves 6e-9 of its factor open
+    assert optimum.genes == pytest.approx(truth, rel=1e-8)
     assert optimum.fitness < 1e-13
     assert optimum.relative_gap(optimum.fitness) == 0.0
 
