@@ -116,6 +116,16 @@ def test_a_damaged_checkpoint_is_refused_with_its_name(paper_like: Data, tmp_pat
         tried(paper_like, checkpoint=file)
 
 
+def test_a_checkpoint_whose_parts_are_said_to_begin_before_it_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    np.savez(path, a=np.zeros(3))
+    data = bytearray(path.read_bytes())
+    data[-6:-2] = (int.from_bytes(data[-6:-2], "little") + 1000).to_bytes(4, "little")  # of the central directory
+    path.write_bytes(data)
+    with pytest.raises(WrongCheckpoint, match="not a checkpoint"):
+        load(path, {})
+
+
 def test_a_checkpoint_is_an_ordinary_file_and_nothing_else_is_read_or_replaced(tmp_path: Path) -> None:
     """A FIFO would hang, an endless device would fill the memory."""
     os.mkfifo(tmp_path / "fifo")
