@@ -9,6 +9,7 @@ the second and third are its derivatives, so that the rate is the slope of the d
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import Final
 
@@ -28,6 +29,7 @@ _NYQUIST: Final = 0.9  # part of half the sampling rate that the stop band must 
 _SIGNALS: Final = 3  # deflection, rate, acceleration
 _BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
 _LEFT: Final = 0.8  # of the samples, that must remain
+_KEPT: Final = 2_000_000  # weights, 50 MB with all that belongs to them, that are kept for stamps asked for again
 _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
@@ -90,6 +92,15 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
     return value, slope, curvature
 
 
+def passed_again(time: Array, values: Array, low_pass: LowPass) -> Array:
+    """Return the value of `passed` alone, for many readings (n,) at the same stamps: what depends on these is kept."""
+    found = np.empty(len(time))
+    kernels = low_pass.kernels()[:2]
+    for part in _stretches(time, low_pass.step):
+        found[part] = _passed(time[part], values[part], low_pass, kernels, again=True)[0]
+    return found
+
+
 def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
     """Return whether (n,) each sample has all neighbours that the low-pass reaches to, with no gap between them."""
     found = np.zeros(len(time), dtype=bool)
@@ -104,8 +115,8 @@ def _stretches(time: Array, step: float) -> list[slice]:
     return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
 
 
-def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array) -> Array:
-    """The same of a stretch without gaps, (3, n)."""
+def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array, *, again: bool = False) -> Array:
+    """The same of a stretch without gaps, a row for each kernel; with value and slope alone, a row of the value."""
     from scipy.interpolate import CubicHermiteSpline
     from scipy.signal import oaconvolve
 
@@ -119,11 +130,14 @@ def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array) -> Ar
     if len(grid) == len(time) and bool(np.all(np.abs(grid - time) < _EVEN * low_pass.step)):
         return filtered(values)
     if len(time) < 2 * low_pass.near + 1:
-        return np.full((_SIGNALS, len(time)), np.nan)
+        return np.full((len(kernels), len(time)), np.nan)
     # the same grid whichever part of a recording is read
     first, last = np.floor(time[0] / low_pass.step), np.ceil(time[-1] / low_pass.step)
     grid = low_pass.step * np.arange(first, last + 1.0)
-    value, slope, curvature = filtered(_on_grid(grid, time, values, low_pass.near))
+    value, slope, *more = filtered(_on_grid(grid, time, values, low_pass.near, again=again))
+    if not more:
+        return np.array([CubicHermiteSpline(grid, value, slope)(time)])
+    (curvature,) = more
     return np.array(
         [
             CubicHermiteSpline(grid, value, slope)(time),
@@ -133,9 +147,29 @@ def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array) -> Ar
     )
 
 
-def _on_grid(grid: Array, time: Array, values: Array, near: int) -> Array:
+def _on_grid(grid: Array, time: Array, values: Array, near: int, *, again: bool) -> Array:
     """Readings at even times: a spline through noisy readings of which two are close would swing."""
     from scipy.interpolate import CubicHermiteSpline
 
+    if again and len(time) * (2 * near + 1) <= _KEPT:
+        neighbours, weights = _weights(time.tobytes(), near)
+        base = values.mean()  # small numbers lose fewer digits
+        value, slope = (weights * (values - base)[neighbours]).sum(axis=2)
+        return np.asarray(CubicHermiteSpline(time, value + base, slope)(grid))
     found = [local_polynomial(time, values, near, order) for order in (0, 1)]
     return np.asarray(CubicHermiteSpline(time, *found)(grid))
+
+
+@lru_cache(maxsize=2)
+def _weights(stamps: bytes, near: int) -> tuple[NDArray[np.int64], Array]:
+    """Return the neighbours (n, m) of each sample and the weights (2, n, m) of its local polynomial's value and slope.
+
+    A comb of ones, m samples apart, has a single one in each window of m samples: its fits are weights.
+    """
+    time, width = np.frombuffer(stamps), 2 * near + 1
+    at = np.arange(len(time))
+    first = np.clip(at - near, 0, len(time) - width)[:, None]
+    neighbours = first + (np.arange(width) - first) % width
+    combs = [(at % width == k).astype(np.float64) for k in range(width)]
+    weights = [[local_polynomial(time, comb, near, order) for comb in combs] for order in (0, 1)]
+    return neighbours, np.ascontiguousarray(np.moveaxis(np.array(weights), 1, 2))

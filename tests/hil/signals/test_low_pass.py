@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from hil.recording.reader import Array
-from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed
+from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passed_again
 from hil.signals.savitzky_golay import kernel
 from hil.signals.windows import window_for, windows
 
@@ -101,3 +101,11 @@ def test_the_low_pass_leaves_the_motion_beyond_the_band_that_is_above_the_noise(
     assert window.low_pass is not None
     found, _, _ = window.moved(time, read)
     assert float(np.std((found - x)[window.sound(time)])) < count / np.sqrt(12.0)
+
+
+def test_readings_at_stamps_asked_for_again_pass_as_the_first_ones_do() -> None:
+    rng = np.random.default_rng(0)
+    time = (TIME + 2e-4 * rng.uniform(-1.0, 1.0, len(TIME)))[rng.random(len(TIME)) > 0.05]
+    found = low_pass(time)
+    for values in (np.sin(40.0 * time) + 3.0, np.sign(np.sin(9.0 * time)), rng.standard_normal(len(time))):
+        assert passed_again(time, values, found) == pytest.approx(passed(time, values, found)[0], abs=1e-12)
