@@ -384,6 +384,7 @@ DESCRIBED: Mapping[str, Bench] = {
 ROWS: Mapping[str, Bench] = {
     "angle noise 2 mrad": replace(_ONE, angle_noise=2e-3),
     "angle noise 5 mrad": replace(_ONE, angle_noise=5e-3),
+    "prbs, angle noise 2 mrad": replace(_ONE, kind="prbs", angle_noise=2e-3),
     "12 bit, 0.05 rad": replace(_ONE, bits=12, peak=0.05),
     "12 bit, 0.02 rad": replace(_ONE, bits=12, peak=0.02),
     "17 bit, 500 N m/rad, 0.01 rad": replace(_ONE, bits=17, peak=0.01, stiffness=500.0, damping=5.0, torque_noise=1e-2),
