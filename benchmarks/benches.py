@@ -41,7 +41,7 @@ Law = Callable[[Motion, float, float], Array]
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """One bench; SI. kind: "multisine", "chirp", "prbs" or "ramp". law: the coupling. rate: Hz, of the samples.
+    """One bench; SI. kind: "multisine", "chirp", "prbs", "walk" or "ramp". law: the coupling. rate: Hz, of the samples.
 
     stiffness, damping: what the result is held against, NaN where the coupling has none. torque_noise: N m, of colour
     "white", "ar" (first order, 20 samples long) or "heavy" (Student, 3 degrees of freedom). bits: of the encoder, a
@@ -49,6 +49,7 @@ class Bench:
     of its cell. cell_rate: Hz, of a slower torque cell, 0: as fast as the angle;
     interpolated: whether its readings are joined by lines instead of held. zero: rad, added to the angle. torque_unit
     and angle_unit: what a reading is multiplied by, wrongly. frozen: s, from which on the angle stands still.
+    clock: s, to which the stamps are rounded down; 0: exact.
     """
 
     kind: str = "multisine"
@@ -72,6 +73,7 @@ class Bench:
     angle_unit: float = 1.0
     frozen: float = math.inf
     wrapped: bool = False
+    clock: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +91,9 @@ def record(bench: Bench, seed: int) -> Reading:
     rng = np.random.default_rng([seed, 4711])
     motion = _MOTIONS[bench.kind](bench, rng)
     pure = bench.law(motion, bench.stiffness, bench.damping)
-    deflection = motion.deflection[::FINER]
+    deflection, time = motion.deflection[::FINER], motion.time[::FINER]
     return Reading(
-        motion.time[::FINER],
+        bench.clock * np.floor(time / bench.clock + 1e-9) if bench.clock else time,
         _cell(bench, motion, pure, rng) * bench.torque_unit,
         _angle(bench, motion.time[::FINER], deflection, rng) * bench.angle_unit,
         deflection,
@@ -143,6 +145,13 @@ def _prbs(bench: Bench, rng: np.random.Generator) -> Motion:
     return _driven(time, steps[: len(time)], bench.peak, speed)
 
 
+def _walk(bench: Bench, rng: np.random.Generator) -> Motion:
+    """White noise through a first-order filter at the lower end of the band, then as the binary sequence."""
+    time, keep = _grid(bench), math.exp(-2.0 * math.pi * bench.band[0] / (bench.rate * FINER))
+    walk = lfilter([1.0], [1.0, -keep], rng.standard_normal(len(time)))
+    return _driven(time, np.asarray(walk), bench.peak, 2.0 * np.pi * bench.band[1])
+
+
 def _ramp(bench: Bench, _rng: np.random.Generator) -> Motion:
     """A triangle of 2 s with rounded corners."""
     time = _grid(bench)
@@ -168,6 +177,7 @@ _MOTIONS: Mapping[str, Callable[[Bench, np.random.Generator], Motion]] = {
     "multisine": _multisine,
     "chirp": _chirp,
     "prbs": _prbs,
+    "walk": _walk,
     "ramp": _ramp,
 }
 
@@ -378,6 +388,9 @@ DESCRIBED: Mapping[str, Bench] = {
     "chirp, friction": replace(_ONE, kind="chirp", law=friction(2e-3)),
     "prbs": replace(_ONE, kind="prbs"),
     "prbs, heavy": replace(_ONE, kind="prbs", colour="heavy"),
+    "random walk": replace(_ONE, kind="walk", bits=16),
+    "18 bit, 3 kHz": replace(_ONE, kind="chirp", rate=3000.0, duration=3.0, bits=18, peak=0.035, torque_noise=1e-5),
+    "350 Hz, stamps to 1 ms": replace(_ONE, rate=350.0, clock=1e-3),
 }
 """Benches that a model of `hil identify` describes."""
 
