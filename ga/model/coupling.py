@@ -209,14 +209,19 @@ class CouplingModel:
         pairs = [pair for term in self.terms if term.bounds is not None for pair in term.bounds(motion, highest)]
         return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
-    def _valued(self, nonlinear: Array | None) -> Iterator[tuple[Term, Array]]:
-        """Each term that has nonlinear parameters, with its own of these (q,)."""
-        at = 0
-        for term in self.terms if nonlinear is not None else ():
+    @cached_property
+    def _places(self) -> tuple[tuple[Term, slice], ...]:
+        """Each term that has nonlinear parameters, and which of the model's (q,) they are."""
+        found, at = [], 0
+        for term in self.terms:
             count = sum(parameter.nonlinear for parameter in term.parameters)
-            if count and nonlinear is not None:
-                yield term, nonlinear[at : at + count]
-                at += count
+            found += [(term, slice(at, at + count))] if count else []
+            at += count
+        return tuple(found)
+
+    def _valued(self, nonlinear: Array | None) -> list[tuple[Term, Array]]:
+        """Each term that has nonlinear parameters, with its own of these (q,)."""
+        return [] if nonlinear is None else [(term, nonlinear[own]) for term, own in self._places]
 
     def _needed(self, motion: Motion) -> tuple[Motion, slice | NDArray[np.int64]]:
         """The samples that the torque is computed of, and the rows that the motion is of these."""
