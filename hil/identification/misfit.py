@@ -35,7 +35,7 @@ _TERMS = {  # parameters of terms that leave nothing of these effects: a Maxwell
     "Ka": "asymmetry",
     "Ks": "stiffness-drift",
 }
-_FOLLOWED = 0.01  # of the power of the deflection, which a motion that follows from the command may lack
+_FOLLOWED = 0.02  # of the power of the deflection, which a motion that follows from the command may lack
 _CHANGES = 0.03  # of K' over the band, from which it is said
 
 
@@ -110,8 +110,9 @@ def _without_errors(signals: Signals) -> Motion:
     window, command = signals.window, signals.command
     if window is None or window.low_pass is None or not is_instrument(command):
         return signals.motion
-    motion = followed(signals.motion, window, command, window.sound(signals.motion.time))
-    left = float(np.var(motion.dtheta - signals.motion.dtheta))
+    sound = window.sound(signals.motion.time)
+    motion = followed(signals.motion, window, command, sound)
+    left = float(np.var((motion.dtheta - signals.motion.dtheta)[sound]))
     return motion if left < _FOLLOWED * float(np.var(signals.motion.dtheta)) else signals.motion
 
 
