@@ -128,6 +128,24 @@ def test_a_frozen_temperature_is_noticed_under_load_only() -> None:
     assert ended(frozen, size=0.3, seconds=700.0, rate=40.0) is None
 
 
+def test_a_temperature_that_comes_to_its_balance_may_stay_there_and_one_that_stops_in_the_middle_may_not() -> None:
+    def warming(until: float, steps: float) -> Change:
+        """From 30 degC towards 33.4 with a time constant of 150 s in steps of a sensor, which stops at `until` s."""
+
+        def change(tick: int, sample: Sample, joint: AtJoint) -> Reading:
+            t = min(tick / 40.0, until)
+            value = 30.0 + 3.4 * (1.0 - math.exp(-t / 150.0))
+            return replace(sample, temperature=steps * math.floor(value / steps)), joint
+
+        return change
+
+    assert ended(warming(math.inf, 1.0), size=0.9, seconds=2000.0, rate=40.0) is None
+    end = ended(warming(60.0, 0.1), size=0.9, seconds=900.0, rate=40.0)
+    assert end is not None
+    assert "sensor is frozen" in str(end[1])
+    assert 360.0 < end[0] / 40.0 < 760.0
+
+
 @pytest.mark.parametrize(
     "change",
     [
