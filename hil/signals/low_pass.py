@@ -11,12 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.signals.savitzky_golay import local_polynomial
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
@@ -29,7 +32,7 @@ _NYQUIST: Final = 0.9  # part of half the sampling rate that the stop band must 
 _SIGNALS: Final = 3  # deflection, rate, acceleration
 _BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
 _LEFT: Final = 0.8  # of the samples, that must remain
-_KEPT: Final = 2_000_000  # weights, 50 MB with all that belongs to them, that are kept for stamps asked for again
+_KEPT: Final = 5_000_000  # weights, 60 MB, that are kept for stamps asked for again
 _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
@@ -45,6 +48,7 @@ class LowPass:
     step: float
     near: int
 
+    @lru_cache(maxsize=8)  # noqa: B019 - it holds four numbers
     def kernels(self) -> Array:
         """Return the weights (3, 2*half+1) of value, slope per s and curvature per s^2."""
         reach = (self.half + 1) * self.step
@@ -57,6 +61,7 @@ class LowPass:
         found = np.array([of[_FINER:-_FINER:_FINER] for of in (weights, slope, np.gradient(slope, fine))])
         found[0] /= found[0].sum()
         found[2] -= found[2].mean()
+        found.flags.writeable = False
         return found
 
     def amplification(self) -> Array:
@@ -94,11 +99,8 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
 
 def passed_again(time: Array, values: Array, low_pass: LowPass) -> Array:
     """Return the value of `passed` alone, for many readings (n,) at the same stamps: what depends on these is kept."""
-    found = np.empty(len(time))
-    kernels = low_pass.kernels()[:2]
-    for part in _stretches(time, low_pass.step):
-        found[part] = _passed(time[part], values[part], low_pass, kernels, again=True)[0]
-    return found
+    parts = _stretches(time, low_pass.step)
+    return np.concatenate([_value(time[part], values[part], low_pass) for part in parts])
 
 
 def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
@@ -115,29 +117,18 @@ def _stretches(time: Array, step: float) -> list[slice]:
     return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
 
 
-def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array, *, again: bool = False) -> Array:
-    """The same of a stretch without gaps, a row for each kernel; with value and slope alone, a row of the value."""
+def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array) -> Array:
+    """The same of a stretch without gaps, a row for each kernel, of which the last has the slope of the one before."""
     from scipy.interpolate import CubicHermiteSpline
-    from scipy.signal import oaconvolve
 
-    def filtered(even: Array) -> Array:
-        padded = np.pad(even - even[0], low_pass.half, mode="edge")
-        found = np.array([oaconvolve(padded, kernel, mode="valid") for kernel in kernels])
-        found[0] += even[0]
-        return found
-
-    grid = np.linspace(time[0], time[-1], 1 + round((time[-1] - time[0]) / low_pass.step))
-    if len(grid) == len(time) and bool(np.all(np.abs(grid - time) < _EVEN * low_pass.step)):
-        return filtered(values)
+    if _is_even(time, low_pass):
+        return _filtered(values, low_pass, kernels)
     if len(time) < 2 * low_pass.near + 1:
         return np.full((len(kernels), len(time)), np.nan)
-    # the same grid whichever part of a recording is read
-    first, last = np.floor(time[0] / low_pass.step), np.ceil(time[-1] / low_pass.step)
-    grid = low_pass.step * np.arange(first, last + 1.0)
-    value, slope, *more = filtered(_on_grid(grid, time, values, low_pass.near, again=again))
-    if not more:
-        return np.array([CubicHermiteSpline(grid, value, slope)(time)])
-    (curvature,) = more
+    grid = _grid(time, low_pass)
+    # a spline through noisy readings of which two are close would swing
+    smooth = CubicHermiteSpline(time, *(local_polynomial(time, values, low_pass.near, order) for order in (0, 1)))
+    value, slope, curvature = _filtered(smooth(grid), low_pass, kernels)
     return np.array(
         [
             CubicHermiteSpline(grid, value, slope)(time),
@@ -147,29 +138,82 @@ def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array, *, ag
     )
 
 
-def _on_grid(grid: Array, time: Array, values: Array, near: int, *, again: bool) -> Array:
-    """Readings at even times: a spline through noisy readings of which two are close would swing."""
-    from scipy.interpolate import CubicHermiteSpline
+def _value(time: Array, values: Array, low_pass: LowPass) -> Array:
+    """The first row of `_passed`, at stamps that are asked for again."""
+    if _is_even(time, low_pass):
+        return np.asarray(_filtered(values, low_pass, low_pass.kernels()[:1])[0])
+    if not 2 * low_pass.near < len(time) < _KEPT / (2 * (low_pass.half + low_pass.near) + 3):
+        return np.asarray(_passed(time, values, low_pass, low_pass.kernels())[0])
+    base = values.mean()  # small numbers lose fewer digits
+    return np.asarray(base + _weights(time.tobytes(), low_pass) @ (values - base))
 
-    if again and len(time) * (2 * near + 1) <= _KEPT:
-        neighbours, weights = _weights(time.tobytes(), near)
-        base = values.mean()  # small numbers lose fewer digits
-        value, slope = (weights * (values - base)[neighbours]).sum(axis=2)
-        return np.asarray(CubicHermiteSpline(time, value + base, slope)(grid))
-    found = [local_polynomial(time, values, near, order) for order in (0, 1)]
-    return np.asarray(CubicHermiteSpline(time, *found)(grid))
+
+def _filtered(even: Array, low_pass: LowPass, kernels: Array) -> Array:
+    """Readings at even times behind each kernel."""
+    from scipy.signal import oaconvolve
+
+    padded = np.pad(even - even[0], low_pass.half, mode="edge")
+    found = np.array([oaconvolve(padded, kernel, mode="valid") for kernel in kernels])
+    found[0] += even[0]
+    return found
+
+
+def _is_even(time: Array, low_pass: LowPass) -> bool:
+    count = 1 + round((time[-1] - time[0]) / low_pass.step)
+    even = np.linspace(time[0], time[-1], count) if count == len(time) else time + low_pass.step
+    return bool(np.all(np.abs(even - time) < _EVEN * low_pass.step))
+
+
+def _grid(time: Array, low_pass: LowPass) -> Array:
+    """Even times around a stretch, the same whichever part of a recording is read."""
+    first, last = np.floor(time[0] / low_pass.step), np.ceil(time[-1] / low_pass.step)
+    return np.asarray(low_pass.step * np.arange(first, last + 1.0))
 
 
 @lru_cache(maxsize=2)
-def _weights(stamps: bytes, near: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the neighbours (n, m) of each sample and the weights (2, n, m) of its local polynomial's value and slope.
+def _weights(stamps: bytes, low_pass: LowPass) -> csr_array:
+    """Return the weights (n, n) that make the filtered values of a stretch from its readings, as `_passed` does it.
 
-    A comb of ones, m samples apart, has a single one in each window of m samples: its fits are weights.
+    Readings go to the grid by a local polynomial, through the low-pass there, and back: each is a matrix.
     """
-    time, width = np.frombuffer(stamps), 2 * near + 1
-    at = np.arange(len(time))
-    first = np.clip(at - near, 0, len(time) - width)[:, None]
+    from scipy.sparse import csr_array, diags_array
+
+    time = np.frombuffer(stamps)
+    grid, half = _grid(time, low_pass), low_pass.half
+    fits = [_local(time, low_pass.near, order) for order in (0, 1)]
+    there = sum(part @ fit for part, fit in zip(_hermite(time, grid), fits, strict=True))
+    ends = np.clip(np.arange(-half, len(grid) + half), 0, len(grid) - 1)
+    padded = csr_array((np.ones(len(ends)), ends, np.arange(len(ends) + 1)), shape=(len(ends), len(grid))) @ there
+    back = []
+    for part, kernel in zip(_hermite(grid, time), low_pass.kernels()[:2], strict=True):
+        offsets = range(2 * half + 1)
+        through = diags_array(kernel[::-1], offsets=list(offsets), shape=(len(grid), len(ends)))
+        back.append(part @ (through.tocsr() @ padded))
+    return csr_array(back[0] + back[1])
+
+
+def _local(time: Array, near: int, order: int) -> csr_array:
+    """The weights (n, n) of a local polynomial: ones, m apart, have a single one in each window of m samples."""
+    from scipy.sparse import csr_array
+
+    count, width = len(time), 2 * near + 1
+    at = np.arange(count)
+    first = np.clip(at - near, 0, count - width)[:, None]
     neighbours = first + (np.arange(width) - first) % width
-    combs = [(at % width == k).astype(np.float64) for k in range(width)]
-    weights = [[local_polynomial(time, comb, near, order) for comb in combs] for order in (0, 1)]
-    return neighbours, np.ascontiguousarray(np.moveaxis(np.array(weights), 1, 2))
+    weights = [local_polynomial(time, (at % width == k).astype(np.float64), near, order) for k in range(width)]
+    return csr_array((np.stack(weights, axis=1).ravel(), neighbours.ravel(), width * np.arange(count + 1)))
+
+
+def _hermite(knots: Array, at: Array) -> tuple[csr_array, csr_array]:
+    """The weights (k, n) of values and slopes (n,) at the knots in the cubic between two of them, at times (k,)."""
+    from scipy.sparse import csr_array
+
+    left = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
+    step = knots[left + 1] - knots[left]
+    part = (at - knots[left]) / step
+    places, rows = np.stack([left, left + 1], axis=1).ravel(), 2 * np.arange(len(at) + 1)
+    later = part**2 * (3.0 - 2.0 * part)
+    of_value = np.stack([1.0 - later, later], axis=1)
+    of_slope = np.stack([part * (1.0 - part) ** 2, part**2 * (part - 1.0)], axis=1) * step[:, None]
+    shape = (len(at), len(knots))
+    return tuple(csr_array((values.ravel(), places, rows), shape=shape) for values in (of_value, of_slope))
