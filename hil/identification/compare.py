@@ -25,7 +25,7 @@ COMPARED = ("Kc", "Bc")
 """The parameters that are compared: the coupling's; other terms belong to the stand."""
 
 _CHANCE = 0.05
-_SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_torque_uncertainty` has it
+_SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_scale_uncertainty` has it
 _HOUR = 3600.0
 
 

@@ -43,6 +43,7 @@ from hil.identification.selection.stepwise import Step
 from hil.recording.ahead import Progress
 from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources
+from hil.signals.windows import RATE_ACCURACY
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
 from hil.uncertainty.stationarity import disagreement, pooled_intervals, stationarity_errors
@@ -175,14 +176,13 @@ def _is_relative(model: Coupling | None) -> bool:
 def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     """The intervals, the validation and the gap, by which the result is judged."""
     parameters = (*data.choice.model.linear, *data.choice.model.nonlinear)
-    scales = np.array([parameter.scales for parameter in parameters])
     sampling = confidence_intervals(solution.blocks, solution.values)
     pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
     values, chosen = _averaged(data, solution, sampling.half_width)
     deflection = read_with_errors(data, solution.values, sampling.half_width)
     if deflection:
         values, chosen = values + deflection.change, np.hypot(chosen, deflection.half_width)
-    exact = pooled.with_torque_uncertainty(data.uncertainty, solution.values, scales)
+    exact = pooled.with_scale_uncertainty(_of_scale(data, parameters), solution.values)
     own = np.hypot(exact.half_width, deflection.half_width) if deflection else exact.half_width
     return Evidence(
         model=data.choice.model,
@@ -201,6 +201,13 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         deflection=deflection,
         unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
     )
+
+
+def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
+    """The relative uncertainty (p,) of what the parameters are proportional to: the torque, and for Bc the rate too."""
+    torque = np.array([data.uncertainty if parameter.scales else 0.0 for parameter in parameters])
+    rate = np.array([RATE_ACCURACY if parameter.name == "Bc" else 0.0 for parameter in parameters])
+    return np.asarray(np.hypot(torque, rate))
 
 
 def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 
 _NORMAL = 1.959964  # half a 95 % interval in standard errors
-_SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_torque_uncertainty` has it
+_SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_scale_uncertainty` has it
 _ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
 
 

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 
 _GAIN_ERROR = 3e-4  # of rate and acceleration, at the upper end of the band
 _NOISE = 0.01  # of the rate's RMS: so much noise in it lowers Bc by 0.01 %
+RATE_ACCURACY = 0.5 * (_GAIN_ERROR + _NOISE**2)  # of Bc: half of the most that both can change it by
 _HIDDEN = 0.3  # of the torque's own noise, that the rate's may add to it by way of Bc
 _KNOWN = 3e-4  # of the torque's deviation, to which the rate is accurate: less noise than this is not looked for
 _FAST = 0.9  # quantile of the speed above which a sample is a fast one

@@ -36,15 +36,12 @@ class ConfidenceIntervals:
     half_width: Array
     inflation: Array
 
-    def with_torque_uncertainty(
-        self, uncertainty: float, values: Array, scales: NDArray[np.bool_]
-    ) -> ConfidenceIntervals:
-        """Return the intervals widened by the uncertainty of the torque's scale, relative, one standard deviation.
+    def with_scale_uncertainty(self, uncertainty: Array, values: Array) -> ConfidenceIntervals:
+        """Return the intervals widened by what no number of samples averages away.
 
-        An error of the scale goes one to one into every parameter (p,) that `scales` with the torque.
+        uncertainty: relative, one standard deviation, of what the parameters (p,) are proportional to.
         """
-        carried = np.where(scales, 1.96 * uncertainty * np.abs(values), 0.0)
-        return ConfidenceIntervals(np.hypot(self.half_width, carried), self.inflation)
+        return ConfidenceIntervals(np.hypot(self.half_width, 1.96 * uncertainty * np.abs(values)), self.inflation)
 
     def with_choice(self, chosen: Array, sampling: Array) -> ConfidenceIntervals:
         """Return the intervals with half the widths of averages over models (p,) in place of those of sampling (p,)."""
