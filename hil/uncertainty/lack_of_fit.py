@@ -108,7 +108,14 @@ class _Tests:
             correlation=correlation,
             plane=mean_over_plane(self._recorded, self._tested.scores),
             predicted=predicted,
+            unexplained=self._of_torque(share, predicted),
         )
+
+    def _of_torque(self, share: float, predicted: float) -> float:
+        """What is predicted, N m r.m.s., of the torque's deviation; outliers make neither larger than the residuals."""
+        kept = self._kept[:, 0]
+        residuals, torque = (float(np.std(one[kept])) for one in (self._fitted.residuals, self._recorded.torque))
+        return min(predicted, float(np.sqrt(share)) * residuals) / torque if torque > 0.0 else 0.0
 
     def _compared(self, code: str, weights: Array | float) -> Respect | None:
         """Compare Kc and Bc of the samples that weights (n,) mark, or of the band below so many Hz, with the rest."""

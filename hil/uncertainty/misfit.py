@@ -19,6 +19,7 @@ _SHARE: Final = 0.02  # of the residuals' power, below which what is predicted i
 _GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
 _SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals
 _PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
+_UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,8 @@ class Suspect:
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
     """What the tests found. share: of the residuals' power, predicted in blocks that were not seen; predicted: N m,
-    r.m.s., of that. of_noise: whether noise of the deflection predicts it, which stands in the residuals too.
+    r.m.s., of that. unexplained: the same, of the torque's standard deviation. of_noise: whether noise of the
+    deflection predicts it, which stands in the residuals too.
 
     Kc, Bc: the size of the misfit, relative: the largest change by a suspect, or half the difference between parts;
     without either, the change that would make as much torque as is predicted. outside: whether that leaves the interval
@@ -76,6 +78,7 @@ class LackOfFit:
     correlation: Array
     plane: Array
     predicted: float = 0.0
+    unexplained: float = 0.0
     of_noise: bool = False
 
     def beside_noise(self, noisier: LackOfFit | None) -> LackOfFit:
@@ -93,12 +96,20 @@ class LackOfFit:
     @property
     def affected(self) -> str | None:
         """The one of Kc and Bc that is wrong by more than matters; None where both are, or neither."""
-        return self._grave[0] if len(self._grave) == 1 else None
+        return self._grave[0] if len(self._grave) == 1 and not self.explains_too_little else None
 
     @property
     def is_grave(self) -> bool:
-        """Whether Kc or Bc would leave its interval by an amount that matters: 0.5 % of Kc or 3 % of Bc."""
-        return self.outside and bool(self._grave)
+        """Whether Kc or Bc would leave its interval by an amount that matters: 0.5 % of Kc or 3 % of Bc.
+
+        Or whether so much of the torque is left that no interval of this model means anything.
+        """
+        return self.explains_too_little or (self.outside and bool(self._grave))
+
+    @property
+    def explains_too_little(self) -> bool:
+        """Whether the model leaves a large part of the torque to something that is not noise."""
+        return self.unexplained > _UNEXPLAINED
 
     @property
     def _grave(self) -> list[str]:

@@ -123,6 +123,18 @@ def test_the_predicted_share_is_that_of_the_effect_in_the_residuals() -> None:
     assert judged(torque + noise(3)).share == pytest.approx(share, abs=0.05)
 
 
+@pytest.mark.parametrize(("friction", "too_little"), [(0.2, False), (1.0, True)])
+def test_a_model_that_leaves_a_large_part_of_the_torque_is_not_trusted(friction: float, too_little: bool) -> None:
+    torque = PLAIN + friction * np.std(PLAIN) * np.sign(V)
+    left = torque - LINEAR @ np.linalg.lstsq(LINEAR, torque, rcond=None)[0]
+
+    found = judged(torque + noise(3))
+
+    assert found.unexplained == pytest.approx(np.std(left) / np.std(torque), rel=0.1)
+    assert found.explains_too_little is too_little
+    assert found.affected is None or not too_little
+
+
 @pytest.mark.parametrize(("effect", "joined"), [("slow-cell", False), ("interpolated-cell", True)])
 def test_a_torque_cell_slower_than_the_angle_is_named(effect: str, joined: bool) -> None:
     read = np.arange(0.0, TIME[-1], 0.0125)
