@@ -19,7 +19,7 @@ _SLIGHTLY_FOR, _FORGET = 0.25, 10.0  # s slightly beyond a limit, which are forg
 _LONGEST = 0.05  # s of one reading that count
 _COOL_START, _COOL_RUN = 15.0, 5.0  # degC below the limit: refuse to start, stop
 _FROZEN, _WARMING = 300.0, 0.5  # s of the same temperature while the torque is above this share of its limit
-_SLOW_STEP = 30.0  # s under load between two temperatures, at least, where the winding comes to its balance
+_SLOW_STEP = 30.0  # s between two temperatures, at least, where the winding comes to its balance
 _SUPPLY = 0.3  # of the supply voltage at rest
 _YIELDS = 0.2  # of the deflection limit, that a locked joint may turn
 
@@ -145,7 +145,7 @@ class Temperature:
         self._loaded = _WARMING * torque
         self._present = Presence(self.name)
         self._same, self._loaded_for, self._last = math.nan, 0.0, math.nan
-        self._balanced = False
+        self._changed, self._balanced = math.nan, False
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
         """See `Limit`."""
@@ -170,8 +170,8 @@ class Temperature:
             raise LimitReached(f"the winding reached {value:.0f} degC; its limit is {self._limit:.0f}")
         passed, self._last = sample.t - self._last, sample.t
         if value != self._same:
-            self._balanced = self._loaded_for >= _SLOW_STEP
-            self._same, self._loaded_for = value, 0.0
+            self._balanced = sample.t - self._changed >= _SLOW_STEP  # no: of the first reading
+            self._same, self._changed, self._loaded_for = value, sample.t, 0.0
         elif abs(at_joint.torque) > self._loaded:
             self._loaded_for += min(passed, _LONGEST)
             if self._loaded_for > _FROZEN and not self._balanced:
