@@ -144,7 +144,8 @@ class Temperature:
         self._limit = limit
         self._loaded = _WARMING * torque
         self._present = Presence(self.name)
-        self._same, self._loaded_for, self._last = math.nan, 0.0, math.nan
+        self._same, self._before = math.nan, math.nan
+        self._loaded_for, self._last = 0.0, math.nan
         self._changed, self._balanced = math.nan, False
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
@@ -170,8 +171,10 @@ class Temperature:
             raise LimitReached(f"the winding reached {value:.0f} degC; its limit is {self._limit:.0f}")
         passed, self._last = sample.t - self._last, sample.t
         if value != self._same:
-            self._balanced = sample.t - self._changed >= _SLOW_STEP  # no: of the first reading
-            self._same, self._changed, self._loaded_for = value, sample.t, 0.0
+            if value != self._before:  # back and forth between two readings is one step
+                self._balanced = sample.t - self._changed >= _SLOW_STEP  # the first reading is no step
+                self._changed = sample.t
+            self._same, self._before, self._loaded_for = value, self._same, 0.0
         elif abs(at_joint.torque) > self._loaded:
             self._loaded_for += min(passed, _LONGEST)
             if self._loaded_for > _FROZEN and not self._balanced:

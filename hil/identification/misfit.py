@@ -166,9 +166,7 @@ def _respects(model: str, found: LackOfFit) -> str:
 
 def _consequence(found: LackOfFit) -> str:
     if found.explains_too_little:
-        return (
-            f"{found.unexplained:.0%} of the torque is neither this model nor noise: its Kc and Bc mean nothing"
-        )
+        return f"{found.unexplained:.0%} of the torque is neither this model nor noise: its Kc and Bc mean nothing"
     return f"Kc may be wrong by {_percent(found.Kc)} and Bc by {_percent(found.Bc)}" + (
         ", more than their intervals say" if found.outside else ""
     )

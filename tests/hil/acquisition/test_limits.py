@@ -134,7 +134,7 @@ def test_a_temperature_that_comes_to_its_balance_may_stay_there_and_one_that_sto
 
         def change(tick: int, sample: Sample, joint: AtJoint) -> Reading:
             t = min(tick / 40.0, until)
-            value = 30.0 + 3.4 * (1.0 - math.exp(-t / 150.0))
+            value = 30.0 + 3.4 * (1.0 - math.exp(-t / 150.0)) + 0.005 * math.sin(4.0 * math.pi * t)  # within a cycle
             return replace(sample, temperature=steps * math.floor(value / steps)), joint
 
         return change
