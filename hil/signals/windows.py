@@ -111,7 +111,7 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     read, of_rate = Read(torque[some], dtheta[some], rate[some], acceleration, step), _amplified(slope, step)
     if not disturbs(read, found.of_deflection, found.of_deflection * of_rate):
         return found
-    low_pass = low_pass_for(time, spectrum.above_noise, min(slope, _NARROWEST))
+    low_pass = low_pass_for(time, spectrum.above(of_deflection), min(slope, _NARROWEST))
     if low_pass is None:
         return found
     return replace(found, noise=float(low_pass.amplification()[1]) * found.of_deflection, low_pass=low_pass)
@@ -231,11 +231,12 @@ class Spectrum:
         high = int(np.searchsorted(rate_power, _HIGH_SHARE * rate_power[-1]))
         return float(self.frequency[low]), float(self.frequency[max(low, high)])
 
-    @property
-    def above_noise(self) -> float:
-        """Up to where, Hz, the motion is clearly above the noise, the hundredth of its rate beyond the band too.
+    def above(self, noise: float) -> float:
+        """Return up to where, Hz, motion is clearly above noise, rad, the hundredth of its rate beyond the band too.
 
-        That hundredth of a random walk, or of corners, may be far above the noise of the torque.
+        That hundredth of a random walk, or of corners, may be far above the noise of the torque. Counts of a steady
+        motion make lines in place of a floor, so that their noise may be more than the floor shows.
         """
-        gained = np.cumsum(self.density - _CLEARLY * self.floor)
+        floor = self.floor * max(1.0, noise / max(self.noise, 1e-300)) ** 2
+        gained = np.cumsum(self.density - _CLEARLY * floor)
         return max(self.band[1], float(self.frequency[int(np.argmax(gained))]))

@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfilt
 from hil.recording.reader import Array
 from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passed_again
 from hil.signals.savitzky_golay import kernel
-from hil.signals.windows import window_for, windows
+from hil.signals.windows import Spectrum, window_for, windows
 
 TIME = np.arange(5000) / 500.0
 SPEED = 2.0 * np.pi * 12.0
@@ -109,3 +109,12 @@ def test_readings_at_stamps_asked_for_again_pass_as_the_first_ones_do() -> None:
     found = low_pass(time)
     for values in (np.sin(40.0 * time) + 3.0, np.sign(np.sin(9.0 * time)), rng.standard_normal(len(time))):
         assert passed_again(time, values, found) == pytest.approx(passed(time, values, found)[0], abs=1e-12)
+
+
+def test_the_counts_of_a_steady_motion_are_no_motion() -> None:
+    """A triangle runs over the counts at one speed, which makes lines of them, above the floor of white noise."""
+    time, count = np.arange(5400) / 391.3, 2.0 * np.pi / 4096.0
+    corners = 0.6 * (np.abs(2.0 * np.mod(2.4117 * time + 0.25, 1.0) - 1.0) - 0.5)
+    x = sosfilt(butter(2, 24.6, fs=391.3, output="sos"), corners)
+    found = Spectrum.of(time, count * np.round(x / count))
+    assert found.above(count / np.sqrt(12.0)) < 0.6 * found.above(0.0)
