@@ -145,6 +145,8 @@ def test_bytes_sent_while_nobody_listens_are_lost(line: PtyLine, peer: Recorder)
 
 def test_bytes_that_a_client_left_unread_do_not_reach_the_next(line: PtyLine, peer: Recorder) -> None:
     with opened(line) as port:
+        os.write(port, b"a")
+        assert eventually(lambda: peer.heard == b"a")  # what it says before it has seen the client is lost
         peer.to_say = [b"first"]
         assert eventually(lambda: select.select([port], [], [], 0.0)[0] != [])
     assert eventually(lambda: asked(line, termios.FIONREAD) == 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import threading
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from hil.cli.app import run
+from hil.errors import Untrustworthy, WrongUse
 from hil.recording.reader import Recording
 from sim_backend.wire.dynamixel.emulator import serve
 
@@ -64,13 +66,19 @@ def guardians() -> list[int]:
     return found
 
 
+def rows_in(path: Path) -> int:
+    """The rows that the recorder has written so far."""
+    with contextlib.suppress(WrongUse, Untrustworthy), Recording(path) as recording:
+        return len(recording)
+    return 0
+
+
 def test_a_run_whose_guardian_is_killed_ends_with_the_torque_off_and_its_rows(
     record: Callable[..., int], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def kill() -> None:
-        while not guardians():
-            time.sleep(0.01)
-        time.sleep(0.5)
+        while not rows_in(tmp_path / "a.h5.part"):
+            time.sleep(0.05)
         os.kill(guardians()[0], signal.SIGKILL)
 
     killer = threading.Thread(target=kill)
