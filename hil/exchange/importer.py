@@ -37,6 +37,7 @@ DIMENSION: Mapping[str, str] = MappingProxyType(
 )
 """The channels that a column can be named for, and the dimension of each."""
 
+_COARSE = 0.01  # share of rows with the stamp of the row before, and other readings, from which the clock is coarse
 _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
 
 
@@ -97,6 +98,7 @@ def import_table(
     numbers, rows = table.read(list(names.values()), where)
     if table.joins_topics:
         numbers, rows = _with_readings(source, numbers, rows)
+    numbers, rows, repeated = _once(list(names).index("time"), numbers, rows)
     channels = dict(zip(names, numbers, strict=True))
     _check_readings(source, channels, columns)
     used = _all_stated(source, channels, columns, understood)
@@ -114,7 +116,23 @@ def import_table(
     )
     write(target, header, channels, force=force)
     duration = float(channels["time"][-1] - channels["time"][0])
-    return Imported(len(rows), duration, used, in_words(*swings), tuple(diagnostics))
+    return Imported(len(rows), duration, used, in_words(*swings), (*repeated, *diagnostics))
+
+
+def _once(time: int, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], list[Diagnostic]]:
+    """Leave out rows that a logger wrote twice, which would be taken for samples of another moment.
+
+    Under a coarse clock, which gives many rows one stamp, a joint at rest reads the same in several of them.
+    """
+    kept = np.concatenate([[True], (np.diff(numbers, axis=1) != 0.0).any(axis=0)])
+    twice = len(rows) - np.count_nonzero(kept)
+    if not twice or np.count_nonzero(np.diff(numbers[time, kept]) == 0.0) > _COARSE * len(rows):
+        return numbers, rows, []
+    message = (
+        f"{twice} of {len(rows)} rows repeat the row before and are left out: Kc and Bc come from the others; look "
+        "why the table has them twice"
+    )
+    return numbers[:, kept], rows[kept], [Diagnostic("repeated-rows", message)]
 
 
 def _all_stated(

@@ -79,6 +79,19 @@ def test_semicolons_and_decimal_commas_read_as_points_do(tmp_path: Path) -> None
         np.testing.assert_allclose(recording.channel("dtheta"), np.array([0.5, 1.0, -0.5]) * math.pi)
 
 
+def test_rows_that_a_logger_wrote_twice_count_once_and_those_of_a_coarse_clock_each(tmp_path: Path) -> None:
+    twice = [f"{0.01 * k:.2f},{k},{0.1 * k:.1f}" for k in range(50) for _ in range(1 + (k % 9 == 0))]
+    coarse = [f"{0.1 * (k // 10):.1f},{k // 2},{0.1 * (k // 2):.1f}" for k in range(50)]
+
+    for rows, count, codes in ((twice, 50, ["repeated-rows"]), (coarse, 50, [])):
+        source = tmp_path / "log.csv"
+        source.write_text("\n".join(["time [s],torque [N*m],dtheta [rad]", *rows]))
+        columns = {name: Column(name) for name in ("time", "torque", "dtheta")}
+        found = import_table(source, tmp_path / "a.h5", columns, [], force=True)
+        assert found.samples == count
+        assert [one.code for one in found.diagnostics] == codes
+
+
 def test_a_sign_and_a_scale_are_put_on_a_column(tmp_path: Path) -> None:
     with imported(tmp_path, TABLE, torque=Column("TAU", "mN*m", -1.0), dtheta=Column("POS", "rev", 0.25)) as recording:
         np.testing.assert_allclose(recording.channel("torque"), [-0.01, -0.02, -0.03])
