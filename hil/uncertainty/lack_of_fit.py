@@ -30,6 +30,7 @@ _DENSE: Final = 40.0  # samples a period that are enough
 _PIECES: Final = 16  # stretches that are taken of longer recordings
 _AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
 _EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
+_BY_CHANCE: Final = 0.01  # probability that an effect explains as much of nothing, from which it is no suspect
 _MOST_NOISE: Final = 4.0  # times what noise of the deflection's size adds to the residuals, that it may explain of them
 _ACCURATE: Final = 5e-4  # of Kc and Bc, within which the rate is known
 _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
@@ -156,7 +157,7 @@ class _Tests:
                 continue
             factors = np.linalg.lstsq(left, self._tested.residuals, rcond=None)[0]
             share = 1.0 - float(np.sum((self._tested.residuals - left @ factors) ** 2)) / power
-            if best is None or share > best.share:
+            if (best is None or share > best.share) and self._tested.chance(left) < _BY_CHANCE:
                 best = Suspect(effect, share, *self._moved(effect, (columns * self._kept) @ factors))
         return best
 
