@@ -157,7 +157,9 @@ class _Tests:
                 continue
             factors = np.linalg.lstsq(left, self._tested.residuals, rcond=None)[0]
             share = 1.0 - float(np.sum((self._tested.residuals - left @ factors) ** 2)) / power
-            if (best is None or share > best.share) and self._tested.chance(left) < _BY_CHANCE:
+            if best is not None and share <= best.share:
+                continue
+            if effect.in_deflection or self._tested.chance(left) < _BY_CHANCE:  # noise is always there
                 best = Suspect(effect, share, *self._moved(effect, (columns * self._kept) @ factors))
         return best
 
