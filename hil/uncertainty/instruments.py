@@ -181,7 +181,7 @@ def _simulated(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, Array]:
 
 def _more(part: Fitted, errors: Array) -> Motion:
     """The motion with more errors (n,) rad in its readings."""
-    return _moved(part.motion, part.window.moved(part.motion.time, errors))
+    return _moved(part.motion, _behind(part.window, part.motion, errors))
 
 
 def _errors(part: Fitted) -> Iterator[Array]:
@@ -195,6 +195,12 @@ def _errors(part: Fitted) -> Iterator[Array]:
             true = part.motion.dtheta * (1.0 + count / span * rng.uniform(-1.0, 1.0)) + noise + count * rng.random()
             noise = noise + count * np.round(true / count) - true
         yield noise
+
+
+def _behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Array, Array]:
+    """Readings (n,) behind the window, with slope and curvature; zero in stretches that are too short for it."""
+    value, slope, curvature = (np.nan_to_num(one) for one in window.moved(motion.time, readings))
+    return value, slope, curvature
 
 
 def _moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
@@ -241,7 +247,7 @@ def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.b
     """Return the motion that follows from the command (n,) by a filter of a few delays, fitted where sound (n,)."""
     unit = 1.0 / (8.0 * window.band[1])
     recorded = Recorded(motion.time, motion.known, motion.dtheta, motion.dtheta_dot, motion.starts)
-    parts = window.moved(motion.time, command - command.mean())
+    parts = _behind(window, motion, command - command.mean())
     value, *rates = (np.stack([recorded.delayed(one, lag * unit) for lag in _DELAYS], axis=1) for one in parts)
     value = value - value[sound].mean(axis=0)
     middle = float(motion.dtheta[sound].mean())
@@ -253,7 +259,7 @@ def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.b
 def noisier(motion: Motion, window: Window) -> Motion:
     """Return the motion with as much noise again in the readings of its deflection."""
     errors = window.of_deflection * np.random.default_rng(0).standard_normal(len(motion))
-    return _moved(motion, window.moved(motion.time, errors))
+    return _moved(motion, _behind(window, motion, errors))
 
 
 def _solved(columns: Array, instruments: Array, left: Array) -> Array:

@@ -15,7 +15,7 @@ from hil.recording.reader import Array
 from hil.signals.windows import window_for
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
-from hil.uncertainty.instruments import Fitted, deflection_errors
+from hil.uncertainty.instruments import Fitted, deflection_errors, noisier
 
 TRUE = np.array([0.3, 3e-3])
 RATE = 60.0  # Hz: so near the band that a low-pass cannot take the noise away
@@ -148,3 +148,19 @@ def test_few_counts_widen_the_intervals_by_where_the_motion_turns_within_one() -
     assert found.counts == pytest.approx(8.0, abs=1.0)
     assert 0.01 * 0.3 < found.half_width[0] < 0.2 * 0.3
     assert abs(genes[0] + found.change[0] - 0.3) < found.half_width[0] + fit.half_width[0]
+
+
+def test_samples_between_two_gaps_that_are_too_few_for_the_window_get_no_more_noise() -> None:
+    read = multisine(TIME) + 1e-3 * np.random.default_rng(0).standard_normal(len(TIME))
+    window = window_for(TIME, read, np.stack([multisine(TIME), multisine(TIME, 1)], axis=1) @ TRUE)
+    assert window.low_pass is not None
+    few = 1000 + np.arange(2 * window.low_pass.near)
+    time = TIME + 0.1 / RATE * np.random.default_rng(1).uniform(size=len(TIME)) + 3.0 * (np.arange(len(TIME)) >= few[0])
+    time[few[-1] + 1 :] += 3.0
+
+    before = Motion(time, read, multisine(TIME, 1), multisine(TIME, 2), np.zeros(len(time)))
+    more = noisier(before, window).dtheta - before.dtheta
+
+    assert np.isfinite(more).all()
+    assert (more[few] == 0.0).all()
+    assert np.std(more) > 0.0
