@@ -94,9 +94,12 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     slope, curvature = windows(time, band[1])
     rate = local_polynomial(time, dtheta, slope, 1)
     left = _noise_of(time, dtheta)
-    known = np.isfinite(rate)  # a window across a long gap has no slope
-    some = slice(0, _LOOKED)
-    hidden = _hidden(*(values[some][known[some]] for values in (time, dtheta, torque, rate)))
+    acceleration = local_polynomial(time, dtheta, curvature, 2)
+    # a window across a long gap has no slope, and stamps that are alike no noise
+    known = np.isfinite(rate) & np.isfinite(left) & np.isfinite(acceleration)
+    some = np.flatnonzero(known)[:_LOOKED]
+    hidden = _hidden(*(values[some] for values in (time, dtheta, torque, rate)))
+    read = Read(torque[some], dtheta[some], rate[some], acceleration[some], step)
     rate, left = rate[known], left[known]
     fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))
@@ -107,8 +110,7 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
         narrowed(slope, step, of_deflection, hidden),
     )
     found = Window(slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count)
-    acceleration = local_polynomial(time[some], dtheta[some], curvature, 2)
-    read, of_rate = Read(torque[some], dtheta[some], rate[some], acceleration, step), _amplified(slope, step)
+    of_rate = _amplified(slope, step)
     if not disturbs(read, found.of_deflection, found.of_deflection * of_rate):
         return found
     low_pass = low_pass_for(time, spectrum.above(of_deflection), min(slope, _NARROWEST))

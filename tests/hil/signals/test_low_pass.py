@@ -118,3 +118,12 @@ def test_the_counts_of_a_steady_motion_are_no_motion() -> None:
     x = sosfilt(butter(2, 24.6, fs=391.3, output="sos"), corners)
     found = Spectrum.of(time, count * np.round(x / count))
     assert found.above(count / np.sqrt(12.0)) < 0.6 * found.above(0.0)
+
+
+def test_a_window_that_lies_across_a_long_gap_does_not_hide_the_noise_of_the_others() -> None:
+    time = np.arange(4000) / 1000.0 + 0.3 * (np.arange(4000) >= 2000)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(4000)
+
+    found = window_for(time, np.sin(2.0 * np.pi * 3.0 * time) + noise, np.sin(2.0 * np.pi * 3.0 * time))
+
+    assert 5e-4 < found.of_deflection < 1.1e-3
