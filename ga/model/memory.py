@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.compiled import compiled
+from ga.compiled import compiled_no_refcount
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,7 +30,10 @@ def lagged(time: Array, values: Array, constant: float) -> Array:
     if len(time) < 2:
         return values
     table = np.ascontiguousarray(values.reshape(len(time), -1), dtype=np.float64)
-    return _lagged(np.ascontiguousarray(time), table, constant).reshape(values.shape)
+    found, chord = np.empty_like(table), (table[1] - table[0]) / (time[1] - time[0])
+    found[0] = table[0]
+    lag_behind(np.ascontiguousarray(time), table, constant, found, chord, chord.copy())
+    return found.reshape(values.shape)
 
 
 def averaged(time: Array, values: Array, width: float) -> Array:
@@ -53,7 +56,9 @@ def presliding(time: Array, rate: Array, length: float) -> Array:
     """Return Dahl's friction (n,), -1 to 1, of a rate (n,) rad/s: dz/dx = (1 - z sign(rate))/length, zero at first."""
     moves = np.diff(time) * 0.5 * (rate[:-1] + rate[1:])
     keep = np.exp(-np.abs(moves) / length)
-    return _recursion(keep, ((1.0 - keep) * np.sign(moves))[:, None], np.zeros(1))[:, 0]
+    found = np.zeros(len(time))
+    slide_along(keep, (1.0 - keep) * np.sign(moves), found)
+    return found
 
 
 def yielding(time: Array, rate: Array, length: float) -> Array:
@@ -61,7 +66,9 @@ def yielding(time: Array, rate: Array, length: float) -> Array:
 
     dz/dx = 1/length where the motion takes load off, and (1 - |z|)/length where it adds load.
     """
-    return _yielding(np.diff(time) * 0.5 * (rate[:-1] + rate[1:]) / length)
+    found = np.zeros(len(time))
+    yield_along(np.diff(time) * 0.5 * (rate[:-1] + rate[1:]) / length, found)
+    return found
 
 
 def without_beginnings(values: Array, left: Array, stretch: NDArray[np.int64]) -> Array:
@@ -84,10 +91,9 @@ def _orthonormal(left: Array) -> Array:
     return np.asarray(left / np.linalg.norm(left)) if left.shape[1] == 1 else np.linalg.qr(left)[0]
 
 
-@compiled
-def _yielding(moves: Array) -> Array:
-    """The states (n + 1,) from zero on, for moves (n,) in parts of the length."""
-    found = np.zeros(len(moves) + 1)
+@compiled_no_refcount
+def yield_along(moves: Array, found: Array) -> None:
+    """Fill in the states (n + 1,) after the first, for moves (n,) in parts of the length."""
     for at in range(len(moves)):
         way, load = abs(moves[at]), found[at] if moves[at] >= 0.0 else -found[at]
         unloading = min(way, max(-load, 0.0))
@@ -95,17 +101,15 @@ def _yielding(moves: Array) -> Array:
         if way > unloading:
             load = 1.0 - (1.0 - load) * np.exp(unloading - way)
         found[at + 1] = load if moves[at] >= 0.0 else -load
-    return found
 
 
-@compiled
-def _lagged(time: Array, table: Array, constant: float) -> Array:
-    """What `lagged` returns of values (n, k)."""
+@compiled_no_refcount
+def lag_behind(time: Array, table: Array, constant: float, found: Array, chord: Array, slope: Array) -> None:  # noqa: PLR0917 - compiled functions take their parts by position
+    """Fill in what `lagged` returns of values (n, k); chord and slope (k,): those of the first, to the next time.
+
+    Element by element: to copy a row takes two seconds to compile, because what it could raise is compiled too.
+    """
     count, width = table.shape
-    found = np.empty((count, width))
-    found[0] = table[0]
-    chord = (table[1] - table[0]) / (time[1] - time[0])  # to the next time
-    slope = chord.copy()
     for at in range(count - 1):
         step = time[at + 1] - time[at]
         following = time[at + 2] - time[at + 1] if at + 2 < count else step
@@ -126,15 +130,10 @@ def _lagged(time: Array, table: Array, constant: float) -> Array:
             end = table[at + 1, k] + constant * (part * (second + third * per_part - third) - next_slope)
             found[at + 1, k] = keep * found[at, k] + end - keep * begin
             slope[k], chord[k] = next_slope, beyond
-    return found
 
 
-@compiled
-def _recursion(keep: Array, added: Array, first: Array) -> Array:
-    """The states (n + 1, k): the first, then `keep` (n,) of the one before and what is added (n, k)."""
-    found = np.empty((len(keep) + 1, len(first)))
-    found[0] = first
+@compiled_no_refcount
+def slide_along(keep: Array, added: Array, found: Array) -> None:
+    """Fill in the states (n + 1,) after the first: `keep` (n,) of the one before and what is added (n,)."""
     for at in range(len(keep)):
-        for k in range(len(first)):
-            found[at + 1, k] = keep[at] * found[at, k] + added[at, k]
-    return found
+        found[at + 1] = keep[at] * found[at] + added[at]
