@@ -27,8 +27,9 @@ _PERTURBATIONS: Final = (0.0, 1e-11, 1e-9, 1e-7)
 
 _ROUNDING: Final = 64.0 * float(np.finfo(np.float64).eps)
 _PROVEN: Final = 1e-9
+_AT_ONCE: Final = 1500
 _DIRECT: Final = 6000
-"""Rows up to which the descent takes all of them; above, it is bracketed on a subsample first."""
+"""Rows up to which the descent takes all of them: in any case, and where no point close to the optimum is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +136,11 @@ def _certify(
 
     scale and extent: the largest and the sum of each column's sizes (p,), 1 where it is all zero.
     """
-    needed = -np.linalg.lstsq((columns[basis] / scale).T, _weighted_sum(columns, signs) / scale, rcond=None)[0]
-    signs[basis] = np.clip(needed, -1.0, 1.0)
-    violation = np.abs(_weighted_sum(columns, signs)) / extent
     full = len(basis) == columns.shape[1]
+    met, rest = (columns[basis] / scale).T, _weighted_sum(columns, signs) / scale
+    needed = -(np.linalg.solve(met, rest) if full else np.linalg.lstsq(met, rest, rcond=None)[0])
+    signs[basis] = needed.clip(-1.0, 1.0)
+    violation = np.abs(_weighted_sum(columns, signs)) / extent
     return Optimum(
         genes=genes,
         fitness=fitness_of(columns, torque, genes),
@@ -204,7 +206,7 @@ def _solve(
     close: whether the optimum is thought to be as near to the start as it would be to that of other such rows.
     """
     n, r = rows.shape
-    if close and (found := _bracketed(rows, torque, start, n)) is not None:
+    if close and n > _AT_ONCE and (found := _bracketed(rows, torque, start, n, widened=False)) is not None:
         return found
     if n <= _DIRECT:
         return _descend(rows, torque, np.zeros(r), start)[1]
@@ -219,9 +221,17 @@ def _solve(
 
 
 def _bracketed(
-    rows: NDArray[np.float64], torque: NDArray[np.float64], centre: NDArray[np.float64], count: int
+    rows: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    count: int,
+    *,
+    widened: bool = True,
 ) -> NDArray[np.int64] | None:
-    """The optimal basis, looked for around the centre (r,), which is as good as an estimate from `count` rows."""
+    """The optimal basis, looked for around the centre (r,), which is as good as an estimate from `count` rows.
+
+    widened: whether it is looked for ever further away until it is found.
+    """
     r = len(centre)
     residual = torque - _times(rows, centre)
     reach = 4.0 * float(np.mean(np.abs(residual))) * np.sqrt(r / count)
@@ -241,7 +251,7 @@ def _bracketed(
                 and np.linalg.norm(np.linalg.solve(rows[basis], torque[basis]) - centre) <= reach
             ):
                 return basis
-        if not settled.any():
+        if not (widened and settled.any()):
             return None
         reach = 4.0 * max(reach, 1e-300)
 
