@@ -21,6 +21,10 @@ REACHES: Final = (0.002, 0.8)
 """Deflection over which friction builds up, as a part of the whole, at least and at most."""
 
 
+FALLS: Final = (0.03, 1.5)
+"""Rate over which friction falls from its value at rest, as a part of the r.m.s. rate, at least and at most."""
+
+
 def _sign(regressors: Regressors) -> tuple[Array, ...]:
     import numpy as np
 
@@ -89,6 +93,23 @@ def _yielding_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]
     return (rate * (1.0 - np.where(rate * load > 0.0, np.abs(load), 0.0)) / length,)
 
 
+def _stribeck_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    usual = float((motion.dtheta_dot @ motion.dtheta_dot / len(motion)) ** 0.5)
+    return ((FALLS[0] * usual, FALLS[1] * usual),)
+
+
+def _falling(regressors: Regressors) -> tuple[Array, ...]:
+    import numpy as np
+
+    (sign,) = _sign(regressors)
+    return (sign * np.exp(-((regressors.motion.dtheta_dot / regressors.own[0]) ** 2)),)
+
+
+def _falling_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
+    (column,), rate = _falling(regressors), regressors.motion.dtheta_dot
+    return (-2.0 * rate * changing.dtheta_dot / regressors.own[0] ** 2 * column,)
+
+
 COULOMB: Final = Term(
     "coulomb",
     "dry friction",
@@ -96,6 +117,35 @@ COULOMB: Final = Term(
     columns=_sign,
     rates=_still,
     sticks=True,
+)
+
+STRIBECK: Final = Term(
+    "stribeck",
+    "dry friction that is higher at low rates",
+    (
+        Parameter(
+            "Fs",
+            "N*m",
+            "by how much friction at rest is higher than at speed",
+            presence=True,
+            friction=True,
+            positive=True,
+        ),
+        Parameter(
+            "vst",
+            "rad/s",
+            "rate over which it falls",
+            scales=False,
+            absent=None,
+            positive=True,
+            nonlinear=True,
+            starts=(0.02, 0.1, 0.25, 0.5),
+        ),
+    ),
+    columns=_falling,
+    rates=_falling_on,
+    bounds=_stribeck_bounds,
+    selection="misfit",
 )
 
 DAHL: Final = Term(

@@ -170,6 +170,17 @@ CUBIC: Final = Term(
     confusable=("backlash", "slack", "deadband"),
 )
 
+QUINTIC: Final = Term(
+    "quintic",
+    "a spring that stiffens other than by a cubic",
+    (Parameter("K5", "N*m/rad^5", "quintic stiffness", presence=True),),
+    columns=lambda r: (r.angle**5,),
+    rates=lambda r, c: (5.0 * r.angle**4 * c.dtheta,),
+    pushed=lambda r, genes, moved: 5.0 * genes[0] * r.angle**4 * moved,
+    needs="cubic",
+    selection="misfit",
+)
+
 ASYMMETRIC: Final = Term(
     "asymmetric",
     "a spring that is stiffer in one direction",
@@ -191,6 +202,17 @@ ASYMMETRIC: Final = Term(
     excludes=_GAPS,
     reason="a gap has its own flanks, whose stiffness is one (asymmetric)",
     breaks=True,
+    selection="misfit",
+)
+
+PROGRESSIVE: Final = Term(
+    "progressive",
+    "a stiffness that rises steadily in one direction",
+    (Parameter("Kp", "N*m/rad^2", "half of what the stiffness rises by in a radian", presence=True),),
+    columns=lambda r: (r.angle**2,),
+    rates=lambda r, c: (2.0 * r.angle * c.dtheta,),
+    pushed=lambda r, genes, moved: 2.0 * genes[0] * r.angle * moved,
+    needs="offset",
     selection="misfit",
 )
 

@@ -7,6 +7,9 @@ recorder can produce, because the two readings of one tick never have quite the 
 once: what holds it is about as stiff as the coupling, so that it builds up over some Fc/Kc (Dahl 1976), which stiffens
 small motion.
 
+A spring that curves is selected with the curve that fits best, and no spring follows one of these curves exactly: the
+stiffness at zero deflection depends on which.
+
 A reading that is late is known by how it stiffens fast motion, and so does a viscoelastic branch that relaxes faster
 than the joint moved. Any part of what looks late may be that, in one joint of ten, and is then not missing from Bc.
 """
@@ -41,6 +44,7 @@ _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up o
 _RELAXING = (1.0 / 11.0 / 3.0) ** 0.5  # one joint in ten: any part of what looks late, a standard deviation
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
 _BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
+_CURVES = ("cubic", "quintic", "progressive")  # a spring that curves has no more reason to follow one of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +139,8 @@ def _largest(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> _L
     """
     chosen = smaller.model.name.split("+")
     added: list[str] = []
-    for term in (*_BENCH, *doubtful):
+    curves = _CURVES if {*_CURVES, "asymmetric"}.intersection(chosen) else ()
+    for term in (*_BENCH, *doubtful, *curves):
         # a short lag differs from a skew by less than what estimates both at once
         known = term == "skew" and "lag" in chosen
         added += [term] if is_addable(term, (*chosen, *added)) and not known else []

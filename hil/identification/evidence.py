@@ -14,7 +14,7 @@ from hil.identification.model_choice import Coupling
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation
 from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
-from hil.uncertainty.criteria import COUPLING, LIKE_FRICTION, distinguishable, friction_likeness, narrow
+from hil.uncertainty.criteria import COUPLING, DIFFERENT, LIKE_FRICTION, distinguishable, friction_likeness, narrow
 from hil.uncertainty.instruments import DeflectionErrors
 from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
@@ -106,10 +106,23 @@ def sliding(values: Mapping[str, float]) -> tuple[float, float] | None:
     return None
 
 
+def span_of_stiffness(values: Mapping[str, float]) -> tuple[float, float, str] | None:
+    """Return the least and the largest Kc, N m/rad, of a model that has no single one, and what it depends on.
+
+    None for one Kc, or the mean of two that are not far apart. values: as of `sliding`.
+    """
+    kc, before, half = values.get("Kc", 0.0), sliding(values), abs(values.get("Ka", 0.0))
+    if before is not None and before[0] > 0.0:
+        return kc, kc + before[0], "amplitude"
+    if kc + half > DIFFERENT * (kc - half):
+        return kc - half, kc + half, "direction"
+    return None
+
+
 def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
     """Return the estimates of all parameters, in the model's order."""
-    found, before = [], sliding(dict(zip(evidence.names, evidence.exact[0].tolist(), strict=True)))
-    spans = evidence.selected and before is not None and before[0] > 0.0
+    exact_values = dict(zip(evidence.names, evidence.exact[0].tolist(), strict=True))
+    found, span = [], span_of_stiffness(exact_values) if evidence.selected else None
     for at, parameter in enumerate(evidence.parameters):
         value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
         exact, own = (float(of[at]) for of in evidence.exact)
@@ -127,14 +140,14 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
                 bounds=(float(evidence.low[at]), float(evidence.high[at])),
                 components=evidence.scattered[at],
                 conditional=Conditional(exact, (exact - own, exact + own)) if is_average else None,
-                depends_on="amplitude" if spans and parameter.name == "Kc" else None,
+                depends_on=span[2] if span and parameter.name == "Kc" else None,
             )
         )
     return tuple(found)
 
 
-def with_small_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Estimate, ...]:
-    """Return the estimates, intervals of Kc and Bc wider by what the model lacks if that is too little to warn of."""
+def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Estimate, ...]:
+    """Return the estimates, the intervals of Kc and Bc wider by what the model lacks."""
     more = dict(zip(COUPLING, fit.in_intervals, strict=True)) if fit else {}
     widths = [more.get(one.name, 0.0) * abs(one.value) for one in found]
     return tuple(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
-from hil.identification.evidence import Evidence, sliding
+from hil.identification.evidence import Evidence, sliding, span_of_stiffness
 from hil.identification.result import Estimate
 from hil.identification.selection.stepwise import Step
 from hil.uncertainty.criteria import (
@@ -95,6 +95,15 @@ def other_stiffness(values: Mapping[str, float], *, selected: bool = False) -> l
         remedy = f"its interval spans both; name --model linear+offset+{model} for the former"
         use = "use the latter for such motion, and K'(f) of --verbose for other motion"
         text += f": {remedy if selected else use}"
+        found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=selected))
+    if "Ka" in values and (span := span_of_stiffness(values)) is not None:
+        soft, stiff, _ = span
+        text = (
+            f"Kc is {stiff:.3g} N m/rad on one side of {values['turn']:.3g} rad and {soft:.3g} N m/rad on the other: a "
+            "gap or a slack tendon of which the joint reached one end, or two springs"
+        )
+        remedy = "its interval spans both; name --model linear+offset+slack or +deadband, or move over both ends"
+        text += f": {remedy if selected else 'the Kc here is their mean'}"
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=selected))
     if {"Kc", "K1", "tau1"} <= set(values):
         fast = values["Kc"] + values["K1"] + values.get("K2", 0.0)

@@ -28,7 +28,7 @@ from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
-from hil.identification.evidence import Evidence, estimates, sliding, with_small_misfit
+from hil.identification.evidence import Evidence, estimates, span_of_stiffness, with_misfit
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
 from hil.identification.fitting.exact import solved, unproven
@@ -133,7 +133,7 @@ def _identified(
         steps = _with_result(data.choice.steps, found, solution)
         described = _described(data, solution, evidence)
         fit, dynamic = tested(described), without_model(described)
-        found = with_small_misfit(found, fit)
+        found = with_misfit(found, fit)
         return Identification(
             recordings=tuple(source.path for source in sources),
             model=data.choice.model,
@@ -213,7 +213,7 @@ def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
 def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Array, Array]:
     """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected.
 
-    Where friction that builds up was selected, the interval of Kc spans the stiffness before and after it slides.
+    Where a model without a single Kc was selected, the interval of Kc spans all that there are.
     """
     values, half_width = solution.values.copy(), half_width.copy()
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
@@ -221,10 +221,10 @@ def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Ar
     for name, one in (averaged(data.choice, data.signals, data.used, nonlinear) if data.whole else {}).items():
         at = names.index(name)
         values[at], half_width[at] = one.value, one.half_width
-    before = sliding(dict(zip(names, solution.values.tolist(), strict=True)))
-    if data.choice.steps and before is not None and before[0] > 0.0:
-        values[names.index("Kc")] += 0.5 * before[0]
-        half_width[names.index("Kc")] += 0.5 * before[0]
+    span = span_of_stiffness(dict(zip(names, solution.values.tolist(), strict=True)))
+    if data.choice.steps and span is not None:
+        values[0] += 0.5 * (span[0] + span[1]) - solution.values[0]  # Kc
+        half_width[0] += 0.5 * (span[1] - span[0])
     return values, half_width
 
 

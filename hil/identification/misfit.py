@@ -33,6 +33,7 @@ _TERMS = {  # parameters of terms that leave nothing of these effects: a Maxwell
     "K3": "cubic",
     "gap": "backlash",
     "Ka": "asymmetry",
+    "Kp": "asymmetry",
     "Ks": "stiffness-drift",
 }
 _FOLLOWED = 0.02  # of the power of the deflection, which a motion that follows from the command may lack
@@ -168,7 +169,7 @@ def _consequence(found: LackOfFit) -> str:
     if found.explains_too_little:
         return f"{found.unexplained:.0%} of the torque is neither this model nor noise: its Kc and Bc mean nothing"
     return f"Kc may be wrong by {_percent(found.Kc)} and Bc by {_percent(found.Bc)}" + (
-        ", more than their intervals say" if found.outside else ""
+        ", which their intervals include" if found.outside else ""
     )
 
 

@@ -46,6 +46,9 @@ LONGEST_SKEW: Final = 1.5
 BETWEEN: Final = 3.0
 """Standard deviation between recordings over that within, from which the recordings differ and not their noise."""
 
+DIFFERENT: Final = 3.0
+"""Ratio of two values of Kc in one recording, from which no single Kc stands for both."""
+
 COUPLING: Final = ("Kc", "Bc")
 """The parameters without which a result is not usable."""
 

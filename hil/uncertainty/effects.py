@@ -310,7 +310,7 @@ EFFECTS: Final = (
     Effect(
         "asymmetry",
         "a stiffness that differs between the two directions",
-        "try --model linear+offset+asymmetric; for a single tendon linear+offset+slack",
+        "try --model linear+offset+asymmetric or +progressive; for a single tendon linear+offset+slack",
         lambda r, _m: [_columns(np.abs(r.centred())), _columns(r.centred() ** 2)],
     ),
     Effect(

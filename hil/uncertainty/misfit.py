@@ -17,7 +17,7 @@ FALSE_ALARMS: Final = 0.002
 
 _SHARE: Final = 0.02  # of the residuals' power, below which what is predicted is of no size
 _GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
-_SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals
+_SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals and no warning
 _PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
 _UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint
 
@@ -132,8 +132,8 @@ class LackOfFit:
 
     @property
     def in_intervals(self) -> tuple[float, float]:
-        """By how much the intervals of Kc and Bc are wider for what the model lacks, relative; 0 for a misfit."""
-        return (0.0, 0.0) if self.misfit or not self._is_small else (self.Kc, self.Bc)
+        """By how much the intervals of Kc and Bc are wider for what the model lacks, relative."""
+        return (self.Kc, self.Bc) if self.misfit or self._is_small else (0.0, 0.0)
 
     @property
     def _is_small(self) -> bool:

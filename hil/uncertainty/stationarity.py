@@ -14,7 +14,7 @@ from ga.lad.out_of_core import reduce
 from hil.diagnostics import Diagnostic
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
-from hil.uncertainty.criteria import BETWEEN, COUPLING
+from hil.uncertainty.criteria import BETWEEN, COUPLING, DIFFERENT
 from hil.uncertainty.random_effects import between
 
 Array = NDArray[np.float64]
@@ -23,7 +23,6 @@ _NORMAL = 1.96
 _CHANCE = 0.001  # that recordings which do not differ are so far apart
 _NOTABLE = 0.005  # of a value, by which a recording must be apart to be named
 _PARTS = 4  # of a recording, each of which gives its own estimate of Kc
-_DIFFERENT = 3.0  # ratio of the largest to the smallest of these estimates
 _PRECISE = 0.2  # half the width of a part's interval over its value, above which its Kc is not compared
 
 
@@ -102,7 +101,7 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
     for first, last in pairwise((0, *edges)):
         cuts = np.linspace(first, last, _PARTS + 1).astype(int).tolist()
         values = [value for start, stop in pairwise(cuts) for value in _stiffness(blocks.between(start, stop), kc)]
-        if values and max(values) > _DIFFERENT * min(values):
+        if values and max(values) > DIFFERENT * min(values):
             found.append(
                 Diagnostic(
                     "not-stationary",

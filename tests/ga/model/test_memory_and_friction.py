@@ -225,6 +225,22 @@ def test_a_stiffness_that_differs_between_the_directions_comes_back() -> None:
     assert found["turn"] == pytest.approx(0.03, abs=2e-3)
 
 
+def test_a_spring_that_curves_comes_back_with_its_stiffness_at_zero() -> None:
+    x = MOTION.dtheta
+    torque = KC * (x + x**2 - 3.0 * x**3 + 200.0 * x**5) + BC * MOTION.dtheta_dot + NOISES
+    found = identified("linear+offset+cubic+quintic+progressive", torque)
+    assert [found[name] / KC for name in ("Kc", "Kp", "K3", "K5")] == pytest.approx([1.0, 1.0, -3.0, 200.0], rel=0.05)
+
+
+def test_friction_that_falls_with_the_rate_comes_back_and_leaves_bc_alone() -> None:
+    rate = MOTION.dtheta_dot
+    fallen = np.exp(-((rate / 0.3) ** 2))
+    torque = spring_and_damper() + 3e-3 * np.tanh(rate / 1e-2) * (1.0 + 0.6 * fallen) + NOISES
+    found = identified("linear+coulomb+stribeck", torque)
+    assert [found[name] for name in ("Kc", "Bc")] == pytest.approx([KC, BC], rel=0.01)
+    assert [found[name] for name in ("Fc", "Fs", "vst")] == pytest.approx([3e-3, 1.8e-3, 0.3], rel=0.15)
+
+
 def test_a_stiffness_that_drifts_comes_back_with_its_mean() -> None:
     whole = MOTION.time[-1] - MOTION.time[0]
     share = (MOTION.time - MOTION.time[0]) / whole - 0.5
@@ -265,7 +281,8 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
 @pytest.mark.parametrize(
     "name",
     ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
-     "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew"],
+     "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew",
+     "linear+coulomb+stribeck+skew", "linear+offset+cubic+quintic+progressive+skew"],
 )  # fmt: skip
 def test_the_jacobian_is_the_derivative_of_the_torque(name: str) -> None:
     even = moving(np.linspace(0.0, 4.0, 1601))

@@ -130,3 +130,15 @@ def test_a_branch_that_relaxes_faster_than_the_joint_moves_does_not_make_the_dam
     assert abs(bc.value - damper) < 0.75 * (bc.ci95[1] - bc.ci95[0]) or not found.trusted("Bc")
     assert bc.conditional is not None
     assert bc.ci95[1] - bc.ci95[0] > 3.0 * (bc.conditional.ci95[1] - bc.conditional.ci95[0])
+
+
+def test_the_interval_of_a_spring_that_curves_holds_that_its_curve_is_no_cubic(make_recording: Maker) -> None:
+    def stiffens(channels: dict[str, Array]) -> None:
+        angle = channels["dtheta"]
+        channels["torque"] += 0.02 * (np.sinh(3.0 * angle) / 3.0 - angle)
+
+    found = identify([make_recording(samples=1500, noise=5e-5, change=stiffens)], None, SEARCH)["Kc"]
+    assert found.conditional is not None
+    (low, high), (least, most) = found.ci95, found.conditional.ci95
+    assert low < 0.02 < high
+    assert high - low > 1.05 * (most - least)

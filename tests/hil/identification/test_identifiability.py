@@ -216,3 +216,28 @@ def test_hysteresis_that_nobody_named_leaves_no_single_stiffness(make_recording:
     assert high > 0.3
     assert named.trusted("Kc")
     assert named["Kc"].ci95[1] - named["Kc"].ci95[0] < 0.01
+
+
+def test_a_spring_with_one_stiff_side_has_no_single_stiffness() -> None:
+    (one,) = other_stiffness({"Kc": 0.08, "Bc": 3e-3, "Ka": -0.08, "turn": 0.05}, selected=True)
+    assert (one.code, one.parameter, one.is_error) == ("two-stiffnesses", "Kc", True)
+    assert "0.16 N m/rad on one side of 0.05 rad and 0 N m/rad on the other" in one.message
+    assert other_stiffness({"Kc": 0.08, "Bc": 3e-3, "Ka": 0.03, "turn": 0.05}, selected=True) == []
+
+
+def test_a_dead_band_pulled_to_one_end_only_is_no_spring_of_half_the_stiffness(make_recording: Maker) -> None:
+    """0.02 N m/rad beyond 0.1 rad, and a joint that moves from 0 to 0.3 rad."""
+
+    def one_sided(channels: dict[str, Array]) -> None:
+        time = channels["time"]
+        angle, rate = 0.15 - 0.15 * np.cos(5.0 * time), 0.75 * np.sin(5.0 * time)
+        angle, rate = angle * (1.0 - 0.2 * np.cos(0.9 * time)), rate * (1.0 - 0.2 * np.cos(0.9 * time))
+        rate += (0.15 - 0.15 * np.cos(5.0 * time)) * 0.18 * np.sin(0.9 * time)
+        noise = 2e-5 * np.random.default_rng(1).standard_normal(len(time))
+        channels["dtheta"], channels["dtheta_dot"] = angle, rate
+        channels["torque"] = 0.02 * np.maximum(angle - 0.1, 0.0) + 2e-4 * rate + noise
+
+    found = identify([make_recording(samples=1500, rate=250.0, change=one_sided)], None, SEARCH)
+    low, high = found["Kc"].ci95
+    assert low <= 0.02 <= high
+    assert high - low < 0.002 or not found.trusted("Kc")

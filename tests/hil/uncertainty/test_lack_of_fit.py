@@ -106,6 +106,14 @@ def test_a_misfit_too_small_to_matter_widens_the_intervals_instead() -> None:
     assert 0.0 < found.in_intervals[1] < 5e-3
 
 
+def test_the_intervals_of_a_misfit_are_wider_by_its_size() -> None:
+    found = judged(WRONG["quadratic-damping"] + noise(1))
+
+    assert found.misfit
+    assert found.in_intervals == (found.Kc, found.Bc)
+    assert found.Bc > 0.03
+
+
 def test_kc_of_the_second_half_is_compared_with_that_of_the_first() -> None:
     torque = PLAIN - 0.06 * PLAIN * np.repeat([0.0, 1.0], len(TIME) // 2)
 
