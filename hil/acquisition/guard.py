@@ -79,16 +79,19 @@ class Guard:
                 "its readings are old; switch it off and on"
             )
 
-    def check_late(self, late: float) -> str:
+    def check_late(self, late: float, waited: float) -> str:
         """Return the reason to ramp down for a tick `late` s more than a period after the one before, "" without one.
 
-        Raises LimitReached where it is so late that the torque must go off at once.
+        waited: s of them that the drive took to answer the one before. They are silence of the link, which has a limit
+        of its own, and not lateness of this computer. Raises LimitReached where it is so late that the torque must go
+        off at once.
         """
-        if late <= _LATE_RAMP:
+        if late <= _LATE_RAMP or late <= min(_SILENCE, _LATE_RAMP + waited):
             return ""
+        cause = "the drive was slow to answer: see its reply_timeout" if waited > 0.5 * late else ""
         message = (
-            f"a tick came {late * 1e3:.0f} ms late, and the motor kept its last set-point for so long: lower --rate, "
-            "or free the computer of other work"
+            f"a tick came {late * 1e3:.0f} ms late, and the motor kept its last set-point for so long: "
+            f"{cause or 'lower --rate, or free the computer of other work'}"
         )
         if late > _LATE_OFF:
             raise LimitReached(message)

@@ -210,13 +210,13 @@ class Recorder:
         start = self._start = clock.now() + period
         commands, readings = self._transmission.commands(self._profile.mode, zero), self._readings(zero)
         self._enter(Phase.FADE_IN)
-        sent, sent_at = 0.0, start - period
+        sent, sent_at, answered = 0.0, start - period, start - period
         steady = False  # in the phase RUN, where the set-points are the profile's
         for seq, set_point in enumerate(set_points):
             due = seq * period
             sleep_until(start + due)
             now = now_of()
-            too_late = check_late(now - sent_at - period)
+            too_late = check_late(now - sent_at - period, answered - sent_at - period)
             if stop.count or too_late or not steady:
                 left = self._steered(stop, due, too_late)
                 if left <= 0.0:
@@ -228,6 +228,7 @@ class Recorder:
                 continue
             sent, sent_at = set_point, now
             tick(seq, due, set_point, commands(set_point), readings)
+            answered = now_of()
 
     def _steered(self, stop: StopRequest, due: float, too_late: str) -> float:
         """Enter the phase that begins at `due` s of the run; return the share of the set-point that is left."""

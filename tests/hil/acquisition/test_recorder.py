@@ -566,6 +566,42 @@ def test_a_tick_more_than_fifty_milliseconds_late_is_the_last(tmp_path: Path) ->
     assert (run.servo.armed, run.servo.disarms) == (False, 2)  # once more after the torque was read
 
 
+class Slow:
+    """A run at 1 kHz in which the drive takes `wait` s at each of some ticks, and answers or not."""
+
+    def __init__(self, folder: Path, wait: float, ticks: set[int], *, answers: bool) -> None:
+        servo = SpringServo()
+        clock, exchange = servo.clock, servo.exchange
+
+        def slow(command: Command) -> Sample:
+            sample = exchange(command)
+            if len(servo.driven) in ticks:
+                clock.t += wait
+                if not answers:
+                    raise NoReply("-")
+            return sample
+
+        servo.exchange = slow  # type: ignore[method-assign]  # slowed down
+        self.servo = servo
+        self.outcome = Recorder(parse(STAND), servo, profile(), 1000.0, Memory(), scratch=folder).run(StopRequest())
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_the_wait_for_a_reply_is_silence_of_the_link_and_no_lateness_of_the_computer(
+    tmp_path: Path, answers: bool
+) -> None:
+    """Each of two replies in a row is waited for by 12 ms, as two lost ones are with a timeout of 8 ms."""
+    run = Slow(tmp_path, 12e-3, {500, 501}, answers=answers)
+    assert (run.outcome.error, run.outcome.lost) == (None, 0 if answers else 2)
+
+
+def test_a_drive_that_takes_longer_to_answer_than_a_silence_may_last_is_ramped_down(tmp_path: Path) -> None:
+    run = Slow(tmp_path, 25e-3, {500}, answers=True)
+    assert isinstance(run.outcome.error, LimitReached)
+    assert "slow to answer" in run.outcome.end_reason
+    assert not run.servo.armed
+
+
 def test_saturated_rows_are_counted(bench: Bench) -> None:
     bench.servo.script = {number: {"status": float(int(Status.SATURATED))} for number in (5, 6)}
     assert bench.run().saturated == 2
