@@ -12,28 +12,45 @@ import numpy as np
 
 
 class Kind(NamedTuple):
-    """A kind of fault: what happens, and the meaning and default of `size` ("": it has none).
+    """A kind of fault: what happens, and the meaning, default and range of `size` ("": it has none).
 
-    lasting: whether it goes on for good where the plan gives no duration; otherwise it happens to `count` frames.
+    whole: whether the size is a whole number. lasting: whether it goes on for good where the plan gives no duration;
+    otherwise it happens to `count` frames.
     """
 
     explanation: str
     size: str = ""
     default: float = math.nan
+    lowest: float = -math.inf
+    highest: float = math.inf
+    whole: bool = False
     lasting: bool = False
 
+    def check(self, size: float) -> None:
+        """Raise ValueError where `size` cannot be one of this kind; NaN, for the default, always can."""
+        if math.isnan(size):
+            return
+        if not self.size:
+            raise ValueError(f"size {size:g}: this kind has none; leave it out")
+        if not self.lowest <= size <= self.highest or (self.whole and not float(size).is_integer()):
+            number = "a whole number" if self.whole else "a number"
+            raise ValueError(f"size {size:g}: give {number} from {self.lowest:g} to {self.highest:g} ({self.size})")
+
+
+_BYTES = (1, 1_000_000, True)
+"""The range of a number of bytes, which is whole."""
 
 LINK: Mapping[str, Kind] = MappingProxyType(
     {
         "drop": Kind("a reply is lost"),
         "drop-request": Kind("a request is lost"),
         "flip": Kind("a bit of a reply arrives flipped; a CAN controller would send it again"),
-        "truncate": Kind("only the first bytes of a reply arrive", "bytes", 3),
-        "delay": Kind("a reply arrives late", "s", 0.005),
+        "truncate": Kind("only the first bytes of a reply arrive", "bytes", 3, *_BYTES),
+        "delay": Kind("a reply arrives late", "s", 0.005, 0.0, 60.0),
         "duplicate": Kind("a reply arrives twice"),
         "swap": Kind("a reply arrives behind the next one"),
-        "noise": Kind("random bytes arrive before a reply, on a serial line", "bytes", 16),
-        "flood": Kind("very many random bytes arrive before a reply, on a serial line", "bytes", 65536),
+        "noise": Kind("random bytes arrive before a reply, on a serial line", "bytes", 16, *_BYTES),
+        "flood": Kind("very many random bytes arrive before a reply, on a serial line", "bytes", 65536, *_BYTES),
         "reboot": Kind("every drive loses its power for a moment"),
         "unplug": Kind("the adapter is pulled out", lasting=True),
         "bus-off": Kind("the CAN controller of the host leaves the bus", lasting=True),
@@ -43,10 +60,12 @@ LINK: Mapping[str, Kind] = MappingProxyType(
 DRIVE: Mapping[str, Kind] = MappingProxyType(
     {
         "stuck-encoder": Kind("the motor's angle stays the same", lasting=True),
-        "jumping-encoder": Kind("the motor's angle is wrong by", "rad at the motor", 0.5, lasting=True),
-        "noisy-encoder": Kind("the motor's angle has noise of a standard deviation of", "rad", 0.05, lasting=True),
-        "over-temperature": Kind("the drive measures", "degC", 150.0, lasting=True),
-        "error": Kind("the drive latches an error, with --backend sim", "its code", 16, lasting=True),
+        "jumping-encoder": Kind("the motor's angle is wrong by", "rad at the motor", 0.5, -1e4, 1e4, lasting=True),
+        "noisy-encoder": Kind(
+            "the motor's angle has noise of a standard deviation of", "rad", 0.05, 0.0, 1e4, lasting=True
+        ),
+        "over-temperature": Kind("the drive measures", "degC", 150.0, -273.15, 1e4, lasting=True),
+        "error": Kind("the drive latches an error, with --backend sim", "its code", 16, 1, 65535, True, lasting=True),
         "ignored-off": Kind("the drive confirms a torque-off and keeps the torque on", lasting=True),
         "broken-watchdog": Kind("the drive's watchdog never acts, whatever it reports", lasting=True),
     }
@@ -68,7 +87,8 @@ class PlannedFault:
     """A fault of `KINDS` and when it happens: one of the first three, of which the others are NaN, 0 and 0.
 
     at: s since the servo was opened or the drive powered. frame: number of the reply, from 1. probability: of each
-    reply. duration: s from `at`; NaN: for good where the kind lasts, else for `count` frames. size: see the kind.
+    reply. duration: s from `at`; NaN: for good where the kind lasts, else for `count` frames. size: see the kind; NaN:
+    its default. Raises ValueError for a size that the kind cannot have.
     """
 
     kind: str
@@ -78,6 +98,9 @@ class PlannedFault:
     duration: float = math.nan
     count: int = 1
     size: float = math.nan
+
+    def __post_init__(self) -> None:
+        KINDS[self.kind].check(self.size)
 
     @property
     def amount(self) -> float:

@@ -45,6 +45,7 @@ class _Fault(_Table):
             raise ValueError("give one of at (s), frame (number of the reply) and probability (of each reply)")
         if self.duration is not None and self.at is None:
             raise ValueError("duration (s) goes with at; with frame, give count")
+        self.planned()  # raises for a size that the kind cannot have
         return self
 
     def planned(self) -> PlannedFault:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
 
 from hil.errors import WrongUse
 from hil.stand.fault_file import load_plan
-from sim_backend.fault_plan import KINDS
+from sim_backend.fault_plan import KINDS, Kind, PlannedFault
 
 
 def loaded(folder: Path, text: str) -> frozenset[str]:
@@ -35,6 +36,9 @@ def test_every_kind_can_be_planned(tmp_path: Path) -> None:
         ("# plan\n[[fault]]\nkind = 'drop'\n", "line 2: .*give one of at"),
         ("[[fault]]\nkind = 'drop'\nat = 1\nframe = 2\n", "give one of at"),
         ("[[fault]]\nkind = 'drop'\nframe = 1\nduration = 2\n", "duration .* goes with at"),
+        ("[[fault]]\nkind = 'delay'\nat = 1\nsize = -1\n", "line 1: fault: size -1: give a number from 0 to 60 .s"),
+        ("[[fault]]\nkind = 'truncate'\nat = 1\nsize = 2.5\n", "size 2.5: give a whole number from 1 .* .bytes"),
+        ("[[fault]]\nkind = 'drop'\nat = 1\nsize = 1\n", "size 1: this kind has none"),
         ("[fault]\nkind = 'drop'\n", "line 1: fault: .* must be a list"),
         ("fault = [1]\n", "must be a table"),
         ("[[fault\n", "is not TOML"),
@@ -44,3 +48,12 @@ def test_every_kind_can_be_planned(tmp_path: Path) -> None:
 def test_what_is_wrong_is_said_with_its_line_and_key(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(WrongUse, match=message):
         loaded(tmp_path, text)
+
+
+@pytest.mark.parametrize(("name", "kind"), KINDS.items())
+def test_a_kind_takes_its_own_default_and_no_size_beyond_its_range(name: str, kind: Kind) -> None:
+    assert math.isfinite(kind.default) == math.isfinite(kind.lowest) == math.isfinite(kind.highest) == bool(kind.size)
+    kind.check(kind.default)
+    for size in (kind.lowest - 1.0, kind.highest + 1.0, -math.inf, math.inf):
+        with pytest.raises(ValueError, match="size"):
+            PlannedFault(name, at=1.0, size=size)
