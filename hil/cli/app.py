@@ -6,6 +6,7 @@ import io
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Callable
 from functools import cache
 from typing import Annotated, Any, NoReturn, cast
@@ -97,8 +98,13 @@ def options_of_all(
 
 
 def main() -> NoReturn:
-    """Run the command line and exit with its status, which no later Ctrl-C replaces."""
+    """Run the command line and exit with its status, which no later Ctrl-C replaces.
+
+    A library's warning is about our code and tells a user nothing; `python -W` shows them.
+    """
     StopRequest.exit_follows = True
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
     try:
         status = run(sys.argv[1:])
     except KeyboardInterrupt:

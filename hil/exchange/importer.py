@@ -67,6 +67,7 @@ class Imported:
     diagnostics: tuple[Diagnostic, ...]
 
 
+@np.errstate(all="ignore")  # the numbers of a table may be anything; those that are not finite are missing
 def import_table(
     source: Path,
     target: Path,

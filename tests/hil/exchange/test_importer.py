@@ -6,6 +6,7 @@ import gzip
 import math
 import re
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -253,6 +254,25 @@ def test_a_rate_in_other_units_than_its_deflection_is_refused(
 def test_a_rate_that_fits_its_deflection_is_taken(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(swing())
     assert import_table(tmp_path / "a.csv", tmp_path / "a.h5", SWING, []).samples == 200
+
+
+@pytest.mark.parametrize("odd", [1e308, -1e308, math.inf, -math.inf, 1e-320, "signalling"])
+@pytest.mark.parametrize("place", ["TIME", "POS", "TAU"])
+def test_a_number_that_no_unit_can_convert_is_missing_or_refused_without_a_warning_of_numpy(
+    tmp_path: Path, odd: float | str, place: str
+) -> None:
+    from scipy.io import savemat
+
+    numbers = {"TIME": np.arange(1.0, 9.0), "POS": np.sin(np.arange(8.0)), "TAU": np.cos(np.arange(8.0))}
+    if odd == "signalling":  # a NaN that raises the flag of an invalid operation in the next multiplication
+        numbers[place].view(np.uint64)[-1] = 0x7FF0000000000001
+    else:
+        numbers[place][-1] = odd
+    savemat(tmp_path / "a.mat", numbers)
+    columns = {channel: Column(column.name, column.unit, 1e3) for channel, column in PLAIN.items()}
+    columns["time"] = Column("TIME", "min")
+    with nullcontext() if place != "TIME" else pytest.raises(WrongUse):
+        assert import_table(tmp_path / "a.mat", tmp_path / "a.h5", columns, []).samples == 8
 
 
 @pytest.mark.parametrize("scale", [0.0, math.nan, math.inf])
