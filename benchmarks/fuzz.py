@@ -8,6 +8,7 @@ message that is not hil's own, more than a second or 512 MiB for one input. Prin
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import time
 from pathlib import Path
 
 LONGEST, MEMORY = 5, 2048  # s for one input, MiB of the whole process
+SHARED = "/dev/shm"  # noqa: S108 - a disk would only be waited for
 
 
 def main() -> int:
@@ -25,9 +27,10 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=600.0, help="for all parsers together")
     parser.add_argument("--only", nargs="*", default=[], help="names of parsers")
     parser.add_argument("--one", help=argparse.SUPPRESS)
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     options, rest = parser.parse_known_args()
     if options.one:
-        one(options.one, rest)
+        one(options.one, options.folder, rest)
     from parsers import PARSERS
 
     chosen = [name for name in PARSERS if not options.only or name in options.only]
@@ -46,16 +49,18 @@ def main() -> int:
 
 def fed(name: str, inputs: int, seconds: int) -> tuple[int, float, str]:
     """Return how many inputs a parser read in a process of its own, s, and what it crashed with, "" for nothing."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(dir=SHARED if os.access(SHARED, os.W_OK) else None) as folder:
         words = [f"-runs={inputs}", f"-max_total_time={seconds}", f"-timeout={LONGEST}", f"-rss_limit_mb={MEMORY}"]
         command = [
             sys.executable,
             __file__,
             "--one",
             name,
+            "--folder",
+            folder,
             *words,
             "-print_final_stats=1",
-            f"-artifact_prefix={folder}/",
+            f"-artifact_prefix={folder}/bad-",
         ]
         began = time.monotonic()
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
@@ -63,23 +68,25 @@ def fed(name: str, inputs: int, seconds: int) -> tuple[int, float, str]:
         counted = re.search(r"number_of_executed_units:\s*(\d+)", done.stderr) or re.search(
             r"Done (\d+) runs", done.stderr
         )
-        bad = [f"{path.name}: {path.read_bytes()[:300]!r}" for path in Path(folder).iterdir()]
+        bad = [f"{path.name}: {path.read_bytes()[:300]!r}" for path in Path(folder).glob("bad-*")]
     found = "" if not done.returncode else f"{name}: {done.stdout[-1500:]}\n{done.stderr[-1500:]}\n" + "\n".join(bad)
     return int(counted[1]) if counted else 0, spent, found
 
 
-def one(name: str, words: list[str]) -> None:
-    """Feed one parser in this process, which ends with it."""
+def one(name: str, folder: Path, words: list[str]) -> None:
+    """Feed one parser in this process, which ends with it; all its files are in `folder`, which the parent removes."""
     import atheris
 
+    tempfile.tempdir = str(folder)
     with atheris.instrument_imports(include=["drivers", "hil", "parsers"]):
         from parsers import PARSERS, read
     parser = PARSERS[name]
-    with tempfile.TemporaryDirectory() as folder:
-        for number, seed in enumerate(parser.seeds):
-            (Path(folder) / str(number)).write_bytes(seed)
-        atheris.Setup([sys.argv[0], *words, folder], lambda data: read(parser, data))
-        atheris.Fuzz()
+    corpus = folder / "corpus"
+    corpus.mkdir()
+    for number, seed in enumerate(parser.seeds):
+        (corpus / str(number)).write_bytes(seed)
+    atheris.Setup([sys.argv[0], *words, str(corpus)], lambda data: read(parser, data))
+    atheris.Fuzz()
 
 
 if __name__ == "__main__":

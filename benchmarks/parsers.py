@@ -60,8 +60,7 @@ DECLINED = (WrongUse, Untrustworthy, DriverError, checkpoint.WrongCheckpoint)
 OTHERS = ("pydantic", "[Errno", "Input should", "object at 0x", "<class", "Traceback")
 LONGEST = 5000  # characters of a message
 
-_MEMORY = "/dev/shm"  # noqa: S108 - a disk would only be waited for
-_REMOVED_AT_EXIT = tempfile.TemporaryDirectory(dir=_MEMORY if os.access(_MEMORY, os.W_OK) else None)
+_REMOVED_AT_EXIT = tempfile.TemporaryDirectory()
 _FOLDER = Path(_REMOVED_AT_EXIT.name)
 _CELL = "[sim.sensors]\n"
 _PLAN = (
