@@ -41,14 +41,27 @@ def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Ser
             "install a newer one with DYNAMIXEL Wizard, or set dynamixel.watchdog = 0; the motor then stays live when "
             "this computer stops"
         )
-    bus.send(series.registers["status_return_level"].address, b"\x02")
     try:
+        _confirm_writes(bus, table, series)
         bus.return_delay = table.get("return_delay_time") * RETURN_DELAY_LSB
         for _ in range(ATTEMPTS):
             bus.read(*series.block)
     except BadReply as error:
         raise bus.garbled(error) from None
     return str(firmware)
+
+
+def _confirm_writes(bus: Bus, table: ControlTable, series: Series) -> None:
+    """Set Status Return Level: an X servo, which forgets it without power, may not even answer reads before.
+
+    An MX servo keeps it, so its own value is read first and restored afterwards; it is locked while the torque is on.
+    """
+    register = series.registers["status_return_level"]
+    if register.address >= series.eeprom_end:
+        bus.send(register.address, b"\x02")
+    elif table.get("status_return_level") != 2:
+        bus.send(series.registers["torque_enable"].address, b"\x00")
+        table.settings.require("status_return_level", 2)
 
 
 def _model_and_firmware(bus: Bus, series: Series) -> tuple[int, int]:

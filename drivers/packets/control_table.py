@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING, Protocol
 
+from drivers.servo import NoReply
 from drivers.settings import Settings
 
 if TYPE_CHECKING:
@@ -41,7 +43,7 @@ class ControlTable:
         self.registers = registers
         self._bus = bus
         self.settings: Settings[str, int] = Settings(
-            self.get, self.put, kept=lambda name: registers[name].address < eeprom_end
+            self.get, self._write, kept=lambda name: registers[name].address < eeprom_end
         )
 
     def get(self, name: str) -> int:
@@ -58,3 +60,8 @@ class ControlTable:
         """Write a register."""
         register = self.registers[name]
         self._bus.write(register.address, register.encoded(value))
+
+    def _write(self, name: str, value: int) -> None:
+        """Write a register that is read back afterwards: a servo that confirms no writes takes it all the same."""
+        with contextlib.suppress(NoReply):
+            self.put(name, value)

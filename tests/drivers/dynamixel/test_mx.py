@@ -286,6 +286,22 @@ def test_the_limits_are_in_the_servo_before_current_flows_and_the_eeprom_is_put_
     assert not device.torque_on
 
 
+@pytest.mark.parametrize("torque_on", [0, 1])
+def test_a_servo_that_confirms_no_writes_does_so_for_a_run_only(make_rig: Make, torque_on: int) -> None:
+    rig = make_rig("mx-64")
+    device = rig.device
+    device.registers.put("status_return_level", 1)
+    device.write(24, bytes([torque_on]))
+    before = bytes(device.registers.memory[:24])
+    servo = rig.open()
+    assert (device.get("status_return_level"), device.torque_on) == (2, False)
+    assert any(frame == servo._table.unanswered("status_return_level", 1) for frame in servo.off_path().restore)
+    servo.arm(LIMITS)
+    servo.close()
+    assert bytes(device.registers.memory[:24]) == before
+    assert not device.torque_on
+
+
 def test_after_torque_off_nothing_waits_to_act(make_rig: Make) -> None:
     rig = make_rig("mx-64")
     servo = rig.open()
