@@ -29,8 +29,8 @@ from drivers.clock import Clock, VirtualClock  # noqa: E402 - the rigs are those
 from drivers.servo import Command, Limits, Quantity, Sample, Servo  # noqa: E402
 from hil.acquisition import excitation  # noqa: E402
 from hil.acquisition.interrupt import StopRequest  # noqa: E402
-from hil.acquisition.phases import Phase  # noqa: E402
-from hil.acquisition.recorder import Outcome, Recorder  # noqa: E402
+from hil.acquisition.phases import Outcome, Phase  # noqa: E402
+from hil.acquisition.recorder import Recorder  # noqa: E402
 from hil.acquisition.sink import Memory, Sink  # noqa: E402
 from hil.errors import Untrustworthy  # noqa: E402
 from hil.recording import background  # noqa: E402

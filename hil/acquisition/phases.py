@@ -1,8 +1,9 @@
-"""The phases of a run as one state machine: what may follow what, and when each began."""
+"""The phases of a run as one state machine, what may follow what and when each began, and how the run went."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -46,3 +47,27 @@ class Phases:
             raise ValueError(f"a run cannot go from {self.now} to {phase}")
         self.now = phase
         self.history.append((t, phase))
+
+
+@dataclass(slots=True)
+class Outcome:
+    """How a run went.
+
+    late: ticks that began more than half a period after their time. missed: those of them that were skipped, since the
+    next one was due already. error: the fault that ended it, None where it ran to its end or was stopped on request.
+    signal: of that request. alarm: a sentence to show first, where the torque may still be on; "" otherwise. moved:
+    one that says where the recording is, where its file was removed during the run or could not be made final. phases:
+    of the run.
+    """
+
+    samples: int = 0
+    lost: int = 0
+    late: int = 0
+    missed: int = 0
+    saturated: int = 0
+    end_reason: str = "done"
+    signal: int = 0
+    error: BaseException | None = None
+    alarm: str = ""
+    moved: str = ""
+    phases: Phases = field(default_factory=Phases)

@@ -10,7 +10,6 @@ import math
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean
 
@@ -23,7 +22,7 @@ from hil.acquisition.guard import Guard
 from hil.acquisition.heat import heat_budget
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.limits import AtJoint, LimitReached
-from hil.acquisition.phases import Phase, Phases
+from hil.acquisition.phases import Outcome, Phase
 from hil.acquisition.real_time import real_time
 from hil.acquisition.setpoints import SetPoints
 from hil.acquisition.sink import Sink
@@ -46,30 +45,6 @@ _Readings = Callable[[Sample], AtJoint]
 
 class _Stopped(Exception):
     """A request to stop came before anything was driven."""
-
-
-@dataclass(slots=True)
-class Outcome:
-    """How a run went.
-
-    late: ticks that began more than half a period after their time. missed: those of them that were skipped, since the
-    next one was due already. error: the fault that ended it, None where it ran to its end or was stopped on request.
-    signal: of that request. alarm: a sentence to show first, where the torque may still be on; "" otherwise. moved:
-    one that says where the recording is, where its file was removed during the run or could not be made final. phases:
-    of the run.
-    """
-
-    samples: int = 0
-    lost: int = 0
-    late: int = 0
-    missed: int = 0
-    saturated: int = 0
-    end_reason: str = "done"
-    signal: int = 0
-    error: BaseException | None = None
-    alarm: str = ""
-    moved: str = ""
-    phases: Phases = field(default_factory=Phases)
 
 
 def tick_count(profile: Profile, rate: float) -> int:

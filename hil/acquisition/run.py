@@ -13,9 +13,9 @@ from hil.acquisition.commissioning import permitted
 from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import longest_silence
 from hil.acquisition.interrupt import StopRequest
-from hil.acquisition.phases import Phase
+from hil.acquisition.phases import Outcome, Phase
 from hil.acquisition.planned_faults import FaultyHost
-from hil.acquisition.recorder import Outcome, Recorder, tick_count
+from hil.acquisition.recorder import Recorder, tick_count
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.guardian.servo import Watch

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.servo import DriverError, LinkLost, Quantity
 from hil.acquisition import run as acquisition
 from hil.acquisition.excitation import Profile, make
-from hil.acquisition.recorder import Outcome
+from hil.acquisition.phases import Outcome
 from hil.diagnostics import Diagnostic, driven_by_position, lateness
 from hil.errors import Untrustworthy, WrongUse
 from hil.guardian.handle import available

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from drivers.servo import Quantity, Servo
 from hil.acquisition import excitation
 from hil.acquisition.interrupt import StopRequest
-from hil.acquisition.recorder import Outcome, Recorder, tick_count
+from hil.acquisition.phases import Outcome
+from hil.acquisition.recorder import Recorder, tick_count
 from hil.acquisition.sink import Memory
 from hil.stand.file import Stand
 

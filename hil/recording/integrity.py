@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import stat
 import struct
 import zlib
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.ahead import Progress
-from hil.recording.channels import CHANNELS, END_MARK, ROW, Row, Rows
+from hil.recording.channels import CHANNELS, END_MARK, LATER, ROW, Row, Rows
 
 LIVE = np.dtype([*ROW.descr, ("crc", "<u4")])
 """A row of a recording in progress: the bytes of ROW and their CRC-32."""
@@ -27,6 +28,8 @@ EVENT = np.dtype([("time", "<f8"), ("code", "S32"), ("message", "S200"), ("crc",
 """An event of a recording in progress: `crc` is the CRC-32 of the bytes before it."""
 
 _FEW = 4  # bytes
+_SMALL = 1 << 26  # bytes that any file may declare
+_COMPRESSION = 1000  # declared bytes a stored one
 
 _crc = struct.Struct("<I").pack
 _pack_row = struct.Struct("<" + "".join("Q" if ROW[name].kind == "u" else "d" for name in Row._fields)).pack
@@ -200,6 +203,38 @@ def refuse_foreign_storage(file: h5py.File, path: Path) -> None:
             item = group[name]
             if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
                 raise WrongUse(f"{path}: {name} keeps its data in another file: such a file is not opened")
+
+
+def check_samples(samples: h5py.Group, path: Path) -> tuple[int, frozenset[str]]:
+    """Return the rows of a finished recording, and the channels that it has not since its schema had none.
+
+    Raises WrongUse where a channel is missing, is no column of numbers, or differs from the others in length, and where
+    the file declares more than it can hold, which would fill the memory or the disk.
+    """
+    later = frozenset(name for name in LATER if name not in samples)
+    names = [name for name in CHANNELS if name not in later]
+    absent = [name for name in names if not isinstance(samples.get(name), h5py.Dataset)]
+    if absent:
+        raise WrongUse(f"{path}: /samples lacks {', '.join(absent)}: it is not a complete recording")
+    for name in names:
+        if samples[name].ndim != 1 or samples[name].dtype.kind not in "fiu":
+            raise WrongUse(f"{path}: /samples/{name} is not one column of numbers")
+    lengths = {name: len(samples[name]) for name in names}
+    if len(set(lengths.values())) > 1:
+        odd = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise WrongUse(f"{path}: channels of unequal length ({odd}): the file was not written completely")
+    _check_size(samples, lengths["time"], path)
+    return lengths["time"], later
+
+
+def _check_size(samples: h5py.Group, rows: int, path: Path) -> None:
+    stored = path.stat().st_size
+    if rows * ROW.itemsize > max(_SMALL, _COMPRESSION * stored):
+        raise WrongUse(f"{path} declares {rows} rows in {stored} bytes, which no recording does: use a copy of it")
+    for name in samples:
+        chunk = math.prod(samples[name].chunks or ()) * samples[name].dtype.itemsize
+        if chunk > _SMALL:
+            raise WrongUse(f"{path}: /samples/{name} has chunks of {chunk} bytes: no recording of hil has such")
 
 
 def _is_hard(group: h5py.Group, name: str) -> bool:

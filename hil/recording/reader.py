@@ -32,7 +32,6 @@ Every reader here takes both layouts.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -45,10 +44,11 @@ from numpy.typing import NDArray
 from drivers.servo import Status
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.ahead import Progress, ahead
-from hil.recording.channels import CHANNELS, LATER, ROW, Row, Rows
+from hil.recording.channels import CHANNELS, ROW, Row, Rows
 from hil.recording.integrity import (
     LIVE,
     check_regular,
+    check_samples,
     first_line,
     header_hash,
     intact,
@@ -78,8 +78,6 @@ BLOCK = 65536
 EVENTS = 256
 """Events that a recording in progress has room for."""
 _MOST_EVENTS = 100_000
-_SMALL = 1 << 26  # bytes that any file may declare
-_COMPRESSION = 1000  # declared bytes a stored one
 _TRIAL_TIME, _TRIAL_MEMORY = 2, 1 << 29  # s of processor time, bytes
 _REFUSALS: Mapping[str, type[Exception]] = MappingProxyType({"WrongUse": WrongUse, "Untrustworthy": Untrustworthy})
 _LONGEST = 4000  # bytes of a refusal
@@ -152,7 +150,10 @@ class Recording:
         self.profile = {names.get(name, name): value for name, value in profile.items()}
         self.live = "live" in self._file
         self.complete = bool(self.attributes.get("complete", False))
-        return len(self._checked_live()) if self.live else self._check_samples()
+        if self.live:
+            return len(self._checked_live())
+        rows, self._absent = check_samples(self._group("samples"), self.path)
+        return rows
 
     def __enter__(self) -> Self:
         return self
@@ -320,34 +321,3 @@ class Recording:
         if live.dtype not in {LIVE, ROW} or live.ndim != 1:
             raise WrongUse(f"{self.path}: /live has other fields than {SCHEMA}: use the hil that wrote it")
         return live
-
-    def _check_samples(self) -> int:
-        samples = self._group("samples")
-        self._absent = frozenset(name for name in LATER if name not in samples)
-        names = [name for name in CHANNELS if name not in self._absent]
-        absent = [name for name in names if not isinstance(samples.get(name), h5py.Dataset)]
-        if absent:
-            raise WrongUse(f"{self.path}: /samples lacks {', '.join(absent)}: it is not a complete recording")
-        for name in names:
-            if samples[name].ndim != 1 or samples[name].dtype.kind not in "fiu":
-                raise WrongUse(f"{self.path}: /samples/{name} is not one column of numbers")
-        lengths = {name: len(samples[name]) for name in names}
-        if len(set(lengths.values())) > 1:
-            odd = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise WrongUse(f"{self.path}: channels of unequal length ({odd}): the file was not written completely")
-        self._check_size(samples, lengths["time"])
-        return lengths["time"]
-
-    def _check_size(self, samples: h5py.Group, rows: int) -> None:
-        """Raise WrongUse where the file declares more than it can hold, which would fill the memory or the disk."""
-        stored = self.path.stat().st_size
-        if rows * ROW.itemsize > max(_SMALL, _COMPRESSION * stored):
-            raise WrongUse(
-                f"{self.path} declares {rows} rows in {stored} bytes, which no recording does: use a copy of it"
-            )
-        for name in samples:
-            chunk = math.prod(samples[name].chunks or ()) * samples[name].dtype.itemsize
-            if chunk > _SMALL:
-                raise WrongUse(
-                    f"{self.path}: /samples/{name} has chunks of {chunk} bytes: no recording of hil has such"
-                )

@@ -16,8 +16,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from drivers.servo import BadReply, Command, DeviceFault, Limits, LinkLost, NoReply, Quantity, Sample, Status
 from hil.acquisition import excitation
 from hil.acquisition.interrupt import StopRequest
-from hil.acquisition.phases import FOLLOWS, Phase, Phases
-from hil.acquisition.recorder import Outcome, Recorder
+from hil.acquisition.phases import FOLLOWS, Outcome, Phase, Phases
+from hil.acquisition.recorder import Recorder
 from hil.acquisition.sink import Memory
 from hil.recording.channels import Row
 from hil.stand.file import parse

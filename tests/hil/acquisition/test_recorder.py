@@ -21,7 +21,8 @@ from hil.acquisition import excitation, recorder
 from hil.acquisition.excitation import Profile
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.limits import LimitReached
-from hil.acquisition.recorder import Outcome, Recorder, tick_count
+from hil.acquisition.phases import Outcome
+from hil.acquisition.recorder import Recorder, tick_count
 from hil.acquisition.sink import Memory
 from hil.errors import WrongUse
 from hil.recording.reader import Recording

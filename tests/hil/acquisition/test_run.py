@@ -21,6 +21,7 @@ from hil.acquisition import excitation, recorder
 from hil.acquisition import run as run_module
 from hil.acquisition.excitation import Profile
 from hil.acquisition.interrupt import ending
+from hil.acquisition.phases import Outcome
 from hil.acquisition.run import run
 from hil.acquisition.setpoints import SetPoints
 from hil.cli import app as cli
@@ -571,7 +572,7 @@ def test_an_interrupted_torque_off_is_retried_until_the_silence_ends(
     assert servo.clock.now() < 1.1  # before the watchdog would have done it
 
 
-def run_on(servo: SimServo, monkeypatch: pytest.MonkeyPatch) -> recorder.Outcome:
+def run_on(servo: SimServo, monkeypatch: pytest.MonkeyPatch) -> Outcome:
     monkeypatch.setattr(run_module, "open_servo", lambda *_, **__: (servo, {}))
     stand = parse(
         '[stand]\nbackend = "sim"\ngear_ratio = 4.0\ntorque_source = "joint"\n'
