@@ -314,7 +314,7 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
     """Return the motion at the readings of the torque that are wanted (m,) and lie in a stretch, and these, N m."""
     time, torque = own.time[wanted], own.value[wanted]
     for is_last in (own.unsure == 0.0, True):
-        at = motion.at(time)
+        at = motion.at(time) if len(motion) else motion
         if len(at) < FEWEST:
             raise Untrustworthy(
                 f"the torque cell has {len(at)} readings of its own beside the angle's, and Kc and Bc need at least "

@@ -36,8 +36,12 @@ _STRAIGHT: Final = 2.1  # counts by which three samples on a line may be off it
 _SMALL_COUNT: Final = 0.05  # of the usual bend: with larger counts a corner cannot be placed
 _SHARP: Final = 5.0  # times that, from which a corner is no smooth motion
 _LINES: Final = (0.1, 0.98)  # part of the samples on a line with both neighbours: fewer by chance, more on a ramp
+_BENT: Final = 0.9  # quantile of the bends that is a usual one
+_AT_ZERO: Final = 1.31  # part of normal bends that is below a small part of that quantile, per part
+_BEYOND_CHANCE: Final = 2.0  # times what random bends have of lines, that lines make up at least
+_CORNER: Final = 5  # samples around a corner, within which a line begins or ends
 _MOST_SHORT: Final = 10  # lines of two samples one after the other
-_CLEAR: Final = 10.0  # counts a tick by which the slopes of two lines must differ, so that their corner is placed
+_CLEAR: Final = 10.0  # counts a tick from which a line is clear, and by which two must differ to place their corner
 _LONGEST: Final = 1.5  # usual ticks: a longer one, beside a lost reply, does not say when a reading was converted
 
 
@@ -209,21 +213,30 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
     if (np.diff(time) <= 0.0).any():
         return False
     bends, tolerance = _bends(time, values), _tolerance(values, count)
-    if count > _SMALL_COUNT * float(np.quantile(bends[1:-1], 0.9)):
+    most = float(np.quantile(bends[1:-1], _BENT))
+    if count > _SMALL_COUNT * most:
         return False  # counts make straight lines too
-    still = np.concatenate([[False], (values[1:-1] == values[:-2]) | (values[2:] == values[1:-1]), [False]])
-    on = (bends <= tolerance) & ~still
+    by_chance = _AT_ZERO * tolerance / most if most > 0.0 else 0.0
+    # where it comes to rest by a few counts a tick, any motion is a line
+    fast = np.abs(np.diff(values)) > max(tolerance, _CLEAR * count)
+    moves = np.concatenate([[False], fast[1:] & fast[:-1], [False]])
+    on = (bends <= tolerance) & moves
     runs = _runs(on)
     if len(runs) < _FEWEST:
         return False
-    reach = 2 * int(np.median(runs[:, 1] - runs[:, 0]))
+    usual = int(np.median(runs[:, 1] - runs[:, 0]))
+    # between lines of four samples there is but a corner; a smooth motion is straight where it turns the other way
+    if usual > 2 and not _mostly(maximum_filter1d(on, _CORNER)[moves & ~on]):
+        return False
+    reach = 2 * usual
     # a smooth motion hardly bends beside a sample where it does not
     sharp = maximum_filter1d(np.where(np.isfinite(bends), bends, 0.0), 2 * reach + 1) > _SHARP * tolerance
-    return _LINES[0] <= float(np.mean(on & sharp)) and float(np.mean(on)) <= _LINES[1] and _mostly(sharp[on])
+    least = max(_LINES[0], _BEYOND_CHANCE * by_chance)
+    return least <= float(np.mean(on & sharp)) and float(np.mean(on)) <= _LINES[1] and _mostly(sharp[on])
 
 
 def _mostly(where: NDArray[np.bool_]) -> bool:
-    return bool(np.mean(where) > 0.5)
+    return not len(where) or bool(np.mean(where) > 0.5)
 
 
 def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -133,3 +133,13 @@ def test_stamped_readings_are_those_with_a_new_stamp() -> None:
 
 def test_a_channel_without_motion_is_not_slow() -> None:
     assert kind_of(TICKS, np.full(5000, 0.3)) is None
+
+
+@pytest.mark.parametrize(("dwell", "damping", "omega"), [(0.11, 0.6, 95.0), (0.11, 0.8, 95.0), (0.2, 0.7, 95.0)])
+def test_a_motion_that_comes_to_rest_between_two_places_is_not_slow(dwell: float, damping: float, omega: float) -> None:
+    """Where it is slow, or turns the other way, a few readings lie on a line to their counts."""
+    phase, faster = omega * np.mod(TICKS, dwell), np.sqrt(1.0 - damping**2)
+    wave = np.cos(faster * phase) + damping / faster * np.sin(faster * phase)
+    settled = 1.0 - np.exp(-damping * phase) * wave
+    place = 0.02 * np.where(np.mod(TICKS, 2.0 * dwell) < dwell, 1.0 - 2.0 * settled, 2.0 * settled - 1.0)
+    assert kind_of(TICKS, coarse(place, 1e-6)) is None
