@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _COARSE = 0.05  # share of repeated stamps above which a clock is called coarse
-_DECIMALS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # s, to which stamps are often rounded
-_LOOKED = 1000  # stamps at the beginning that show whether they are
+_UNITS = sorted([10.0**-k for k in range(2, 7)] + [2.0**-k for k in range(6, 20)], reverse=True)
+# s, to which stamps are often rounded: decimals, and what numbers of single precision can hold
+_ON_UNIT = 0.01  # of a unit, within which a stamp is a multiple of it
+_LOOKED = 1000  # stamps at either end that show whether they are
 _APART = 4.0  # median steps between two samples above which they belong to two stretches
 _SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 
@@ -37,9 +39,7 @@ def _before_rounding(time: Array) -> Array:
     A sample that was taken 0.3 ms from its stamp, at a millisecond of resolution, has a deflection that is off by as
     much as 2 % at 10 Hz.
     """
-    first = time[:_LOOKED] - time[0]
-    near = 1e-9 + 4.0 * float(np.spacing(np.abs(time[[0, -1]]).max()))
-    unit = next((unit for unit in _DECIMALS if np.abs(first - unit * np.round(first / unit)).max() < near), 0.0)
+    unit = max(_unit(time[:_LOOKED]), _unit(time[-_LOOKED:]))
     pace = float(time[-1] - time[0]) / max(len(time) - 1, 1)
     if unit == 0.0 or len(time) < 2 * _SHORTEST or unit > pace:
         return time
@@ -53,6 +53,16 @@ def _before_rounding(time: Array) -> Array:
         if float(np.abs(even - time).max()) < unit:
             return np.asarray(even)
     return time
+
+
+def _unit(time: Array) -> float:
+    """The unit, s, of which all stamps (n,) are multiples; 0 where there is none."""
+    digits = 4.0 * float(np.spacing(np.abs(time).max()))
+    for unit in _UNITS:
+        apart = (time - time[0]) / unit
+        if np.abs(apart - np.round(apart)).max() < _ON_UNIT + digits / unit:
+            return unit
+    return 0.0
 
 
 def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

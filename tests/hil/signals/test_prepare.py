@@ -54,6 +54,14 @@ def test_stamps_that_a_millisecond_rounds_are_those_of_an_even_pace(pace: float,
     np.testing.assert_array_equal(spread_stamps(np.sort(jittered))[0], np.sort(jittered))
 
 
+@pytest.mark.parametrize("begin", [500.0, 1022.0, 9000.0])
+def test_stamps_of_single_precision_are_those_of_an_even_pace(begin: float) -> None:
+    true = begin + np.arange(3000) / 350.0
+    stamps = np.asarray(true, dtype=np.float32).astype(np.float64)
+    for read in (stamps, np.round(stamps, 8)):
+        assert float(np.std(spread_stamps(read)[0] - true)) < 0.1 * float(np.std(read - true))
+
+
 def test_a_fine_clock_is_left_alone() -> None:
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.003, 500))
     time, coarse = spread_stamps(stamps)
