@@ -28,6 +28,7 @@ _PARTS = 20  # windows side by side for which a recording has room, so that few 
 _LOOKED = 1 << 18  # samples that the noise of the deflection is held against the torque of
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
 _CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion are not white
+_NARROWER = 0.8  # of a window, the next that is tried
 _TAPER = 0.02  # of a recording at each end
 
 
@@ -109,6 +110,7 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
         narrowed(slope, step, fastest, hides_in_rate(rate[fast])),
         narrowed(slope, step, of_deflection, hidden),
     )
+    slope = best_of(slope, time[:_LOOKED], dtheta[:_LOOKED], of_deflection)
     found = Window(slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count)
     of_rate = _amplified(slope, step)
     if not disturbs(read, found.of_deflection, found.of_deflection * of_rate):
@@ -127,6 +129,24 @@ def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
     """
     while slope > _NARROWEST and noise * _amplified(slope - 1, step) <= allowed:
         slope -= 1
+    return slope
+
+
+def best_of(slope: int, time: Array, dtheta: Array, noise: float) -> int:
+    """Return the window, at most `slope` neighbours a side, whose noise and what it smooths away are least together.
+
+    noise: rad, of the deflection (n,). Either would make up the residuals of a quiet torque. Of two windows, the
+    slopes differ by as much as the power of their noise does, and by what the wider one smooths away.
+    """
+    step = float(np.median(np.diff(time)))
+    rate, whole = local_polynomial(time, dtheta, slope, 1), _whole(time, slope, step)
+    while slope > _NARROWEST and whole.any():
+        half = max(_NARROWEST, int(_NARROWER * slope))
+        narrower = local_polynomial(time, dtheta, half, 1)
+        more_noise = noise**2 * (_amplified(half, step) ** 2 - _amplified(slope, step) ** 2)
+        if float(np.mean((narrower - rate)[whole] ** 2)) <= 2.0 * more_noise:
+            break
+        slope, rate = half, narrower
     return slope
 
 
@@ -167,9 +187,12 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
 
 def is_whole(time: Array, window: Window) -> NDArray[np.bool_]:
     """Return whether (n,) the window of each sample is centred on it and free of gaps."""
-    width, half = 2 * window.widest, window.widest
+    return _whole(time, window.widest, window.step)
+
+
+def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
     whole = np.zeros(len(time), dtype=bool)
-    whole[half : len(time) - half] = time[width:] - time[:-width] <= 1.5 * width * window.step
+    whole[half : len(time) - half] = time[2 * half :] - time[: -2 * half] <= 3.0 * half * step
     return whole
 
 
