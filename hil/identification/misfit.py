@@ -17,7 +17,7 @@ from hil.signals.windows import is_smooth
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
 from hil.uncertainty.instruments import followed, is_instrument, linearised, noisier
-from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit
+from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit, predicted
 from hil.uncertainty.misfit import LackOfFit
 
 Array = NDArray[np.float64]
@@ -71,19 +71,26 @@ class Described:
 def tested(described: Described) -> LackOfFit | None:
     """Test the fit; None where the recording is too short."""
     signals, motion = described.signals, _without_errors(described.signals)
-    found = _tested(described, motion)
+    found = lack_of_fit(*_held_against(described, motion))
     if found is None or not found.misfit or motion is not signals.motion:
         return found
-    if signals.window is None or signals.window.low_pass is None or motion.part_of is not None:
+    if signals.window is None or motion.part_of is not None:
         return found
-    noisy, p = noisier(motion, signals.window), len(described.model.linear)
-    before, after = (linearised(described.model, one, *np.split(described.values, [p])) for one in (motion, noisy))
-    more = ((after - before)[:, :p] @ described.values[:p])[described.kept]
-    return found.beside_noise(_tested(replace(described, residuals=described.residuals - more), noisy))
+    noisy = (predicted(*_noisier(described, one)) for one in noisier(motion, signals.window))
+    return found.beside_noise(np.fromiter(noisy, dtype=np.float64))
 
 
-def _tested(described: Described, motion: Motion) -> LackOfFit | None:
-    """Test the fit with regressors and columns of a motion (n,): that of the signals, or one with other errors."""
+def _noisier(described: Described, noisy: Motion) -> tuple[Recorded, Fitted]:
+    """The recording and the fit for a motion (n,) with more errors, which stand in the residuals too."""
+    p = len(described.model.linear)
+    genes, nonlinear = np.split(described.values, [p])
+    before, after = (linearised(described.model, one, genes, nonlinear) for one in (described.signals.motion, noisy))
+    more = ((after - before)[:, :p] @ genes)[described.kept]
+    return _held_against(replace(described, residuals=described.residuals - more), noisy)
+
+
+def _held_against(described: Described, motion: Motion) -> tuple[Recorded, Fitted]:
+    """The recording and the fit with the columns of a motion (n,): that of the signals, or one with other errors."""
     names, count, recorded = described.names, len(described.signals), described.recorded(motion)
     coupling = (names.index("Kc"), names.index("Bc")) if {"Kc", "Bc"} <= set(names) else None
     residuals, columns = np.zeros(count), np.zeros((count, len(names)))
@@ -99,8 +106,7 @@ def _tested(described: Described, motion: Motion) -> LackOfFit | None:
         columns = np.concatenate([columns, *_of_every_bench(described, recorded, residuals)], axis=1)
     kept = described.kept & is_smooth(recorded.time, recorded.deflection, recorded.rate)
     included = frozenset(code for name, code in _TERMS.items() if name in names)
-    fitted = Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
-    return lack_of_fit(recorded, fitted)
+    return recorded, Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
 
 
 def _without_errors(signals: Signals) -> Motion:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final, Literal, TypeGuard
 
 import numpy as np
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
 from hil.signals.deflection_noise import FEW_COUNTS
+from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.windows import Window
 from hil.uncertainty.effects import Recorded
 
@@ -170,8 +172,10 @@ def _simulated(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, Array]:
         columns, left = part.linearised(motion)
         return _solved(columns[sound], columns[sound], left[sound])
 
-    without = step(part.motion)
-    added = np.array([[step(_more(part, sign * one)) - without for sign in (1.0, -1.0)] for one in _errors(part)])
+    without, errors = step(part.motion), _errors(part.motion, part.window)
+    added = np.array(
+        [[step(_more(part.motion, part.window, sign * one)) - without for sign in (1.0, -1.0)] for one in errors]
+    )
     means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
     change = -means.mean(axis=0)
     error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
@@ -179,28 +183,47 @@ def _simulated(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, Array]:
     return _Change(change, np.hypot(_LEVEL * change, _NORMAL * error)), _NORMAL * scatter
 
 
-def _more(part: Fitted, errors: Array) -> Motion:
+def _more(motion: Motion, window: Window, errors: Array) -> Motion:
     """The motion with more errors (n,) rad in its readings."""
-    return _moved(part.motion, _behind(part.window, part.motion, errors))
+    more = np.array(_behind(window, motion, errors))
+    if window.low_pass is None:
+        for part in _stretches(motion):  # near its ends a local polynomial has many times the noise
+            more[:, part.start : part.start + window.widest] = 0.0
+            more[:, max(part.start, part.stop - window.widest) : part.stop] = 0.0
+    return _moved(motion, (more[0], more[1], more[2]))
 
 
-def _errors(part: Fitted) -> Iterator[Array]:
+def _errors(motion: Motion, window: Window) -> Iterator[Array]:
     """Errors (n,) rad as the readings may have them: noise, then rounding to counts."""
-    rng, count, span = np.random.default_rng(0), part.window.count, float(np.ptp(part.motion.dtheta))
-    beside = np.sqrt(max(0.0, part.window.of_deflection**2 - count**2 / 12.0))
+    rng, count, span = np.random.default_rng(0), window.count, float(np.ptp(motion.dtheta))
+    # counts that are rounded once more would follow from the angle
+    smooth = motion.dtheta.copy()
+    for part in _stretches(motion):
+        if part.stop - part.start > 2 * window.slope:
+            fit = local_polynomial(motion.time[part], motion.dtheta[part], window.slope, 0)
+            smooth[part] = np.where(np.isfinite(fit), fit, motion.dtheta[part])
+    beside = np.sqrt(max(0.0, window.of_deflection**2 - count**2 / 12.0))
     for _ in range(_PAIRS):
-        noise = beside * rng.standard_normal(len(part.motion))
+        noise = beside * rng.standard_normal(len(motion))
         if count > 0.0:
             # where the motion turns within a count decides how the rounding goes with it, and is not known
-            true = part.motion.dtheta * (1.0 + count / span * rng.uniform(-1.0, 1.0)) + noise + count * rng.random()
+            true = smooth * (1.0 + count / span * rng.uniform(-1.0, 1.0)) + noise + count * rng.random()
             noise = noise + count * np.round(true / count) - true
         yield noise
 
 
 def _behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Array, Array]:
     """Readings (n,) behind the window, with slope and curvature; zero in stretches that are too short for it."""
-    value, slope, curvature = (np.nan_to_num(one) for one in window.moved(motion.time, readings))
+    found = np.zeros((3, len(motion)))
+    for part in _stretches(motion):
+        if window.low_pass is not None or part.stop - part.start > 2 * window.widest:
+            found[:, part] = window.moved(motion.time[part], readings[part])
+    value, slope, curvature = np.nan_to_num(found)
     return value, slope, curvature
+
+
+def _stretches(motion: Motion) -> list[slice]:
+    return [slice(first, last) for first, last in pairwise([*motion.starts, len(motion)]) if last > first]
 
 
 def _moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
@@ -256,10 +279,9 @@ def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.b
     return _moved(motion, (less[0], less[1] - motion.dtheta_dot, less[2] - motion.dtheta_ddot))
 
 
-def noisier(motion: Motion, window: Window) -> Motion:
-    """Return the motion with as much noise again in the readings of its deflection."""
-    errors = window.of_deflection * np.random.default_rng(0).standard_normal(len(motion))
-    return _moved(motion, _behind(window, motion, errors))
+def noisier(motion: Motion, window: Window) -> Iterator[Motion]:
+    """Yield motions with as many errors again in the readings of the deflection, each time others."""
+    return (_more(motion, window, errors) for errors in _errors(motion, window))
 
 
 def _solved(columns: Array, instruments: Array, left: Array) -> Array:

@@ -71,6 +71,12 @@ def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
     return _Tests(*_fewer(recorded, fitted)).result()
 
 
+def predicted(recorded: Recorded, fitted: Fitted) -> float:
+    """Return what of a fit's residuals is predicted in blocks that were not seen, N m r.m.s."""
+    tests = _Tests(*_fewer(recorded, _blanked(fitted)))
+    return tests.predicted(np.concatenate(list(tests.features().values()), axis=1))[1]
+
+
 class _Tests:
     """One recording with its residuals' scores, and what is worked out from them."""
 
@@ -84,16 +90,24 @@ class _Tests:
         own = fitted.columns[:, list(at)] if at else np.stack([recorded.deflection, recorded.rate], axis=1)
         self._coupling = own - own.mean(axis=0)  # where an encoder has its zero says nothing
 
+    def features(self) -> dict[str, Array]:
+        """The regressors (n, k) of each respect, as far as the model cannot make them."""
+        return {name: self._tested.new(values) for name, values in regressors(self._recorded, self._model).items()}
+
+    def predicted(self, features: Array) -> tuple[float, float]:
+        """The share of the residuals' power that features (n, k) predict in unseen blocks, and its size, N m r.m.s."""
+        return self._tested.predicted(features)
+
     def result(self) -> LackOfFit:
         """Do all tests."""
-        features = {name: self._tested.new(values) for name, values in regressors(self._recorded, self._model).items()}
+        features = self.features()
         everything = np.concatenate(list(features.values()), axis=1)
         compared = [self._compared(*cut) for cut in cuts(self._recorded)]
         found = [one for one in compared if one is not None]
         found += [Respect(code, NAMES[code], self._tested.chance(values)) for code, values in features.items()]
         found.append(Respect("any", NAMES["any"], self._tested.chance(everything)))
         respects = _corrected(found)
-        share, predicted = self._tested.predicted(everything)
+        share, predicted = self.predicted(everything)
         suspects = self._suspects(share) if any(one.fails for one in respects) else ()
         sizes = self._sizes(respects, suspects, predicted)
         lags, correlation = self._correlation()

@@ -18,7 +18,9 @@ FALSE_ALARMS: Final = 0.002
 _SHARE: Final = 0.02  # of the residuals' power, below which what is predicted is of no size
 _GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
 _SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals and no warning
+_ACCURATE: Final = 5e-4  # of the torque's deviation, to which its readings and the rate are ever right
 _PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
+_SCATTER: Final = 2.0  # standard deviations by which noise may leave more than it does on average
 _UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint
 
 
@@ -81,17 +83,17 @@ class LackOfFit:
     unexplained: float = 0.0
     of_noise: bool = False
 
-    def beside_noise(self, noisier: LackOfFit | None) -> LackOfFit:
-        """Return what is left of it, given the same tests with twice the power of noise in the deflection.
+    def beside_noise(self, noisier: Array) -> LackOfFit:
+        """Return what is left of it, given what is predicted (k,), N m, beside twice the errors in the deflection.
 
-        What a wrong model leaves stays as it is, and what noise leaves doubles (Cook and Stefanski 1994).
+        What a wrong model leaves stays as it is, and what noise leaves doubles (Cook and Stefanski 1994). Counts of a
+        motion that rests or repeats leave now more, now less.
         """
-        if noisier is None:
-            return self
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
-        left = 2.0 * self.predicted**2 - noisier.predicted**2
-        return replace(self, of_noise=left < _SHARE * self.predicted**2 / self.share)
+        added = noisier**2 - self.predicted**2
+        left = self.predicted**2 - added.mean() - _SCATTER * added.std(ddof=1)
+        return replace(self, of_noise=bool(left < _SHARE * self.predicted**2 / self.share))
 
     @property
     def affected(self) -> str | None:
@@ -137,8 +139,8 @@ class LackOfFit:
 
     @property
     def _is_small(self) -> bool:
-        """Whether it moves Kc and Bc by less than readings of torque and angle are ever right to."""
-        return self.Kc <= _SMALL[0] and self.Bc <= _SMALL[1]
+        """Whether it is less than readings of torque and angle are ever right to: in Kc and Bc, or in the torque."""
+        return (self.Kc <= _SMALL[0] and self.Bc <= _SMALL[1]) or self.unexplained <= _ACCURATE
 
     @property
     def _is_harmless(self) -> bool:

@@ -159,7 +159,7 @@ def test_samples_between_two_gaps_that_are_too_few_for_the_window_get_no_more_no
     time[few[-1] + 1 :] += 3.0
 
     before = Motion(time, read, multisine(TIME, 1), multisine(TIME, 2), np.zeros(len(time)))
-    more = noisier(before, window).dtheta - before.dtheta
+    more = next(noisier(before, window)).dtheta - before.dtheta
 
     assert np.isfinite(more).all()
     assert (more[few] == 0.0).all()

@@ -114,6 +114,24 @@ def test_the_intervals_of_a_misfit_are_wider_by_its_size() -> None:
     assert found.Bc > 0.03
 
 
+def test_a_misfit_below_what_the_torque_is_ever_right_to_widens_the_interval_by_all_it_moves() -> None:
+    found = judged(0.99 * PLAIN + 0.01 * WRONG["inertia"] + 0.06 * noise(1))
+
+    assert found.failed
+    assert 3e-4 < found.unexplained < 5e-4
+    assert not found.misfit
+    assert found.in_intervals[1] == found.Bc > 5e-3
+
+
+def test_what_doubles_with_the_errors_of_the_deflection_is_no_misfit() -> None:
+    found = judged(relaxed(0.2, 0.03) + PLAIN + noise(0))
+    doubled, alike = np.sqrt([1.9, 2.0, 2.0, 2.1]), np.sqrt([1.0, 1.1, 1.0, 1.1])
+
+    assert found.misfit
+    assert not found.beside_noise(found.predicted * doubled).misfit
+    assert found.beside_noise(found.predicted * alike).misfit
+
+
 def test_kc_of_the_second_half_is_compared_with_that_of_the_first() -> None:
     torque = PLAIN - 0.06 * PLAIN * np.repeat([0.0, 1.0], len(TIME) // 2)
 
