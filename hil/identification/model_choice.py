@@ -109,7 +109,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         terms,
         rarer=rarer,
         like_skew=tuple(term for term in like_skew if term in rarer),
-        describes=lambda found: _describes(found, signals),
+        describes=lambda found, averaged: _describes(found, signals, averaged=averaged),
     )
     sticking = _is_sticking(found.model, motion, found.delay, found.residuals)
     if sticking:
@@ -120,8 +120,10 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     return Choice(found.model.anchored(motion), found.steps, sticking, found.delay, found.alternatives)
 
 
-def _describes(found: Selection, signals: Signals) -> bool:
+def _describes(found: Selection, signals: Signals, *, averaged: bool) -> bool:
     """Whether the model selected passes the tests of its fit, however small what it lacks is.
+
+    averaged: whether it may lack small effects that every bench has.
 
     Noise of the deflection is no lack of a term, and rarer ones would be made of it.
     """
@@ -137,7 +139,7 @@ def _describes(found: Selection, signals: Signals) -> bool:
             columns=found.columns[kept],
             values=found.values,
             half_width=np.zeros(len(found.values)),
-            averaged=True,
+            averaged=averaged,
         )
     )
     noisy = fit is not None and fit.suspects and fit.suspects[0].effect.in_deflection

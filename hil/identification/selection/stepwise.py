@@ -72,12 +72,13 @@ def select(
     *,
     rarer: tuple[str, ...] = (),
     like_skew: tuple[str, ...] = (),
-    describes: Callable[[Selection], bool] = lambda _selection: True,
+    describes: Callable[[Selection, bool], bool] = lambda _selection, _averaged: True,
 ) -> Selection:
     """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
 
-    describes: whether a model describes the recording; where it does not, rarer terms are considered too. like_skew:
-    terms that may be in the torque where a skew seems to be.
+    describes: whether a model describes the recording, the second argument: but for small effects that every bench has;
+    where it does not, rarer terms are considered too. like_skew: terms that may be in the torque where a skew seems to
+    be.
     Raises RuntimeError where not even the smallest model can be fitted.
     """
     fits, smallest = Fits(motion, torque, highest), _smallest(terms)
@@ -86,10 +87,13 @@ def select(
     late = LateReading(fits, steps.criterion, like_skew)
     if not rarer:
         return _explained(usual, steps, late)
-    if describes(_selection(usual)):
+    if describes(_selection(usual), True):
         return _explained(late.instead_of_skew(usual), steps, late)
-    more = (*terms, *_likeliest(fits, rarer, (smallest, usual.terms)))
-    steps = _Steps(fits, criterion_of(fits, more, steps.criterion.richest), more, compared=_LIKELY)
+    rare = _likeliest(fits, rarer, (smallest, usual.terms))
+    more = (*terms, *rare)
+    steps = _Steps(
+        fits, criterion_of(fits, more, steps.criterion.richest), more, _LIKELY, rare, lambda one: describes(one, False)
+    )
     richer = steps.forward(fits.candidate(smallest))
     chosen = richer if set(rarer).intersection(richer.terms) else usual
     return _explained(chosen, steps, LateReading(fits, steps.criterion, like_skew))
@@ -97,12 +101,19 @@ def select(
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """The steps among the terms considered; compared: how many terms that pay the best is taken from."""
+    """The steps among the terms considered; compared: how many terms that pay the best is taken from.
+
+    rare: those of them that are considered because a model without them does not describe the recording. is_enough:
+    whether a model with one does, as it stands: further terms would be made of the errors of the deflection, which a
+    filter or a delay takes out.
+    """
 
     fits: Fits
     criterion: Criterion
     considered: tuple[str, ...]
     compared: int = 1
+    rare: tuple[str, ...] = ()
+    is_enough: Callable[[Selection], bool] = lambda _selection: False
 
     def forward(self, chosen: Candidate) -> Candidate:
         """Return the model after the steps from one chosen, each with the term that pays most, without those idle."""
@@ -129,6 +140,8 @@ class _Steps:
 
     def _larger(self, smaller: Candidate) -> Candidate | None:
         """The model with one more term that pays, the one that predicts held-out blocks best; None if none."""
+        if set(self.rare).intersection(smaller.terms) and self.is_enough(_selection(smaller)):
+            return None
         errors = {
             term: self.fits.held_out((*smaller.terms, term), found).mean()
             for term, found in self._beyond(smaller.terms).items()

@@ -165,11 +165,24 @@ def test_a_rarer_term_is_included_where_the_usual_ones_do_not_describe_the_recor
     motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
     noisy = torque(moved) + 5e-5 * np.random.default_rng(4).standard_normal(SAMPLES)
     rarer = ("quadratic", "maxwell", "softening", "lag")
-    found = select(motion, noisy, HIGHEST, rarer=rarer, describes=lambda _usual: False)
+    found = select(motion, noisy, HIGHEST, rarer=rarer, describes=lambda *_: False)
     assert found.model.name == expected
     assert found.values[:2] == pytest.approx([KC, BC], rel=0.03)
-    kept = select(motion, noisy, HIGHEST, rarer=rarer, describes=lambda _usual: True)
+    kept = select(motion, noisy, HIGHEST, rarer=rarer, describes=lambda *_: True)
     assert term not in kept.model.name
+
+
+def test_the_steps_end_at_a_rarer_model_that_describes_the_recording() -> None:
+    """A skew that errors of the deflection may make, beside damping that rises with the rate."""
+    moved, late = chirp(TIME), chirp(TIME - 5e-4)
+    motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
+    torque = CASES["linear+coulomb"](late) + 2e-5 * late.rate * np.abs(late.rate)
+    noisy = torque + 5e-5 * np.random.default_rng(4).standard_normal(SAMPLES)
+    found = [
+        select(motion, noisy, HIGHEST, rarer=("quadratic",), describes=describes).model.name
+        for describes in (lambda *_: False, lambda one, _: "coulomb+quadratic" in one.model.name)
+    ]
+    assert found == ["linear+coulomb+quadratic+skew", "linear+coulomb+quadratic"]
 
 
 def test_a_lag_that_a_skew_hides_is_an_alternative() -> None:
