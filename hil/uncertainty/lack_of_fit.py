@@ -109,7 +109,8 @@ class _Tests:
         respects = _corrected(found)
         share, predicted = self.predicted(everything)
         suspects = self._suspects(share) if any(one.fails for one in respects) else ()
-        sizes = self._sizes(respects, suspects, predicted)
+        explained = bool(suspects) and suspects[0].share >= _AS_GOOD * share
+        sizes = self._sizes(respects, suspects, predicted, explained=explained)
         lags, correlation = self._correlation()
         return LackOfFit(
             respects=respects,
@@ -210,12 +211,17 @@ class _Tests:
         first, second = np.divide(changes, values, out=np.zeros(2), where=values > 0.0).tolist()
         return first, second
 
-    def _sizes(self, respects: tuple[Respect, ...], suspects: tuple[Suspect, ...], torque: float) -> Array:
-        """The size of the misfit in Kc and Bc (2,), relative, not negative; torque: N m r.m.s. that is predicted."""
+    def _sizes(
+        self, respects: tuple[Respect, ...], suspects: tuple[Suspect, ...], torque: float, *, explained: bool
+    ) -> Array:
+        """The size of the misfit in Kc and Bc (2,), relative, not negative; torque: N m r.m.s. that is predicted.
+
+        explained: whether the likeliest effect explains nearly all of that.
+        """
         if not any(one.fails for one in respects):
             return np.zeros(2)
-        # the likeliest effect explains the differences between parts too, but not what changed on the way
-        compared = [one for one in respects if one.fails and (one.code == "half" or not suspects)]
+        # an effect that explains all explains the differences between parts too, but not what changed on the way
+        compared = [one for one in respects if one.fails and (one.code == "half" or not explained)]
         # the recording cannot decide between the suspects: the one that moves them most may be there
         found = [(abs(one.Kc), abs(one.Bc)) for one in suspects]
         found += [(0.5 * abs(one.Kc), 0.5 * abs(one.Bc or 0.0)) for one in compared if one.Kc is not None]

@@ -129,7 +129,7 @@ class LackOfFit:
         if self.of_noise or not self.failed:
             return False
         if self._is_small:
-            return self.share >= _PLAIN and not self._is_harmless
+            return self.share >= _PLAIN and self.unexplained > _ACCURATE and not self._is_harmless
         return self.outside or (self.share >= _SHARE and not self._is_harmless)
 
     @property

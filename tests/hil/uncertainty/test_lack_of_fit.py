@@ -106,6 +106,24 @@ def test_a_misfit_too_small_to_matter_widens_the_intervals_instead() -> None:
     assert 0.0 < found.in_intervals[1] < 5e-3
 
 
+def test_what_the_rate_is_not_accurate_to_is_no_misfit_where_there_is_no_noise() -> None:
+    found = judged(PLAIN + 2e-4 * WRONG["quadratic-damping"])
+
+    assert found.failed
+    assert found.share > 0.5
+    assert not found.misfit
+
+
+def test_an_effect_that_explains_a_part_leaves_the_differences_between_parts() -> None:
+    stiffer_when_loaded = 0.06 * KC * X * (X * V > 0.0)
+    found = judged(PLAIN + stiffer_when_loaded + 4e-6 * A + noise(1))
+
+    compared = [0.5 * abs(one.Kc) for one in found.respects if one.fails and one.Kc is not None]
+    assert found.suspects
+    assert found.suspects[0].share < 0.8 * found.share
+    assert found.Kc >= max(compared)
+
+
 def test_the_intervals_of_a_misfit_are_wider_by_its_size() -> None:
     found = judged(WRONG["quadratic-damping"] + noise(1))
 
