@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from ga.lad.few import ALONE, DISTINCT, PROVEN, ROUNDING, solve_few
 from ga.lad.simplex import OPTIMAL, STALLED, descend
 from ga.samples import check, resolution
 
@@ -19,17 +20,13 @@ if TYPE_CHECKING:
 _RANK: Final = 1e-10
 """A column that is, to this part of its length, a combination of others adds nothing that rounding leaves."""
 
-_DISTINCT: Final = 1e-3
-"""A column of which this part of its length is its own, and more, needs no cleaning from the others."""
-
 _PERTURBATIONS: Final = (0.0, 1e-11, 1e-9, 1e-7)
 """Relative to the mean torque: tried in turn until one gives a certificate; ties are resolved by the second."""
 
-_ROUNDING: Final = 64.0 * float(np.finfo(np.float64).eps)
-_PROVEN: Final = 1e-9
-_AT_ONCE: Final = 1500
+_FEW: Final = 4000
+"""Rows up to which a descent over all of them costs less than to find out which ones decide."""
 _DIRECT: Final = 6000
-"""Rows up to which the descent takes all of them: in any case, and where no point close to the optimum is known."""
+"""Rows up to which the descent takes all of them; above, it is bracketed on a subsample first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +63,9 @@ def least_absolute_deviations(
     could be reached.
     """
     check(columns, torque)
+    if len(torque) <= _FEW and (found := solve_few(columns, torque, near)) is not None:
+        genes, certificate, unique = found
+        return Optimum(genes, fitness_of(columns, torque, genes), certificate, unique, resolution(torque))
     sizes = np.abs(columns.T, order="C")
     scale, extent = sizes.max(axis=1), sizes.sum(axis=1)
     scale[scale == 0.0] = extent[extent == 0.0] = 1.0
@@ -88,7 +88,7 @@ def least_absolute_deviations(
         optimum = _certify(columns, torque, genes * size / scale, basis, signs, scale=scale, extent=extent)
         if best is None or optimum.certificate < best.certificate:
             best = optimum
-        if best.certificate <= _PROVEN:
+        if best.certificate <= PROVEN:
             break
     if best is None:
         raise RuntimeError("no optimal vertex was found: the columns are too nearly collinear")
@@ -113,9 +113,9 @@ def _signs(
     signs, sizes = np.sign(residual), np.abs(residual)
     # no row is longer than all columns together, so that few rows need a closer look
     most = float(np.abs(torque).max()) + float(np.sqrt(rows.size) * extent.max())
-    close = np.flatnonzero(sizes <= _ROUNDING * most)
+    close = np.flatnonzero(sizes <= ROUNDING * most)
     # entries that cancel to zero have an error too: bounded by the rows' length, not by the entries
-    rounding = _ROUNDING * (np.abs(torque[close]) + np.abs(rows[close]).sum(axis=1) * float(extent.max()))
+    rounding = ROUNDING * (np.abs(torque[close]) + np.abs(rows[close]).sum(axis=1) * float(extent.max()))
     tied = close[sizes[close] <= rounding]
     signs[tied] = np.sign(moved[tied] - _times(rows[tied], inverse @ moved[basis]))
     signs[basis] = 0.0
@@ -145,7 +145,7 @@ def _certify(
         genes=genes,
         fitness=fitness_of(columns, torque, genes),
         certificate=float(violation.max()),
-        unique=full and bool(np.all(np.abs(needed) < 1.0 - 1e-9)),
+        unique=full and bool(np.all(np.abs(needed) < ALONE)),
         floor=resolution(torque),
     )
 
@@ -164,7 +164,7 @@ def _whiten(columns: NDArray[np.float64], scale: NDArray[np.float64]) -> tuple[N
             triangle = np.linalg.cholesky(gram / np.outer(lengths, lengths))
         except np.linalg.LinAlgError:
             return _orthogonal(columns, scale)
-        if triangle.diagonal().min() > _DISTINCT:
+        if triangle.diagonal().min() > DISTINCT:
             into = np.sqrt(len(columns)) * np.linalg.inv(triangle).T / lengths[:, None]
             return scaled @ into, np.arange(len(scale))
     return _orthogonal(columns, scale)
@@ -206,7 +206,7 @@ def _solve(
     close: whether the optimum is thought to be as near to the start as it would be to that of other such rows.
     """
     n, r = rows.shape
-    if close and n > _AT_ONCE and (found := _bracketed(rows, torque, start, n, widened=False)) is not None:
+    if close and n > _FEW and (found := _bracketed(rows, torque, start, n, widened=False)) is not None:
         return found
     if n <= _DIRECT:
         return _descend(rows, torque, np.zeros(r), start)[1]

@@ -127,7 +127,7 @@ def _to_vertex(rows: Matrix, torque: Vector, basis: Basis, room: Room) -> bool:
         for k in range(r):
             room.met[i, k] = rows[basis[i], k]
             inverse[i, k] = 1.0 if i == k else 0.0
-    if not _invert(room.met, inverse):
+    if not invert(room.met, inverse):
         return False
     for k in range(r):
         room.point[k] = 0.0
@@ -137,7 +137,7 @@ def _to_vertex(rows: Matrix, torque: Vector, basis: Basis, room: Room) -> bool:
 
 
 @compiled_no_refcount
-def _invert(left: Matrix, inverse: Matrix) -> bool:
+def invert(left: Matrix, inverse: Matrix) -> bool:
     """Apply to `inverse` what makes `left` the identity (Gauss and Jordan, pivoted); False if it is singular."""
     r = len(left)
     for k in range(r):

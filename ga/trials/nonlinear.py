@@ -34,7 +34,7 @@ from ga.trials.outcome import History, Trials
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_TOLERANCE: Final = 1e-3
+_TOLERANCE: Final = 1e-2
 """Spread of the population's fitness at which it has gathered at one local minimum."""
 
 _POLL: Final = 0.1

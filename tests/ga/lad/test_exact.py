@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from scipy import sparse
 from scipy.optimize import linprog
 
+from ga.lad import exact
 from ga.lad.exact import least_absolute_deviations
+from ga.lad.few import solve_few
 from ga.lad.simplex import lowest_crossing, room_for
 
 if TYPE_CHECKING:
@@ -174,9 +176,30 @@ def test_the_lowest_point_of_a_ray_is_found_among_ties(rows: list[tuple[int, int
 @pytest.mark.parametrize("off", [0.0, 1e-4, 3.0])
 def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: float) -> None:
     for seed in range(20):
-        columns, torque = recording(kind, 300, 4, np.random.default_rng(seed))
+        columns, torque = recording(kind, 5000 if seed % 4 == 0 else 300, 4, np.random.default_rng(seed))
         plain = least_absolute_deviations(columns, torque)
         near = plain.genes * (1.0 + off) + off * (plain.genes == 0.0)
         found = least_absolute_deviations(columns, torque, near)
         assert found.certificate < 1e-9
         assert found.fitness == pytest.approx(plain.fitness, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["normal", "outliers"])
+@pytest.mark.parametrize("is_near", [False, True])
+def test_few_rows_take_the_short_way_to_the_optimum_of_the_long_one(
+    kind: str, is_near: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for seed in range(20):
+        columns, torque = recording(kind, 300, 1 + seed % 6, np.random.default_rng(seed))
+        short = solve_few(columns, torque, np.ones(columns.shape[1]) if is_near else None)
+        with monkeypatch.context() as without:
+            without.setattr(exact, "solve_few", lambda *_: None)
+            long = least_absolute_deviations(columns, torque)
+        assert short is not None
+        assert short[0] == pytest.approx(long.genes, rel=1e-9)
+        assert short[2] == long.unique
+
+
+def test_few_rows_that_are_tied_or_dependent_go_the_long_way() -> None:
+    for kind in ("collinear", "a zero column", "counts"):
+        assert solve_few(*recording(kind, 300, 3, np.random.default_rng(0)), None) is None
