@@ -38,10 +38,10 @@ def validated(data: Dataset, blocks: Blocks, values: Array, distinct: NDArray[np
         count += len(target)
         absolute += float(np.abs(residuals).sum())
         square += float(residuals @ residuals)
-    if data.whole:  # the torque itself: of a nonlinear model, the blocks hold the target of its linearisation
-        variance = _variance([data.signals.coupling_torque[data.used][is_out(np.arange(data.samples))]])
-    else:
-        variance = _variance(torque for _, torque in data.blocks.where(is_out)())
+    # of all samples: the joint may rest in a gap in those held out. The torque itself: of a nonlinear model, the blocks
+    # hold the target of its linearisation
+    torque = [data.signals.coupling_torque[data.used]] if data.whole else (torque for _, torque in data.blocks())
+    variance = _variance(torque)
     return Validation(absolute / count, float(np.sqrt(square / count / variance)) if variance > 0.0 else np.nan)
 
 

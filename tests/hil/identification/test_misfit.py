@@ -110,6 +110,23 @@ def test_a_recording_too_short_for_the_test_is_warned_of(tmp_path: Path, capfd: 
     assert "misfit-untested" in [one["code"] for one in found["warnings"]]
 
 
+def test_a_joint_that_rests_in_the_held_out_blocks_is_not_refused(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    resting = sum(np.clip(4.0 - np.abs(TIME - middle) / 0.2, 0.0, 1.0) for middle in (2.5, 7.5))
+    deflection = multisine(TIME)[0] * (1.0 - resting)
+    torque = (
+        KC * deflection + BC * np.gradient(deflection, TIME) + 5e-4 * np.random.default_rng(0).standard_normal(5000)
+    )
+    channels = {"time": TIME, "torque": torque, "dtheta": deflection}
+    write(tmp_path / "a.h5", Header(profile={"kind": "prescribed"}, stand_toml=""), channels)
+
+    status, found = identified(capfd, tmp_path / "a.h5", "--model", "linear")
+
+    assert status == 0
+    assert found["validation"]["nrmse"] < 0.2
+
+
 def test_the_report_draws_the_test(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
 
