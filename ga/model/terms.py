@@ -107,6 +107,14 @@ def is_addable(term: str, terms: Collection[str]) -> bool:
     )
 
 
+def with_another(terms: Collection[str], term: str) -> tuple[str, ...]:
+    """Return the terms with one more, a rarer one in place of those that it cannot stand beside."""
+    others = tuple(other for other in terms if other != term)
+    if term in RARER:
+        others = tuple(o for o in others if o not in TERMS[term].excludes and term not in TERMS[o].excludes)
+    return (*others, term)
+
+
 def _refuse_unknown(term: str) -> None:
     if term not in TERMS:
         near = difflib.get_close_matches(term, TERMS, n=1)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.record import Parameter
+from ga.model.trajectory import Motion
 from ga.trials.outcome import Trials
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation
@@ -24,6 +25,10 @@ Array = NDArray[np.float64]
 _MARGIN = 1e-4  # part of a range within which a value is at its end
 
 
+Span = tuple[float, float, str]
+"""The least and the largest Kc, N m/rad, of a model without a single one, and what it depends on."""
+
+
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """What identifiability is derived from.
@@ -32,7 +37,8 @@ class Evidence:
     half the intervals given the model, where `values` and `errors` are averaged over models. scattered: the variance
     components of pooled recordings. gap: of the optimiser, relative. deflection: what its errors do to the values, None
     where the rate was recorded too. unmoved: why nothing moved, "" where it did.
-    selected: whether the model was selected, and not named.
+    selected: whether the model was selected, and not named. span: of Kc, where a model was selected that has no single
+    one and the motion met all of it.
     """
 
     model: Coupling
@@ -50,6 +56,7 @@ class Evidence:
     deflection: DeflectionErrors | None = None
     unmoved: str = ""
     selected: bool = False
+    span: Span | None = None
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -106,23 +113,48 @@ def sliding(values: Mapping[str, float]) -> tuple[float, float] | None:
     return None
 
 
-def span_of_stiffness(values: Mapping[str, float]) -> tuple[float, float, str] | None:
+def span_of_stiffness(values: Mapping[str, float], *, sliding_only: bool = False) -> Span | None:
     """Return the least and the largest Kc, N m/rad, of a model that has no single one, and what it depends on.
 
-    None for one Kc, or the mean of two that are not far apart. values: as of `sliding`.
+    None for one Kc, or the mean of two that are not far apart. values: as of `sliding`. sliding_only: whether the
+    stiffness before friction slides counts for nothing.
     """
     kc, before, half = values.get("Kc", 0.0), sliding(values), abs(values.get("Ka", 0.0))
-    if before is not None and before[0] > 0.0:
+    if before is not None and before[0] > 0.0 and not sliding_only:
         return kc, kc + before[0], "amplitude"
     if kc + half > DIFFERENT * (kc - half):
         return kc - half, kc + half, "direction"
     return None
 
 
+def span_met(motion: Motion, names: Sequence[str], values: Array, half_width: Array) -> Span | None:
+    """Return `span_of_stiffness` of values (p + q,), SI, without what hardly any of a motion meets.
+
+    half_width (p + q,): of their intervals; stiffness before friction slides counts where it moves Kc out of its own.
+    """
+    given = dict(zip(names, values.tolist(), strict=True))
+    return span_of_stiffness(given, sliding_only=_slides(motion, given, float(half_width[names.index("Kc")])))
+
+
+def _slides(motion: Motion, values: Mapping[str, float], half_width: float) -> bool:
+    """Whether friction slides in nearly all of a motion: it stiffens it by less than half the interval of Kc.
+
+    values: as of `sliding`; half_width: N m/rad. The stiffening is the slope, over the deflection between two
+    reversals, of friction that builds up as -1 + 2 (1 - exp(-x/reach)): small where the joint travels many reaches. The
+    travel is that of a sine of the same standard deviation.
+    """
+    before = sliding(values)
+    if before is None:
+        return True
+    reaches = 2.0 * 2.0**0.5 * float(np.std(motion.dtheta)) / before[1]
+    left = float(np.exp(-reaches))
+    part = 24.0 * (0.5 * reaches * (1.0 - left) - 1.0 + (1.0 + reaches) * left) / reaches**3
+    return bool(min(1.0, part) * before[0] <= half_width)
+
+
 def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
     """Return the estimates of all parameters, in the model's order."""
-    exact_values = dict(zip(evidence.names, evidence.exact[0].tolist(), strict=True))
-    found, span = [], span_of_stiffness(exact_values) if evidence.selected else None
+    found, span = [], evidence.span
     for at, parameter in enumerate(evidence.parameters):
         value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
         exact, own = (float(of[at]) for of in evidence.exact)

@@ -32,7 +32,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     """Return the warnings and errors of the result."""
     found = _interruption(evidence.trials)
     exact = dict(zip(evidence.names, evidence.exact[0].tolist(), strict=True))
-    stiffnesses = other_stiffness(exact, selected=evidence.selected)
+    stiffnesses = other_stiffness(exact, spans=evidence.span[2] if evidence.span else "")
     for at, name in enumerate(evidence.names):
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
             found += _of_parameter(evidence, at, name)
@@ -79,10 +79,10 @@ def rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> list[Diagnos
     return undecided
 
 
-def other_stiffness(values: Mapping[str, float], *, selected: bool = False) -> list[Diagnostic]:
+def other_stiffness(values: Mapping[str, float], *, spans: str = "") -> list[Diagnostic]:
     """Return what is to know of each second stiffness beside Kc that a model with these values, SI, by name, has.
 
-    selected: whether the model was selected. Nobody has then asked for a stiffness of sliding: there is no single Kc.
+    spans: what Kc depends on where its interval spans both stiffnesses, because nobody asked for one of them.
     """
     found = []
     if (before := sliding(values)) is not None:
@@ -94,17 +94,17 @@ def other_stiffness(values: Mapping[str, float], *, selected: bool = False) -> l
         model = "boucwen" if "Fy" in values else "dahl"
         remedy = f"its interval spans both; name --model linear+offset+{model} for the former"
         use = "use the latter for such motion, and K'(f) of --verbose for other motion"
-        text += f": {remedy if selected else use}"
-        found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=selected))
-    if "Ka" in values and (span := span_of_stiffness(values)) is not None:
+        text += f": {remedy if spans == 'amplitude' else use}"
+        found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "amplitude"))
+    if "Ka" in values and (span := span_of_stiffness(values, sliding_only=True)) is not None:
         soft, stiff, _ = span
         text = (
             f"Kc is {stiff:.3g} N m/rad on one side of {values['turn']:.3g} rad and {soft:.3g} N m/rad on the other: a "
             "gap or a slack tendon of which the joint reached one end, or two springs"
         )
         remedy = "its interval spans both; name --model linear+offset+slack or +deadband, or move over both ends"
-        text += f": {remedy if selected else 'the Kc here is their mean'}"
-        found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=selected))
+        text += f": {remedy if spans == 'direction' else 'the Kc here is their mean'}"
+        found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "direction"))
     if {"Kc", "K1", "tau1"} <= set(values):
         fast = values["Kc"] + values["K1"] + values.get("K2", 0.0)
         text = (

@@ -28,7 +28,7 @@ from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
-from hil.identification.evidence import Evidence, estimates, span_of_stiffness, with_misfit
+from hil.identification.evidence import Evidence, Span, estimates, span_met, with_misfit
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
 from hil.identification.fitting.exact import solved, unproven
@@ -108,8 +108,7 @@ def identify_sources(
 ) -> Identification:
     """Do what `identify` does with recordings that are open already.
 
-    The linear algebra runs on one core: on several, sums are rounded otherwise, and the last digit would be the
-    computer's.
+    The linear algebra runs on one core: on several, the last digit would be the computer's.
     """
     with ThreadpoolController().limit(limits=1, user_api="blas"):
         return _identified(sources, model, search, progress)
@@ -178,7 +177,9 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     parameters = (*data.choice.model.linear, *data.choice.model.nonlinear)
     sampling = confidence_intervals(solution.blocks, solution.values)
     pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
-    values, chosen = _averaged(data, solution, sampling.half_width)
+    given = (_names(parameters), solution.values, sampling.half_width)
+    span = span_met(data.signals.motion, *given) if data.choice.steps else None
+    values, chosen = _averaged(data, solution, sampling.half_width, span)
     deflection = read_with_errors(data, solution.values, sampling.half_width)
     if deflection:
         values, chosen = values + deflection.change, np.hypot(chosen, deflection.half_width)
@@ -198,6 +199,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         gap=solution.gap,
         holdout=validated(data, solution.blocks, solution.values, np.isfinite(sampling.half_width)),
         selected=bool(data.choice.steps),
+        span=span,
         deflection=deflection,
         unmoved=next((one.message for one in data.diagnostics if one.is_error and one.code in _UNMOVED), ""),
     )
@@ -210,10 +212,10 @@ def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
     return np.asarray(np.hypot(torque, rate))
 
 
-def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Array, Array]:
+def _averaged(data: Dataset, solution: _Solution, half_width: Array, span: Span | None) -> tuple[Array, Array]:
     """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected.
 
-    Where a model without a single Kc was selected, the interval of Kc spans all that there are.
+    span: the least and the largest Kc of a model without a single one, N m/rad, which its interval spans.
     """
     values, half_width = solution.values.copy(), half_width.copy()
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
@@ -221,8 +223,7 @@ def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Ar
     for name, one in (averaged(data.choice, data.signals, data.used, nonlinear) if data.whole else {}).items():
         at = names.index(name)
         values[at], half_width[at] = one.value, one.half_width
-    span = span_of_stiffness(dict(zip(names, solution.values.tolist(), strict=True)))
-    if data.choice.steps and span is not None:
+    if span is not None:
         values[0] += 0.5 * (span[0] + span[1]) - solution.values[0]  # Kc
         half_width[0] += 0.5 * (span[1] - span[0])
     return values, half_width
@@ -258,8 +259,7 @@ def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: _So
 
 def _stationarity(data: Dataset, solution: _Solution) -> list[Diagnostic]:
     """The check of Kc over each recording; left out where the samples would have to be read from disk again for it."""
-    model = data.choice.model
-    names = _names((*model.linear, *model.nonlinear))
+    names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
     return stationarity_errors(solution.blocks, data.edges, names.index("Kc")) if data.whole and "Kc" in names else []
 
 

@@ -20,6 +20,7 @@ from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
 
+_AGAIN = 4  # passes, below which a stiffness that changes in time may as well differ between the directions
 _STICKING = 1.25  # times the error of the other samples, from which the model does not describe the slow ones
 
 
@@ -98,6 +99,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     rarer = () if linear_only else (*RARER, *(name for name, one in TERMS.items() if one.selection == "motor torque"))
     # a motor's torque comes through no cell: what it is late by is the time to its next set-point
     absent = {"lag"} if signals.torque_from == "motor" else set()
+    absent |= {"softening"} if passes(signals.motion) < _AGAIN else set()
     rarer = tuple(term for term in rarer if term not in terms and term not in absent)
     # nobody says that a given torque is the joint's and not the motor's
     like_skew = ("lag", "inertia") if signals.torque_from == "given" else ("lag",)
@@ -118,6 +120,13 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         again = stepwise.select(motion.of(described), signals.torque[described], highest, (*terms, *rarer))
         found = again if again.model.sticks else found
     return Choice(found.model.anchored(motion), found.steps, sticking, found.delay, found.alternatives)
+
+
+def passes(motion: Motion) -> int:
+    """Return how often the joint went from the lower quarter of its range to the upper one, or back."""
+    centred = motion.dtheta - 0.5 * (motion.dtheta.min() + motion.dtheta.max())
+    outer = np.abs(centred) > 0.5 * np.abs(centred).max()
+    return int(np.count_nonzero(np.diff(np.sign(centred[outer]))))
 
 
 def _describes(found: Selection, signals: Signals, *, averaged: bool) -> bool:

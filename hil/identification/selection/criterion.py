@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.terms import RARER, TERMS, is_addable
+from ga.model.terms import RARER, TERMS, is_addable, with_another
 from hil.identification.selection.fits import FOLDS, Candidate, Fits, own
 from hil.signals.windows import is_smooth
 from hil.uncertainty.residual_spectrum import measure
@@ -37,7 +37,7 @@ class Criterion:
 
     richest: terms of the model whose residuals are taken for the noise; signs: (n,), of these; density: 1/(N m), of
     these at zero. size: N m, the mean torque. smooth: (n,), where the rate is right. choices: from how many terms one
-    is chosen.
+    is chosen. doubted: whether the usual terms do not describe the recording.
     """
 
     richest: tuple[str, ...]
@@ -46,6 +46,7 @@ class Criterion:
     size: float
     smooth: NDArray[np.bool_]
     choices: int
+    doubted: bool = False
 
     def pays(self, smaller: Candidate, larger: Candidate, term: str) -> bool:
         """Return whether the term pays that the larger model has and the smaller has not."""
@@ -55,8 +56,10 @@ class Criterion:
             return False
         if larger.stiffness <= 0.0 < smaller.stiffness:  # no coupling pushes: the term stands in for it
             return False
-        if larger.is_impossible(term) or (larger.damping < 0.0 <= smaller.damping):
+        if larger.is_impossible(term):
             return False
+        if larger.damping < 0.0 <= smaller.damping:  # what only a negative damping makes of the term is not its own
+            larger = larger.undamped()
         better = smaller.held_out - larger.held_out
         breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable) or term in RARER
         least, gain = (_BETTER, STRONG) if breaks else (-_WORSE, 0.0)
@@ -73,17 +76,30 @@ class Criterion:
         return 4.0 * self.density * len(self.signs) * (one.fit.fitness - other.fit.fitness)
 
     def correlation(self, fitted: Candidate, term: str) -> float:
-        """Return the factor by which the residuals' correlation raises the variance of the term's parameters."""
+        """Return the factor by which the residuals' correlation raises the variance of the term's parameters.
+
+        What no term describes comes a few times in a recording, however many samples see it. Where such a thing may be
+        there, the factor is the largest of all parameters: the residuals may be quiet at what one term alone moves.
+        """
         found = 1.0
-        for _, alone in fitted.own_columns(term):
+        for _, alone in fitted.own_columns(*(fitted.terms if self.doubted else (term,))):
             power = float(alone @ alone)
             spectrum = measure([(alone[:, None], self.signs)])
             found = max(found, float(spectrum.covariance[0, 0]) / power) if power > 0.0 else np.inf
         return found
 
-    def schwarz(self, reference: Candidate, one: Candidate) -> float:
-        """Return Schwarz's criterion of a model, less that of the reference without its parameters."""
-        return len(one.model.parameters) * float(np.log(len(self.signs))) - self.ratio(reference, one)
+    def likeliest(self, smaller: Candidate, paying: list[Candidate]) -> Candidate:
+        """Return the plainest of some larger models, the last term of each paying, that the data cannot rank.
+
+        By Schwarz's criterion for as many samples as count, within what is strong for terms whose law is not known. A
+        usual term is plainer than a rarer one, and an earlier one in the table plainer than a later one.
+        """
+        alike = max(self.correlation(one, one.terms[-1]) for one in paying)
+        count = max(len(self.signs) / alike, math.e)
+        found = [len(one.model.parameters) * math.log(count) - self.ratio(smaller, one) / alike for one in paying]
+        near = [one for one, value in zip(paying, found, strict=True) if value <= min(found) + STRONG]
+        order = [*(term for term in TERMS if term not in RARER), *RARER]
+        return min(near, key=lambda one: order.index(one.terms[-1]))
 
     def _gain(self, ratio: float, count: float, alike: float, term: str) -> float:
         """The gain of a term by the likelihood ratio of so many samples, alike: their factor of correlation."""
@@ -99,7 +115,9 @@ class Criterion:
         return self._gain(ratio, share * len(self.signs), alike, term) > 0.0
 
 
-def criterion_of(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) -> Criterion:
+def criterion_of(
+    fits: Fits, considered: tuple[str, ...], start: tuple[str, ...], *, doubted: bool = False
+) -> Criterion:
     """Return the criterion by which terms are chosen from those considered; start: terms that the richest model has.
 
     The residuals of the richest model are taken for the noise: those of a smaller one would hold missing terms.
@@ -116,6 +134,7 @@ def criterion_of(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]
         size=float(np.mean(np.abs(fits.torque))),
         smooth=is_smooth(motion.time, motion.dtheta, motion.dtheta_dot),
         choices=len(considered),
+        doubted=doubted,
     )
 
 
@@ -124,8 +143,8 @@ def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) ->
     found = [start]  # in an order that does not depend on hashes: some fits are equally good
     for term in considered:
         for terms in tuple(found):
-            more = (*terms, term)
-            if is_addable(term, terms) and fits.fitness(more) < fits.fitness(terms):
+            more = with_another(terms, term)
+            if is_addable(term, more[:-1]) and fits.fitness(more) < fits.fitness(terms):
                 found.append(more)
                 if not _has_rivals(term, considered):
                     found.remove(terms)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
 from ga.model.terms import TERMS
@@ -59,11 +60,20 @@ class Candidate:
         part = self.problem.of(rows)
         return replace(self, problem=part, fit=part.solve(self.fit.nonlinear, self.fit))
 
-    def own_columns(self, term: str) -> Iterator[tuple[Array, Array]]:
-        """For each parameter of the term: its column (n,), and the part of it orthogonal to all other columns."""
+    def undamped(self) -> Candidate:
+        """Return the fit with Bc at its bound, zero, and the nonlinear parameters that it has with Bc free."""
+        problem, found = self.problem, self.fit
+        target = problem.model.target(problem.motion, problem.torque, found.nonlinear)
+        columns = problem.model.columns(problem.motion, found.nonlinear, found.lag)
+        optimum = least_absolute_deviations(np.delete(columns, 1, axis=1), target)
+        optimum = replace(optimum, genes=np.insert(optimum.genes, 1, 0.0))
+        return replace(self, fit=replace(found, optimum=optimum))
+
+    def own_columns(self, *terms: str) -> Iterator[tuple[Array, Array]]:
+        """For each parameter of the terms: its column (n,), and the part of it orthogonal to all other columns."""
         columns = self.problem.linearised(self.fit)[0]
         names = [parameter.name for parameter in self.model.parameters]
-        for name in own(term):
+        for name in (name for term in terms for name in own(term)):
             at = names.index(name)
             others = np.delete(columns, at, axis=1)
             yield columns[:, at], columns[:, at] - others @ np.linalg.lstsq(others, columns[:, at], rcond=None)[0]
@@ -117,6 +127,11 @@ class Fits:
         """Return the fitness, N m, on some of the samples; infinite where the columns are too much alike."""
         seen = self.preview(terms)
         return seen.fitness if seen else np.inf
+
+    def is_rejected(self, terms: tuple[str, ...]) -> bool:
+        """Return whether some of the samples alone bring the last of the terms to an end of its bounds."""
+        problem, seen = self._problem(terms), self.preview(terms)
+        return seen is None or Candidate(terms, _model(terms), problem, seen, np.empty(0)).is_at_end(terms[-1])
 
     def candidate(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate:
         """Return the model of these terms, fitted to all samples; beside: a fit with similar nonlinear parameters.

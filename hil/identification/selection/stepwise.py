@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
 from ga.model.separable import Fit
-from ga.model.terms import CONSIDERED, TERMS, is_addable
+from ga.model.terms import CONSIDERED, TERMS, is_addable, with_another
 from ga.model.trajectory import Motion
 from hil.identification.selection.criterion import Criterion, criterion_of
 from hil.identification.selection.fits import Candidate, Fits
@@ -91,9 +91,8 @@ def select(
         return _explained(late.instead_of_skew(usual), steps, late)
     rare = _likeliest(fits, rarer, (smallest, usual.terms))
     more = (*terms, *rare)
-    steps = _Steps(
-        fits, criterion_of(fits, more, steps.criterion.richest), more, _LIKELY, rare, lambda one: describes(one, False)
-    )
+    noise = criterion_of(fits, more, steps.criterion.richest, doubted=True)
+    steps = _Steps(fits, noise, more, _LIKELY, rare, lambda one: describes(one, False))
     richer = steps.forward(fits.candidate(smallest))
     chosen = richer if set(rarer).intersection(richer.terms) else usual
     return _explained(chosen, steps, LateReading(fits, steps.criterion, like_skew))
@@ -143,26 +142,29 @@ class _Steps:
         if set(self.rare).intersection(smaller.terms) and self.is_enough(_selection(smaller)):
             return None
         errors = {
-            term: self.fits.held_out((*smaller.terms, term), found).mean()
-            for term, found in self._beyond(smaller.terms).items()
+            terms: self.fits.held_out(terms, found).mean() for terms, found in self._beyond(smaller.terms).items()
         }
         paying: list[Candidate] = []
-        for term in sorted(errors, key=lambda term: errors[term]):
-            larger = self.fits.candidate((*smaller.terms, term), beside=smaller)
-            if self.criterion.pays(smaller, larger, term):
+        for terms in sorted(errors, key=lambda terms: errors[terms]):
+            larger = self.fits.candidate(terms, beside=smaller)
+            if self.criterion.pays(smaller, larger, terms[-1]):
                 paying.append(larger)
             if len(paying) == self.compared:
                 break
-        # held-out blocks cannot distinguish terms that are much alike: all samples may
-        return min(paying, key=lambda larger: self.criterion.schwarz(smaller, larger)) if paying else None
+        # held-out blocks cannot distinguish terms that are much alike: all samples may, or the plainest is taken
+        return self.criterion.likeliest(smaller, paying) if paying else None
 
-    def _beyond(self, terms: tuple[str, ...]) -> dict[str, Fit]:
-        """The terms that lower the fitness on some of the samples, each with its fit to these."""
+    def _beyond(self, terms: tuple[str, ...]) -> dict[tuple[str, ...], Fit]:
+        """The models with another term, last, that fit some of the samples better, each with its fit to these.
+
+        A rarer term may take the place of those that it cannot stand beside.
+        """
         less, found = self.fits.preview(terms), {}
         for term in self.considered:
-            more = self.fits.preview((*terms, term)) if is_addable(term, terms) else None
+            larger = with_another(terms, term)
+            more = self.fits.preview(larger) if term not in terms and is_addable(term, larger[:-1]) else None
             if less is not None and more is not None and more.fitness < less.fitness:
-                found[term] = more
+                found[larger] = more
         return found
 
     def _pruned(self, larger: Candidate) -> Candidate:
@@ -183,11 +185,11 @@ def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """The terms that lower the fitness most, on top of any of the models."""
+    """The terms that lower the fitness most, in any of the models, within their bounds."""
     lowest = {}
     for term in terms:
-        larger = [(*less, term) for less in models if is_addable(term, less)]
-        lowest[term] = min((fits.fitness(more) for more in larger), default=np.inf)
+        larger = [more for less in models if is_addable(term, (more := with_another(less, term))[:-1])]
+        lowest[term] = min((fits.fitness(more) for more in larger if not fits.is_rejected(more)), default=np.inf)
     return tuple(sorted((term for term in terms if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY])
 
 

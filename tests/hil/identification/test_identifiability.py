@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from drivers.servo import Status
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
 from ga.model.memory import yielding
+from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
+from hil.identification.evidence import span_met
 from hil.identification.identifiability import other_stiffness, rivals
 from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification, Repeatability
@@ -186,13 +189,29 @@ def test_a_model_with_two_stiffnesses_says_both() -> None:
     """0.24 N m/rad left, and 1.2 mN m over 20 mrad: 0.3 N m/rad after a reversal."""
     (sliding,) = other_stiffness({"Kc": 0.24, "Bc": 3e-3, "Fd": 1.2e-3, "reach": 0.02})
     (relaxed,) = other_stiffness({"Kc": 0.3, "Bc": 3e-3, "K1": 0.09, "tau1": 0.02})
-    (yielding,) = other_stiffness({"Kc": 0.24, "Bc": 3e-3, "Fy": 1.2e-3, "yield": 0.02}, selected=True)
+    (yielding,) = other_stiffness({"Kc": 0.24, "Bc": 3e-3, "Fy": 1.2e-3, "yield": 0.02}, spans="amplitude")
     assert "0.24 N m/rad once the friction slides, and 0.3 N m/rad" in sliding.message
     assert "--model linear+offset+boucwen" in yielding.message
     assert yielding.is_error
     assert "0.39 N m/rad for motion much faster than tau1, 20 ms" in relaxed.message
     assert not any(one.is_error for one in (sliding, relaxed))
     assert other_stiffness({"Kc": 0.3, "Bc": 3e-3}) == []
+
+
+@pytest.mark.parametrize("reach", [0.001, 0.005, 0.02, 0.1])
+def test_stiffness_before_friction_slides_counts_as_far_as_the_motion_meets_it(reach: float) -> None:
+    """Held against the slope of friction integrated over a loop of 0.2 rad, up and down."""
+    path = np.concatenate([np.linspace(-0.1, 0.1, 4001), np.linspace(0.1, -0.1, 4001)] * 3)
+    states = [0.0]
+    for step in np.diff(path).tolist():
+        states.append(np.sign(step) + (states[-1] - np.sign(step)) * np.exp(-abs(step) / reach))
+    up, friction = path[-8002:-4001], np.array(states)[-8002:-4001]
+    slope = np.polyfit(up, friction, 1)[0] * 1.2e-3
+    time = np.linspace(0.0, 20.0 * np.pi, 1000)
+    motion = Motion(time, 0.1 * np.sin(time), 0.1 * np.cos(time), -0.1 * np.sin(time), np.zeros(1000))
+    names, values = ["Kc", "Bc", "Fd", "reach"], np.array([0.24, 3e-3, 1.2e-3, reach])
+    found = [span_met(motion, names, values, np.full(4, half)) for half in (0.5 * slope, 2.0 * slope)]
+    assert found == [(0.24, 0.24 + 1.2e-3 / reach, "amplitude"), None]
 
 
 def test_hysteresis_that_nobody_named_leaves_no_single_stiffness(make_recording: Maker) -> None:
@@ -219,10 +238,10 @@ def test_hysteresis_that_nobody_named_leaves_no_single_stiffness(make_recording:
 
 
 def test_a_spring_with_one_stiff_side_has_no_single_stiffness() -> None:
-    (one,) = other_stiffness({"Kc": 0.08, "Bc": 3e-3, "Ka": -0.08, "turn": 0.05}, selected=True)
+    (one,) = other_stiffness({"Kc": 0.08, "Bc": 3e-3, "Ka": -0.08, "turn": 0.05}, spans="direction")
     assert (one.code, one.parameter, one.is_error) == ("two-stiffnesses", "Kc", True)
     assert "0.16 N m/rad on one side of 0.05 rad and 0 N m/rad on the other" in one.message
-    assert other_stiffness({"Kc": 0.08, "Bc": 3e-3, "Ka": 0.03, "turn": 0.05}, selected=True) == []
+    assert other_stiffness({"Kc": 0.08, "Bc": 3e-3, "Ka": 0.03, "turn": 0.05}, spans="direction") == []
 
 
 def test_a_dead_band_pulled_to_one_end_only_is_no_spring_of_half_the_stiffness(make_recording: Maker) -> None:

@@ -11,15 +11,17 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 import pytest
 
 from drivers.servo import Quantity
 from ga.model.coupling import parse as model_of
 from ga.model.separable import Problem, fit
+from ga.model.trajectory import Motion
 from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
-from hil.identification.model_choice import choose
+from hil.identification.model_choice import choose, passes
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.signals.prepare import Signals, prepare
@@ -131,3 +133,12 @@ def test_noise_that_hides_which_samples_are_slow_leaves_none_out() -> None:
     quiet = recorded(1e-3)
     noisy = replace(quiet, motion=replace(quiet.motion, rate_noise=1.0))
     assert not choose(model_of("linear+coulomb"), noisy, linear_only=False).sticking
+
+
+def test_the_passes_of_a_joint_are_counted_from_end_to_end_of_its_range() -> None:
+    """A triangle passes once, whatever it does around the middle."""
+    time = np.linspace(0.0, 1.0, 1000)
+    triangle = np.interp(time, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0]) + 0.1 * np.sin(300.0 * time)
+    none = np.zeros(1000)
+    assert passes(Motion(time, triangle, none, none, none)) == 1
+    assert passes(Motion(time, 3.0 + np.sin(10.0 * np.pi * time), none, none, none)) == 9

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
 from hil.identification.selection import criterion
+from hil.identification.selection.fits import Fits
 from hil.identification.selection.stepwise import Selection, select
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
 
@@ -193,3 +194,54 @@ def test_a_lag_that_a_skew_hides_is_an_alternative() -> None:
     assert "skew" in found.model.name
     alternatives = {one.model.name: one.criterion for one in found.alternatives}
     assert alternatives[found.model.name.replace("skew", "lag")] > 0.0  # the skew is there
+
+
+def sheathed(moved: Moved, reach: float) -> Array:
+    """Friction that builds up over `reach` rad, N m, integrated step by step."""
+    states, state = np.empty(len(moved.time)), 0.0
+    for at, step in enumerate(np.diff(moved.dtheta, prepend=moved.dtheta[0]).tolist()):
+        state = np.sign(step) + (state - np.sign(step)) * np.exp(-abs(step) / reach)
+        states[at] = state
+    return 2e-3 * states
+
+
+def slow() -> tuple[Moved, Motion]:
+    """The joint moved so slowly that damping is next to nothing."""
+    moved = Moved(*(part[::4] for part in chirp(TIME, 0.05, 0.5)))
+    return moved, Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(len(moved.time)))
+
+
+def test_friction_that_builds_up_takes_the_place_of_dry_friction_beside_a_gap() -> None:
+    """Without damping nothing decides between the two kinds of gap, and the usual one is taken."""
+    moved, motion = slow()
+    torque = KC * np.sign(moved.dtheta) * np.maximum(np.abs(moved.dtheta) - 0.1, 0.0) + sheathed(moved, 0.02)
+    torque += 1e-3 + 5e-5 * np.random.default_rng(1).standard_normal(len(torque))
+    found = select(motion, torque, 0.5, rarer=("deadband", "dahl"), describes=lambda _found, _averaged: False)
+    assert found.model.name == "linear+offset+dahl+backlash"
+    assert found.values[0] == pytest.approx(KC, rel=0.02)
+
+
+def test_friction_that_falls_with_speed_pays_though_the_damping_comes_out_negative() -> None:
+    moved, motion = slow()
+    torque = KC * moved.dtheta + sheathed(moved, 0.02) - BC * moved.rate
+    fits = Fits(motion, torque + 1e-4 * np.random.default_rng(1).standard_normal(len(torque)), 0.5)
+    smaller, larger = fits.candidate(("linear",)), fits.candidate(("linear", "dahl"))
+    assert larger.damping < 0.0 <= smaller.damping
+    zero = larger.undamped()
+    assert zero.damping == 0.0
+    assert larger.fit.fitness < zero.fit.fitness < 0.5 * smaller.fit.fitness
+    assert criterion.criterion_of(fits, ("dahl",), ("linear",)).pays(smaller, larger, "dahl")
+
+
+def test_where_something_is_not_described_a_term_is_judged_by_as_few_samples_as_any_other() -> None:
+    """A swing of 0.1 Hz that no term has: the residuals are white at the skew's column, and slow at the offset's."""
+    moved = chirp(TIME)
+    swing = 5e-4 * np.sin(0.2 * np.pi * TIME)
+    motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
+    fits = Fits(motion, linear(moved) + swing + 1e-4 * np.random.default_rng(1).standard_normal(SAMPLES), HIGHEST)
+    fitted = fits.candidate(("linear", "offset", "skew"))
+    usual, doubted = (
+        criterion.criterion_of(fits, ("offset", "skew"), ("linear",), doubted=doubted) for doubted in (False, True)
+    )
+    assert usual.correlation(fitted, "skew") < 0.1 * usual.correlation(fitted, "offset")
+    assert doubted.correlation(fitted, "skew") == usual.correlation(fitted, "offset")
