@@ -170,13 +170,13 @@ def test_the_excitation_of_the_page_never_jumps() -> None:
 
 
 @pytest.fixture
-def with_fifth(monkeypatch: pytest.MonkeyPatch) -> None:
+def with_seventh(monkeypatch: pytest.MonkeyPatch) -> None:
     """The page's term as one more record of the table, wherever that was imported."""
     made: dict[str, Any] = {}
     exec(compile(block("term"), "docs/extending.md", "exec"), made)  # noqa: S102
     longer = {
-        "TERMS": (terms.TERMS, {**terms.TERMS, "fifth": made["FIFTH"]}),
-        "PARAMETERS": (terms.PARAMETERS, {**terms.PARAMETERS, "K5": made["FIFTH"].parameters[0]}),
+        "TERMS": (terms.TERMS, {**terms.TERMS, "seventh": made["SEVENTH"]}),
+        "PARAMETERS": (terms.PARAMETERS, {**terms.PARAMETERS, "K7": made["SEVENTH"].parameters[0]}),
     }
     for module in list(sys.modules.values()):
         for name, (table, longer_table) in longer.items():
@@ -184,7 +184,7 @@ def with_fifth(monkeypatch: pytest.MonkeyPatch) -> None:
                 monkeypatch.setattr(module, name, longer_table)
 
 
-@pytest.mark.usefixtures("with_fifth")
+@pytest.mark.usefixtures("with_seventh")
 def test_the_term_of_the_page_is_identified_in_a_table_that_was_made_with_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -192,14 +192,14 @@ def test_the_term_of_the_page_is_identified_in_a_table_that_was_made_with_it(
     angle = 0.4 * np.sin(2.0 * np.pi * 0.7 * time) + 0.2 * np.sin(2.0 * np.pi * 2.9 * time)
     rate = np.gradient(angle, time)
     noise = np.random.default_rng(1).normal(0.0, 1e-4, time.size)
-    torque = 0.02 * angle + 2e-4 * rate + 0.05 * angle**5 + noise
+    torque = 0.02 * angle + 2e-4 * rate + 0.15 * angle**7 + noise
     table, path = tmp_path / "a.csv", tmp_path / "a.h5"
     np.savetxt(table, np.column_stack([time, torque, angle]), "%.9g", ",", header="t,tau,angle", comments="")
     columns = ["--time", "t", "--torque", "tau", "--dtheta", "angle", "--torque-unit", "N*m", "--dtheta-unit", "rad"]
     assert run(["import", str(table), *columns, "--time-unit", "s", "-o", str(path)]) == 0
     capfd.readouterr()
-    assert run(["identify", str(path), "--model", "linear+offset+fifth", "--json"]) == 0
+    assert run(["identify", str(path), "--model", "linear+offset+seventh", "--json"]) == 0
     values = {name: one["value"] for name, one in json.loads(capfd.readouterr().out)["parameters"].items()}
     assert values["Kc"] == pytest.approx(0.02, rel=0.01)
     assert values["Bc"] == pytest.approx(2e-4, rel=0.03)
-    assert values["K5"] == pytest.approx(0.05, rel=0.02)
+    assert values["K7"] == pytest.approx(0.15, rel=0.02)

@@ -80,7 +80,7 @@ def test_drives_are_listed_with_their_package_and_broken_ones_with_the_reason(hi
 def test_models_are_listed_with_their_package_and_broken_ones_with_the_reason(hil: Hil) -> None:  # noqa: F811
     lines = {line.split()[0]: line for line in hil("identify", "--list-models").out.splitlines()}
     assert {"linear", "skew"} <= set(lines)
-    assert all(lines[name].endswith("(hil-example-drive 0.1.0)") for name in ("fifth", "power"))
+    assert all(lines[name].endswith("(hil-example-drive 0.1.0)") for name in ("seventh", "power"))
     assert "skipped" in lines["bent"]
 
 
@@ -90,10 +90,10 @@ def test_a_stand_with_the_drive_of_another_package_is_recorded_and_identified_wi
 ) -> None:
     Path("stand.toml").write_text(STAND)
     assert hil("record", "--stand", "stand.toml", "--duration", 3, "--band", "0.5:5", "-o", "a.h5").status == 0
-    found = hil("identify", "a.h5", "--model", "linear+fifth", "--trials", 2, "--json").json["parameters"]
-    assert found["Kc"]["value"] == pytest.approx(0.025, rel=1e-3)
+    found = hil("identify", "a.h5", "--model", "linear+seventh", "--trials", 2, "--json").json["parameters"]
+    assert found["Kc"]["value"] == pytest.approx(0.025, rel=2e-3)
     assert found["Bc"]["value"] == pytest.approx(3e-4, rel=0.2)  # the torque is held for a tick
-    assert abs(found["K5"]["value"]) < 0.1
+    assert abs(found["K7"]["value"]) < 0.5
     power = hil("identify", "a.h5", "--model", "power", "--trials", 2, "--json").json["parameters"]
     assert power["n"]["value"] == pytest.approx(1.0, abs=0.01)
 

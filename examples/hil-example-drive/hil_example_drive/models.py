@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from ga.model.record import Parameter, Term
 
-FIFTH = Term(
-    "fifth",
-    "the example: a spring that stiffens with the fifth power",
-    (Parameter("K5", "N*m/rad^5", "stiffness of the fifth power", presence=True),),
-    columns=lambda r: (r.angle**5,),
-    rates=lambda r, c: (5.0 * r.angle**4 * c.dtheta,),
-    pushed=lambda r, genes, moved: 5.0 * genes[0] * r.angle**4 * moved,
+SEVENTH = Term(
+    "seventh",
+    "the example: a spring that stiffens with the seventh power",
+    (Parameter("K7", "N*m/rad^7", "stiffness of the seventh power", presence=True),),
+    columns=lambda r: (r.angle**7,),
+    rates=lambda r, c: (7.0 * r.angle**6 * c.dtheta,),
+    pushed=lambda r, genes, moved: 7.0 * genes[0] * r.angle**6 * moved,
 )
 
 
