@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import sys
 import traceback
@@ -102,6 +103,7 @@ def main() -> NoReturn:
 
     A library's warning is about our code and tells a user nothing; `python -W` shows them.
     """
+    _open_standard_files()
     StopRequest.exit_follows = True
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
@@ -111,6 +113,17 @@ def main() -> NoReturn:
         status = INTERRUPTED
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.exit(status)
+
+
+def _open_standard_files() -> None:
+    """Open those of the files 0 to 2 that were closed before we started: else a recording would be one of them."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115 - stays open
 
 
 @cache

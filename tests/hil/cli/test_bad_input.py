@@ -312,3 +312,14 @@ def test_a_gear_that_nobody_builds_is_wrong_use(hil: Hil, ratio: str) -> None:
     Path("stand.toml").write_text(f'[stand]\nbackend = "sim"\ngear_ratio = {ratio}\n[limits]\ntorque = 1\n')
     status, _, err = hil("record", "--stand", "stand.toml")
     assert (status, "stand.gear_ratio" in err) == (2, True)
+
+
+@pytest.mark.parametrize("closed", ["<&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_run_whose_standard_files_are_closed_records_as_any_other(tmp_path: Path, closed: str) -> None:
+    """The files that a run opens must not take their numbers: other processes are given those anew."""
+    words = "record --backend sim --realtime --profile sine --duration 0.2 --rate 100 -o a.h5"
+    command = f'exec "{sys.executable}" -m hil {words} {closed}'
+    ended = subprocess.run(["sh", "-c", command], cwd=tmp_path, check=False, capture_output=True)
+    assert ended.returncode == 0, ended.stderr
+    with Recording(tmp_path / "a.h5") as recording:
+        assert len(recording) == 21
