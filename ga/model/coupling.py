@@ -26,6 +26,11 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 STUCK: Final = 0.075
+
+RESTS: Final = 10.0
+QUIET: Final = 0.05
+"""Times the rate's noise, below which the joint rests where many samples are as slow, and part of the r.m.s. rate up to
+which so much noise is little: a motion that passes through zero is that slow in 4 % of the samples or fewer."""
 """Part of the samples, the slowest, in which friction may hold the joint and its sign is not known."""
 
 BESIDE: Final = 0.25
@@ -295,10 +300,16 @@ def parse(name: str) -> CouplingModel:
 def _slowest(motion: Motion) -> float:
     """The rate, rad/s, below which friction may hold the joint; zero where the rate's noise hides which samples are.
 
-    It is taken from the data because rates differ by four decades between stands.
+    Where it rests, the sign of the rate is that of the noise. It is taken from the data because rates differ by four
+    decades between stands.
     """
-    slowest = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)) if len(motion) else 0.0
-    return slowest if slowest > (motion.rate_noise or 0.0) else 0.0
+    if not len(motion):
+        return 0.0
+    slowest, noise = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)), motion.rate_noise or 0.0
+    if slowest > noise:
+        return slowest
+    usual = float(np.linalg.norm(motion.dtheta_dot) / np.sqrt(len(motion)))
+    return RESTS * noise if RESTS * noise < QUIET * usual else 0.0
 
 
 def _smoothing(motion: Motion) -> float:

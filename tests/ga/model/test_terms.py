@@ -98,6 +98,16 @@ def test_where_noise_hides_which_samples_are_slow_none_is_left_out() -> None:
     assert parse("linear+coulomb").anchored(moving(rate_noise=noise)).described(MOTION).all()
 
 
+def test_friction_says_nothing_of_samples_in_which_the_joint_rests_but_for_the_noise_of_its_rate() -> None:
+    rests = np.arange(len(RATE)) % 500 < 150
+    noise = 1e-3 * float(np.sqrt(np.mean(RATE**2)))
+    resting = np.where(rests, noise * np.random.default_rng(0).standard_normal(len(RATE)), RATE)
+    motion = replace(moving(rate_noise=noise), dtheta_dot=resting)
+    used = parse("linear+coulomb").anchored(motion).described(motion)
+    assert not used[rests].any()
+    assert np.mean(used[~rests]) > 0.95
+
+
 @pytest.mark.parametrize(("noise", "smoothing"), [(0.01, 0.005), (1e-9, 1e-3), (1.0, 0.05)])
 def test_the_sign_of_friction_is_as_soft_as_the_noise_of_the_rate(noise: float, smoothing: float) -> None:
     """At least a thousandth and at most a twentieth of the r.m.s. rate."""
