@@ -1,7 +1,8 @@
 """The heat budget of a run: the winding's temperature is predicted before it, and estimated while it lasts.
 
 The estimate needs no temperature sensor, and so ends a run in time where that is stale. It outlives the process in a
-file for each drive, and cools down with the time of day.
+file for each drive, and cools down with the time that has passed: since the last start of the computer by a clock that
+nobody sets, before it by the time of day.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from hil.acquisition.drive_memory import DriveMemory
 from hil.acquisition.excitation import Profile
 from hil.acquisition.limits import AtJoint, LimitReached
 from hil.errors import WrongUse
+from hil.recording.posix import since_boot
 from hil.stand.file import Stand
 from hil.stand.winding import Temperatures, WindingModel
 
@@ -54,6 +56,9 @@ class HeatMemory:
                 return model.cold
             state = Temperatures(float(kept["winding_degC"]), float(kept["case_degC"]))
             rested = now - float(kept["time"])
+            boot, awake = since_boot()
+            if boot and kept.get("boot") == boot:  # the time of day may have been set forward meanwhile
+                rested = min(rested, awake - float(kept["since_boot"]))
             if not (all(abs(value) < _HOTTEST for value in state) and math.isfinite(rested)):
                 raise ValueError("it has impossible numbers")
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError, WrongUse) as error:
@@ -64,8 +69,10 @@ class HeatMemory:
 
     def keep(self, state: Temperatures, at: float) -> None:
         """Keep the temperatures at `at`, s since 1970."""
+        boot, awake = since_boot()
+        times = {"time": at, "boot": boot, "since_boot": awake + at - time.time()}
         try:
-            self._memory.keep({"time": at, "winding_degC": state.winding, "case_degC": state.case})
+            self._memory.keep(times | {"winding_degC": state.winding, "case_degC": state.case})
         except OSError as error:
             raise WrongUse(
                 f"{self._memory.path} cannot be written ({error.strerror}): it keeps the winding's temperature for the "

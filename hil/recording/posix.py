@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -166,3 +167,15 @@ def is_at(file: int, path: Path) -> bool:
 def open_binary(path: Path, flags: int) -> int:
     """Open a file for bytes as they are."""
     return os.open(path, flags | getattr(os, "O_BINARY", 0), 0o666)
+
+
+def since_boot() -> tuple[str, float]:
+    """Return a name of the last start of this computer, and the s since, which do not change with the time of day.
+
+    The name is "" where the system tells neither.
+    """
+    try:
+        name = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        return name, time.clock_gettime(time.CLOCK_BOOTTIME)
+    except (OSError, ValueError, AttributeError):
+        return "", 0.0

@@ -34,6 +34,7 @@ _TAU = -10.0 / math.log1p(-1.0 / 16.0)  # s
 def state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("hil.acquisition.heat.time.time", lambda: NOW)
+    monkeypatch.setattr("hil.acquisition.heat.since_boot", lambda: ("", 0.0))  # the time of day alone
     return tmp_path / "hil" / "heat"
 
 
@@ -181,6 +182,17 @@ def test_the_next_run_begins_where_the_last_one_ended_and_cools_with_the_time_of
 def test_a_clock_that_was_set_back_cools_nothing() -> None:
     HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW + 1e6)
     assert HeatMemory(INFO).load(_model(), NOW) == (70.0, 30.0)
+
+
+@pytest.mark.parametrize(("boot", "rested"), [("this", 60.0), ("another", 1e6)])
+def test_a_clock_that_was_set_forward_since_the_computer_started_cools_nothing_more(
+    monkeypatch: pytest.MonkeyPatch, boot: str, rested: float
+) -> None:
+    monkeypatch.setattr("hil.acquisition.heat.since_boot", lambda: ("this", 500.0))
+    HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW)
+    monkeypatch.setattr("hil.acquisition.heat.since_boot", lambda: (boot, 560.0))
+    model = _model()
+    assert HeatMemory(INFO).load(model, NOW + 1e6) == model.after(Temperatures(70.0, 30.0), 0.0, rested)
 
 
 def _model() -> WindingModel:
