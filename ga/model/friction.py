@@ -145,6 +145,7 @@ STRIBECK: Final = Term(
     columns=_falling,
     rates=_falling_on,
     bounds=_stribeck_bounds,
+    needs="coulomb",
     selection="misfit",
 )
 
