@@ -16,6 +16,7 @@ Ctrl-C takes effect between two functions: LLVM calls back into Python, where a 
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 import shutil
@@ -104,9 +105,21 @@ def _compiled_once(compile_or_load: Callable[..., Any], lock: Path, *signature: 
             file = lock.open("ab")
         except OSError:  # the folder was pruned: the function is compiled once more
             return _between_interrupts(compile_or_load, *signature)
-        with file:
+        with file, _uncollected():
             _lock(file)
             return _between_interrupts(compile_or_load, *signature)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Collect no garbage while a function is compiled, which takes a sixteenth of the time and finds next to none."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
 
 
 class _Held:

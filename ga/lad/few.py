@@ -1,4 +1,4 @@
-"""The exact minimum of the usual case in three compiled steps: few rows, clearly distinct columns, nothing tied.
+"""The exact minimum of the usual case in a few compiled steps: few rows, clearly distinct columns, nothing tied.
 
 A search and a model selection solve ten thousand such problems of some hundred rows, where the calls of dozens of array
 functions cost more than what they compute. All other cases are left to `ga.lad.exact`.
@@ -6,13 +6,13 @@ functions cost more than what they compute. All other cases are left to `ga.lad.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import compiled_no_refcount
-from ga.lad.simplex import OPTIMAL, Basis, Matrix, Room, Vector, invert, room_for, step_down
+from ga.lad.simplex import OPTIMAL, Basis, Matrix, Vector, invert, room_for, step_down
 
 DISTINCT: Final = 1e-3
 """A column of which this part of its length is its own, and more, needs no cleaning from the others."""
@@ -21,25 +21,6 @@ ROUNDING: Final = 64.0 * float(np.finfo(np.float64).eps)
 PROVEN: Final = 1e-9
 ALONE: Final = 1.0 - 1e-9
 """The certificate up to which an optimum is proven, and the multipliers below which it is the only one."""
-
-
-class Work(NamedTuple):
-    """Working space for n rows of p columns: the scaled and the orthogonal ones (n, p), vectors, matrices (p, p)."""
-
-    scaled: Matrix
-    rows: Matrix
-    target: Vector
-    genes: Vector
-    scale: Vector
-    extent: Vector
-    start: Vector
-    pull: Vector
-    needed: Vector
-    sums: Vector
-    gram: Matrix
-    into: Matrix
-    basis: Basis
-    descent: Room
 
 
 def solve_few(
@@ -52,70 +33,52 @@ def solve_few(
     n, p = columns.shape
     genes, scale, extent, start, pull, needed, sums = np.zeros((7, p))
     gram, into = np.zeros((2, p, p))
-    work = Work(
-        np.empty((n, p)),
-        np.empty((n, p)),
-        np.empty(n),
-        genes,
-        scale,
-        extent,
-        start,
-        pull,
-        needed,
-        sums,
-        gram,
-        into,
-        np.zeros(p, np.int64),
-        room_for(n, p),
-    )
+    scaled, rows = np.empty((2, n, p))
+    target, basis, room = np.empty(n), np.zeros(p, np.int64), room_for(n, p)
     columns, begin = np.ascontiguousarray(columns), np.array([] if near is None else near, dtype=np.float64)
-    size = whiten(columns, np.ascontiguousarray(torque), begin, work)
-    if not size > 0.0:
+    size = measure(columns, np.ascontiguousarray(torque), scale, extent, scaled, target, gram)
+    if not (size > 0.0 and factor(gram, into)):
         return None
-    if step_down(work.rows, work.target, pull, start, work.basis, work.descent) != OPTIMAL:
+    turn(begin * scale[: begin.size] / size, scaled, into, rows, target, start)
+    if step_down(rows, target, pull, start, basis, room) != OPTIMAL:
         return None
-    certificate = certify(columns, size, work)
+    if not sum_by_sign(scaled, rows, target, room.point, room.inverse, basis, sums):
+        return None
+    certificate = conclude(scaled, target, basis, extent / scale, sums, needed, genes, room.met, room.inverse)
+    genes *= size / scale
     return (genes, certificate, bool(np.abs(needed).max() < ALONE)) if certificate <= PROVEN else None
 
 
 @compiled_no_refcount
-def whiten(columns: Matrix, torque: Vector, near: Vector, work: Work) -> float:
-    """Make the columns orthogonal and the torque of size 1, and begin at genes `near`, at least squares if empty.
+def measure(  # noqa: PLR0917 - compiled functions take their parts by position
+    columns: Matrix, torque: Vector, scale: Vector, extent: Vector, scaled: Matrix, target: Vector, gram: Matrix
+) -> float:
+    """Fill in the largest and the sum of each column's sizes (p,), the scaled columns, the torque of size 1, products.
 
-    Returns the mean torque; 0 where it or a column is zero, or the columns are too much alike.
+    Arrays are passed one by one: a tuple of many takes several times as long to compile. Returns the mean size of the
+    torque; 0 where it or a column is zero.
     """
-    size = _measure(columns, torque, work)
-    if not (size > 0.0 and _factor(work)):
-        return 0.0
-    _turn(near, size, work)
-    return size
-
-
-@compiled_no_refcount
-def _measure(columns: Matrix, torque: Vector, work: Work) -> float:
-    """The mean torque, 0 if a column is zero; and the scaled columns with their products."""
     n, p = columns.shape
     size = 0.0
-    for k in range(p):
-        for i in range(n):
-            work.extent[k] += abs(columns[i, k])
-            work.scale[k] = max(work.scale[k], abs(columns[i, k]))
-        if not work.scale[k] > 0.0:
-            return 0.0
     for i in range(n):
-        work.target[i] = torque[i]
         size += abs(torque[i]) / n
         for k in range(p):
-            work.scaled[i, k] = columns[i, k] / work.scale[k]
+            extent[k] += abs(columns[i, k])
+            scale[k] = max(scale[k], abs(columns[i, k]))
+    for k in range(p):
+        size = size if scale[k] > 0.0 else 0.0
+    for i in range(n if size > 0.0 else 0):
+        target[i] = torque[i] / size
+        for k in range(p):
+            scaled[i, k] = columns[i, k] / scale[k]
             for j in range(k + 1):
-                work.gram[k, j] += work.scaled[i, k] * work.scaled[i, j] / n
+                gram[k, j] += scaled[i, k] * scaled[i, j] / n
     return size
 
 
 @compiled_no_refcount
-def _factor(work: Work) -> bool:
+def factor(gram: Matrix, into: Matrix) -> bool:
     """Do the Cholesky decomposition in place, and find what makes its triangle the identity; False if too alike."""
-    gram, into = work.gram, work.into
     p = len(gram)
     for k in range(p):
         least = DISTINCT * DISTINCT * gram[k, k]
@@ -136,75 +99,74 @@ def _factor(work: Work) -> bool:
 
 
 @compiled_no_refcount
-def _turn(near: Vector, size: float, work: Work) -> None:
-    """Fill in the orthogonal columns, the target, and the start in their coordinates."""
-    n, p = work.rows.shape
+def turn(near: Vector, scaled: Matrix, into: Matrix, rows: Matrix, target: Vector, start: Vector) -> None:  # noqa: PLR0917 - compiled functions take their parts by position
+    """Fill in the orthogonal columns and the start: the scaled genes `near`, (p,), or the least squares if empty."""
+    n, p = rows.shape
     for i in range(n):
-        work.target[i] /= size
-        value = 0.0 if near.size else work.target[i]
+        value = 0.0 if near.size else target[i]
         for k in range(near.size):
-            value += work.scaled[i, k] * near[k] * work.scale[k] / size
+            value += scaled[i, k] * near[k]
         for k in range(p):
             part = 0.0
             for j in range(k + 1):
-                part += work.scaled[i, j] * work.into[j, k]
-            work.rows[i, k] = part
-            work.start[k] += part * value / n
+                part += scaled[i, j] * into[j, k]
+            rows[i, k] = part
+            start[k] += part * value / n
 
 
 @compiled_no_refcount
-def certify(columns: Matrix, size: float, work: Work) -> float:
-    """Fill in the genes and the multipliers of the vertex that the descent ended at.
-
-    Returns the certificate; infinite where a row outside the basis has no residual either.
-    """
-    room = work.descent
-    if not _sum_by_sign(work):
-        return np.inf
-    p = work.basis.size
-    for j in range(p):
-        for k in range(p):
-            room.met[j, k] = work.scaled[work.basis[j], k]
-            room.inverse[j, k] = 1.0 if j == k else 0.0
-    return _conclude(columns, size, work) if invert(room.met, room.inverse) else np.inf
-
-
-@compiled_no_refcount
-def _sum_by_sign(work: Work) -> bool:
+def sum_by_sign(  # noqa: PLR0917 - compiled functions take their parts by position
+    scaled: Matrix, rows: Matrix, target: Vector, point: Vector, inverse: Matrix, basis: Basis, sums: Vector
+) -> bool:
     """Add up the scaled columns by the signs of the residuals outside the basis; False if one is zero to rounding."""
-    n, p = work.rows.shape
-    room, basis, most = work.descent, work.basis, 0.0
+    n, p = rows.shape
+    most = 0.0
     for k in range(p):
         entry = 0.0
         for j in range(p):
-            entry += abs(room.inverse[k, j] * work.target[basis[j]])
-        most = max(most, entry)  # no entry of the point is larger
+            entry += abs(inverse[k, j] * target[basis[j]])
+        most = max(most, entry)  # entries of the point that cancel have an error too
     for i in range(n):
-        left, reach, is_met = work.target[i], abs(work.target[i]), False
+        left, reach, is_met = target[i], abs(target[i]), False
         for k in range(p):
-            left -= work.rows[i, k] * room.point[k]
-            reach += abs(work.rows[i, k]) * most
+            left -= rows[i, k] * point[k]
+            reach += abs(rows[i, k]) * most
             is_met |= basis[k] == i
         if not is_met and abs(left) <= ROUNDING * reach:
             return False
         sign = 0.0 if is_met else 1.0 if left > 0.0 else -1.0
         for k in range(p):
-            work.sums[k] += sign * work.scaled[i, k]
+            sums[k] += sign * scaled[i, k]
     return True
 
 
 @compiled_no_refcount
-def _conclude(columns: Matrix, size: float, work: Work) -> float:
-    """The certificate, by the inverse of the basis of the scaled columns."""
-    inverse, basis, worst = work.descent.inverse, work.basis, 0.0
-    p = basis.size
+def conclude(  # noqa: PLR0917 - compiled functions take their parts by position
+    scaled: Matrix,
+    target: Vector,
+    basis: Basis,
+    extent: Vector,
+    sums: Vector,
+    needed: Vector,
+    genes: Vector,
+    met: Matrix,
+    inverse: Matrix,
+) -> float:
+    """Fill in the multipliers and the scaled genes, (p,), by the inverse of the basis; return the certificate."""
+    p, worst = basis.size, 0.0
+    for j in range(p):
+        for k in range(p):
+            met[j, k] = scaled[basis[j], k]
+            inverse[j, k] = 1.0 if j == k else 0.0
+    if not invert(met, inverse):
+        return np.inf
     for k in range(p):
         for j in range(p):
-            work.genes[k] += inverse[k, j] * work.target[basis[j]] * size / work.scale[k]
-            work.needed[k] -= inverse[j, k] * work.sums[j]
+            genes[k] += inverse[k, j] * target[basis[j]]
+            needed[k] -= inverse[j, k] * sums[j]
     for k in range(p):
-        total = work.sums[k] * work.scale[k]
+        total = sums[k]
         for j in range(p):
-            total += min(max(work.needed[j], -1.0), 1.0) * columns[basis[j], k]
-        worst = max(worst, abs(total) / work.extent[k])
+            total += min(max(needed[j], -1.0), 1.0) * scaled[basis[j], k]
+        worst = max(worst, abs(total) / extent[k])
     return worst
