@@ -305,14 +305,14 @@ class Recording:
         live = self._file["live"]
         length, damaged = 0, [self._damaged]
         for start in range(0, len(live), BLOCK):
-            rows = live[start : start + BLOCK]
-            index = np.arange(start, start + len(rows))
-            valid = index[(rows["seq"] == index.astype(np.uint64)) & intact(rows)]
+            valid = _valid(live[start : start + BLOCK], start)
             if not valid.size:
                 break
             damaged.append(np.setdiff1d(np.arange(length, valid[-1]), valid, assume_unique=True))
             length = int(valid[-1]) + 1
-        torn = length + np.arange(written_first(live[length : length + _TAIL]))
+        tail = live[length : length + _TAIL]
+        grew = _valid(tail, length).size > 0  # a run that goes on has written them since
+        torn = length + np.arange(0 if grew else written_first(tail))
         self._damaged = np.concatenate([*damaged, torn])
         return length + len(torn)
 
@@ -321,3 +321,10 @@ class Recording:
         if live.dtype not in {LIVE, ROW} or live.ndim != 1:
             raise WrongUse(f"{self.path}: /live has other fields than {SCHEMA}: use the hil that wrote it")
         return live
+
+
+def _valid(rows: Rows, first: int) -> NDArray[np.int64]:
+    """Return the indices of the rows that are as they were written, where the first one's is `first`."""
+    index = np.arange(first, first + len(rows))
+    found: NDArray[np.int64] = index[(rows["seq"] == index.astype(np.uint64)) & intact(rows)]
+    return found

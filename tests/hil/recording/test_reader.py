@@ -24,7 +24,7 @@ import pytest
 
 from drivers.servo import Status
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording import reader
+from hil.recording import integrity, reader
 from hil.recording import writer as writer_module
 from hil.recording.channels import CHANNELS, ROW, Row
 from hil.recording.final import finalise
@@ -176,6 +176,24 @@ def test_rows_after_a_hole_are_kept_and_the_hole_counts_as_lost(tmp_path: Path) 
     change(part.path, offset_of(part.path, "live") + 8 * LIVE.itemsize, packed([row(8)]))
     with Recording(part.path) as recording:
         assert (len(recording), recording.damaged) == (9, 3)
+
+
+def test_rows_that_arrive_while_a_part_is_opened_are_not_taken_for_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with recorded(tmp_path / "a.h5", 40, planned=5000) as writer:  # more than HDF5 reads ahead
+
+        def meanwhile(table: Any) -> Any:
+            monkeypatch.setattr("hil.recording.reader.intact", integrity.intact)
+            for seq in range(40, 80):
+                writer.append(row(seq))
+            return integrity.intact(table)
+
+        monkeypatch.setattr("hil.recording.reader.intact", meanwhile)
+        monkeypatch.setattr(Recording, "_try_out", lambda _: None)
+        with Recording(writer.path) as recording:
+            assert recording.damaged == 0
+            assert recording.verify()
 
 
 def test_zeros_where_a_row_was_to_be_written_are_no_row(tmp_path: Path) -> None:
