@@ -28,6 +28,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from sim_backend.wire.torque_log import COLUMNS
+
 SOON, ALWAYS, SHARE = 0.05, 0.15, 0.95
 """s within which the torque must be off, in this share of the trials and in all."""
 PATIENCE = 60.0  # s for a run to begin or to end; a busy computer needs some
@@ -121,10 +123,11 @@ class Trial:
 
 
 class Log:
-    """The torque log of a drive, as it grows."""
+    """What is added to the torque log of a drive from now on."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._begin = path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
 
     def rows(self, since: float = -math.inf) -> list[tuple[float, float, bool]]:
         """Return time, torque commanded and whether it is off, of the rows from `since` s on.
@@ -132,7 +135,8 @@ class Log:
         A commanded torque of zero alone is no end: a sine passes through it.
         """
         with self._path.open(encoding="ascii", newline="") as file:
-            lines = [line for line in csv.DictReader(file) if line["watchdog"] is not None]
+            file.seek(self._begin)
+            lines = [line for line in csv.DictReader(file, COLUMNS) if line["watchdog"] not in (None, COLUMNS[-1])]
         rows = [
             (
                 float(line["time_s"]),
@@ -268,7 +272,7 @@ def row(adapter: Adapter, word: str, trials: list[Trial]) -> tuple[str, bool]:
     return "| " + " | ".join(cells) + " |", good
 
 
-COLUMNS = (
+HEADINGS = (
     "drive",
     "signal",
     "trials",
@@ -279,7 +283,7 @@ COLUMNS = (
     "torque came back",
     "bar held",
 )
-HEAD = f"| {' | '.join(COLUMNS)} |\n|{' --- |' * len(COLUMNS)}"
+HEAD = f"| {' | '.join(HEADINGS)} |\n|{' --- |' * len(HEADINGS)}"
 
 
 def main() -> int:

@@ -19,8 +19,10 @@ import numpy as np
 
 from drivers.servo import Status
 from hil.recording.reader import Recording
+from hil.stand.file import SIMULATED
 
 GROWS, LOST, CHANGES = 1.1, 2e-3, 0.02  # memory; share of replies; share of a size
+STAND = SIMULATED + "\n[sim.sensors]\ntorque_cell_drift = 0.0\n"
 RUN = "from hil.cli.app import main; main()"
 
 
@@ -47,7 +49,9 @@ def main() -> int:
 
 def recorded(path: Path, seconds: float, rate: float) -> tuple[int, list[int]]:
     """Record; return the exit status, and the bytes of memory in use, ten times a second while rows are written."""
-    words = ["record", "--backend", "sim", "--profile", "sine", "--band", "2", "--rate", str(rate)]
+    stand = path.with_name("stand.toml")
+    stand.write_text(STAND)
+    words = ["record", "--stand", str(stand), "--profile", "sine", "--band", "2", "--rate", str(rate)]
     words += ["--duration", str(seconds), "-o", str(path)]
     memory = [1]
     with subprocess.Popen([sys.executable, "-c", RUN, *words]) as process:

@@ -181,14 +181,22 @@ def quantity(text: str, *dimensions: str) -> tuple[float, str | None]:
     found = _QUANTITY.fullmatch(text)
     if found is None:
         raise WrongUse(f"{text!r} is not a number, nor a number with a unit such as {_example(dimensions)}")
-    if not found[2]:
-        return float(found[1]), None
+    number, dimension = _in_si(text, float(found[1]), found[2], dimensions)
+    if not math.isfinite(number):
+        raise WrongUse(f"{text!r} is too large a number; write one such as {_example(dimensions)}")
+    return number, dimension
+
+
+def _in_si(text: str, number: float, unit: str, dimensions: tuple[str, ...]) -> tuple[float, str | None]:
+    """Return the number in SI, and the first of these dimensions that has the unit; None where there is no unit."""
+    if not unit:
+        return number, None
     for dimension in dimensions:
-        if dimension == "temperature" and found[2] in {"degC", "°C", "celsius"}:
-            return float(found[1]), dimension
-        if (scale := known(dimension, found[2])) is not None:
-            return float(found[1]) * scale - (273.15 if dimension == "temperature" else 0.0), dimension
-    raise WrongUse(f"{text!r}: {found[2]!r} is not a unit of {' or '.join(dimensions)}; write {_example(dimensions)}")
+        if dimension == "temperature" and unit in {"degC", "°C", "celsius"}:
+            return number, dimension
+        if (scale := known(dimension, unit)) is not None:
+            return number * scale - (273.15 if dimension == "temperature" else 0.0), dimension
+    raise WrongUse(f"{text!r}: {unit!r} is not a unit of {' or '.join(dimensions)}; write {_example(dimensions)}")
 
 
 def _example(dimensions: tuple[str, ...]) -> str:

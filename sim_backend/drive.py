@@ -66,7 +66,11 @@ FROZEN = 8
 MAX_TORQUE = 9
 MAX_VELOCITY = 10
 MAX_TEMPERATURE = 11
-PLACES = 12
+NEXT_AT = 12
+"""s from which the set-point that has arrived last may be taken over; infinite where it has been."""
+NEXT_POSITION = 13
+NEXT_VALUE = 14
+PLACES = 15
 
 _AGES = 4
 """s since what each sensor shows: motor position, motor torque, joint position, joint torque."""
@@ -98,6 +102,7 @@ def _trip(path: Path, memory: Vector, code: float) -> None:
     memory[SETPOINT] = 0.0
     memory[POSITION_MODE] = 0.0
     memory[INTEGRAL] = 0.0
+    memory[NEXT_AT] = math.inf
     path.state[TORQUE] = 0.0
     if memory[FAULT] == 0.0:
         memory[FAULT] = code
@@ -158,23 +163,20 @@ def _parts(drive: Vector) -> _Parts:
 
 
 @compiled
-def _run(drive: Vector, until: float) -> None:
+def run(drive: Vector, until: float) -> None:
     """Carry plant and firmware to `until`, s."""
     parts = _parts(drive)
     _carry(parts.path, parts.memory, parts.settings[0], parts.constants[0], until)
 
 
 @compiled
-def _follow(drive: Vector, at: float, position: float, value: float) -> None:
-    """Carry plant and firmware to `at`, s, and set a torque, N m, or a position, rad, which acts from the next beat."""
-    _run(drive, at)
-    memory = drive[:PLACES]
-    if memory[ENABLED] == 0.0:
-        return
-    if position != 0.0 and memory[POSITION_MODE] == 0.0:
+def _take_over(memory: Vector) -> None:
+    """Take the set-point over that has arrived: a torque, N m, or a position, rad."""
+    if memory[NEXT_POSITION] != 0.0 and memory[POSITION_MODE] == 0.0:
         memory[INTEGRAL] = 0.0
-    memory[POSITION_MODE] = position
-    memory[SETPOINT] = value
+    memory[POSITION_MODE] = memory[NEXT_POSITION]
+    memory[SETPOINT] = memory[NEXT_VALUE]
+    memory[NEXT_AT] = math.inf
 
 
 @compiled
@@ -186,26 +188,10 @@ def _carry(path: Path, memory: Vector, settings: Settings, c: Constants, until: 
         if beat > until:
             break
         integrate(path, memory[DEMAND], beat, c)
+        if memory[NEXT_AT] < beat:
+            _take_over(memory)
         _beat(path, memory, settings)
     integrate(path, memory[DEMAND], until, c)
-
-
-@compiled
-def _look(drive: Vector) -> tuple[float, float, float, float, float, float]:
-    """The fields of `Seen`; NaN where the past has been forgotten."""
-    parts = _parts(drive)
-    path, ages, state = parts.path, parts.ages, parts.path.trial
-    now = path.now[TIME]
-    known = recall(path, now - ages[0], state)
-    angle, velocity, temperature = state[MOTOR], state[VELOCITY], state[WINDING]
-    known &= recall(path, now - ages[1], state)
-    torque = state[TORQUE]
-    known &= recall(path, now - ages[2], state)
-    joint = state[JOINT]
-    known &= recall(path, now - ages[3], state)
-    if not known:
-        angle = math.nan
-    return angle, velocity, torque, joint, state[CELL], temperature
 
 
 class Seen(NamedTuple):
@@ -223,6 +209,24 @@ class Seen(NamedTuple):
     temperature: float
 
 
+@compiled
+def look(drive: Vector) -> Seen:
+    """Return what the sensors see of the drive in `Drive.numbers`; its motor angle is NaN where that is forgotten."""
+    parts = _parts(drive)
+    path, ages, state = parts.path, parts.ages, parts.path.trial
+    now = path.now[TIME]
+    known = recall(path, now - ages[0], state)
+    angle, velocity, temperature = state[MOTOR], state[VELOCITY], state[WINDING]
+    known &= recall(path, now - ages[1], state)
+    torque = state[TORQUE]
+    known &= recall(path, now - ages[2], state)
+    joint = state[JOINT]
+    known &= recall(path, now - ages[3], state)
+    if not known:
+        angle = math.nan
+    return Seen(angle, velocity, torque, joint, state[CELL], temperature)
+
+
 def _numbers(array: Vector) -> memoryview[float]:
     """Return the numbers of an array, of which one is read in a third of the array's time."""
     return cast("memoryview[float]", array.data)
@@ -231,7 +235,7 @@ def _numbers(array: Vector) -> memoryview[float]:
 class Drive:
     """A drive on the plant, commanded without a link. Times are in s since it was switched on.
 
-    watchdog: s of silence after which it turns its torque off.
+    watchdog: s of silence after which it turns its torque off. numbers: its whole state, for compiled functions.
     """
 
     def __init__(self, parameters: SimParameters, *, watchdog: float) -> None:
@@ -253,12 +257,13 @@ class Drive:
             sensors.joint_position_delay,
             sensors.joint_torque_delay,
         )
-        self._drive = np.zeros(_HEAD + SIZE)
-        self._drive[PLACES:_HEAD] = (*settings, *self.constants, *ages)
-        self.path = start(self.constants, self._drive[_HEAD:])
-        self._memory = _numbers(self._drive[:PLACES])
+        self.numbers = np.zeros(_HEAD + SIZE)
+        self.numbers[PLACES:_HEAD] = (*settings, *self.constants, *ages)
+        self.path = start(self.constants, self.numbers[_HEAD:])
+        self._memory = _numbers(self.numbers[:PLACES])
         self._now = _numbers(self.path.now)
         self._memory[FROZEN] = math.nan
+        self._memory[NEXT_AT] = math.inf
 
     @property
     def time(self) -> float:
@@ -287,7 +292,7 @@ class Drive:
 
     def run(self, until: float) -> None:
         """Carry plant and firmware to `until`; nothing happens where that is past."""
-        _run(self._drive, until)
+        run(self.numbers, until)
 
     def enable(self, limits: Limits) -> None:
         """Set the limits and let current flow, at zero torque; the watchdog starts now."""
@@ -301,7 +306,7 @@ class Drive:
         memory[ENABLED] = 1.0
 
     def _trip(self, code: int) -> None:
-        _trip(self.path, self._drive[:PLACES], float(code))
+        _trip(self.path, self.numbers[:PLACES], float(code))
 
     def disable(self) -> None:
         """No current from now on."""
@@ -316,8 +321,14 @@ class Drive:
         self._memory[FED] = self._now[TIME]
 
     def follow(self, command: Command, at: float) -> None:
-        """Run until `at` and set a set-point there, which acts from the next beat. No effect while disabled."""
-        _follow(self._drive, at, 1.0 if command.quantity is Quantity.POSITION else 0.0, command.value)
+        """Take a set-point over at the first beat after `at`; it has no effect while disabled."""
+        memory = self._memory
+        if memory[NEXT_AT] != math.inf:
+            self.run(at)  # the one before is taken over in time
+        if memory[ENABLED] != 0.0:
+            memory[NEXT_POSITION] = 1.0 if command.quantity is Quantity.POSITION else 0.0
+            memory[NEXT_VALUE] = command.value
+            memory[NEXT_AT] = at
 
     def take_saturated(self) -> bool:
         """Whether the torque limit has acted since this was last asked."""
@@ -333,16 +344,3 @@ class Drive:
     def frozen(self) -> float:
         """The angle that a frozen motor encoder repeats, rad; NaN while it works."""
         return self._memory[FROZEN]
-
-    def look(self) -> Seen:
-        """The quantity at each sensor now.
-
-        Raises RuntimeError where one shows an instant further back than the plant remembers.
-        """
-        seen = _look(self._drive)
-        if math.isnan(seen[0]):
-            raise RuntimeError(
-                "a sensor shows an instant the plant no longer remembers: "
-                "lower the sensors' delays or fixture.stiffness"
-            )
-        return Seen(*seen)

@@ -20,6 +20,8 @@ ABSOLUTE = np.array([1e-10, 1e-9, 1e-7, 1e-12, 1e-9, 1e-11, 1e-8, 1e-6, 1e-6, 1e
 """Error allowed a step, in the units of the plant's state: small against 1 % of the paper's joint at work."""
 LONGEST = 0.01
 SHORTEST = 1e-12
+_STRETCH = 1.1
+"""By how much the last step may be longer than proposed: a rest that is shorter would cost a step of its own."""
 REMEMBERED = 4096
 """Steps kept for a sensor that shows an earlier instant."""
 
@@ -153,7 +155,7 @@ def integrate(path: Path, demand: float, until: float, c: Constants) -> None:
     while path.now[TIME] < until:
         left = until - path.now[TIME]
         proposed = path.now[STEP]
-        step = min(proposed, left)
+        step = left if left < _STRETCH * proposed else proposed
         error = _attempt(path, demand, step, c)
         factor = 5.0 if error < 1e-4 else max(0.2, min(5.0, 0.9 * error**-0.2))
         if error > 1.0 and step > SHORTEST:
@@ -164,7 +166,7 @@ def integrate(path: Path, demand: float, until: float, c: Constants) -> None:
             path.state[i] = path.trial[i]
             path.slopes[0, i] = path.slopes[6, i]
         _remember(path)
-        if step == proposed:
+        if step >= proposed:
             path.now[STEP] = max(SHORTEST, min(LONGEST, step * factor))
 
 

@@ -43,6 +43,9 @@ VELOCITY = 10
 """rad/s: the drive's velocity filter."""
 STATES = 11
 
+_BEYOND_STRIBECK = 100.0
+"""Squares of a relative rate from which exp(-square), 4e-44, is less than the last digit of what it is added to."""
+
 
 class Constants(NamedTuple):
     """The plant's parameters as the equations want them (units as in `parameters`; rates in 1/s).
@@ -166,7 +169,10 @@ def bristle_rate(bristle: float, rate: float, c: Constants) -> float:
     """Return the rate at which the friction's bristles bend, rad/s (LuGre); zero without dry friction."""
     if c.coulomb == 0.0:
         return 0.0
-    level = c.coulomb + (c.static - c.coulomb) * math.exp(-((rate / c.stribeck) ** 2))
+    square = (rate / c.stribeck) ** 2
+    level = c.coulomb
+    if square < _BEYOND_STRIBECK:
+        level += (c.static - c.coulomb) * math.exp(-square)
     return rate - c.bristle_stiffness * abs(rate) * bristle / level
 
 

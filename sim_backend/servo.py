@@ -44,7 +44,7 @@ from sim_backend.plant import (
     TORQUE,
     WINDING,
 )
-from sim_backend.sensors import Draw, Noise, Reading, Sensors
+from sim_backend.sensors import Noise, Reading, Sensors
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
@@ -90,7 +90,7 @@ class SimServo:
         broken = any(isinstance(fault, WatchdogBroken) for fault in faults)
         self._drive = Drive(self._parameters, watchdog=math.inf if broken else self._parameters.link.watchdog)
         self._sensors = Sensors(self._parameters)
-        self._noise = Noise(seed)
+        self._draws = Noise(seed).draws
         self._plan = faults
         self._link_ends = link_ends(faults)
         self._ahead = deque(device_faults(faults))
@@ -137,41 +137,40 @@ class SimServo:
         raised by every exchange. Raises NoReply, BadReply, LinkLost, DeviceFault.
         """
         admitted = self._gate.admit(command)
-        draw = self._noise.draw()
-        sent = self._reach()
+        out, back, lost, motor_noise, cell_noise = next(self._draws)
+        sent, opened = self._reach(), self._opened
         link = self._link
-        outbound, inbound = self._one_way + link.jitter * draw.outbound, self._one_way + link.jitter * draw.inbound
+        outbound, inbound = self._one_way + link.jitter * out, self._one_way + link.jitter * back
         arrived = sent + (outbound if outbound > 0.0 else 0.0)
         returned = arrived + (inbound if inbound > 0.0 else 0.0)
-        self._advance(arrived)
+        self._deliver(arrived - opened)
+        reading = self._sensors.read(self._drive, arrived - opened, motor_noise, cell_noise)
         self._drive.feed()
         if not self._gate.armed and self._drive.enabled:
             self._drive.disable()  # the request for torque-off did not reach the drive; this one does
             self._gate.live = False
-        self._under_way.append((arrived + self._delay, admitted.command or Command.rest()))
-        if draw.lost < link.lost_reply or returned - sent > link.reply_timeout:
+        self._under_way.append((arrived + self._delay - opened, admitted.command or Command.rest()))
+        if lost < link.lost_reply or returned - sent > link.reply_timeout:
             self._time_out(sent)
         self.clock.sleep_until(returned)
         if self._drive.fault:
             self._raise_fault()
-        reading, status = self._read(draw, arrived - self._opened) if self._plan else self._fresh(draw)
+        status = _GOOD
+        if self._plan:
+            reading, status = self._planned(reading, arrived - opened)
         saturated = self._drive.take_saturated() or (command.quantity is Quantity.TORQUE and admitted.clipped)
         if saturated:
             status |= Status.SATURATED
         return Sample(sent, 0.5 * (sent + returned), *reading, status)
 
-    def _fresh(self, draw: Draw) -> tuple[Reading, Status]:
-        self._answered = self._sensors.read(self._drive, draw)
-        return self._answered, _GOOD
-
-    def _read(self, draw: Draw, t: float) -> tuple[Reading, Status]:
+    def _planned(self, reading: Reading, t: float) -> tuple[Reading, Status]:
         """Return what the drive answers at `t` s under the plan. Raises BadReply."""
         if within(self._plan, CorruptReplies, t):
             raise BadReply("the reply failed its checksum: the sample is dropped")
+        status = _GOOD
         if self._answered is not None and within(self._plan, RepliesRepeat, t):
             reading, status = self._answered, Status.STALE
-        else:
-            reading, status = self._fresh(draw)
+        self._answered = reading
         if within(self._plan, TorqueUnreadable, t):
             reading = reading._replace(motor_torque=math.nan, joint_torque=math.nan)
         return reading, status
@@ -260,17 +259,22 @@ class SimServo:
     def _advance(self, t: float) -> None:
         """Run the drive until `t` on the clock, with set-points and planned faults at their times."""
         until = t - self._opened
+        self._deliver(until)
+        self._drive.run(until)
+
+    def _deliver(self, until: float) -> None:
+        """Let set-points and planned faults arrive that are due until then, s since the servo was opened."""
         while self._ahead and self._ahead[0].at <= until:
             fault = self._ahead.popleft()
-            self._deliver(fault.at)
+            self._take_over(fault.at)
+            self._drive.run(fault.at)
             if isinstance(fault, FaultLatches):
                 self._drive.latch(fault.code)
             else:
                 self._drive.freeze_encoder()
-        self._deliver(until)
+        self._take_over(until)
 
-    def _deliver(self, until: float) -> None:
-        while self._under_way and self._under_way[0][0] - self._opened <= until:
+    def _take_over(self, until: float) -> None:
+        while self._under_way and self._under_way[0][0] <= until:
             due, command = self._under_way.popleft()
-            self._drive.follow(command, due - self._opened)
-        self._drive.run(until)
+            self._drive.follow(command, due)
