@@ -180,8 +180,15 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
 
 def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Estimate, ...]:
     """Return the estimates, the intervals of Kc and Bc wider by what the model lacks."""
-    more = dict(zip(COUPLING, fit.in_intervals, strict=True)) if fit else {}
-    widths = [more.get(one.name, 0.0) * abs(one.value) for one in found]
-    return tuple(
-        replace(one, ci95=(one.ci95[0] - width, one.ci95[1] + width)) for one, width in zip(found, widths, strict=True)
-    )
+    lacks = dict(zip(COUPLING, fit.in_intervals, strict=True)) if fit else {}
+    return tuple(_wider(one, lacks.get(one.name, 0.0) * abs(one.value)) for one in found)
+
+
+def _wider(one: Estimate, lack: float) -> Estimate:
+    """Return the estimate with an interval wider by a lack, in its unit.
+
+    Pooled recordings that differ fail the tests of the fit by that, and their interval holds it: the larger counts.
+    """
+    low, high = one.ci95
+    more = lack if one.components is None else max(0.0, lack - 0.5 * (high - low))
+    return replace(one, ci95=(low - more, high + more))

@@ -48,8 +48,11 @@ class Criterion:
     choices: int
     doubted: bool = False
 
-    def pays(self, smaller: Candidate, larger: Candidate, term: str) -> bool:
-        """Return whether the term pays that the larger model has and the smaller has not."""
+    def pays(self, smaller: Candidate, larger: Candidate, term: str, *, nearly: bool = False) -> bool:
+        """Return whether the term pays that the larger model has and the smaller has not.
+
+        nearly: a gain by which the likelihood cannot rank the two is enough, where held-out blocks can.
+        """
         if smaller.fit.fitness < _EXPLAINED * self.size:
             return False
         if larger.is_at_end(term) or not _is_distinct(larger, term):
@@ -63,9 +66,10 @@ class Criterion:
         better = smaller.held_out - larger.held_out
         breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable) or term in RARER
         least, gain = (_BETTER, STRONG) if breaks else (-_WORSE, 0.0)
+        least, gain = (_WORSE, -STRONG) if nearly else (least, gain)
         if better.mean() < least * better.std(ddof=1) / np.sqrt(FOLDS):
             return False
-        return self.gain(smaller, larger, term) > gain and self._pays_where_smooth(smaller, larger, term)
+        return self.gain(smaller, larger, term) > gain and (nearly or self._pays_where_smooth(smaller, larger, term))
 
     def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
         """Return the gain beyond chance of the term that the larger model has and the smaller has not."""

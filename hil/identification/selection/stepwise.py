@@ -123,7 +123,7 @@ class _Steps:
             if frozenset(larger.terms) in seen:
                 break  # the new term replaced one that it needs: this would repeat for ever
             chosen = larger
-        return self._pruned(chosen)
+        return self._predicting(self._pruned(chosen))
 
     def to(self, chosen: Candidate) -> tuple[Step, ...]:
         """Return the steps up to the chosen model, then one with each rejected term on top of it."""
@@ -157,15 +157,26 @@ class _Steps:
     def _beyond(self, terms: tuple[str, ...]) -> dict[tuple[str, ...], Fit]:
         """The models with another term, last, that fit some of the samples better, each with its fit to these.
 
-        A rarer term may take the place of those that it cannot stand beside.
+        A rarer term may take the place of those that it cannot stand beside. Where rarer ones are considered, a term
+        brings what it needs: a gap without an offset shows little of either.
         """
         less, found = self.fits.preview(terms), {}
         for term in self.considered:
-            larger = with_another(terms, term)
+            larger = with_another(terms, term, complete=bool(self.rare))
             more = self.fits.preview(larger) if term not in terms and is_addable(term, larger[:-1]) else None
             if less is not None and more is not None and more.fitness < less.fitness:
                 found[larger] = more
         return found
+
+    def _predicting(self, smaller: Candidate) -> Candidate:
+        """The model, or where rarer terms are considered, with one more that predicts held-out blocks clearly better.
+
+        The likelihood of few independent samples may not be able to rank the two.
+        """
+        beyond = self._beyond(smaller.terms) if self.rare and not self.is_enough(_selection(smaller)) else {}
+        larger = (self.fits.candidate(terms, beside=smaller) for terms in beyond)
+        clear = [one for one in larger if self.criterion.pays(smaller, one, one.terms[-1], nearly=True)]
+        return min(clear, key=lambda one: float(one.held_out.mean()), default=smaller)
 
     def _pruned(self, larger: Candidate) -> Candidate:
         """The model without the terms that, now that all are there, do not pay."""
