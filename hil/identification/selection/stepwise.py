@@ -174,7 +174,7 @@ class _Steps:
         The likelihood of few independent samples may not be able to rank the two.
         """
         beyond = self._beyond(smaller.terms) if self.rare and not self.is_enough(_selection(smaller)) else {}
-        larger = (self.fits.candidate(terms, beside=smaller) for terms in beyond)
+        larger = (self.fits.candidate(terms, beside=smaller) for terms in beyond if set(smaller.terms) < set(terms))
         clear = [one for one in larger if self.criterion.pays(smaller, one, one.terms[-1], nearly=True)]
         return min(clear, key=lambda one: float(one.held_out.mean()), default=smaller)
 
