@@ -20,6 +20,7 @@ _GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
 _SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals and no warning
 _ACCURATE: Final = 5e-4  # of the torque's deviation, to which its readings and the rate are ever right
 _PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
+_OF_NOISE: Final = 0.5  # of what is predicted: where errors explain less, something else is there too
 _SCATTER: Final = 2.0  # standard deviations by which noise may leave more than it does on average
 _UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint
 
@@ -93,7 +94,7 @@ class LackOfFit:
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
         added = noisier**2 - self.predicted**2
         left = self.predicted**2 - added.mean() - _SCATTER * added.std(ddof=1)
-        return replace(self, of_noise=bool(left < _SHARE * self.predicted**2 / self.share))
+        return replace(self, of_noise=bool(left < min(_SHARE / self.share, _OF_NOISE) * self.predicted**2))
 
     @property
     def affected(self) -> str | None:

@@ -148,6 +148,9 @@ def test_what_doubles_with_the_errors_of_the_deflection_is_no_misfit() -> None:
     assert found.misfit
     assert not found.beside_noise(found.predicted * doubled).misfit
     assert found.beside_noise(found.predicted * alike).misfit
+    small = replace(found, share=0.01)  # as of inertia that was taken for a cubic spring
+    assert small.beside_noise(found.predicted * doubled).of_noise
+    assert not small.beside_noise(found.predicted * alike).of_noise
 
 
 def test_kc_of_the_second_half_is_compared_with_that_of_the_first() -> None:
