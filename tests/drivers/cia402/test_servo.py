@@ -282,7 +282,7 @@ def test_a_stand_file_and_the_emulate_command_are_all_it_takes(tmp_path: Path) -
     with served:
         servo, _ = open_servo(load(stand))
         servo.arm(LIMITS)
-        assert servo.exchange(torque(0.01)).motor_position == 0.0
+        assert servo.exchange(torque(0.0)).motor_position == 0.0
         assert servo.info.model == "EPOS2"
         servo.close()
 
