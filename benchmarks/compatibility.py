@@ -65,7 +65,9 @@ def of_dynamixel_sdk(link: str, model: str) -> None:
     torque, position = (24, 36) if mx else (64, 132)
     require(port.openPort() and port.setBaudRate(BAUD), "the port does not open")
     try:
-        require(packets.ping(port, 1)[1] == sdk.COMM_SUCCESS, "no answer to a ping")
+        # it waits 36 ms, which a busy machine may take to wake the emulator up
+        found = any(packets.ping(port, 1)[1] == sdk.COMM_SUCCESS for _ in range(10))
+        require(found, "no answer to a ping")
         for on in (1, 0):
             require(packets.write1ByteTxRx(port, 1, torque, on)[0] == sdk.COMM_SUCCESS, "torque is not set")
             require(packets.read1ByteTxRx(port, 1, torque)[0] == on, "torque is not read back")
@@ -250,7 +252,9 @@ def of_feetech_sdk(link: str, model: str) -> None:
     port, packets = Patient(link), sdk.PacketHandler(1 if model.startswith("scs") else 0)
     require(port.openPort() and port.setBaudRate(BAUD), "the port does not open")
     try:
-        require(packets.ping(port, 1)[1] == sdk.COMM_SUCCESS, "no answer to a ping")
+        # it waits 36 ms, which a busy machine may take to wake the emulator up
+        found = any(packets.ping(port, 1)[1] == sdk.COMM_SUCCESS for _ in range(10))
+        require(found, "no answer to a ping")
         for on in (1, 0):
             require(packets.write1ByteTxRx(port, 1, 40, on)[0] == sdk.COMM_SUCCESS, "torque is not set")
             require(packets.read1ByteTxRx(port, 1, 40)[0] == on, "torque is not read back")

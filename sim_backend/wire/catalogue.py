@@ -128,9 +128,8 @@ def waking_in_time() -> Iterator[None]:
 
     A sleeping process may wait for the time slice of a busy one, many ms. No client is that patient: rustypot's scan
     waits 5 ms for a reply, as a real servo gives it. The emulators sleep most of the time. No garbage collection looks
-    at what was there before, which takes 28 ms: firmware makes no such pause.
+    at what was there before, which takes 28 ms: firmware makes no such pause, nor before its first reply.
     """
-    gc.collect()
     gc.freeze()
     try:
         with _soon():
