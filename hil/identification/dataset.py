@@ -15,7 +15,7 @@ from hil.identification.model_choice import Choice
 from hil.recording.ahead import Progress, ahead
 from hil.signals.angle import far_zero
 from hil.signals.defects import Defects
-from hil.signals.prepare import Signals, glimpse, joined, prepare, stream
+from hil.signals.prepare import LongRecording, Signals, joined, prepare
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import Source
 from hil.uncertainty.blocks import Block, Blocks
@@ -70,13 +70,16 @@ def open_dataset(
     if rows <= IN_MEMORY:
         yield _in_memory(sources, choose, centred=centred)
         return
-    glimpses = [glimpse(source.recording, source.table) for source in sources]
+    long = [LongRecording(source.recording, source.table) for source in sources]
+    glimpses = [one.glimpse() for one in long]
     signals = joined([stretch for stretches in glimpses for stretch in stretches])
     reference = far_zero(signals.motion.dtheta) if centred else 0.0
     signals = signals.counted_from(reference)
     choice = choose(signals, False)
     with DiskTable(sources[0].path, rows, len(choice.model.linear), progress) as table:
-        edges, diagnostics = _to_disk(sources, glimpses, choice, table, progress, reference=reference)
+        edges, diagnostics = _to_disk(
+            sources, list(zip(long, glimpses, strict=True)), choice, table, progress, reference=reference
+        )
         used = choice.described(signals.motion)
         seen = _rows(choice, signals, used)
         yield Dataset(choice, signals, used, False, table.blocks, seen, edges, _uncertainty(sources), diagnostics)
@@ -120,7 +123,7 @@ def _command(source: Source, part: Signals) -> Array | None:
 
 def _to_disk(
     sources: Sequence[Source],
-    glimpses: Sequence[list[Signals]],
+    long: Sequence[tuple[LongRecording, list[Signals]]],
     choice: Choice,
     table: DiskTable,
     progress: Progress | None,
@@ -130,9 +133,9 @@ def _to_disk(
     """Write all columns and torque to the table; return where each recording ends in it, and the diagnostics."""
     edges, diagnostics, read = [], [], 0
     rows = sum(len(source.recording) for source in sources)
-    for source, stretches in zip(sources, glimpses, strict=True):
+    for source, (recording, stretches) in zip(sources, long, strict=True):
         defects = Defects()
-        for part in (part.counted_from(reference) for part in ahead(stream(source.recording, source.table))):
+        for part in (part.counted_from(reference) for part in ahead(recording.stream())):
             table.extend(*_rows(choice, part, choice.described(part.motion)))
             defects += part.defects
             read += len(part)

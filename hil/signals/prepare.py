@@ -168,33 +168,32 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     return _signals(usable, *columns.seeing(usable), (0, len(recording)))
 
 
-def stream(recording: Recording, stand: StandTable | None, block: int = 1 << 18) -> Iterator[Signals]:
-    """Yield the signals of `prepare`, `block` rows at a time, for recordings that do not fit in memory.
+class LongRecording:
+    """A recording beyond memory: its first million rows set the window. Raises Untrustworthy as `prepare` for them."""
 
-    The first million rows set the rate's window. Each block is computed with enough rows of its neighbours for every
-    window to be whole. Raises Untrustworthy as `prepare`, judged by the first million rows.
-    """
-    columns, window = _probed(recording, _columns_of(recording, stand))
-    margin = 2 * window.widest + _MARGIN  # lost rows take room too
-    starts = range(0, len(recording), block)
-    around = ((max(0, start - margin), min(start + block + margin, len(recording))) for start in starts)
-    for start, usable in zip(starts, ahead(_usable(recording, columns, *rows) for rows in around), strict=True):
-        yield _signals(usable, columns, window, (start, min(start + block, len(recording))))
+    def __init__(self, recording: Recording, stand: StandTable | None) -> None:
+        columns = _columns_of(recording, stand)
+        first = _usable(recording, columns, 0, min(_PROBE, len(recording)))
+        refuse_hopeless(recording, first.time, first.torque, first.dtheta)
+        self._recording = recording
+        self._columns, self._window = columns.seeing(first)
 
+    def glimpse(self, parts: int = 16, rows: int = 1 << 14) -> list[Signals]:
+        """Return some stretches, evenly spread."""
+        length = len(self._recording)
+        parts = max(1, min(parts, length // rows))  # samples that were seen twice would count as more evidence
+        starts = np.linspace(0, max(0, length - rows), parts).astype(int).tolist()
+        stretches = (_usable(self._recording, self._columns, start, start + rows) for start in starts)
+        return [_signals(usable, self._columns, self._window, (0, length)) for usable in stretches]
 
-def glimpse(recording: Recording, stand: StandTable | None, parts: int = 16, rows: int = 1 << 14) -> list[Signals]:
-    """Return some stretches of a long recording, evenly spread. Raises Untrustworthy as `stream`."""
-    columns, window = _probed(recording, _columns_of(recording, stand))
-    parts = max(1, min(parts, len(recording) // rows))  # samples that were seen twice would count as more evidence
-    starts = np.linspace(0, max(0, len(recording) - rows), parts).astype(int).tolist()
-    stretches = (_usable(recording, columns, start, min(start + rows, len(recording))) for start in starts)
-    return [_signals(usable, columns, window, (0, len(recording))) for usable in stretches]
-
-
-def _probed(recording: Recording, columns: _Columns) -> tuple[_Columns, Window]:
-    first = _usable(recording, columns, 0, min(_PROBE, len(recording)))
-    refuse_hopeless(recording, first.time, first.torque, first.dtheta)
-    return columns.seeing(first)
+    def stream(self, block: int = 1 << 18) -> Iterator[Signals]:
+        """Yield the signals of `prepare`, from `block` rows and so many neighbours that every window is whole."""
+        margin = 2 * self._window.widest + _MARGIN  # lost rows take room too
+        starts = range(0, len(self._recording), block)
+        around = ((max(0, start - margin), start + block + margin) for start in starts)
+        read = ahead(_usable(self._recording, self._columns, *rows) for rows in around)
+        for start, usable in zip(starts, read, strict=True):
+            yield _signals(usable, self._columns, self._window, (start, start + block))
 
 
 def _window(usable: _Usable, columns: _Columns) -> Window:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from functools import partial
+from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from hil.identification.result import Identification
 from hil.recording.ahead import Progress
 from hil.recording.reader import Array, Recording
 from hil.signals import source
-from hil.signals.prepare import Signals, glimpse
+from hil.signals.prepare import LongRecording, Signals
 from hil.signals.source import open_sources
 
 from ..conftest import Maker
@@ -70,7 +70,7 @@ def test_only_a_part_of_what_is_on_disk_is_held_in_memory(
         seen.append((len(signals), whole))
         return Choice(parse_model("linear").anchored(signals.motion))
 
-    monkeypatch.setattr(dataset, "glimpse", partial(glimpse, parts=2, rows=500))
+    monkeypatch.setattr(LongRecording, "glimpse", partialmethod(LongRecording.glimpse, parts=2, rows=500))
     with open_sources(recordings) as sources, open_dataset(sources, choose) as data:
         assert seen == [(len(data.signals), False)]
         assert 1500 < len(data.signals) < 2000

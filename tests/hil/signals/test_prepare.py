@@ -12,7 +12,7 @@ import pytest
 from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
-from hil.signals.prepare import glimpse, joined, prepare, stream
+from hil.signals.prepare import LongRecording, joined, prepare
 from hil.signals.stamps import spread_stamps
 from hil.signals.windows import excited_band
 from hil.stand.file import StandTable
@@ -191,7 +191,7 @@ def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source
     write(path, Header(profile={"kind": "imported"}), channels)
     stand = StandTable(gear_ratio=4.0, motor_inertia=2e-7, motor_damping=1e-7, torque_source=source)
     with Recording(path) as recording:
-        whole, parts = prepare(recording, stand), list(stream(recording, stand, block=1700))
+        whole, parts = prepare(recording, stand), list(LongRecording(recording, stand).stream(block=1700))
     assert len(parts) == 4
     together = joined(parts)
     np.testing.assert_allclose(together.torque, whole.torque, rtol=1e-9, atol=1e-12)
@@ -205,7 +205,7 @@ def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source
 def test_no_sample_of_a_recording_is_glimpsed_twice(make_recording: Maker) -> None:
     with Recording(make_recording()) as recording:
         for rows in (1 << 14, 900, 100):
-            times = np.concatenate([one.motion.time for one in glimpse(recording, None, rows=rows)])
+            times = np.concatenate([one.motion.time for one in LongRecording(recording, None).glimpse(rows=rows)])
             assert len(np.unique(times)) == len(times) > 0
 
 
