@@ -5,8 +5,8 @@ close the link. The rules stand here once:
 
 * A command passes only while the servo is armed, in a quantity that it supports, finite, and clamped to the limits it
   was armed with. Finiteness is checked before any clamp: `max(low, min(high, nan))` is full torque.
-* Torque-off is requested until the device confirms it. `Gate.disarm` requests it three times, `confirm_torque_off`
-  repeats that for about one second.
+* Torque-off is requested until the device confirms it. `Gate.disarm` requests it three times,
+  `drivers.torque_off.confirm_torque_off` repeats that for about one second.
 * Whatever fails while a servo is opened or armed, torque-off is requested before the error goes on.
 * A drive with a watchdog stops by itself when no request arrives. `watchdog_problem` checks that one lost reply cannot
   trip it. A tripped watchdog is a DeviceFault: the servo must be armed again.
@@ -20,15 +20,10 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from drivers.retry import Repeats
-from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, Servo, UnsafeCommand
+from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, UnsafeCommand
 
 _REQUESTS = 3
 """Requests for torque-off in one call of `Gate.disarm`."""
-_CALLS, _PAUSE = 20, 0.05
-"""Calls of `disarm` in `confirm_torque_off`, and s between two of them."""
-_PULLS, _COUNTS, _READINGS, _SETTLES = 0.1, 3.0, 6, 0.01
-"""Share of the torque limit, and counts, that a motor without torque may report; readings, and s between two, that must
-say more."""
 
 
 class Admitted(NamedTuple):
@@ -112,10 +107,11 @@ class Gate:
         return Admitted(None, clipped=False)
 
     @contextlib.contextmanager
-    def opening(self, stop_unconfirmed: Callable[[], None] = lambda: None) -> Iterator[None]:
+    def opening(self, undo: Callable[[], None] = lambda: None) -> Iterator[None]:
         """Guard the block that identifies the device and requests torque-off for the first time.
 
-        Where it fails, `stop_unconfirmed` sends torque-off without waiting for a reply, and the link is closed.
+        Where it fails, `undo` sends torque-off without waiting for a reply, or restores the settings that were changed,
+        and the link is closed.
         """
         try:
             with self._repeats.active((NoReply,)):  # a garbled reply may be that of two devices
@@ -124,7 +120,7 @@ class Gate:
             self._closed = True
             try:
                 with contextlib.suppress(DriverError):
-                    stop_unconfirmed()
+                    undo()
             finally:
                 self._release()
             raise
@@ -203,79 +199,6 @@ class FallsSilent(Protocol):
 
     def fall_silent(self) -> None:
         """See `Gate.fall_silent`."""
-
-
-class TorqueOff(NamedTuple):
-    """The result of `confirm_torque_off`.
-
-    error: where it is not confirmed, the last error; where it is, an interrupt (such as KeyboardInterrupt) that arrived
-    meanwhile and is still to be obeyed, else None.
-    """
-
-    confirmed: bool
-    error: BaseException | None
-
-    @property
-    def alarm(self) -> str:
-        """The message for people to read first; "" where the torque is off."""
-        return "" if self.confirmed else f"CUT THE POWER: the torque-off is not confirmed ({self.error})"
-
-
-def confirm_torque_off(servo: Servo, limit: float = math.inf) -> TorqueOff:
-    """Call `disarm` until it succeeds, for about one second of the servo's clock. Never raises.
-
-    limit: of the torque, N m at the motor: a drive that says that it is off and still reports a tenth of that, in
-    several readings, has not confirmed it. The torque-off is repeated once it was read. No interrupt ends this early:
-    a live motor is worse than anything it could stand for.
-    """
-    last: BaseException | None = None
-    for _ in range(_CALLS):
-        try:
-            servo.disarm()
-        except BaseException as error:  # noqa: BLE001 - see above
-            last = error
-        else:
-            result = _read_back(servo, limit, None if isinstance(last, Exception) else last)
-            return _once_more(servo, result) if math.isfinite(limit) else result
-        try:
-            servo.clock.sleep_until(servo.clock.now() + _PAUSE)
-        except BaseException as error:  # noqa: BLE001 - see above
-            last = error
-    return TorqueOff(False, last)
-
-
-def _read_back(servo: Servo, limit: float, interrupt: BaseException | None) -> TorqueOff:
-    """Return whether the motor's torque is gone, as far as the drive reports one. limit: of the torque, N m.
-
-    interrupt: one that arrived before and is still to be obeyed. Never raises.
-    """
-    torque = most = math.nan
-    for _ in range(_READINGS if math.isfinite(limit) else 0):
-        try:
-            lsb = servo.info.torque_lsb
-            most = max(_PULLS * limit, _COUNTS * lsb if math.isfinite(lsb) else 0.0)
-            torque = servo.exchange(Command.rest()).motor_torque
-            if not abs(torque) > most:
-                return TorqueOff(True, interrupt)
-            servo.clock.sleep_until(servo.clock.now() + _SETTLES)
-        except Exception:  # noqa: BLE001 - what it reports after its torque-off is a second opinion only
-            return TorqueOff(True, interrupt)
-        except BaseException as error:  # noqa: BLE001 - to be obeyed once the torque is off
-            interrupt = error
-    if abs(torque) > most:
-        return TorqueOff(False, DriverError(f"the drive says that it is off and still reports {torque:.2g} N m"))
-    return TorqueOff(True, interrupt)
-
-
-def _once_more(servo: Servo, result: TorqueOff) -> TorqueOff:
-    """Repeat the torque-off: an adapter may send a set-point where it should only read. Never raises."""
-    try:
-        servo.disarm()
-    except Exception:  # noqa: BLE001 - it has confirmed the first one
-        return result
-    except BaseException as error:  # noqa: BLE001 - to be obeyed once the torque is off
-        return result._replace(error=result.error or error)
-    return result
 
 
 def to_counts(value: float, lsb: float) -> int:

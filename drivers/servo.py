@@ -175,7 +175,8 @@ class ServoInfo:
     shaft, NaN where not known. torque_uncertainty: relative standard uncertainty of the torque scale, NaN where not
     known. watchdog: s of silence after which the device turns its torque off by itself; 0 where it does not, or where
     that is not known. watchdog_remedy: what to set so that it does; "" where it has no watchdog. serial_is_id: whether
-    `serial` is no more than its number on the bus, since it reports no serial number.
+    `serial` is no more than its number on the bus, since it reports no serial number. measures_when_off: whether it
+    measures a torque while it is off; where not, its reading of zero then is no more than its word.
     """
 
     backend: str
@@ -190,6 +191,7 @@ class ServoInfo:
     watchdog: float = 0.0
     watchdog_remedy: str = ""
     serial_is_id: bool = False
+    measures_when_off: bool = True
 
 
 class Servo(Protocol):

@@ -35,12 +35,13 @@ class Settings(Generic[Key, Value]):
         self._before: dict[Key, Value] = {}
         self.journal: Callable[[], None] = lambda: None
 
-    def require(self, key: Key, value: Value, name: str = "") -> None:
+    def require(self, key: Key, value: Value, name: str = "", before: Value | None = None) -> None:
         """Make a setting hold `value` and read it back; it is written only where it holds another value.
 
-        name: the setting for messages; "" for `key` itself. Raises DriverError where the device keeps another value.
+        name: the setting for messages; "" for `key` itself. before: what it holds where it cannot be read yet. Raises
+        DriverError where the device keeps another value.
         """
-        before = self._read(key)
+        before = self._read(key) if before is None else before
         if self._same(before, value):
             return
         if self._kept(key):

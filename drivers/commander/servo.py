@@ -76,6 +76,7 @@ class CommanderServo:
             backend="commander",
             model=f"SimpleFOC motor {self._m}",
             quantities=quantities,
+            measures_when_off=False,
             watchdog=config.watchdog,
             watchdog_remedy="put a watchdog into the board's program (docs/serial.md) and its time into "
             "commander.watchdog",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING, get_args
 
 from drivers.dynamixel.config import Baudrate
@@ -28,7 +29,7 @@ def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Ser
 
     Raises NoReply, BadReply where several reply at once, DriverError for another model or firmware without a watchdog.
     """
-    number, firmware = _model_and_firmware(bus, series)
+    number, firmware = _model_and_firmware(bus, table, series)
     model = models()[config.model]
     if number != model.number:
         raise DriverError(
@@ -51,27 +52,60 @@ def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Ser
     return str(firmware)
 
 
-def _confirm_writes(bus: Bus, table: ControlTable, series: Series) -> None:
+def _confirm_writes(bus: Bus, table: ControlTable, series: Series, level: int | None = None) -> None:
     """Set Status Return Level: an X servo, which forgets it without power, may not even answer reads before.
 
-    An MX servo keeps it, so its own value is read first and restored afterwards; it is locked while the torque is on.
+    An MX servo keeps it, so its own value is restored afterwards; it is locked while the torque is on. level: that
+    value where the servo answers no read, None where it is read.
     """
-    register = series.registers["status_return_level"]
-    if register.address >= series.eeprom_end:
-        bus.send(register.address, b"\x02")
-    elif table.get("status_return_level") != 2:
+    if not _keeps_level(series):
+        bus.send(series.registers["status_return_level"].address, b"\x02")
+    elif level is not None or table.get("status_return_level") != 2:
         bus.send(series.registers["torque_enable"].address, b"\x00")
-        table.settings.require("status_return_level", 2)
+        table.settings.require("status_return_level", 2, before=level)
 
 
-def _model_and_firmware(bus: Bus, series: Series) -> tuple[int, int]:
+def _keeps_level(series: Series) -> bool:
+    return series.registers["status_return_level"].address < series.eeprom_end
+
+
+def _model_and_firmware(bus: Bus, table: ControlTable, series: Series) -> tuple[int, int]:
     """Return model number and firmware version; replies may be lost."""
     try:
-        return retry(lambda: series.identity(bus))
+        with contextlib.suppress(NoReply):
+            return retry(lambda: series.identity(bus))
+        if not (_keeps_level(series) and _answers_pings_only(bus)):
+            raise bus.silent(57600)
+        return _unmuted(bus, table, series)
     except BadReply as error:
         raise bus.garbled(error) from None
+
+
+def _answers_pings_only(bus: Bus) -> bool:
+    """Return whether the servo answered every ping and no read: a return level of 0."""
+    for _ in range(ATTEMPTS):
+        try:
+            bus.ping(0)
+        except NoReply:
+            return False
+        try:
+            bus.read(0, 3)
+        except NoReply:
+            continue
+        return False
+    return True
+
+
+def _unmuted(bus: Bus, table: ControlTable, series: Series) -> tuple[int, int]:
+    """Return model and firmware of a servo that answers pings only. Raises NoReply where it stays so."""
+    try:
+        _confirm_writes(bus, table, series, level=0)
+        return retry(lambda: series.identity(bus))
     except NoReply:
-        raise bus.silent(57600) from None
+        raise NoReply(
+            "the servo answers a ping and nothing else: its Status Return Level(16) is 0 and could not be changed; "
+            "switch it off and on, and set that register to 2 with DYNAMIXEL Wizard"
+        ) from None
 
 
 def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:

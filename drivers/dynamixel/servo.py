@@ -63,7 +63,7 @@ class DynamixelServo:
             mode_key="dynamixel.mode",
         )
         self._port.openPort()
-        with self._gate.opening():
+        with self._gate.opening(self._table.settings.restore):
             firmware = identify(self._bus, self._table, config, self._series)
             self.disarm()
             self._table.settings.require("return_delay_time", round(config.return_delay / RETURN_DELAY_LSB))

@@ -71,7 +71,7 @@ class FeetechServo:
             mode_key="feetech.mode",
         )
         self._port.openPort()
-        with self._gate.opening():
+        with self._gate.opening(self._table.settings.restore):
             firmware = identify(self._bus, config)
             self.disarm()
             self._set_up()

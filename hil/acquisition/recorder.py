@@ -15,8 +15,8 @@ from statistics import fmean
 
 import numpy as np
 
-from drivers.gate import confirm_torque_off
-from drivers.servo import BadReply, Command, NoReply, Quantity, Sample, Servo, Status
+from drivers.servo import BadReply, Command, Limits, NoReply, Quantity, Sample, Servo, Status
+from drivers.torque_off import Driven, confirm_torque_off
 from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import Guard
 from hil.acquisition.heat import heat_budget
@@ -84,6 +84,8 @@ class Recorder:
         self._check = self._guard.check
         self._outcome = Outcome()
         self._start, self._stopping_at = math.nan, math.inf  # s; of the run, at which the ramp-down begins
+        self._at_motor: Limits | None = None  # once it may be driven
+        self._last = Sample.missing(math.nan)  # reply while it was driven
         self._off_asked = False
         self._off_error: BaseException | None = None
 
@@ -121,6 +123,7 @@ class Recorder:
                 _check_stop(stop)
                 try:
                     self._enter(Phase.ARMING)
+                    self._at_motor = limits
                     self._servo.arm(limits)
                     self._loop(set_points, zero, stop)
                 finally:  # before anything else, which might take its time
@@ -247,6 +250,7 @@ class Recorder:
             self._sink.append(self._row(seq, due, set_point, sample, AtJoint()))
             self._guard.check_silence(self._servo.clock.now())
             return
+        self._last = sample
         readings = at_joint(sample)
         self._append(self._row(seq, due, set_point, sample, readings))
         self._check(sample, readings)
@@ -292,7 +296,7 @@ class Recorder:
         )
 
     def _torque_off(self) -> None:
-        driven = self._limits.torque / self._transmission.ratio if self._outcome.phases.history else math.inf
+        driven = None if self._at_motor is None else Driven(self._at_motor, self._last)
         result = confirm_torque_off(self._servo, driven)
         self._outcome.alarm, self._off_error = result.alarm, result.error
         self._off_asked = True

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from drivers.gate import confirm_torque_off
 from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
+from drivers.torque_off import confirm_torque_off
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.real_time import PERMISSION, missing_permissions
 from hil.doctor.checks import CheckList, Verdict

@@ -31,11 +31,15 @@ class Left(NamedTuple):
 
 
 class Load:
-    """The readings of a drive at rest and under a load. rest and loaded: samples of each, at the motor shaft."""
+    """The readings of a drive at rest and under a load.
 
-    def __init__(self, rest: Sequence[Sample], loaded: Sequence[Sample]) -> None:
+    rest and loaded: samples of each, at the motor shaft. measures: whether it measures the motor's torque while it is
+    off.
+    """
+
+    def __init__(self, rest: Sequence[Sample], loaded: Sequence[Sample], *, measures: bool = True) -> None:
         self._levels: dict[str, tuple[float, float]] = {}
-        for name, _ in _READINGS:
+        for name, _ in _READINGS if measures else _READINGS[1:]:
             before, under = _finite(rest, name), _finite(loaded, name)
             if before and under:
                 change = fmean(under) - fmean(before)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.gate import FallsSilent, confirm_torque_off
+from drivers.gate import FallsSilent
 from drivers.servo import (
     BadReply,
     Command,
@@ -28,6 +28,7 @@ from drivers.servo import (
     ServoInfo,
     Status,
 )
+from drivers.torque_off import confirm_torque_off
 from hil.acquisition.commissioning import SHARE
 from hil.acquisition.excitation import Profile
 from hil.acquisition.interrupt import StopRequest
@@ -118,7 +119,7 @@ class _TriedServo:
         return sample
 
     def _try(self) -> None:
-        self.load = Load(self._rest, self._under)
+        self.load = Load(self._rest, self._under, measures=self.info.measures_when_off)
         self.began = self.clock.now()
         self.made = self._trial(self._servo, self.load)
         if self.made is not None:

@@ -12,6 +12,7 @@ import pytest
 from hil.acquisition.phases import Phase
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "faults.py"
+NAMES = ("dynamixel", "moteus", "cia402", "commander")
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +29,11 @@ def faults() -> ModuleType:
 @pytest.fixture(scope="module")
 def middle(faults: ModuleType) -> dict[str, float]:
     """A time in the middle of a run, s, by adapter."""
-    return {name: faults.moments(faults.ADAPTERS[name])[Phase.RUN] for name in ("dynamixel", "moteus", "cia402")}
+    return {name: faults.moments(faults.ADAPTERS[name])[Phase.RUN] for name in NAMES}
 
 
 @pytest.mark.parametrize("kind", ["ignored-off", "kill", "disk-full", "disk-frozen"])
-@pytest.mark.parametrize("name", ["dynamixel", "moteus", "cia402"])
+@pytest.mark.parametrize("name", NAMES)
 def test_no_torque_stays_on_without_the_alarm(
     faults: ModuleType, middle: dict[str, float], name: str, kind: str
 ) -> None:

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from drivers.clock import VirtualClock
-from drivers.gate import Gate, confirm_torque_off, to_counts, watchdog_problem
+from drivers.gate import Gate, to_counts, watchdog_problem
 from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, Sample, ServoInfo, UnsafeCommand
+from drivers.torque_off import Driven, confirm_torque_off
 
 LIMITS = Limits(torque=0.1, velocity=10.0, temperature=60.0, position=(-1.0, 1.0))
 PUSH = Command(Quantity.TORQUE, 0.05)
@@ -175,24 +176,72 @@ class Pulling(Device):
         return Sample(0.0, 0.0, motor_torque=self._torques.pop(0) if len(self._torques) > 1 else self._torques[0])
 
 
+def driven(limit: float = 0.1, torque: float = 0.08, angle: float = 0.5) -> Driven:
+    """A motor that a torque had turned to an angle, within 1 rad of its rest at 2 rad."""
+    limits = Limits(torque=limit, velocity=10.0, temperature=60.0, position=(1.0, 3.0))
+    return Driven(limits, Sample(0.0, 0.0, motor_torque=torque, motor_position=2.0 + angle))
+
+
 @pytest.mark.parametrize(
-    ("torques", "limit", "off"),
+    ("torques", "how", "off"),
     [
-        ((0.02,), 0.1, False),
-        ((-0.02,), 0.1, False),
-        ((0.09, 0.05, 0.02, 0.009), 0.1, True),
-        ((0.002,), 0.01, True),
-        ((math.nan,), 0.1, True),
-        ((0.02,), math.inf, True),
+        ((0.02,), driven(), False),
+        ((-0.02,), driven(), False),
+        ((0.09, 0.05, 0.02, 0.009), driven(), True),
+        ((0.002,), driven(0.01), True),
+        ((math.nan,), driven(), True),
+        ((0.02,), None, True),
     ],
     ids=["pulls", "pulls the other way", "current decays", "within three counts", "not measured", "never driven"],
 )
 def test_a_device_that_confirms_and_still_reports_torque_has_not_confirmed(
-    torques: tuple[float, ...], limit: float, off: bool
+    torques: tuple[float, ...], how: Driven | None, off: bool
 ) -> None:
-    result = confirm_torque_off(Pulling(*torques), limit)  # type: ignore[arg-type]  # only what it calls
+    result = confirm_torque_off(Pulling(*torques), how)  # type: ignore[arg-type]  # only what it calls
     assert result.confirmed == off
     assert ("CUT THE POWER" in result.alarm) != off
+
+
+class Staying(Pulling):
+    """A device that confirms every torque-off, measures no torque then, and reports these angles after it, rad."""
+
+    info = ServoInfo("test", "staying", position_lsb=1e-3, measures_when_off=False)
+
+    def exchange(self, command: Command) -> Sample:
+        return Sample(0.0, 0.0, motor_torque=0.0, motor_position=super().exchange(command).motor_torque)
+
+
+@pytest.mark.parametrize(
+    ("angles", "how", "off"),
+    [
+        ((2.49,), driven(), False),
+        ((1.51,), driven(angle=-0.5, torque=-0.08), False),
+        ((2.3,), driven(torque=math.nan), False),
+        ((2.49, 2.4, 2.2), driven(), True),
+        ((2.5,), driven(torque=0.009), True),
+        ((2.05,), driven(torque=math.nan, angle=0.05), True),
+        ((2.004,), driven(angle=0.004), True),
+        ((1.5,), driven(), True),
+        ((math.nan,), driven(), True),
+    ],
+    ids=[
+        "stays",
+        "stays on the other side",
+        "never measures torque",
+        "returns",
+        "hardly loaded",
+        "hardly turned",
+        "within five counts",
+        "swings beyond",
+        "no angle",
+    ],
+)
+def test_a_motor_that_measures_no_torque_when_off_must_return_from_where_its_torque_had_turned_it(
+    angles: tuple[float, ...], how: Driven, off: bool
+) -> None:
+    result = confirm_torque_off(Staying(*angles), how)  # type: ignore[arg-type]  # only what it calls
+    assert result.confirmed == off
+    assert ("friction" in result.alarm) != off
 
 
 class Rearming(Pulling):
@@ -210,7 +259,7 @@ class Rearming(Pulling):
 
 def test_a_device_that_reading_switches_on_again_ends_off() -> None:
     device = Rearming(0.0)
-    assert confirm_torque_off(device, 0.1).confirmed  # type: ignore[arg-type]  # only what it calls
+    assert confirm_torque_off(device, driven()).confirmed  # type: ignore[arg-type]  # only what it calls
     assert not device.is_on
 
 

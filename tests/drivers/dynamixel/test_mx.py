@@ -287,19 +287,38 @@ def test_the_limits_are_in_the_servo_before_current_flows_and_the_eeprom_is_put_
 
 
 @pytest.mark.parametrize("torque_on", [0, 1])
-def test_a_servo_that_confirms_no_writes_does_so_for_a_run_only(make_rig: Make, torque_on: int) -> None:
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_servo_that_confirms_no_writes_or_answers_no_reads_does_so_for_a_run_only(
+    make_rig: Make, level: int, torque_on: int
+) -> None:
     rig = make_rig("mx-64")
     device = rig.device
-    device.registers.put("status_return_level", 1)
+    device.registers.put("status_return_level", level)
     device.write(24, bytes([torque_on]))
     before = bytes(device.registers.memory[:24])
     servo = rig.open()
     assert (device.get("status_return_level"), device.torque_on) == (2, False)
-    assert any(frame == servo._table.unanswered("status_return_level", 1) for frame in servo.off_path().restore)
+    assert any(frame == servo._table.unanswered("status_return_level", level) for frame in servo.off_path().restore)
     servo.arm(LIMITS)
     servo.close()
     assert bytes(device.registers.memory[:24]) == before
     assert not device.torque_on
+
+
+def test_a_mute_servo_that_is_not_the_stand_files_is_left_mute(make_rig: Make) -> None:
+    rig = make_rig("mx-64")
+    rig.device.registers.put("status_return_level", 0)
+    with pytest.raises(DriverError, match="not the mx-106"):
+        rig.open(model="mx-106")
+    assert rig.device.get("status_return_level") == 0
+
+
+def test_a_mute_servo_that_takes_no_settings_is_named_with_its_register(make_rig: Make) -> None:
+    rig = make_rig("mx-64")
+    rig.device.registers.put("status_return_level", 0)
+    rig.device.registers.put("lock", 1)
+    with pytest.raises(NoReply, match=r"answers a ping and nothing else: its Status Return Level\(16\) is 0"):
+        rig.open()
 
 
 def test_after_torque_off_nothing_waits_to_act(make_rig: Make) -> None:

@@ -168,9 +168,12 @@ def test_the_second_signal_switches_the_torque_off_at_once(monkeypatch: pytest.M
     assert made.seconds < 0.05
 
 
-def test_a_drive_that_confirms_torque_off_and_keeps_its_torque_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    on(monkeypatch, broken(rigs.moteus_rig(), "ignored-off", at=0.3))
-    checks, report = commissioned(0.4)
+@pytest.mark.parametrize(("make", "torque"), [(rigs.moteus_rig, 0.4), (with_watchdog, 4e-3)], ids=["moteus", "foc"])
+def test_a_drive_that_confirms_torque_off_and_keeps_its_torque_is_found_out(
+    make: Callable[[], Rig], torque: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on(monkeypatch, broken(make(), "ignored-off", at=0.3))
+    checks, report = commissioned(torque)
     assert report is None
     assert any(check.message.startswith("CUT THE POWER") for check in checks.checks)
 
