@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from ga.model.trajectory import Motion
+    from ga.model.trajectory import Motion, Rows
 
     Array = NDArray[np.float64]
 
@@ -143,8 +143,8 @@ class CouplingModel:
         model = self if self.smoothing is not None else self.anchored(motion)
         whole, rows = model._needed(motion)
         seen = whole.delayed(model.delay(nonlinear))
-        stacked = model._stacked(model._regressors(whole, seen, nonlinear, lag), nonlinear)
-        return model._known(whole, rows, model._behind_cell(whole, stacked, nonlinear)[rows], nonlinear)
+        stacked = model._stacked(model._regressors(whole, seen, nonlinear, lag), rows, nonlinear)
+        return model._known(whole, rows, model._behind_cell(whole, rows, stacked, nonlinear), nonlinear)
 
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
         """Return what the columns are to make up, (n,) N m: the torque (n,) without what is known of it.
@@ -153,8 +153,8 @@ class CouplingModel:
         """
         whole, rows = self._needed(motion)
         if whole.known.any():
-            known = whole.delayed(self.delay(nonlinear)).known
-            torque = torque - self._behind_cell(whole, known, nonlinear)[rows]
+            known = whole.delayed(self.delay(nonlinear)).known[self._before_cell(rows)]
+            torque = torque - self._behind_cell(whole, rows, known, nonlinear)
         return self._known(whole, rows, torque, nonlinear)
 
     def jacobian(
@@ -173,12 +173,14 @@ class CouplingModel:
         for term, values in model._valued(nonlinear):
             if term.delays:
                 rates = whole.changing(self.delay(nonlinear)) if changing is None else changing
-                aged = -(model._stacked(regressors, nonlinear, rates) @ genes + rates.known)
-                found.append(model._known(whole, rows, model._behind_cell(whole, aged, nonlinear)[rows], nonlinear))
+                known = rates.known[model._before_cell(rows)]
+                aged = -(model._stacked(regressors, rows, nonlinear, rates) @ genes + known)
+                found.append(model._known(whole, rows, model._behind_cell(whole, rows, aged, nonlinear), nonlinear))
             elif term.shifts is not None:
                 for shift in term.shifts(regressors.angle):
                     pushed = -model._pushed(regressors, nonlinear, genes, shift * regressors.contact)
-                    behind = model._behind_cell(whole, whole.filtered(pushed), nonlinear)[rows]
+                    pushed = whole.filtered(pushed, model._before_cell(rows))
+                    behind = model._behind_cell(whole, rows, pushed, nonlinear)
                     found.append(model._known(whole, rows, behind, nonlinear))
             else:
                 for _ in values:
@@ -198,7 +200,7 @@ class CouplingModel:
     def _torque(
         self,
         motion: Motion,
-        rows: slice | NDArray[np.int64],
+        rows: Rows,
         seen: Motion,
         nonlinear: Array,
         genes: Array,
@@ -206,8 +208,9 @@ class CouplingModel:
         lag: float,
     ) -> Array:
         """The torque (m,), N m, of some rows, for a motion seen with its delay, without what the beginnings make."""
-        torque = self._stacked(self._regressors(motion, seen, nonlinear, lag), nonlinear) @ genes + seen.known
-        return self._known(motion, rows, self._behind_cell(motion, torque, nonlinear)[rows], nonlinear)
+        stacked = self._stacked(self._regressors(motion, seen, nonlinear, lag), rows, nonlinear)
+        torque = stacked @ genes + seen.known[self._before_cell(rows)]
+        return self._known(motion, rows, self._behind_cell(motion, rows, torque, nonlinear), nonlinear)
 
     def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]:
         """Return low (q,) and high (q,) of the nonlinear parameters, for motion up to `highest` Hz."""
@@ -228,18 +231,22 @@ class CouplingModel:
         """Each term that has nonlinear parameters, with its own of these (q,)."""
         return [] if nonlinear is None else [(term, nonlinear[own]) for term, own in self._places]
 
-    def _needed(self, motion: Motion) -> tuple[Motion, slice | NDArray[np.int64]]:
+    def _needed(self, motion: Motion) -> tuple[Motion, Rows]:
         """The samples that the torque is computed of, and the rows that the motion is of these."""
         is_filtered = motion.behind is not None and any(self.bends)
         return motion.whole if self.remembers or is_filtered else (motion, slice(None))
 
-    def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
-        """What a torque (n,) or columns (n, p) of it become behind the torque cell."""
+    def _before_cell(self, rows: Rows) -> Rows:
+        """The rows in front of the torque cell, which remembers, that some rows behind it need."""
+        return slice(None) if any(term.cell is not None for term in self.terms) else rows
+
+    def _behind_cell(self, motion: Motion, rows: Rows, torque: Array, nonlinear: Array | None) -> Array:
+        """What a torque or columns of it, of `_before_cell(rows)`, become behind the torque cell: (m,) or (m, p)."""
         for term, values in self._valued(nonlinear):
             torque = torque if term.cell is None else term.cell(motion, torque, values)
-        return torque
+        return torque if self._before_cell(rows) is rows else torque[rows]
 
-    def _known(self, motion: Motion, rows: slice | NDArray[np.int64], values: Array, nonlinear: Array | None) -> Array:
+    def _known(self, motion: Motion, rows: Rows, values: Array, nonlinear: Array | None) -> Array:
         """Values (m,) or (m, p) of some rows without what the unknown state at the beginning of a stretch can make."""
         valued = self._valued(nonlinear)
         left = [term.forgets(motion, own)[rows] for term, own in valued if term.forgets is not None]
@@ -275,9 +282,12 @@ class CouplingModel:
             at += count
         return np.asarray(sum(parts[1:], start=parts[0]))
 
-    def _stacked(self, regressors: Regressors, nonlinear: Array | None, changing: Motion | None = None) -> Array:
-        """The columns, or how fast they change in time."""
+    def _stacked(
+        self, regressors: Regressors, rows: Rows, nonlinear: Array | None, changing: Motion | None = None
+    ) -> Array:
+        """The columns, or how fast they change in time, of `_before_cell(rows)`."""
         columns: list[Array] = []
+        first = self._before_cell(rows)
         bends = dict(zip((term.name for term in self.terms), self.bends, strict=True))
         for term, own in self._own(regressors, nonlinear):
             found: tuple[Array, ...] = ()
@@ -285,7 +295,7 @@ class CouplingModel:
                 found = term.columns(own)
             elif term.rates is not None and changing is not None:
                 found = term.rates(own, changing)
-            columns += map(regressors.motion.filtered, found) if bends[term.name] else found
+            columns += [regressors.motion.filtered(of, first) if bends[term.name] else of[first] for of in found]
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
 
 

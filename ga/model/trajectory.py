@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
     Array = NDArray[np.float64]
+    Rows = slice | NDArray[np.int64]
 
 
 class Filter(Protocol):
     """What readings went through, each as every other."""
 
-    def alike(self, time: Array, values: Array) -> Array: ...  # noqa: D102
+    def alike(self, time: Array, values: Array, rows: Rows) -> Array: ...  # noqa: D102
 
 
 _PARTS: Final = ("dtheta", "dtheta_dot", "dtheta_ddot", "known")
@@ -131,11 +132,15 @@ class Motion:
         parts = [memory.averaged(self.time[a:b], values[a:b], width) for a, b in self._stretches()]
         return np.concatenate(parts)
 
-    def filtered(self, values: Array) -> Array:
-        """Values (n,) behind what the torque went through."""
+    def filtered(self, values: Array, rows: Rows) -> Array:
+        """Some rows, rising, of values (n,) behind what the torque went through: of few rows it costs less."""
         if self.behind is None:
-            return values
-        return np.concatenate([self.behind.alike(self.time[a:b], values[a:b]) for a, b in self._stretches()])
+            return values[rows]
+        found = []
+        for a, b in self._stretches():
+            own = rows if isinstance(rows, slice) else rows[(rows >= a) & (rows < b)] - a
+            found.append(self.behind.alike(self.time[a:b], values[a:b], own))
+        return np.concatenate(found)
 
     def presliding(self, length: float) -> Array:
         """The friction of Dahl (1976), (n,) -1 to 1, that builds up over `length` rad after a reversal."""

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
+Rows = slice | NDArray[np.int64]
 
 _ATTENUATION: Final = 70.0  # dB, in the stop band; in the pass band as little is lost, 0.03 %
 _BETA: Final = 0.1102 * (_ATTENUATION - 8.7)  # of the window, by Kaiser's formula
@@ -33,6 +34,7 @@ _SIGNALS: Final = 3  # deflection, rate, acceleration
 _BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
 _LEFT: Final = 0.8  # of the samples, that must remain
 _KEPT: Final = 5_000_000  # weights, 60 MB, that are kept for stamps asked for again
+_FEW: Final = 2  # times as many samples as rows, from which the weights of these are kept too
 _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
@@ -97,10 +99,16 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
     return value, slope, curvature
 
 
-def passed_again(time: Array, values: Array, low_pass: LowPass) -> Array:
-    """Return the value of `passed` alone, for many readings (n,) at the same stamps: what depends on these is kept."""
-    parts = _stretches(time, low_pass.step)
-    return np.concatenate([_value(time[part], values[part], low_pass) for part in parts])
+def passed_again(time: Array, values: Array, low_pass: LowPass, rows: Rows) -> Array:
+    """Return the value of `passed` alone, of some rows, rising, for many readings (n,) at the same stamps.
+
+    What depends on the stamps and the rows is kept.
+    """
+    found = []
+    for part in _stretches(time, low_pass.step):
+        own = rows if isinstance(rows, slice) else rows[(rows >= part.start) & (rows < part.stop)] - part.start
+        found.append(_value(time[part], values[part], low_pass, own))
+    return np.concatenate(found)
 
 
 def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
@@ -138,14 +146,17 @@ def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array) -> Ar
     )
 
 
-def _value(time: Array, values: Array, low_pass: LowPass) -> Array:
-    """The first row of `_passed`, at stamps that are asked for again."""
+def _value(time: Array, values: Array, low_pass: LowPass, rows: Rows) -> Array:
+    """Some rows of the first row of `_passed`, at stamps that are asked for again."""
     if _is_even(time, low_pass):
-        return np.asarray(_filtered(values, low_pass, low_pass.kernels()[:1])[0])
+        return np.asarray(_filtered(values, low_pass, low_pass.kernels()[:1])[0, rows])
     if not 2 * low_pass.near < len(time) < _KEPT / (2 * (low_pass.half + low_pass.near) + 3):
-        return np.asarray(_passed(time, values, low_pass, low_pass.kernels())[0])
-    base = values.mean()  # small numbers lose fewer digits
-    return np.asarray(base + _weights(time.tobytes(), low_pass) @ (values - base))
+        return np.asarray(_passed(time, values, low_pass, low_pass.kernels())[0, rows])
+    base, stamps = values.mean(), time.tobytes()
+    moved = values - base  # small numbers lose fewer digits
+    if isinstance(rows, slice) or _FEW * len(rows) > len(time):
+        return np.asarray(base + (_weights(stamps, low_pass) @ moved)[rows])
+    return np.asarray(base + _weights_of(stamps, low_pass, rows.tobytes()) @ moved)
 
 
 def _filtered(even: Array, low_pass: LowPass, kernels: Array) -> Array:
@@ -190,6 +201,12 @@ def _weights(stamps: bytes, low_pass: LowPass) -> csr_array:
         through = diags_array(kernel[::-1], offsets=list(offsets), shape=(len(grid), len(ends)))
         back.append(part @ (through.tocsr() @ padded))
     return csr_array(back[0] + back[1])
+
+
+@lru_cache(maxsize=4)
+def _weights_of(stamps: bytes, low_pass: LowPass, rows: bytes) -> csr_array:
+    """Return some rows of the weights: each costs as much as a value has neighbours."""
+    return _weights(stamps, low_pass)[np.frombuffer(rows, dtype=np.int64)]
 
 
 def _local(time: Array, near: int, order: int) -> csr_array:

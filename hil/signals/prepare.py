@@ -285,7 +285,7 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
         behind=window if is_filtered else None,
     )
     if own is None:
-        torque = (window.alike(time, usable.torque, again=False) if is_filtered else usable.torque)[kept]
+        torque = (window.alike(time, usable.torque) if is_filtered else usable.torque)[kept]
     else:
         motion, torque = _at_readings(motion, own, within(usable.row[own.row], rows))
     return Signals(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.signals.deflection_noise import FEW_COUNTS, Read, disturbs, smallest_step
-from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passed_again
+from hil.signals.low_pass import LowPass, Rows, is_sound, low_pass_for, passed, passed_again
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
 
 Array = NDArray[np.float64]
@@ -62,15 +62,15 @@ class Window:
         rate = local_polynomial(time, dtheta, self.slope, 1)
         return dtheta, rate, local_polynomial(time, dtheta, self.curvature, 2)
 
-    def alike(self, time: Array, values: Array, *, again: bool = True) -> Array:
+    def alike(self, time: Array, values: Array, rows: Rows | None = None) -> Array:
         """Return values (n,) behind what the deflection went through, so that what is between them stays as it is.
 
-        again: whether others will be asked for at the same stamps, as a search does.
+        rows: of which rows, where others will be asked for at the same stamps, as a search does.
         """
         if self.low_pass is None:
-            return values
-        found = (passed_again if again else _value)(time, values, self.low_pass)
-        return np.where(np.isfinite(found), found, values)
+            return values if rows is None else values[rows]
+        found = _value(time, values, self.low_pass) if rows is None else passed_again(time, values, self.low_pass, rows)
+        return np.where(np.isfinite(found), found, values if rows is None else values[rows])
 
     def sound(self, time: Array) -> NDArray[np.bool_]:
         """Return whether (n,) each sample has all the neighbours that its rate is computed from."""

@@ -37,7 +37,7 @@ def test_ramps_of_one_model_and_one_stiffness_miss_no_bar(script: ModuleType) ->
     found = script.groups([row(101, Kc=205.0), row(0), row(100)])
     assert list(found) == ["a, play", "a, stiffness"]
     assert script.misses(found) == []
-    expected = "| a, stiffness | 100 to 101 | linear (2) | 200 to 205 | 1.02 | 5.0 | 0 | 2 |"
+    expected = "| a, stiffness | 100 to 101 | linear (2) | 0 | 200 to 205 | 1.02 | 5.0 | 0 |"
     assert script.line("a, stiffness", found["a, stiffness"]) == expected
 
 
@@ -45,10 +45,19 @@ def test_every_bar_that_is_missed_is_said_with_its_number(script: ModuleType) ->
     rows = [row(100), row(101, model="linear+offset", Kc=300.0, unexplained=0.3), row(102, unexplained=0.3)]
     assert script.misses(script.groups(rows)) == [
         "the same model in 0% of the files, not in 80%",
-        "Kc differs 1.50 times (median), more than 1.05",
+        "Kc differs 1.50 times (median of 1), more than 1.05",
         "30.0% of the torque's spread is unexplained (median), more than 8 %",
         "2 ramps with more than 8 % unexplained carry no misfit",
     ]
+
+
+def test_a_kc_that_is_refused_is_counted_and_not_compared(script: ModuleType) -> None:
+    found = script.groups([row(100), row(101, Kc=900.0, status=1), row(102, Kc=205.0)])
+    assert script.misses(found) == []
+    expected = "| a, stiffness | 100 to 102 | linear (3) | 1 | 200 to 205 | 1.02 | 5.0 | 0 |"
+    assert script.line("a, stiffness", found["a, stiffness"]) == expected
+    alone = script.line("a, stiffness", [row(100), row(101, status=1)])
+    assert alone == "| a, stiffness | 100 to 101 | linear (2) | 1 | 200 to 200 | - | 5.0 | 0 |"
 
 
 def test_a_ramp_that_is_flagged_or_refused_is_not_silent(script: ModuleType) -> None:
