@@ -41,6 +41,8 @@ def _value(value: Any, hint: Any) -> tuple[Any, dict[Place, str]]:
         return in_si(value, inner)
     if isinstance(value, list):
         return _values(value, hint)
+    if isinstance(value, bool) and _is_number(hint):  # else `torque = true` would be a limit of 1 N m
+        return value, {(): f"{str(value).lower()} is not a number"}
     unit = unit_of(hint)
     if not isinstance(value, str) or unit is None:
         return value, {}
@@ -96,6 +98,11 @@ def _parts(hint: Any) -> Iterator[Any]:
     yield hint
     for part in (*get_args(hint), *getattr(hint, "__metadata__", ())):
         yield from _parts(part)
+
+
+def _is_number(hint: Any) -> bool:
+    parts = list(_parts(hint))
+    return bool not in parts and any(part in (int, float) or type(part) is int for part in parts)
 
 
 def _is_table(part: Any) -> bool:

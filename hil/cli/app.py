@@ -116,12 +116,15 @@ def main() -> NoReturn:
 
 
 def _open_standard_files() -> None:
-    """Open those of the files 0 to 2 that were closed before we started: else a recording would be one of them."""
+    """Open those of the files 0 to 2 that were closed before we started: else a recording would be one of them.
+
+    In the processes that we start too: what they write to standard error must not go to a drive or among the rows.
+    """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # takes the lowest number that is free
         if getattr(sys, name) is None:
             setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115 - stays open
 

@@ -10,6 +10,7 @@ import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from unicodedata import category
 
 from hil.errors import WrongUse
 from hil.recording.posix import is_at, lock, open_binary, remove, sync_folder, take_name
@@ -25,6 +26,7 @@ _OTHERS = frozenset(
         ".mat",
         ".mcap",
         ".parquet",
+        ".part",
         ".pdf",
         ".png",
         ".toml",
@@ -32,7 +34,7 @@ _OTHERS = frozenset(
         ".xml",
     }
 )
-"""Suffixes of other formats: a file of that name that holds HDF5 would be taken for what it is not."""
+"""Suffixes of other formats, and of a recording in progress: a file of that name would be taken for what it is not."""
 _TEMPORARY = re.compile(r"\.hil-[0-9a-f]{32}")
 
 
@@ -59,6 +61,8 @@ def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> Non
 
     inputs: the files that the command reads, which not even `force` overwrites. Changes nothing.
     """
+    if any(category(character) == "Cc" for character in path.name):
+        raise WrongUse(f"{path.name!r} has a line break or another control character in it: choose another name")
     with writing(path):
         if path.is_dir():
             raise WrongUse(f"{path} is a folder: name a file, such as {path / 'run1.h5'}")
@@ -72,7 +76,9 @@ def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> Non
 def check_recording_name(path: Path) -> Path:
     """Return the path of a recording. Raises WrongUse for a suffix that says another format."""
     if path.suffix.lower() in _OTHERS:
-        raise WrongUse(f"{path} is no name of a recording, which is HDF5: name it {path.with_suffix('.h5')}")
+        stem = path.with_suffix("")
+        better = stem if stem.suffix == ".h5" else path.with_suffix(".h5")
+        raise WrongUse(f"{path} is no name of a recording, which is HDF5: name it {better}")
     return path
 
 

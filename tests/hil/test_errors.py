@@ -1,6 +1,8 @@
-"""Names that are not known: the nearest is proposed, and all are listed."""
+"""Names that are not known: the nearest is proposed, and all are listed. Names of outputs that are refused."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 
@@ -41,7 +43,16 @@ def test_every_choice_on_the_command_line_proposes_the_nearest(
     assert f"did you mean '{meant_is}'?" in " ".join(capfd.readouterr().err.split())
 
 
-@pytest.mark.parametrize("name", ["run.csv", "run.txt", "run.PNG"])
+@pytest.mark.parametrize("name", ["run.csv", "run.txt", "run.PNG", "run.part", "run.h5.part"])
 def test_a_recording_whose_name_says_another_format_is_refused(name: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["record", "--backend", "sim", "--duration", "0.1", "-o", name]) == 2
     assert f"{name} is no name of a recording, which is HDF5: name it run.h5" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["a\nhil: all is well.h5", "a\x1b[2J.h5", "a\x85.h5"])
+def test_an_output_whose_name_would_steer_a_terminal_is_refused(
+    name: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert run(["record", "--backend", "sim", "--duration", "0.1", "-o", str(tmp_path / name)]) == 2
+    assert "control character" in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -136,6 +136,23 @@ def test_every_error_is_a_sentence_of_our_own() -> None:
     assert "Input should" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [
+        ("limits", "torque"),
+        ("stand", "gear_ratio"),
+        ("dynamixel", "id"),
+        ("dynamixel", "sign"),
+        ("dynamixel", "baudrate"),
+        ("winding", "resistance"),
+        ("sim.sensors", "motor_counts"),
+    ],
+)
+def test_true_is_no_number(table: str, key: str) -> None:
+    with pytest.raises(WrongUse, match=f"{table}.{key}: true is not a number"):
+        parse(f"[{table}]\n{key} = true\n")
+
+
 def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:
     from dataclasses import fields
 
