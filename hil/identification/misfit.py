@@ -115,7 +115,7 @@ def _without_errors(signals: Signals) -> Motion:
     The tests would find that noise in both.
     """
     window, command = signals.window, signals.command
-    if window is None or window.low_pass is None or not is_instrument(command):
+    if window is None or not window.noisy or not is_instrument(command):
         return signals.motion
     sound = window.sound(signals.motion.time)
     motion = followed(signals.motion, window, command, sound)

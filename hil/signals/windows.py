@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hil.signals.deflection_noise import FEW_COUNTS, Read, disturbs, smallest_step
 from hil.signals.low_pass import LowPass, Rows, is_sound, low_pass_for, passed, passed_again
-from hil.signals.savitzky_golay import kernel, local_polynomial, widest
+from hil.signals.savitzky_golay import LEAST, kernel, local_polynomial, widest
 
 Array = NDArray[np.float64]
 
@@ -17,6 +17,7 @@ _GAIN_ERROR = 3e-4  # of rate and acceleration, at the upper end of the band
 _NOISE = 0.01  # of the rate's RMS: so much noise in it lowers Bc by 0.01 %
 RATE_ACCURACY = 0.5 * (_GAIN_ERROR + _NOISE**2)  # of Bc: half of the most that both can change it by
 _HIDDEN = 0.3  # of the torque's own noise, that the rate's may add to it by way of Bc
+_UNSEEN = 0.5  # of that, where it follows from the motion: the tests of the fit see 2 % of the residuals' power
 _KNOWN = 3e-4  # of the torque's deviation, to which the rate is accurate: less noise than this is not looked for
 _FAST = 0.9  # quantile of the speed above which a sample is a fast one
 _NARROWEST = 6  # samples on each side of a window
@@ -29,6 +30,7 @@ _LOOKED = 1 << 18  # samples that the noise of the deflection is held against th
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
 _CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion are not white
 _NARROWER = 0.8  # of a window, the next that is tried
+_FOLLOWED = 0.2  # periods a sample, up to which fast motion is followed
 _TAPER = 0.02  # of a recording at each end
 
 
@@ -38,7 +40,8 @@ class Window:
 
     slope, curvature: neighbours a side. step: s, the median between two samples. band: Hz, the excited band. noise:
     rad/s, the standard deviation of the slope's; of_deflection: rad, of the readings. count: rad, the smallest step
-    between two of these. low_pass: what is used in place of the polynomials where that noise would reach Kc or Bc.
+    between two of these. low_pass: what is used in place of the polynomials where that noise would reach Kc or Bc, as
+    noisy says, or where the joint moves faster than the narrowest of them follows.
     """
 
     slope: int
@@ -49,6 +52,7 @@ class Window:
     of_deflection: float
     count: float
     low_pass: LowPass | None = None
+    noisy: bool = False
 
     @property
     def widest(self) -> int:
@@ -113,12 +117,17 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     slope = best_of(slope, time[:_LOOKED], dtheta[:_LOOKED], of_deflection)
     found = Window(slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count)
     of_rate = _amplified(slope, step)
-    if not disturbs(read, found.of_deflection, found.of_deflection * of_rate):
+    noisy = disturbs(read, found.of_deflection, found.of_deflection * of_rate)
+    if not noisy and smoothed_away(slope, time[:_LOOKED], dtheta[:_LOOKED], of_deflection) <= _UNSEEN * hidden:
         return found
-    low_pass = low_pass_for(time, spectrum.above(of_deflection), min(slope, _NARROWEST))
+    highest = spectrum.above(of_deflection)
+    if not noisy:  # what goes on beyond is taken from torque and deflection alike, also where sampling has folded it
+        highest = max(spectrum.band[1], min(highest, _FOLLOWED / step))
+    low_pass = low_pass_for(time, highest, min(slope, _NARROWEST))
     if low_pass is None:
         return found
-    return replace(found, noise=float(low_pass.amplification()[1]) * found.of_deflection, low_pass=low_pass)
+    of_rate = float(low_pass.amplification()[1])
+    return replace(found, noise=of_rate * found.of_deflection, low_pass=low_pass, noisy=noisy)
 
 
 def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
@@ -148,6 +157,21 @@ def best_of(slope: int, time: Array, dtheta: Array, noise: float) -> int:
             break
         slope, rate = half, narrower
     return slope
+
+
+def smoothed_away(slope: int, time: Array, dtheta: Array, noise: float) -> float:
+    """Return the part of the rate, rad/s r.m.s., that a window of `slope` neighbours a side smooths away.
+
+    noise: rad, of the deflection (n,), which does not count. It is what the narrowest polynomial there is finds more.
+    """
+    step = float(np.median(np.diff(time)))
+    whole = _whole(time, slope, step)
+    if not whole.any():
+        return 0.0
+    more = (local_polynomial(time, dtheta, LEAST, 1) - local_polynomial(time, dtheta, slope, 1))[whole]
+    of_noise = noise**2 * (_amplified(LEAST, step) ** 2 - _amplified(slope, step) ** 2)
+    power = float(np.mean(more**2))
+    return float(np.sqrt(power - of_noise)) if power > 2.0 * of_noise else 0.0
 
 
 def hides_in_rate(rate: Array) -> float:

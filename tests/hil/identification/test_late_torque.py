@@ -59,7 +59,8 @@ def test_a_mean_that_is_named_is_a_warning(make_recording: Maker) -> None:
     assert found["Bc"].value == pytest.approx(BC, rel=0.03)
     (said,) = [one for one in found.diagnostics if one.code == "filtered-torque"]
     assert not said.is_error
-    assert "the torque is 8.99 ms late and a mean over 20 ms, 10 ticks" in said.message
+    assert found["window"].value == pytest.approx(20e-3, rel=0.03)
+    assert f"the torque is {1e3 * found['skew'].value:.3g} ms late and a mean over" in said.message
     assert "--model" not in said.message
 
 

@@ -8,7 +8,7 @@ from scipy.signal import butter, sosfilt
 
 from hil.recording.reader import Array
 from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passed_again
-from hil.signals.savitzky_golay import kernel
+from hil.signals.savitzky_golay import kernel, local_polynomial
 from hil.signals.windows import Spectrum, window_for, windows
 
 TIME = np.arange(5000) / 500.0
@@ -31,6 +31,17 @@ def test_a_sine_at_the_end_of_the_band_passes_with_its_slope_and_curvature() -> 
     assert np.mean(sound) > 0.9
     for order, (one, true) in enumerate(zip(found, of_sine(TIME), strict=True)):
         np.testing.assert_allclose(one[sound], true[sound], atol=1e-3 * SPEED**order)
+
+
+@pytest.mark.parametrize("highest", [12.0, 60.0, 120.0])
+def test_slope_and_curvature_are_those_of_the_value_however_short_the_low_pass_is(highest: float) -> None:
+    found = low_pass_for(TIME, highest, 6)
+    assert found is not None
+    for speed in 2.0 * np.pi * highest * np.array([0.02, 0.1, 0.5, 1.0]):
+        wave = np.exp(1j * speed * found.step * np.arange(found.half, -found.half - 1, -1))
+        value, slope, curvature = (found.kernels() @ wave).tolist()
+        assert slope / (1j * speed * value) == pytest.approx(1.0, abs=2e-4)
+        assert -curvature / (speed**2 * value) == pytest.approx(1.0, abs=2e-4)
 
 
 def test_uneven_stamps_and_lost_samples_change_nothing_that_matters() -> None:
@@ -101,6 +112,29 @@ def test_the_low_pass_leaves_the_motion_beyond_the_band_that_is_above_the_noise(
     assert window.low_pass is not None
     found, _, _ = window.moved(time, read)
     assert float(np.std((found - x)[window.sound(time)])) < count / np.sqrt(12.0)
+
+
+def test_torque_and_deflection_have_the_same_band_where_the_joint_moves_faster_than_any_window_follows() -> None:
+    """Noise behind three poles: its rate goes on beyond what 13 samples follow, and the torque shows it."""
+    rng = np.random.default_rng(3)
+    fine = sosfilt(butter(3, 8.0, fs=10000.0, output="sos"), rng.standard_normal(20 * len(TIME)))
+    angle = 0.2 * fine / np.abs(fine).max()
+    x, v = angle[::20], (np.gradient(angle) * 10000.0)[::20]
+    torque = 0.3 * x + 6e-3 * v
+    noise = 3e-3 * float(np.std(torque))
+    window = window_for(TIME, x, torque := torque + noise * rng.standard_normal(len(x)))
+    assert window.low_pass is not None
+    assert not window.noisy
+
+    def left(deflection: Array, rate: Array, torque: Array) -> float:
+        columns = np.stack([deflection, rate], axis=1)[window.sound(TIME)]
+        return float(
+            np.std(torque[window.sound(TIME)] - columns @ np.linalg.lstsq(columns, torque[window.sound(TIME)])[0])
+        )
+
+    assert left(x, local_polynomial(TIME, x, 6, 1), torque) > 1.5 * noise
+    value, rate, _ = window.moved(TIME, x)
+    assert left(value, rate, window.alike(TIME, torque)) < noise
 
 
 def test_readings_at_stamps_asked_for_again_pass_as_the_first_ones_do() -> None:
