@@ -97,8 +97,12 @@ class Spiked:
         self._servo.close()
 
 
-def simulated(case: Case, seed: int, path: Path) -> None:
-    """Record the case on the simulated stand. Raises RuntimeError where the run does not come to its end."""
+def simulated(case: Case, number: int, path: Path) -> None:
+    """Record the case on the simulated stand. Raises RuntimeError where the run does not come to its end.
+
+    Each case has noise of its own: one rare draw in all of them would count as often as there are cases.
+    """
+    seed = int(rng_of(case, number).integers(1 << 31))
     text = stand_text(case, simulated_tables(case))
     stand = parse(text)
     profile = make(
@@ -113,7 +117,7 @@ def simulated(case: Case, seed: int, path: Path) -> None:
     )
     servo, truth = open_servo(stand, seed=seed, realtime=False)
     if case.outliers:
-        servo = Spiked(servo, case.outliers, rng_of(case, seed))
+        servo = Spiked(servo, case.outliers, rng_of(case, number))
     header = Header(profile=profile.attributes() | {"rate": RATE}, stand_toml=text, truth=truth, seed=seed)
     try:
         with RecordingWriter(path, header, tick_count(profile, RATE)) as part:
@@ -122,7 +126,7 @@ def simulated(case: Case, seed: int, path: Path) -> None:
     finally:
         servo.close()
     if outcome.end_reason != "done":
-        raise RuntimeError(f"{case.name}, seed {seed}: the run ended with {outcome.end_reason}")
+        raise RuntimeError(f"{case.name}, seed {number}: the run ended with {outcome.end_reason}")
 
 
 def closed_form(case: Case, seed: int, path: Path) -> None:

@@ -2,10 +2,11 @@
 
 Model selection leaves out what is not significant, but no bench is without offset, drift, friction and skew: the
 interval given the selected model is too narrow. The average is over that model with and without those effects, and the
-terms without strong evidence for or against them. An offset and a skew are always there, the latter of a size that one
-recorder can produce, because the two readings of one tick never have quite the same age. Dry friction never turns at
-once: what holds it is about as stiff as the coupling, so that it builds up over some Fc/Kc (Dahl 1976), which stiffens
-small motion.
+terms without strong evidence for or against them. Of these, one that a bench seldom has, a spring that curves, weighs
+in the value as model selection judges it: noise often looks a little like a cubic spring, which moves Kc by far more
+than its error. An offset and a skew are always there, the latter of a size that one recorder can produce, because the
+two readings of one tick never have quite the same age. Dry friction never turns at once: what holds it is about as
+stiff as the coupling, so that it builds up over some Fc/Kc (Dahl 1976), which stiffens small motion.
 
 A spring that curves is selected with the curve that fits best, and no spring follows one of these curves exactly: the
 stiffness at zero deflection depends on which.
@@ -34,7 +35,7 @@ from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
 from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, TICK_SHARE
-from hil.uncertainty.model_average import average
+from hil.uncertainty.model_average import AKAIKE, average
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,11 @@ def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinea
     if not (choice.steps and isinstance(choice.model, CouplingModel)):
         return {}
     kept = replace(signals, motion=signals.motion.of(used), torque=signals.torque[used])
-    doubtful = [step.term for step in choice.steps if step.term in CONSIDERED and _is_doubtful(step)]
+    doubtful = {
+        step.term: AKAIKE if step.term in _BENCH else step.cost
+        for step in choice.steps
+        if step.term in CONSIDERED and _is_doubtful(step)
+    }
     selected = Alternative(choice.model, nonlinear, 0.0)
     found, criteria = [], []
     for one in (selected, *choice.alternatives):
@@ -94,9 +99,12 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
     return Averaged(value, float(np.sqrt(weights @ (errors**2 + (_NORMAL * (values - value)) ** 2))))
 
 
-def _around(model: Alternative, doubtful: Sequence[str], data: Signals) -> dict[str, Averaged]:
-    """Kc and Bc averaged over one model with and without the effects that every bench has; {} where none can be."""
-    largest = _largest(model, doubtful, data)
+def _around(model: Alternative, doubtful: Mapping[str, float], data: Signals) -> dict[str, Averaged]:
+    """Kc and Bc averaged over one model with and without the effects that every bench has; {} where none can be.
+
+    doubtful: the terms that the data do not decide on, and the cost of each.
+    """
+    largest = _largest(model, tuple(doubtful), data)
     if largest is None or not _contains(largest, model, data):
         return {}
     added, names, sampling = largest.added, largest.names, largest.sampling
@@ -105,11 +113,11 @@ def _around(model: Alternative, doubtful: Sequence[str], data: Signals) -> dict[
         likely[1, names.index("skew")] = TICK_SHARE * float(np.median(np.diff(data.motion.time)))
     if _PRESLIDING in names:
         likely[:, names.index(_PRESLIDING)] = 1.0
-    optional = {name for term in (*added, *doubtful) if term not in _ALWAYS for name in _own(term)}
+    costs = {name: cost for term, cost in _costs(added, doubtful).items() for name in _own(term)}
     found = average(
         largest.values,
         sampling.matrix,
-        [at for at, name in enumerate(names) if name in optional],
+        {at: costs[name] for at, name in enumerate(names) if name in costs},
         [at for at, name in enumerate(names) if name in PARAMETERS and PARAMETERS[name].positive],
         likely,
     )
@@ -120,6 +128,16 @@ def _around(model: Alternative, doubtful: Sequence[str], data: Signals) -> dict[
         for at, name in enumerate(names)
         if name in COUPLING
     }
+
+
+def _costs(added: Sequence[str], doubtful: Mapping[str, float]) -> dict[str, float]:
+    """The cost of each term that a model may do without: those added, and those that the data do not decide on.
+
+    Where they do not decide whether the spring curves at all, no other curve is likelier than the one in doubt.
+    """
+    curving = max((cost for term, cost in doubtful.items() if term in _CURVES), default=AKAIKE)
+    found = {term: curving if term in _CURVES else AKAIKE for term in added if term not in _ALWAYS}
+    return found | dict(doubtful)
 
 
 @dataclass(frozen=True, eq=False)

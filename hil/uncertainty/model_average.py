@@ -2,27 +2,36 @@
 
 All models are contained in one, the largest. Leaving some of its parameters out moves the others by what the sampling
 covariance says, to first order, and costs the likelihood their Wald statistic (Hjort and Claeskens 2003), so that one
-fit gives every model. The models are weighted by Akaike's criterion, and the variance of the average is the mean of
-theirs plus that of their estimates (Buckland, Burnham and Augustin 1997; Burnham and Anderson 2004).
+fit gives every model. The variance of the average is the mean of theirs plus that of their estimates (Buckland, Burnham
+and Augustin 1997; Burnham and Anderson 2004).
+
+In the value a parameter weighs by its odds, those by which it would be selected: by Akaike's criterion the value would
+follow noise that looks a little like a parameter which is seldom there. But it may be there, small, and the interval
+must hold what it changes: the variance is about that value, with the weights of Akaike's criterion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+AKAIKE: Final = 2.0
+"""The cost of a parameter in Akaike's criterion: that of one which is as a rule there."""
+
 
 @dataclass(frozen=True, eq=False)
 class Average:
     """The averages of the parameters (p,) and their standard errors (p,), in their units.
 
-    left_out: for each model the numbers of the parameters that it does without; weights: of the models, of sum one.
+    left_out: for each model the numbers of the parameters that it does without; weights: of the models for the values,
+    of sum one.
     """
 
     values: Array
@@ -32,13 +41,15 @@ class Average:
 
 
 def average(
-    values: Array, covariance: Array, doubtful: Sequence[int], positive: Sequence[int], likely: Array
+    values: Array, covariance: Array, costs: Mapping[int, float], positive: Sequence[int], likely: Array
 ) -> Average | None:
     """Return the average over all models with and without the doubtful parameters; None where none is possible.
 
-    values (p,) and covariance (p, p): of the model with all of them. positive: parameters of which a negative estimate
-    makes a model impossible. likely (2, p): what a parameter is likely to be, and one standard deviation of that,
-    infinite where nothing is known: where the data say less, this does (ridge regression).
+    values (p,) and covariance (p, p): of the model with all of them. costs: of each doubtful parameter, by its number,
+    how far it must raise twice the log likelihood for a model with it to be as likely as one without. positive:
+    parameters of which a negative estimate makes a model impossible. likely (2, p): what a parameter is likely to be,
+    and one standard deviation of that, infinite where nothing is known: where the data say less, this does (ridge
+    regression).
     """
     size = np.sqrt(np.diag(covariance))
     if not (np.isfinite(size).all() and (size > 0.0).all()):
@@ -47,20 +58,26 @@ def average(
         values / size, covariance / np.outer(size, size), likely[0] / size, size / likely[1]
     )
     found = []
-    for count in range(len(doubtful) + 1):
-        for left_out in combinations(doubtful, count):
+    for count in range(len(costs) + 1):
+        for left_out in combinations(costs, count):
             estimates, variances, fall = _without(values, covariance, list(left_out))
             if all(estimates[at] >= 0.0 for at in positive if at not in left_out):
-                found.append((left_out, estimates, variances, fall - 2.0 * count))
+                found.append((left_out, estimates, variances, fall))
     if not found:
         return None
-    criteria = np.array([one[3] for one in found])
-    weights = np.exp(-0.5 * (criteria - criteria.min()))
-    weights /= weights.sum()
-    each = np.array([one[1] for one in found])
+    left, falls = tuple(one[0] for one in found), np.array([one[3] for one in found])
+    each, weights = np.array([one[1] for one in found]), _weights(falls, left, costs)
     mean = weights @ each
-    variance = weights @ (np.array([one[2] for one in found]) + (each - mean) ** 2)
-    return Average(mean * size, np.sqrt(variance) * size, tuple(one[0] for one in found), weights)
+    spread = _weights(falls, left, dict.fromkeys(costs, AKAIKE))
+    variance = spread @ (np.array([one[2] for one in found]) + (each - mean) ** 2)
+    return Average(mean * size, np.sqrt(variance) * size, left, weights)
+
+
+def _weights(falls: Array, left_out: Sequence[Sequence[int]], costs: Mapping[int, float]) -> Array:
+    """The weights (m,) of models, of sum one, by the fall of twice their log likelihood and what leaving out saves."""
+    criteria = falls - np.array([sum(costs[at] for at in one) for one in left_out])
+    weights = np.exp(-0.5 * (criteria - criteria.min()))
+    return np.asarray(weights / weights.sum())
 
 
 def _penalised(values: Array, covariance: Array, centres: Array, precision: Array) -> tuple[Array, Array]:

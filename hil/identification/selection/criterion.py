@@ -73,7 +73,12 @@ class Criterion:
 
     def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
         """Return the gain beyond chance of the term that the larger model has and the smaller has not."""
-        return self._gain(self.ratio(smaller, larger), len(self.signs), self.correlation(larger, term), term)
+        return self.weighed(smaller, larger, term)[0]
+
+    def weighed(self, smaller: Candidate, larger: Candidate, term: str) -> tuple[float, float]:
+        """Return the gain of a term, and its cost: what of the likelihood ratio is no gain, twice the log odds."""
+        alike, count = self.correlation(larger, term), len(self.signs)
+        return self._gain(self.ratio(smaller, larger), count, alike, term), self._cost(count, alike, term)
 
     def ratio(self, one: Candidate, other: Candidate) -> float:
         """Return twice by how much the other model's logarithmic likelihood is higher, for independent residuals."""
@@ -107,8 +112,11 @@ class Criterion:
 
     def _gain(self, ratio: float, count: float, alike: float, term: str) -> float:
         """The gain of a term by the likelihood ratio of so many samples, alike: their factor of correlation."""
-        chosen_from = np.log(self.choices)  # their gamma of 1/2
-        return float(ratio / alike - len(own(term)) * np.log(max(count / alike, math.e)) - chosen_from)
+        return ratio / alike - self._cost(count, alike, term)
+
+    def _cost(self, count: float, alike: float, term: str) -> float:
+        chosen_from = math.log(self.choices)  # their gamma of 1/2
+        return len(own(term)) * math.log(max(count / alike, math.e)) + chosen_from
 
     def _pays_where_smooth(self, smaller: Candidate, larger: Candidate, term: str) -> bool:
         """Whether a linear term pays without the samples in which the rate is wrong too: those make a cubic."""

@@ -33,7 +33,8 @@ class Step:
 
     fitness: N m, of all samples; held_out: N m, of blocks that the fit did not see. gain: by how much the criterion
     falls for `term`, in units in which chance gives less than zero; NaN for the first. Kc, Bc: SI. included: whether
-    the term is in the model selected, or was rejected.
+    the term is in the model selected, or was rejected. cost: twice the logarithm of the odds against the term before
+    the data are seen.
     """
 
     model: str
@@ -44,6 +45,7 @@ class Step:
     Kc: float
     Bc: float
     included: bool
+    cost: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,13 +130,13 @@ class _Steps:
     def to(self, chosen: Candidate) -> tuple[Step, ...]:
         """Return the steps up to the chosen model, then one with each rejected term on top of it."""
         nested = [self.fits.candidate(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
-        found = [_step(nested[0], float("nan"), included=True)]
-        found += [_step(b, self.criterion.gain(a, b, b.terms[-1]), included=True) for a, b in pairwise(nested)]
+        found = [_step(nested[0], (float("nan"), float("nan")), included=True)]
+        found += [_step(b, self.criterion.weighed(a, b, b.terms[-1]), included=True) for a, b in pairwise(nested)]
         for term in self.considered:
             seen = self.fits.preview((*chosen.terms, term)) if is_addable(term, chosen.terms) else None
             if seen is not None and seen.fitness < _RIVAL * chosen.fit.fitness:
                 more = self.fits.candidate((*chosen.terms, term), beside=chosen)
-                found.append(_step(more, self.criterion.gain(chosen, more, term), included=False))
+                found.append(_step(more, self.criterion.weighed(chosen, more, term), included=False))
         return tuple(found)
 
     def _larger(self, smaller: Candidate) -> Candidate | None:
@@ -218,7 +220,8 @@ def _selection(
     return Selection(model, steps, residuals, columns, chosen.fit.values, delay, alternatives)
 
 
-def _step(fitted: Candidate, gain: float, *, included: bool) -> Step:
+def _step(fitted: Candidate, weighed: tuple[float, float], *, included: bool) -> Step:
+    gain, cost = weighed
     return Step(
         fitted.model.name,
         fitted.terms[-1],
@@ -228,4 +231,5 @@ def _step(fitted: Candidate, gain: float, *, included: bool) -> Step:
         fitted.stiffness,
         fitted.damping,
         included,
+        cost,
     )

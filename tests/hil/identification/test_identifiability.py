@@ -25,7 +25,7 @@ SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, boun
 
 
 def step(term: str, bc: float, gain: float = -5.0, *, included: bool = False) -> Step:
-    return Step(f"linear+{term}", term, 1e-4, 1e-4, gain, 0.02, bc, included)
+    return Step(f"linear+{term}", term, 1e-4, 1e-4, gain, 0.02, bc, included, 11.0)
 
 
 def estimate(name: str, value: float, half: float) -> Estimate:
