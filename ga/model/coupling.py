@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from ga.model.trajectory import Motion, Rows
+    from ga.model.trajectory import Motion
 
     Array = NDArray[np.float64]
 
@@ -45,6 +45,35 @@ where friction slides, for 1.3 % of softness takes as much off Bc."""
 STEP: Final = 1e-4
 SMALLEST: Final = 1e-3
 """A difference is taken over this part of a nonlinear parameter, or of this much, SI, where it is less."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A motion (n,) as the torque reading saw it: of all samples where a cell follows, else of those asked for.
+
+    near: its regressors. whole: those of all samples, where a term's torque depends on other samples too.
+    """
+
+    motion: Motion
+    near: Regressors
+    whole: Regressors
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether no term needs samples beside those of the motion."""
+        return self.whole is self.near
+
+    def passed(self, column: Array, *, bends: bool) -> Array:
+        """Return a column (m,) of all samples at those of the motion, (n,), behind what the torque went through."""
+        whole, rows = self.motion.whole
+        if bends and self.motion.behind is not None:
+            return whole.filtered(column, rows)
+        return column if self.is_whole else column[rows]
+
+    def changing(self, delay: float) -> tuple[Motion, Motion]:
+        """Return how fast both motions change, per second."""
+        near = self.motion.changing(delay)
+        return near, near if self.is_whole else self.motion.whole[0].changing(delay)
 
 
 @dataclass(frozen=True)
@@ -101,10 +130,9 @@ class CouplingModel:
         beyond = any(term.remaining is not None or term.contact is not None for term in self.terms)
         return tuple(term.bends or (beyond and term.pushed is not None) for term in self.terms)
 
-    @property
-    def remembers(self) -> bool:
-        """Whether the torque depends on other samples too."""
-        return any(term.forgets is not None or term.cell is not None for term in self.terms)
+    @cached_property
+    def _has_cell(self) -> bool:
+        return any(term.cell is not None for term in self.terms)
 
     def anchored(self, motion: Motion) -> CouplingModel:
         """Return the model with origin and slowest rate of this motion, so that it is one model for every part of it.
@@ -141,21 +169,18 @@ class CouplingModel:
         lag: Bc/Kc, s, which decides when flanks that can only push part.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
-        whole, rows = model._needed(motion)
-        seen = whole.delayed(model.delay(nonlinear))
-        stacked = model._stacked(model._regressors(whole, seen, nonlinear, lag), rows, nonlinear)
-        return model._known(whole, rows, model._behind_cell(whole, rows, stacked, nonlinear), nonlinear)
+        seen = model._seen(motion, nonlinear, lag)
+        return model._read(motion, model._stacked(seen, nonlinear), nonlinear)
 
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
         """Return what the columns are to make up, (n,) N m: the torque (n,) without what is known of it.
 
         Where the model remembers, neither has the part that the unknown state at the beginning of a stretch can make.
         """
-        whole, rows = self._needed(motion)
-        if whole.known.any():
-            known = whole.delayed(self.delay(nonlinear)).known[self._before_cell(rows)]
-            torque = torque - self._behind_cell(whole, rows, known, nonlinear)
-        return self._known(whole, rows, torque, nonlinear)
+        if motion.whole[0].known.any():
+            seen = motion.whole[0] if self._has_cell else motion
+            torque = torque - self._behind_cell(motion, seen.delayed(self.delay(nonlinear)).known, nonlinear)
+        return self._known(motion, torque, nonlinear)
 
     def jacobian(
         self, motion: Motion, nonlinear: Array, genes: Array, lag: float = 0.0, *, changing: Motion | None = None
@@ -166,26 +191,21 @@ class CouplingModel:
         jumps, and where the joint turns, its friction; what that adds at single samples is left out.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
-        whole, rows = model._needed(motion)
-        seen = whole.delayed(model.delay(nonlinear))
-        regressors = model._regressors(whole, seen, nonlinear, lag)
+        seen = model._seen(motion, nonlinear, lag)
         found: list[Array] = []
         for term, values in model._valued(nonlinear):
             if term.delays:
-                rates = whole.changing(self.delay(nonlinear)) if changing is None else changing
-                known = rates.known[model._before_cell(rows)]
-                aged = -(model._stacked(regressors, rows, nonlinear, rates) @ genes + known)
-                found.append(model._known(whole, rows, model._behind_cell(whole, rows, aged, nonlinear), nonlinear))
+                rates = seen.changing(self.delay(nonlinear)) if changing is None else (changing, changing)
+                aged = -(model._stacked(seen, nonlinear, rates) @ genes + rates[0].known)
+                found.append(model._read(motion, aged, nonlinear))
             elif term.shifts is not None:
-                for shift in term.shifts(regressors.angle):
-                    pushed = -model._pushed(regressors, nonlinear, genes, shift * regressors.contact)
-                    pushed = whole.filtered(pushed, model._before_cell(rows))
-                    behind = model._behind_cell(whole, rows, pushed, nonlinear)
-                    found.append(model._known(whole, rows, behind, nonlinear))
+                for shift in term.shifts(seen.whole.angle):
+                    pushed = -model._pushed(seen.whole, nonlinear, genes, shift * seen.whole.contact)
+                    found.append(model._read(motion, seen.passed(pushed, bends=True), nonlinear))
             else:
                 for _ in values:
                     ends = model._beside(nonlinear, len(found))
-                    low, high = (model._torque(whole, rows, seen, end, genes, lag=lag) for end in ends)
+                    low, high = (model._torque(motion, seen, end, genes, lag=lag) for end in ends)
                     found.append((high - low) / (ends[1] - ends[0])[len(found)])
         return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
 
@@ -197,20 +217,11 @@ class CouplingModel:
         beside[:, at] = np.maximum(ends, 0.0) if self.nonlinear[at].positive else ends
         return beside
 
-    def _torque(
-        self,
-        motion: Motion,
-        rows: Rows,
-        seen: Motion,
-        nonlinear: Array,
-        genes: Array,
-        *,
-        lag: float,
-    ) -> Array:
-        """The torque (m,), N m, of some rows, for a motion seen with its delay, without what the beginnings make."""
-        stacked = self._stacked(self._regressors(motion, seen, nonlinear, lag), rows, nonlinear)
-        torque = stacked @ genes + seen.known[self._before_cell(rows)]
-        return self._known(motion, rows, self._behind_cell(motion, rows, torque, nonlinear), nonlinear)
+    def _torque(self, motion: Motion, seen: _Seen, nonlinear: Array, genes: Array, *, lag: float) -> Array:
+        """The torque (n,), N m, of a motion seen with its delay, without what the beginnings make."""
+        moved = self._seen(motion, nonlinear, lag, seen)
+        torque = self._stacked(moved, nonlinear) @ genes + moved.near.motion.known
+        return self._read(motion, torque, nonlinear)
 
     def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]:
         """Return low (q,) and high (q,) of the nonlinear parameters, for motion up to `highest` Hz."""
@@ -231,26 +242,38 @@ class CouplingModel:
         """Each term that has nonlinear parameters, with its own of these (q,)."""
         return [] if nonlinear is None else [(term, nonlinear[own]) for term, own in self._places]
 
-    def _needed(self, motion: Motion) -> tuple[Motion, Rows]:
-        """The samples that the torque is computed of, and the rows that the motion is of these."""
-        is_filtered = motion.behind is not None and any(self.bends)
-        return motion.whole if self.remembers or is_filtered else (motion, slice(None))
+    def _seen(self, motion: Motion, nonlinear: Array | None, lag: float, delayed: _Seen | None = None) -> _Seen:
+        """The regressors; delayed: those of other parameters with the same delay."""
+        whole, delay = motion.whole[0], self.delay(nonlinear)
+        motion = whole if self._has_cell else motion
+        shown = delayed.near.motion if delayed else motion.delayed(delay)
+        near = self._regressors(motion, shown, nonlinear, lag)
+        reach = (_reaches(motion, term, bends=bends) for term, bends in zip(self.terms, self.bends, strict=True))
+        if motion is whole or not any(reach):
+            return _Seen(motion, near, near)
+        shown = delayed.whole.motion if delayed else whole.delayed(delay)
+        return _Seen(motion, near, self._regressors(whole, shown, nonlinear, lag))
 
-    def _before_cell(self, rows: Rows) -> Rows:
-        """The rows in front of the torque cell, which remembers, that some rows behind it need."""
-        return slice(None) if any(term.cell is not None for term in self.terms) else rows
+    def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
+        """What a torque (m,) or columns (m, p) of it become behind the torque cell, at the samples of the motion (n,).
 
-    def _behind_cell(self, motion: Motion, rows: Rows, torque: Array, nonlinear: Array | None) -> Array:
-        """What a torque or columns of it, of `_before_cell(rows)`, become behind the torque cell: (m,) or (m, p)."""
+        Where there is a cell, they are of all samples.
+        """
+        whole, rows = motion.whole
         for term, values in self._valued(nonlinear):
-            torque = torque if term.cell is None else term.cell(motion, torque, values)
-        return torque if self._before_cell(rows) is rows else torque[rows]
+            torque = torque if term.cell is None else term.cell(whole, torque, values)
+        return torque[rows] if self._has_cell else torque
 
-    def _known(self, motion: Motion, rows: Rows, values: Array, nonlinear: Array | None) -> Array:
-        """Values (m,) or (m, p) of some rows without what the unknown state at the beginning of a stretch can make."""
+    def _read(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
+        """A torque (m,) or columns (m, p) of it as they are read, (n,) or (n, p), as far as they are known."""
+        return self._known(motion, self._behind_cell(motion, torque, nonlinear), nonlinear)
+
+    def _known(self, motion: Motion, values: Array, nonlinear: Array | None) -> Array:
+        """Values (n,) or (n, p) without what the unknown state at the beginning of a stretch can make."""
+        whole, rows = motion.whole
         valued = self._valued(nonlinear)
-        left = [term.forgets(motion, own)[rows] for term, own in valued if term.forgets is not None]
-        return without_beginnings(values, np.stack(left, axis=1), motion.stretch[rows]) if left else values
+        left = [term.forgets(whole, own)[rows] for term, own in valued if term.forgets is not None]
+        return without_beginnings(values, np.stack(left), whole.stretch[rows]) if left else values
 
     def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
         """The motion, seen as it was the delay before, beyond the gap or slack."""
@@ -265,38 +288,41 @@ class CouplingModel:
         elapsed = motion.time - (self.origin or 0.0)
         return Regressors(elapsed, seen, angle, contact, smoothing, self.middle or 0.0, np.empty(0))
 
-    def _own(self, regressors: Regressors, nonlinear: Array | None) -> Iterator[tuple[Term, Regressors]]:
-        """Each term with the regressors for it; without nonlinear parameters only those that have none."""
+    def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
+        """Each term, whether it bends, and its own of the parameters (q,); without them only those that have none."""
         valued = {term.name: values for term, values in self._valued(nonlinear)}
-        for term in self.terms:
+        for term, bends in zip(self.terms, self.bends, strict=True):
             if term.linear or nonlinear is not None:
-                yield term, replace(regressors, own=valued[term.name]) if term.name in valued else regressors
+                yield term, bends, valued.get(term.name, np.empty(0))
 
     def _pushed(self, regressors: Regressors, nonlinear: Array | None, genes: Array, moved: Array) -> Array:
         """How the torque, N m, changes where the deflection changes by `moved` (n,) rad, for genes (p,)."""
         parts, at = [], 0
-        for term, own in self._own(regressors, nonlinear):
+        for term, _, own in self._present(nonlinear):
             count = sum(not parameter.nonlinear for parameter in term.parameters)
             if term.pushed is not None:
-                parts.append(term.pushed(own, genes[at : at + count], moved))
+                parts.append(term.pushed(replace(regressors, own=own), genes[at : at + count], moved))
             at += count
         return np.asarray(sum(parts[1:], start=parts[0]))
 
-    def _stacked(
-        self, regressors: Regressors, rows: Rows, nonlinear: Array | None, changing: Motion | None = None
-    ) -> Array:
-        """The columns, or how fast they change in time, of `_before_cell(rows)`."""
+    def _stacked(self, seen: _Seen, nonlinear: Array | None, changing: tuple[Motion, Motion] | None = None) -> Array:
+        """The columns, or how fast they change in time."""
         columns: list[Array] = []
-        first = self._before_cell(rows)
-        bends = dict(zip((term.name for term in self.terms), self.bends, strict=True))
-        for term, own in self._own(regressors, nonlinear):
+        for term, bends, values in self._present(nonlinear):
+            reaches = _reaches(seen.motion, term, bends=bends)
+            own = replace(seen.whole if reaches else seen.near, own=values)
             found: tuple[Array, ...] = ()
             if term.columns is not None and changing is None:
                 found = term.columns(own)
             elif term.rates is not None and changing is not None:
-                found = term.rates(own, changing)
-            columns += [regressors.motion.filtered(of, first) if bends[term.name] else of[first] for of in found]
+                found = term.rates(own, changing[reaches])
+            columns += [seen.passed(column, bends=bends) for column in found] if reaches else found
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
+
+
+def _reaches(motion: Motion, term: Term, *, bends: bool) -> bool:
+    """Whether a term's torque depends on other samples: its own state remembers, or it passes a filter with them."""
+    return term.forgets is not None or (bends and motion.behind is not None)
 
 
 def parse(name: str) -> CouplingModel:

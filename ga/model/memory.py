@@ -18,6 +18,9 @@ _FORGOTTEN: Final = 1e-6
 """Part of a state that makes no difference any more."""
 
 
+_SAME: Final = 1e-9
+"""Of the time between two samples: what makes a difference in proportion to it only."""
+
 _AT_ONCE: Final = 1e-6
 """s: the mean over less is the value."""
 
@@ -72,16 +75,16 @@ def yielding(time: Array, rate: Array, length: float) -> Array:
 
 
 def without_beginnings(values: Array, left: Array, stretch: NDArray[np.int64]) -> Array:
-    """Return values (n,) or (n, p) without what is in proportion to each of `left` (n, k) within each stretch.
+    """Return values (n,) or (n, p) without what is in proportion to each of `left` (k, n) within each stretch.
 
     left: how much of the state that the stretch began with is left at each sample. By the theorem of Frisch and Waugh
     (1933), a least-squares fit of what is returned is the fit in which these states are parameters.
     """
     found = values.copy()
-    near = np.flatnonzero(left.max(axis=1) > _FORGOTTEN)
+    near = np.flatnonzero(left.max(axis=0) > _FORGOTTEN)
     for number in np.unique(stretch[near]).tolist():
         rows = near[stretch[near] == number]
-        basis = _orthonormal(left[rows])
+        basis = _orthonormal(left[:, rows].T)
         found[rows] -= basis @ (basis.T @ found[rows])
     return found
 
@@ -110,15 +113,14 @@ def lag_behind(time: Array, table: Array, constant: float, found: Array, chord: 
     Element by element: to copy a row takes two seconds to compile, because what it could raise is compiled too.
     """
     count, width = table.shape
+    last = same = 0.0
     for at in range(count - 1):
         step = time[at + 1] - time[at]
         following = time[at + 2] - time[at + 1] if at + 2 < count else step
-        keep, part, per_part, per_following = (
-            np.exp(-step / constant),
-            constant / step,
-            step / constant,
-            1.0 / following,
-        )
+        part, per_part, per_following = constant / step, step / constant, 1.0 / following
+        if abs(step - last) > _SAME * step:  # exp takes most of the time, and even stamps differ by rounding
+            last, same = step, np.exp(-step / constant)
+        keep = same * (1.0 - (step - last) / constant)
         share = following / (step + following)
         for k in range(width):
             beyond = (table[at + 2, k] - table[at + 1, k]) * per_following if at + 2 < count else chord[k]

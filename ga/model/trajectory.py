@@ -24,6 +24,9 @@ class Filter(Protocol):
     def alike(self, time: Array, values: Array, rows: Rows) -> Array: ...  # noqa: D102
 
 
+_FORGOTTEN: Final = 30.0
+"""Times its constant, after which nothing is left of a state to all digits that matter."""
+
 _PARTS: Final = ("dtheta", "dtheta_dot", "dtheta_ddot", "known")
 
 
@@ -162,10 +165,13 @@ class Motion:
 
         constant: in the clock's unit, after which 1/e is left; 0: one sample.
         """
-        firsts = np.asarray(self.starts)[self.stretch]
-        elapsed = clock - clock[firsts]
-        left = np.exp(-elapsed / constant) if constant > 0.0 else np.arange(len(self)) == firsts
-        return np.asarray(left, dtype=np.float64)
+        firsts = np.asarray(self.starts)[self.stretch] if len(self.starts) > 1 else 0
+        if not constant > 0.0:
+            return np.asarray(np.arange(len(self)) == firsts, dtype=np.float64)
+        left, elapsed = np.zeros(len(self)), clock - clock[firsts]
+        near = elapsed < _FORGOTTEN * constant
+        left[near] = np.exp(-elapsed[near] / constant)
+        return left
 
     @cached_property
     def travelled(self) -> Array:

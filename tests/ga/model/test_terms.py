@@ -47,7 +47,7 @@ def test_every_term_names_its_parameters_with_their_units_in_the_order_of_the_co
     assert columns.shape == (401, 7)
     assert np.array_equal(columns[:, 2], np.ones(401))
     assert np.array_equal(columns[:, 3], TIME - TIME[0])
-    assert np.array_equal(columns[:, 5], DTHETA**3)
+    assert columns[:, 5] == pytest.approx(DTHETA**3, rel=1e-14)
     assert np.array_equal(columns[:, 6], ACCELERATION)
 
 
