@@ -177,10 +177,11 @@ def _value(time: Array, values: Array, low_pass: LowPass, rows: Rows) -> Array:
 
 def _filtered(even: Array, low_pass: LowPass, kernels: Array) -> Array:
     """Readings at even times behind each kernel."""
-    from scipy.signal import oaconvolve
-
     padded = np.pad(even - even[0], low_pass.half, mode="edge")
-    found = np.array([oaconvolve(padded, kernel, mode="valid") for kernel in kernels])
+    # scipy.signal would cost half a second of start-up; what goes around the end is before the first of what is kept
+    size = 1 << int(np.ceil(np.log2(len(padded))))
+    spectra = np.fft.rfft(padded, size) * np.fft.rfft(kernels, size)
+    found = np.fft.irfft(spectra, size)[:, 2 * low_pass.half : len(padded)]
     found[0] += even[0]
     return found
 
@@ -219,7 +220,7 @@ def _weights(stamps: bytes, low_pass: LowPass) -> csr_array:
     return csr_array(back[0] + back[1])
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _weights_of(stamps: bytes, low_pass: LowPass, rows: bytes) -> csr_array:
     """Return some rows of the weights: each costs as much as a value has neighbours."""
     return _weights(stamps, low_pass)[np.frombuffer(rows, dtype=np.int64)]

@@ -9,7 +9,7 @@ the corner between two lines is a reading, with its time.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,8 +208,6 @@ def _tolerance(values: Array, count: float) -> float:
 
 def _is_joined(time: Array, values: Array, count: float) -> bool:
     """Whether straight lines of a few samples each make up the channel, also where it bends sharply between them."""
-    from scipy.ndimage import maximum_filter1d
-
     if (np.diff(time) <= 0.0).any():
         return False
     bends, tolerance = _bends(time, values), _tolerance(values, count)
@@ -226,13 +224,19 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
         return False
     usual = int(np.median(runs[:, 1] - runs[:, 0]))
     # between lines of four samples there is but a corner; a smooth motion is straight where it turns the other way
-    if usual > 2 and not _mostly(maximum_filter1d(on, _CORNER)[moves & ~on]):
+    if usual > 2 and not _mostly(_largest_near(on, _CORNER // 2)[moves & ~on]):
         return False
     reach = 2 * usual
     # a smooth motion hardly bends beside a sample where it does not
-    sharp = maximum_filter1d(np.where(np.isfinite(bends), bends, 0.0), 2 * reach + 1) > _SHARP * tolerance
+    sharp = _largest_near(np.where(np.isfinite(bends), bends, 0.0), reach) > _SHARP * tolerance
     least = max(_LINES[0], _BEYOND_CHANCE * by_chance)
     return least <= float(np.mean(on & sharp)) and float(np.mean(on)) <= _LINES[1] and _mostly(sharp[on])
+
+
+def _largest_near(values: NDArray[Any], reach: int) -> NDArray[Any]:
+    """The largest (n,) of each value and of `reach` neighbours a side; scipy.ndimage takes longer to import."""
+    around = np.pad(values, reach, mode="edge")
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1).max(axis=1))
 
 
 def _mostly(where: NDArray[np.bool_]) -> bool:

@@ -15,6 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.memory import slide_along
+
 Array = NDArray[np.float64]
 
 _CONSTANTS: Final = (0.003, 0.01, 0.03, 0.1, 0.3)  # s, of a Maxwell branch
@@ -114,12 +116,9 @@ class Recorded:
         """Return the friction of Dahl (1976), -1 to 1, that is reached over `length` rad after a reversal."""
         moves = np.diff(self.time, prepend=self.time[0]) * self.rate
         moves[list(self.starts)] = 0.0
-        keeps, ends = np.exp(-np.abs(moves) / length), np.sign(moves)
-        state, found = 0.0, []
-        for keep, end in zip(keeps.tolist(), ends.tolist(), strict=True):
-            state = end + (state - end) * keep
-            found.append(state)
-        return np.array(found)
+        keep, found = np.exp(-np.abs(moves[1:]) / length), np.zeros(len(self))
+        slide_along(keep, (1.0 - keep) * np.sign(moves[1:]), found)
+        return found
 
     def sign(self) -> Array:
         """Return the sign of the rate, rounded where it is slow."""
