@@ -173,7 +173,7 @@ class Gate:
                 self.live = False
                 return
         kind = LinkLost if isinstance(reason, LinkLost) else DriverError
-        raise kind(f"torque-off is not confirmed ({reason}): the motor may be live; cut the drive's power")
+        raise kind(f"torque-off is not confirmed ({reason}): the motor may be live; cut the drive's power") from reason
 
     def close(self, restore: Callable[[], None] | None = None) -> None:
         """Request torque-off, `restore` what was changed in the device, and close the link. Never raises DriverError.

@@ -55,7 +55,10 @@ class TorqueOff(NamedTuple):
     @property
     def alarm(self) -> str:
         """The message for people to read first; "" where the torque is off."""
-        return "" if self.confirmed else f"CUT THE POWER: the torque-off is not confirmed ({self.error})"
+        if self.confirmed:
+            return ""
+        reason = self.error.__cause__ if self.error is not None and self.error.__cause__ else self.error
+        return f"CUT THE POWER: the torque-off is not confirmed ({reason})"
 
 
 def confirm_torque_off(servo: Servo, driven: Driven | None = None) -> TorqueOff:

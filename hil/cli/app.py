@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import signal
@@ -178,6 +179,9 @@ def _status_of(error: Exception) -> int:
         return LIMIT_REACHED
     if isinstance(error, DriverError):
         return STAND_FAILED
+    if isinstance(error, OSError) and error.errno in {errno.EMFILE, errno.ENFILE, errno.ENOMEM}:
+        say("this computer gives hil no more of that: close other programs, or raise the limit (ulimit -n, ulimit -v)")
+        return WRONG_USE
     if not isinstance(error, Untrustworthy):
         say("this is a fault in hil itself: run the command again with --debug and report the output")
     return UNTRUSTWORTHY

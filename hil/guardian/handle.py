@@ -8,13 +8,12 @@ import math
 import os
 import select
 import subprocess
-import time
 from dataclasses import asdict
 
 from drivers.off_path import OffPath
 from drivers.servo import DriverError
 from hil.child import command
-from hil.guardian.words import Reason, Word, new_words
+from hil.guardian.words import Reason, Word, new_words, now
 
 _START = 20.0  # s until it must be ready; a fraction of a second is usual
 _FROZEN = 0.5  # s without its own sign of life
@@ -22,7 +21,10 @@ _END = 2.0  # s that it may take to end
 
 _FIRED = {
     Reason.STOPPED: "hil was stopped (SIGSTOP, a debugger)",
-    Reason.LATE: "hil gave no sign of life for {silence:.0f} ms: lower --rate, or free the computer of other work",
+    Reason.LATE: (
+        "hil gave no sign of life for {silence:.0f} ms: lower --rate, free the computer of other work, and do not "
+        "suspend it"
+    ),
     Reason.TOO_LONG: "the run lasted longer than its profile",
     Reason.ASKED: "the drive did not confirm torque-off",
 }
@@ -96,15 +98,15 @@ class Guardian:
 
     def beat(self, takes: float = 0.0) -> None:
         """Give a sign of life; the next one is due within `silence`, and the `takes` s of what is done first."""
-        self._words[Word.DUE] = time.monotonic_ns() + self._silence + int(takes * 1e9)
+        self._words[Word.DUE] = now() + self._silence + int(takes * 1e9)
 
     def expect(self, seconds: float) -> None:
         """Let the next sign of life be due in `seconds` s; infinity: not at all, while the torque is off."""
-        self._words[Word.DUE] = time.monotonic_ns() + int(seconds * 1e9) if math.isfinite(seconds) else 0
+        self._words[Word.DUE] = now() + int(seconds * 1e9) if math.isfinite(seconds) else 0
 
     def limit(self, seconds: float) -> None:
         """Let the torque be off in `seconds` s in any case; infinity: no limit."""
-        self._words[Word.LATEST] = time.monotonic_ns() + int(seconds * 1e9) if math.isfinite(seconds) else 0
+        self._words[Word.LATEST] = now() + int(seconds * 1e9) if math.isfinite(seconds) else 0
 
     @property
     def fired(self) -> bool:
@@ -119,10 +121,14 @@ class Guardian:
                 f"the guardian switched the torque off: {_FIRED[Reason(fired)].format(silence=self._silence * 1e-6)}"
             )
         status = self._process.poll()
-        since = (time.monotonic_ns() - self._words[Word.ALIVE]) * 1e-9
+        since = (now() - self._words[Word.ALIVE]) * 1e-9
         if status is None and (since < _FROZEN or not self._words[Word.ALIVE]):
             return
-        how = f"ended with status {status}" if status is not None else f"has stood still for {since:.1f} s"
+        how = (
+            f"ended with status {status}"
+            if status is not None
+            else f"has stood still for {since:.1f} s, or the computer was suspended"
+        )
         raise GuardianLost(
             f"the guardian process {how}: nothing would switch the torque off if hil were killed, so the run ends; "
             "start it again, or record with --no-guardian"

@@ -19,7 +19,7 @@ import time
 from typing import Any
 
 from hil.guardian.link import Send, discard_unsent, opened
-from hil.guardian.words import Reason, Word, Words
+from hil.guardian.words import Reason, Word, Words, now
 
 _LOOK = 5e-3  # s between two looks at the guarded process
 _BURST = 0.2  # s during which torque-off is sent
@@ -110,16 +110,15 @@ class Guardian:
     def watch(self) -> Reason:
         """Return why the torque must go off, once it must. Raises StandDown."""
         while True:
-            now = time.monotonic_ns()
-            self._words[Word.ALIVE] = now
+            looked = self._words[Word.ALIVE] = now()
             due = self._words[Word.DUE]
-            self._hear(_LOOK if not due else min(_LOOK, (due - now) * 1e-9))
-            reason = self._reason(time.monotonic_ns())
+            self._hear(_LOOK if not due else min(_LOOK, (due - looked) * 1e-9))
+            reason = self._reason(now())
             if reason is not None:
                 return reason
 
-    def _reason(self, now: int) -> Reason | None:
-        """`now` is read before the words: a sign of life that arrives meanwhile is later, never missed."""
+    def _reason(self, looked: int) -> Reason | None:
+        """`looked`, the time now, is read before the words: a sign of life that comes meanwhile is never missed."""
         if self._parent.gone or self._parent.ends():
             return Reason.GONE
         if self._asked:
@@ -127,9 +126,9 @@ class Guardian:
         due, latest = self._words[Word.DUE], self._words[Word.LATEST]
         if not due:
             return None
-        if now > due and due == self._words[Word.DUE]:
+        if looked > due and due == self._words[Word.DUE]:
             return Reason.LATE
-        if latest and now > latest:
+        if latest and looked > latest:
             return Reason.TOO_LONG
         return Reason.STOPPED if self._stays_still(due) else None
 

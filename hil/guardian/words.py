@@ -1,6 +1,6 @@
 """The memory that the guardian and the process that it guards share: five numbers, each written by one of the two.
 
-Times are ns of `time.monotonic_ns`, which is the same in every process of a machine.
+Times are ns of `now`, which is the same in every process of a machine.
 """
 
 from __future__ import annotations
@@ -10,7 +10,14 @@ import os
 import tempfile
 from enum import IntEnum
 
+from drivers.clock import machine_time
+
 SIZE = 64
+
+
+def now() -> int:
+    """Return the time of `drivers.clock.machine_time`, ns."""
+    return int(machine_time() * 1e9)
 
 
 class Word(IntEnum):

@@ -15,6 +15,7 @@ from hil.quantities import in_si
 from hil.recording.input import read_text
 
 _LARGEST = 1 << 20  # bytes
+_LISTED, _LONGEST = 20, 220  # errors, and characters of one
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
 
 Table = TypeVar("Table", bound=BaseModel)
@@ -37,9 +38,15 @@ def load_table(path: Path, kind: type[Table], message: Callable[[str, Any], str]
     except ValidationError as error:
         items += [item for item in error.errors() if item["loc"] not in wrong]
     if items:
-        lines = [f"  {message(text, item)}" for item in items]
-        raise WrongUse(f"{path} has {len(lines)} error(s):\n" + "\n".join(lines))
+        raise errors_in(path, [message(text, item) for item in items])
     return checked
+
+
+def errors_in(name: object, lines: list[str]) -> WrongUse:
+    """Return the error of a file that has these, each a sentence with its place; the first ones are listed."""
+    cut = [line if len(line) <= _LONGEST else f"{line[:_LONGEST]}..." for line in lines[:_LISTED]]
+    more = [f"and {len(lines) - _LISTED} more"] if len(lines) > _LISTED else []
+    return WrongUse(f"{name} has {len(lines)} error(s):\n" + "\n".join(f"  {line}" for line in [*cut, *more]))
 
 
 def line_of(text: str, place: list[Any]) -> int:

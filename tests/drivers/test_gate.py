@@ -149,7 +149,7 @@ def test_confirming_gives_up_after_about_one_second_with_an_alarm() -> None:
     device = armed(*[NoReply("lost") for _ in range(1000)])
     result = confirm_torque_off(device)  # type: ignore[arg-type]  # only what it calls
     assert not result.confirmed
-    assert "CUT THE POWER" in result.alarm
+    assert result.alarm == "CUT THE POWER: the torque-off is not confirmed (lost)"
     assert len(device.requests) == 60
     assert device.clock.now() == pytest.approx(1.0)
 

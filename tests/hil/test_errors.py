@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -56,3 +58,16 @@ def test_an_output_whose_name_would_steer_a_terminal_is_refused(
     assert run(["record", "--backend", "sim", "--duration", "0.1", "-o", str(tmp_path / name)]) == 2
     assert "control character" in capfd.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENOMEM])
+def test_a_computer_that_is_out_of_files_or_memory_is_no_fault_in_hil(
+    number: int, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("hil.api.runs.record", refused)
+    assert run(["record", "--backend", "sim"]) == 2
+    said = capfd.readouterr().err
+    assert (os.strerror(number) in said, "ulimit -n" in said, "fault in hil" in said) == (True, True, False)

@@ -17,6 +17,7 @@ from hil.acquisition import real_time as module
 from hil.acquisition.real_time import missing_permissions, real_time
 from hil.doctor.checks import CheckList, Verdict
 from hil.doctor.examine import examine
+from hil.guardian import words
 from hil.stand.file import SIMULATED, parse
 
 LOCKED = "VmLck:"
@@ -40,9 +41,19 @@ def policy_of_a_child() -> int:
 def test_the_clock_returns_when_it_is_due_and_never_before() -> None:
     clock = MonotonicClock()
     for ahead in (0.0, 20e-6, 2e-3):
-        due = time.monotonic() + ahead
+        due = clock.now() + ahead
         clock.sleep_until(due)
         assert clock.now() >= due
+
+
+@pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="the system tells nothing of its sleep")
+def test_a_computer_that_was_suspended_finds_that_time_has_passed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a run would go on as if nothing had been, while its drive has kept the last torque for an hour."""
+    clock, awake = MonotonicClock(), time.clock_gettime
+    began, guardian_began = clock.now(), words.now()
+    monkeypatch.setattr(time, "clock_gettime", lambda which: awake(which) + 3600.0 * (which == time.CLOCK_BOOTTIME))
+    assert clock.now() - began >= 3600.0
+    assert words.now() - guardian_began >= 3600e9
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has these")

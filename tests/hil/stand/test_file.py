@@ -18,6 +18,7 @@ from drivers.servo import Quantity
 from hil.errors import WrongUse
 from hil.quantities import physical
 from hil.stand.devices import BACKENDS, SENSORS, Device, check_backend
+from hil.stand.fault_file import load_plan
 from hil.stand.file import SIMULATED, load, parse
 from hil.stand.opening import open_servo
 from hil.units import dimension_of
@@ -151,6 +152,16 @@ def test_every_error_is_a_sentence_of_our_own() -> None:
 def test_true_is_no_number(table: str, key: str) -> None:
     with pytest.raises(WrongUse, match=f"{table}.{key}: true is not a number"):
         parse(f"[{table}]\n{key} = true\n")
+
+
+def test_of_many_errors_the_first_are_listed(tmp_path: Path) -> None:
+    plan = tmp_path / "faults.toml"
+    plan.write_text(f"[[fault]]\n{'k' * 6000} = 1\n" * 100)
+    for refused in (lambda: load_plan(plan), lambda: parse("[stand]\n" + "".join(f"k{n} = 1\n" for n in range(300)))):
+        with pytest.raises(WrongUse, match=r"has \d00 error\(s\)") as refusal:
+            refused()
+        assert len(str(refusal.value)) < 5000
+        assert str(refusal.value).endswith("80 more")
 
 
 def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:
