@@ -10,9 +10,10 @@ import numpy as np
 
 from ga.bounds import Bounds
 from ga.compiled import is_compiled
-from ga.evolution.evolution import PRESETS, advance, unborn
+from ga.evolution.evolution import PRESETS, advance, begin
 from ga.evolution.generational import generational
 from ga.fitness.dense import pack
+from ga.start import Start
 from ga.trials.trials import run_trials
 
 
@@ -22,13 +23,16 @@ def is_worthwhile() -> bool:
 
 
 def compile_search() -> None:
-    """Compile the search, the last to be needed and the longest first, by one of three parameters."""
+    """Compile the search by one of three parameters: the longest first, so that what is left may be compiled beside it.
+
+    The first process compiles the short parts itself where it needs them before this one comes to them.
+    """
     angle, settings = np.linspace(0.0, 20.0, 200), PRESETS["default"]
     columns = np.column_stack([np.sin(angle), np.cos(angle), np.ones_like(angle)])
     torque, bounds = columns @ np.ones(3) + 0.01 * angle, Bounds(np.full(3, -2.0), np.full(3, 2.0))
-    population = unborn(3, settings, seed=0, trial=0)
-    population.genes[:], population.fitness[:] = 0.0, 1.0
-    advance(pack(columns, torque), bounds, settings, population, until=1)
+    engine, start = pack(columns, torque), Start(np.zeros(3), np.eye(3), np.eye(3), 1.0)
+    population = begin(engine, bounds, settings, 0, 0, start=start)
+    advance(engine, bounds, settings, population, until=1)
     run_trials(columns, torque, bounds, settings, trials=1, seed=0, workers=1)
 
 
