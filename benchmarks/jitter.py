@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.clock import MonotonicClock
+from drivers.clock import MonotonicClock, machine_time
 from drivers.servo import Status
 from hil.acquisition.real_time import missing_permissions, real_time
 from hil.recording.reader import Recording
@@ -74,14 +74,14 @@ def missed(late: Late, rate: float) -> float:
 def bare(count: int, rate: float, clock: MonotonicClock | None = None) -> Late:
     """Return the lateness, s, of a loop that only sleeps, with the standard library or with `clock`."""
     late = np.empty(count)
-    start = time.monotonic() + 0.01
+    start = machine_time() + 0.01
     for tick in range(count):
         due = start + tick / rate
         if clock is None:
-            time.sleep(max(0.0, due - time.monotonic()))
+            time.sleep(max(0.0, due - machine_time()))
         else:
             clock.sleep_until(due)
-        late[tick] = time.monotonic() - due
+        late[tick] = machine_time() - due
     return late
 
 
