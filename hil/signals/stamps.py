@@ -11,6 +11,7 @@ _COARSE = 0.05  # share of repeated stamps above which a clock is called coarse
 _UNITS = sorted([10.0**-k for k in range(2, 7)] + [2.0**-k for k in range(6, 20)], reverse=True)
 # s, to which stamps are often rounded: decimals, and what numbers of single precision can hold
 _ON_UNIT = 0.01  # of a unit, within which a stamp is a multiple of it
+_FULL = 1.05  # of a unit: the range of stamps that were all cut off alike, but for what a fitted pace is off
 _LOOKED = 1000  # stamps at either end that show whether they are
 _APART = 4.0  # median steps between two samples above which they belong to two stretches
 _SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
@@ -23,34 +24,37 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
     within the loop's own jitter. The rows of the last stamp continue at the rate of the rows before.
     """
     starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > 0.0)))
-    if len(time) - len(starts) == 0:
-        return _before_rounding(time), False
+    even, coarse = _before_rounding(time), (len(time) - len(starts)) > _COARSE * len(time)
+    if even is not time or len(starts) == len(time):
+        return even, coarse
     rows = np.arange(len(time), dtype=np.float64)
     last, before = starts[-1], starts[max(0, len(starts) - 50)]
     pace = (time[last] - time[before]) / max(last - before, 1)
     anchors = np.append(starts.astype(np.float64), len(time))
     at_anchors = np.append(time[starts], time[last] + pace * (len(time) - last))
-    return np.interp(rows, anchors, at_anchors), (len(time) - len(starts)) > _COARSE * len(time)
+    return np.interp(rows, anchors, at_anchors), coarse
 
 
 def _before_rounding(time: Array) -> Array:
-    """Rising stamps (n,) s at an even pace, where they differ from one by no more than the rounding of the stamps.
+    """Stamps (n,) s at an even pace, where they differ from one by no more than the rounding of the stamps.
 
     A sample that was taken 0.3 ms from its stamp, at a millisecond of resolution, has a deflection that is off by as
     much as 2 % at 10 Hz.
     """
     unit = max(_unit(time[:_LOOKED]), _unit(time[-_LOOKED:]))
     pace = float(time[-1] - time[0]) / max(len(time) - 1, 1)
-    if unit == 0.0 or len(time) < 2 * _SHORTEST or unit > pace:
-        return time
     steps = np.diff(time)
-    usual = float(np.mean(steps[steps < 2.0 * np.median(steps)]))
+    repeat = bool((steps <= 0.0).any())
+    if unit == 0.0 or len(time) < 2 * _SHORTEST or repeat is (unit <= pace):
+        return time
+    usual = np.inf if repeat else float(np.mean(steps[steps < 2.0 * np.median(steps)]))
     # no row is lost, or rows are
     for rows in (np.ones(len(steps)), np.maximum(1.0, np.round(steps / usual))):
         place = np.concatenate([[0.0], np.cumsum(rows)])
         slope, start = np.polyfit(place, time - time[0], 1)
         even = time[0] + start + slope * place
-        if float(np.abs(even - time).max()) < unit:
+        # stamps that repeat leave room for a pause of a few rows, which the range of the rounding does not
+        if float(np.abs(even - time).max()) < unit and (not repeat or float(np.ptp(even - time)) < _FULL * unit):
             return np.asarray(even)
     return time
 

@@ -62,6 +62,16 @@ def test_stamps_of_single_precision_are_those_of_an_even_pace(begin: float) -> N
         assert float(np.std(spread_stamps(read)[0] - true)) < 0.1 * float(np.std(read - true))
 
 
+def test_stamps_that_repeat_because_they_are_rounded_are_those_of_an_even_pace() -> None:
+    true = np.arange(6000) / 2777.0
+    rounded = np.floor(1e3 * true) / 1e3
+    time, coarse = spread_stamps(rounded)
+    assert coarse
+    assert float(np.std(time - true)) < 0.02e-3
+    paused = np.floor(1e3 * (true + 0.7e-3 * (true > 1.0))) / 1e3
+    assert float(np.abs(np.diff(spread_stamps(paused)[0]) * 2777.0 - 1.0).max()) > 0.1  # not taken for an even pace
+
+
 def test_a_fine_clock_is_left_alone() -> None:
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.003, 500))
     time, coarse = spread_stamps(stamps)
