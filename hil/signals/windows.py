@@ -23,8 +23,8 @@ _FAST = 0.9  # quantile of the speed above which a sample is a fast one
 _NARROWEST = 6  # samples on each side of a window
 _WIDEST = 250  # samples on each side of a window
 _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
-_WIDER = 9  # samples on each side of a window, beside which a narrower one shows where the rate is wrong
-_UNSURE, _BEYOND_NOISE = 0.01, 8.0  # of the r.m.s. rate, and times the usual difference, from which it is
+_OTHERS = (9, 12)  # samples on each side of windows, beside which another shows where the rate is wrong
+_UNSURE, _BEYOND_NOISE = 0.005, 8.0  # of the r.m.s. rate, and times the usual difference, from which it is
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
 _LOOKED = 1 << 18  # samples that the noise of the deflection is held against the torque of
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
@@ -149,8 +149,8 @@ def best_of(slope: int, time: Array, dtheta: Array, noise: float) -> int:
     """
     step = float(np.median(np.diff(time)))
     rate, whole = local_polynomial(time, dtheta, slope, 1), _whole(time, slope, step)
-    while slope > _NARROWEST and whole.any():
-        half = max(_NARROWEST, int(_NARROWER * slope))
+    while slope > LEAST and whole.any():
+        half = max(LEAST, int(_NARROWER * slope))
         narrower = local_polynomial(time, dtheta, half, 1)
         more_noise = noise**2 * (_amplified(half, step) ** 2 - _amplified(slope, step) ** 2)
         if float(np.mean((narrower - rate)[whole] ** 2)) <= 2.0 * more_noise:
@@ -225,9 +225,10 @@ def is_smooth(time: Array, dtheta: Array, rate: Array) -> NDArray[np.bool_]:
 
     time s; dtheta rad; rate rad/s. Noise of the deflection, which the wider window averages too, does not count.
     """
-    if len(time) <= 2 * _WIDER:
+    if len(time) <= 2 * max(_OTHERS):
         return np.ones(len(time), dtype=bool)
-    apart = np.abs(local_polynomial(time, dtheta, _WIDER, 1) - rate)
+    # the rate may have been computed in one of them
+    apart = np.max([np.abs(local_polynomial(time, dtheta, half, 1) - rate) for half in _OTHERS], axis=0)
     usual = float(np.sqrt(np.mean(rate**2)))
     return np.asarray(apart <= max(_UNSURE * usual, _BEYOND_NOISE * float(np.median(apart))))
 
