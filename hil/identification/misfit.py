@@ -76,17 +76,22 @@ def tested(described: Described) -> LackOfFit | None:
         return found
     if signals.window is None or motion.part_of is not None:
         return found
-    noisy = (predicted(*_noisier(described, one)) for one in noisier(motion, signals.window))
-    return found.beside_noise(np.fromiter(noisy, dtype=np.float64))
+    added = [np.mean([_added(described, one) for one in pair]) for pair in noisier(motion, signals.window)]
+    return found.beside_noise(np.array(added))
 
 
-def _noisier(described: Described, noisy: Motion) -> tuple[Recorded, Fitted]:
-    """The recording and the fit for a motion (n,) with more errors, which stand in the residuals too."""
+def _added(described: Described, noisy: Motion) -> float:
+    """What more errors of the motion (n,) add to the power that is predicted, (N m)^2, by standing in the residuals.
+
+    They stand in the regressors too, of which some show little but errors: these are the same with and without.
+    """
     p = len(described.model.linear)
     genes, nonlinear = np.split(described.values, [p])
     before, after = (linearised(described.model, one, genes, nonlinear) for one in (described.signals.motion, noisy))
-    more = ((after - before)[:, :p] @ genes)[described.kept]
-    return _held_against(replace(described, residuals=described.residuals - more), noisy)
+    recorded, without = _held_against(described, noisy)
+    more = np.where(described.kept, (after - before)[:, :p] @ genes, 0.0)
+    larger, own = predicted(recorded, replace(without, residuals=without.residuals - more), without)
+    return float(larger**2 - own**2)
 
 
 def _held_against(described: Described, motion: Motion) -> tuple[Recorded, Fitted]:
@@ -104,7 +109,8 @@ def _held_against(described: Described, motion: Motion) -> tuple[Recorded, Fitte
     skew = names.index("skew") if "skew" in names else None
     if described.averaged:
         columns = np.concatenate([columns, *_of_every_bench(described, recorded, residuals)], axis=1)
-    kept = described.kept & is_smooth(recorded.time, recorded.deflection, recorded.rate)
+    seen = described.signals.motion  # the same samples, whatever errors are added
+    kept = described.kept & is_smooth(seen.time, seen.dtheta, seen.dtheta_dot)
     included = frozenset(code for name, code in _TERMS.items() if name in names)
     return recorded, Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
 

@@ -23,7 +23,7 @@ from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
 from hil.signals.deflection_noise import FEW_COUNTS
 from hil.signals.savitzky_golay import local_polynomial
-from hil.signals.windows import Window
+from hil.signals.windows import Window, is_smooth
 from hil.uncertainty.effects import Recorded
 
 Array = NDArray[np.float64]
@@ -39,6 +39,7 @@ _DELAYS: Final = (-1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the filter from com
 _SURE: Final = 2.0  # times half its interval, beyond which a change is no chance
 _BLOCKS: Final = 32  # in time, of which the error of a change is estimated
 _CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
+_WIDER: Final = 1.25  # of a window, the next wider one, whose rate beside a jerk is wrong by as much more
 _NORMAL: Final = 1.959964
 
 Method = Literal["none", "simulation", "instruments"]
@@ -279,9 +280,37 @@ def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.b
     return _moved(motion, (less[0], less[1] - motion.dtheta_dot, less[2] - motion.dtheta_ddot))
 
 
-def noisier(motion: Motion, window: Window) -> Iterator[Motion]:
-    """Yield motions with as many errors again in the readings of the deflection, each time others."""
-    return (_more(motion, window, errors) for errors in _errors(motion, window))
+def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
+    """Yield pairs of motions with as many errors again of deflection and rate, of either sign, each time others."""
+    smoothed = _smoothed_away(motion, window)
+    for errors in _errors(motion, window):
+        more, less = (
+            replace(found, dtheta_dot=found.dtheta_dot + sign * smoothed)
+            for sign in (1.0, -1.0)
+            for found in [_more(motion, window, sign * errors)]
+        )
+        yield more, less
+
+
+def _smoothed_away(motion: Motion, window: Window) -> Array:
+    """What the window takes off the rate (n,), rad/s, by how the rate changes with two that are wider, each alike.
+
+    The changes grow by one factor, as a geometric series, of which the window's own error is all that comes before.
+    """
+    first, second = np.zeros((2, len(motion)))
+    if window.low_pass is not None:  # flat up to where the deflection's noise hides all
+        return first
+    wider = [max(window.slope + more, int(_WIDER**more * window.slope)) for more in (1, 2)]
+    for part in _stretches(motion):
+        inside = slice(part.start + wider[1], part.stop - wider[1])
+        if inside.stop > inside.start:
+            near = [local_polynomial(motion.time[part], motion.dtheta[part], half, 1) for half in wider]
+            once, twice = (np.nan_to_num(rate)[wider[1] : -wider[1]] for rate in near)
+            first[inside], second[inside] = motion.dtheta_dot[inside] - once, once - twice
+    ratio = float(first @ second) / max(float(second @ second), 1e-300)
+    ratio = min(max(ratio, 0.0), 1.0 / _WIDER)
+    sure = is_smooth(motion.time, motion.dtheta, motion.dtheta_dot)  # no test looks at the others
+    return np.asarray(np.where(sure, ratio / (1.0 - ratio) * first, 0.0))
 
 
 def _solved(columns: Array, instruments: Array, left: Array) -> Array:

@@ -71,10 +71,11 @@ def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
     return _Tests(*_fewer(recorded, fitted)).result()
 
 
-def predicted(recorded: Recorded, fitted: Fitted) -> float:
-    """Return what of a fit's residuals is predicted in blocks that were not seen, N m r.m.s."""
-    tests = _Tests(*_fewer(recorded, _blanked(fitted)))
-    return tests.predicted(np.concatenate(list(tests.features().values()), axis=1))[1]
+def predicted(recorded: Recorded, *fits: Fitted) -> Array:
+    """Return what of the residuals of each fit (k,) the regressors of the first predict in unseen blocks, N m r.m.s."""
+    tests = [_Tests(*_fewer(recorded, _blanked(one))) for one in fits]
+    features = np.concatenate(list(tests[0].features().values()), axis=1)
+    return np.array([one.predicted(features)[1] for one in tests])
 
 
 class _Tests:

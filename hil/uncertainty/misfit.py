@@ -21,6 +21,7 @@ _SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of 
 _ACCURATE: Final = 5e-4  # of the torque's deviation, to which its readings and the rate are ever right
 _PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
 _OF_NOISE: Final = 0.5  # of what is predicted: where errors explain less, something else is there too
+_AGAIN: Final = 1.5  # times its own power: of twice the errors regressors with all predict 2, and of the first half 0.5
 _SCATTER: Final = 2.0  # standard deviations by which noise may leave more than it does on average
 _UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint
 
@@ -84,16 +85,15 @@ class LackOfFit:
     unexplained: float = 0.0
     of_noise: bool = False
 
-    def beside_noise(self, noisier: Array) -> LackOfFit:
-        """Return what is left of it, given what is predicted (k,), N m, beside twice the errors in the deflection.
+    def beside_noise(self, added: Array) -> LackOfFit:
+        """Return what is left of it, given what as many errors again of the motion add to what is predicted, (N m)^2.
 
-        What a wrong model leaves stays as it is, and what noise leaves doubles (Cook and Stefanski 1994). Counts of a
-        motion that rests or repeats leave now more, now less.
+        added (k,): by standing in the residuals, beside regressors that have both. A wrong model leaves the same, and
+        errors leave more (Cook and Stefanski 1994), counts of a motion that rests or repeats now more, now less.
         """
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
-        added = noisier**2 - self.predicted**2
-        left = self.predicted**2 - added.mean() - _SCATTER * added.std(ddof=1)
+        left = self.predicted**2 - (added.mean() + _SCATTER * added.std(ddof=1)) / _AGAIN
         return replace(self, of_noise=bool(left < min(_SHARE / self.share, _OF_NOISE) * self.predicted**2))
 
     @property

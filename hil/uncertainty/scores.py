@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -35,7 +36,10 @@ class Scores:
         self.scores = _clipped(residuals, self._basis, kept, _CLIPPED)
         self.residuals = _clipped(residuals, self._basis, kept, _GROSS)
         self._firsts = _blocks(self.scores)
-        self._signs = np.random.default_rng(0).integers(0, 2, (_FLIPS, len(self._firsts))) * 2.0 - 1.0
+
+    @cached_property
+    def _signs(self) -> Array:
+        return np.asarray(np.random.default_rng(0).integers(0, 2, (_FLIPS, len(self._firsts))) * 2.0 - 1.0)
 
     def new(self, features: Array) -> Array:
         """Return the part of features (n, k) that the model's columns cannot make, each of mean square one.

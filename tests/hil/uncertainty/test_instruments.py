@@ -159,8 +159,27 @@ def test_samples_between_two_gaps_that_are_too_few_for_the_window_get_no_more_no
     time[few[-1] + 1 :] += 3.0
 
     before = Motion(time, read, multisine(TIME, 1), multisine(TIME, 2), np.zeros(len(time)))
-    more = next(noisier(before, window)).dtheta - before.dtheta
+    more = next(noisier(before, window))[0].dtheta - before.dtheta
 
     assert np.isfinite(more).all()
     assert (more[few] == 0.0).all()
     assert np.std(more) > 0.0
+
+
+def test_what_the_window_takes_off_the_rate_counts_as_an_error_of_it() -> None:
+    """Motion beyond the band, of which no window knows all: its size is found, its course only roughly."""
+    time = TIME / 5.0
+    read, rate = multisine(time), multisine(time, 1)
+    window = replace(
+        window_for(time, read, 0.3 * read + 3e-3 * rate), slope=20, noise=0.0, of_deflection=0.0, count=0.0
+    )
+    seen = window.moved(time, read)[1]
+    motion = Motion(time, read, seen, multisine(time, 2), np.zeros(len(time)))
+    inner = slice(200, -200)
+
+    more, less = next(noisier(motion, window))
+
+    assert window.low_pass is None
+    assert np.allclose(more.dtheta_dot + less.dtheta_dot, 2.0 * seen)
+    found, true = (np.std((one.dtheta_dot - two)[inner]) for one, two in ((more, seen), (motion, rate)))
+    assert 0.5 * true < found < 2.0 * true

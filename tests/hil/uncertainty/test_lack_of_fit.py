@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hil.uncertainty.effects import Recorded
-from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit
+from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit, predicted
 from hil.uncertainty.misfit import LackOfFit
 
 Array = NDArray[np.float64]
@@ -141,16 +141,26 @@ def test_a_misfit_below_what_the_torque_is_ever_right_to_widens_the_interval_by_
     assert found.in_intervals[1] == found.Bc > 5e-3
 
 
-def test_what_doubles_with_the_errors_of_the_deflection_is_no_misfit() -> None:
+def test_what_grows_with_the_errors_of_the_deflection_as_they_do_is_no_misfit() -> None:
     found = judged(relaxed(0.2, 0.03) + PLAIN + noise(0))
-    doubled, alike = np.sqrt([1.9, 2.0, 2.0, 2.1]), np.sqrt([1.0, 1.1, 1.0, 1.1])
+    of_errors, of_a_tenth = (part * found.predicted**2 * np.array([1.4, 1.5, 1.5, 1.6]) for part in (1.0, 0.1))
 
     assert found.misfit
-    assert not found.beside_noise(found.predicted * doubled).misfit
-    assert found.beside_noise(found.predicted * alike).misfit
+    assert not found.beside_noise(of_errors).misfit
+    assert found.beside_noise(of_a_tenth).misfit
     small = replace(found, share=0.01)  # as of inertia that was taken for a cubic spring
-    assert small.beside_noise(found.predicted * doubled).of_noise
-    assert not small.beside_noise(found.predicted * alike).of_noise
+    assert small.beside_noise(of_errors).of_noise
+    assert not small.beside_noise(of_a_tenth).of_noise
+
+
+def test_errors_that_stand_in_residuals_and_regressors_are_predicted_from_these() -> None:
+    errors = np.random.default_rng(3).standard_normal((2, len(TIME))) * 1e-3
+    recorded = Recorded(TIME, PLAIN, X + errors.sum(axis=0), V)
+    fits = [Fitted(-KC * one, LINEAR, (0, 1), (KC, BC), (1e-3, 1e-5)) for one in (errors.sum(axis=0), errors[0])]
+
+    both, first = predicted(recorded, *fits) ** 2 / (KC**2 * 1e-6)
+
+    assert both - first == pytest.approx(1.5, rel=0.1)
 
 
 def test_kc_of_the_second_half_is_compared_with_that_of_the_first() -> None:
