@@ -118,7 +118,8 @@ def _around(model: Alternative, doubtful: Mapping[str, float], data: Signals) ->
         largest.values,
         sampling.matrix,
         {at: costs[name] for at, name in enumerate(names) if name in costs},
-        [at for at, name in enumerate(names) if name in PARAMETERS and PARAMETERS[name].positive],
+        # the model's own terms were found possible without what is added: a skew beside an inertia takes it over
+        [at for at, name in enumerate(names) if name in {*costs, *COUPLING} and PARAMETERS[name].positive],
         likely,
     )
     if found is None:
