@@ -20,7 +20,7 @@ from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
 
-_AGAIN = 4  # passes, below which a stiffness that changes in time may as well differ between the directions
+_AGAIN = 4  # passes, below which what seems to change in time may as well differ between the directions
 _STICKING = 1.25  # times the error of the other samples, from which the model does not describe the slow ones
 
 
@@ -95,12 +95,14 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     terms = (*CONSIDERED, *(from_motor if signals.torque_from == "motor" else ()))
     if linear_only:
         terms = tuple(term for term in terms if TERMS[term].linear)
+    # in one triangle friction that builds up looks like a drift; Kc and Bc are averages with and without one anyway
+    once = {"drift", "softening"} if passes(signals.motion) < _AGAIN else set()
+    terms = tuple(term for term in terms if term not in once)
     # an inertia hides behind a skew, but where neither is enough it may be there, whoever read the torque
     rarer = () if linear_only else (*RARER, *(name for name, one in TERMS.items() if one.selection == "motor torque"))
     # a motor's torque comes through no cell: what it is late by is the time to its next set-point
     absent = {"lag"} if signals.torque_from == "motor" else set()
-    absent |= {"softening"} if passes(signals.motion) < _AGAIN else set()
-    rarer = tuple(term for term in rarer if term not in terms and term not in absent)
+    rarer = tuple(term for term in rarer if term not in terms and term not in absent | once)
     # nobody says that a given torque is the joint's and not the motor's
     like_skew = ("lag", "inertia") if signals.torque_from == "given" else ("lag",)
     motion, highest = signals.motion, signals.band[1]
@@ -132,7 +134,7 @@ def passes(motion: Motion) -> int:
 def _describes(found: Selection, signals: Signals, *, averaged: bool) -> bool:
     """Whether the model selected passes the tests of its fit, however small what it lacks is.
 
-    averaged: whether it may lack small effects that every bench has.
+    averaged: whether it may lack small effects that every bench has, and whether no proof that it lacks any is enough.
 
     Noise of the deflection is no lack of a term, and rarer ones would be made of it.
     """
@@ -151,6 +153,8 @@ def _describes(found: Selection, signals: Signals, *, averaged: bool) -> bool:
             averaged=averaged,
         )
     )
+    if fit is not None and fit.is_undecided and not averaged:
+        return False
     noisy = fit is not None and fit.suspects and fit.suspects[0].effect.in_deflection
     return fit is None or not fit.misfit or bool(noisy)
 

@@ -134,6 +134,11 @@ class LackOfFit:
         return self.outside or (self.share >= _SHARE and not self._is_harmless)
 
     @property
+    def is_undecided(self) -> bool:
+        """Whether no test rejects the model, and its residuals can be predicted: few of its samples are independent."""
+        return not self.failed and self.share >= _PLAIN
+
+    @property
     def in_intervals(self) -> tuple[float, float]:
         """By how much the intervals of Kc and Bc are wider for what the model lacks, relative."""
         return (self.Kc, self.Bc) if self.misfit or self._is_small else (0.0, 0.0)

@@ -142,3 +142,16 @@ def test_the_passes_of_a_joint_are_counted_from_end_to_end_of_its_range() -> Non
     none = np.zeros(1000)
     assert passes(Motion(time, triangle, none, none, none)) == 1
     assert passes(Motion(time, 3.0 + np.sin(10.0 * np.pi * time), none, none, none)) == 9
+
+
+@pytest.mark.parametrize(("periods", "included"), [(1, False), (4, True)])
+def test_a_drift_is_included_only_where_the_joint_comes_back_again_and_again(periods: int, included: bool) -> None:
+    time, pace = np.linspace(0.0, 10.0, 3000), 2.0 * np.pi * periods / 10.0
+    angle, rate = 0.3 * np.sin(pace * time), 0.3 * pace * np.cos(pace * time)
+    motion = Motion(time, angle, rate, -(pace**2) * angle, np.zeros(len(time)))
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(time))
+    torque = KC * angle + 1e-4 * rate + 1e-4 * time + noise
+    signals = replace(
+        recorded(1e-6), motion=motion, torque=torque, window=None, command=None, unfiltered=None, band=(0.1, 0.4)
+    )
+    assert ("drift" in choose(None, signals, linear_only=False).model.name) is included

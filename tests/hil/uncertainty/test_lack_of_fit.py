@@ -163,6 +163,16 @@ def test_errors_that_stand_in_residuals_and_regressors_are_predicted_from_these(
     assert both - first == pytest.approx(1.5, rel=0.1)
 
 
+def test_a_model_that_no_test_rejects_is_undecided_while_much_of_its_residuals_can_be_predicted() -> None:
+    wrong, right = judged(relaxed(0.2, 0.03) + PLAIN + noise(0)), judged(PLAIN + noise(1))
+
+    assert wrong.failed
+    assert not wrong.is_undecided
+    assert not right.failed
+    assert not right.is_undecided
+    assert replace(right, share=wrong.share).is_undecided  # as of a single triangle
+
+
 def test_kc_of_the_second_half_is_compared_with_that_of_the_first() -> None:
     torque = PLAIN - 0.06 * PLAIN * np.repeat([0.0, 1.0], len(TIME) // 2)
 
