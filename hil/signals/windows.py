@@ -149,8 +149,8 @@ def best_of(slope: int, time: Array, dtheta: Array, noise: float) -> int:
     """
     step = float(np.median(np.diff(time)))
     rate, whole = local_polynomial(time, dtheta, slope, 1), _whole(time, slope, step)
-    while slope > LEAST and whole.any():
-        half = max(LEAST, int(_NARROWER * slope))
+    while slope > _NARROWEST and whole.any():
+        half = max(_NARROWEST, int(_NARROWER * slope))
         narrower = local_polynomial(time, dtheta, half, 1)
         more_noise = noise**2 * (_amplified(half, step) ** 2 - _amplified(slope, step) ** 2)
         if float(np.mean((narrower - rate)[whole] ** 2)) <= 2.0 * more_noise:
