@@ -28,7 +28,7 @@ from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
-from hil.identification.evidence import Evidence, Span, estimates, span_met, with_misfit
+from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
 from hil.identification.fitting.exact import solved, unproven
@@ -177,9 +177,13 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     parameters = (*data.choice.model.linear, *data.choice.model.nonlinear)
     sampling = confidence_intervals(solution.blocks, solution.values)
     pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
-    given = (_names(parameters), solution.values, sampling.half_width)
+    values, chosen = _averaged(data, solution, sampling.half_width)
+    # the interval that is reported may be narrower than that of the selected model
+    given = (_names(parameters), solution.values, np.minimum(sampling.half_width, chosen))
     span = span_met(data.signals.motion, *given) if data.choice.steps else None
-    values, chosen = _averaged(data, solution, sampling.half_width, span)
+    if span is not None:
+        values[0] += 0.5 * (span[0] + span[1]) - solution.values[0]  # Kc
+        chosen[0] += 0.5 * (span[1] - span[0])
     deflection = read_with_errors(data, solution.values, sampling.half_width)
     if deflection:
         values, chosen = values + deflection.change, np.hypot(chosen, deflection.half_width)
@@ -212,20 +216,14 @@ def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
     return np.asarray(np.hypot(torque, rate))
 
 
-def _averaged(data: Dataset, solution: _Solution, half_width: Array, span: Span | None) -> tuple[Array, Array]:
-    """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected.
-
-    span: the least and the largest Kc of a model without a single one, N m/rad, which its interval spans.
-    """
+def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Array, Array]:
+    """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected."""
     values, half_width = solution.values.copy(), half_width.copy()
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
     nonlinear = values[len(data.choice.model.linear) :]
     for name, one in (averaged(data.choice, data.signals, data.used, nonlinear) if data.whole else {}).items():
         at = names.index(name)
         values[at], half_width[at] = one.value, one.half_width
-    if span is not None:
-        values[0] += 0.5 * (span[0] + span[1]) - solution.values[0]  # Kc
-        half_width[0] += 0.5 * (span[1] - span[0])
     return values, half_width
 
 

@@ -30,7 +30,7 @@ _LOOKED = 1 << 18  # samples that the noise of the deflection is held against th
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
 _CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion are not white
 _NARROWER = 0.8  # of a window, the next that is tried
-_FOLLOWED = 0.2  # periods a sample, up to which fast motion is followed
+_FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: friction turns where the rate does
 _TAPER = 0.02  # of a recording at each end
 
 

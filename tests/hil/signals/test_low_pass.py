@@ -117,7 +117,7 @@ def test_the_low_pass_leaves_the_motion_beyond_the_band_that_is_above_the_noise(
 def test_torque_and_deflection_have_the_same_band_where_the_joint_moves_faster_than_any_window_follows() -> None:
     """Noise behind three poles: its rate goes on beyond what 13 samples follow, and the torque shows it."""
     rng = np.random.default_rng(3)
-    fine = sosfilt(butter(3, 8.0, fs=10000.0, output="sos"), rng.standard_normal(20 * len(TIME)))
+    fine = sosfilt(butter(3, 6.0, fs=10000.0, output="sos"), rng.standard_normal(20 * len(TIME)))
     angle = 0.2 * fine / np.abs(fine).max()
     x, v = angle[::20], (np.gradient(angle) * 10000.0)[::20]
     torque = 0.3 * x + 6e-3 * v
