@@ -156,7 +156,7 @@ def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) ->
     for term in considered:
         for terms in tuple(found):
             more = with_another(terms, term)
-            if is_addable(term, more[:-1]) and fits.fitness(more) < fits.fitness(terms):
+            if term not in terms and is_addable(term, more[:-1]) and fits.fitness(more) < fits.fitness(terms):
                 found.append(more)
                 if not _has_rivals(term, considered):
                     found.remove(terms)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ga.model.coupling import CouplingModel
+from ga.model.separable import Fit, Problem, best_start
 from ga.model.trajectory import Motion
 from hil.identification.selection import criterion
+from hil.identification.selection import fits as fits_module
 from hil.identification.selection.fits import Fits
 from hil.identification.selection.stepwise import Selection, select
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
@@ -245,3 +248,23 @@ def test_where_something_is_not_described_a_term_is_judged_by_as_few_samples_as_
     )
     assert usual.correlation(fitted, "skew") < 0.1 * usual.correlation(fitted, "offset")
     assert doubted.correlation(fitted, "skew") == usual.correlation(fitted, "offset")
+
+
+def test_the_noise_is_that_of_models_fitted_once_whatever_the_order_of_their_terms(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fitted: list[str] = []
+
+    def counted(problem: Problem, near: Mapping[str, float]) -> Fit:
+        fitted.append(cast("CouplingModel", problem.model).name)
+        return best_start(problem, near)
+
+    monkeypatch.setattr(fits_module, "best_start", counted)
+    moved = chirp(TIME)
+    motion = Motion(*moved, np.zeros(SAMPLES))
+    fits = Fits(motion, linear(moved) + 1e-4 * np.random.default_rng(1).standard_normal(SAMPLES), HIGHEST)
+    usual = ("offset", "coulomb", "cubic")
+    richest = criterion.criterion_of(fits, usual, ("linear", "offset")).richest
+    assert len(richest) > 2
+    criterion.criterion_of(fits, (*usual, "quadratic"), richest, doubted=True)
+    assert len(fitted) == len(set(fitted)) > len(richest)
