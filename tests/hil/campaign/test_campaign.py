@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[3]
 PLAN = """
 [campaign]
 output = "out"
-model = "linear"
+model = "linear+offset"
 trials = 2
 repeats = 2
 [[profile]]
