@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.deflection_noise import FEW_COUNTS, Read, disturbs, smallest_step
+from hil.signals.deflection_noise import Read, disturbs, smallest_step
 from hil.signals.low_pass import LowPass, Rows, is_sound, low_pass_for, passed, passed_again
 from hil.signals.savitzky_golay import LEAST, kernel, local_polynomial, widest
 
@@ -92,9 +92,8 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     """
     step, count = float(np.median(np.diff(time))), smallest_step(dtheta)
     rounding = count / float(np.sqrt(12.0))
-    # few counts round in step with the motion, which makes lines far above it
-    is_coarse = float(np.ptp(dtheta)) < FEW_COUNTS * count
-    spectrum = Spectrum.of(time, dtheta, rounding if is_coarse else 0.0)
+    # counts round in step with slow motion: above, their noise is then less than below, or lines
+    spectrum = Spectrum.of(time, dtheta, rounding)
     band, floor = spectrum.band, spectrum.noise
     slope, curvature = windows(time, band[1])
     rate = local_polynomial(time, dtheta, slope, 1)

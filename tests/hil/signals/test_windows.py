@@ -39,3 +39,17 @@ def test_the_rate_has_as_little_error_as_any_window_gives_where_motion_goes_on_b
     )
     assert window.low_pass is None
     assert own < 1.5 * min(others) < 0.1 * max(others)
+
+
+def test_the_counts_of_a_motion_that_is_sampled_often_are_no_motion_beyond_its_band() -> None:
+    time = np.arange(12_000) / 1000.0
+    frequency = np.arange(4, 181) / 12.0  # up to 15 Hz
+    motion = np.sin(
+        np.outer(time, 2.0 * np.pi * frequency) + np.random.default_rng(1).uniform(0.0, 6.28, len(frequency))
+    ) @ (1.0 / frequency)
+    motion *= 0.05 / np.abs(motion).max()
+    count = 2.0 * np.pi / 4096
+    found = window_for(time, count * np.round(motion / count), 0.3 * motion)
+    assert found.band[1] < 17.0
+    assert found.low_pass is not None
+    assert found.low_pass.cut < 30.0
