@@ -72,6 +72,14 @@ def test_stamps_that_repeat_because_they_are_rounded_are_those_of_an_even_pace()
     assert float(np.abs(np.diff(spread_stamps(paused)[0]) * 2777.0 - 1.0).max()) > 0.1  # not taken for an even pace
 
 
+@pytest.mark.parametrize(("rate", "unit"), [(2000.0, 1e-3), (4000.0, 1e-3), (250.0, 1e-2)])
+def test_stamps_that_were_rounded_at_their_halves_get_the_pace_they_had(rate: float, unit: float) -> None:
+    true = np.arange(12_000) / rate  # halves are rounded up for long and down for long
+    read, coarse = spread_stamps(np.round(true / unit) * unit)
+    assert coarse
+    np.testing.assert_allclose(read, true, atol=1e-3 * unit)
+
+
 def test_a_fine_clock_is_left_alone() -> None:
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.003, 500))
     time, coarse = spread_stamps(stamps)
