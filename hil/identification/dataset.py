@@ -109,7 +109,8 @@ def _far_zero(reference: float) -> list[Diagnostic]:
         return []
     text = (
         f"the deflection's zero is {abs(reference):.3g} rad away from the motion: deflections, and the torque at rest, "
-        f"count from {reference:.4g} rad, which changes neither Kc nor Bc; zero the encoder at the joint's rest"
+        f"count from {reference:.4g} rad, which changes neither Kc nor Bc of a linear spring; Kc of one that curves is "
+        "its stiffness there: zero the encoder at the joint's rest"
     )
     return [Diagnostic("encoder-zero", text)]
 
