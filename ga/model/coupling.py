@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from ga.model.friction import slowest, smoothing
 from ga.model.memory import without_beginnings
 from ga.model.record import Parameter, Regressors, Term
 from ga.model.terms import TERMS, canonical
@@ -25,22 +26,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-STUCK: Final = 0.075
-
-RESTS: Final = 10.0
-QUIET: Final = 0.05
-"""Times the rate's noise, below which the joint rests where many samples are as slow, and part of the r.m.s. rate up to
-which so much noise is little: a motion that passes through zero is that slow in 4 % of the samples or fewer."""
-"""Part of the samples, the slowest, in which friction may hold the joint and its sign is not known."""
-
 BESIDE: Final = 0.25
 """Part of the time between two samples by which the skew may be wrong when those are determined."""
-
-NOISY: Final = 0.5
-FINEST: Final = 0.001
-SMOOTHEST: Final = 0.05
-"""v_s of the Coulomb term as a part of the rate's noise, at least and at most these parts of the r.m.s. rate: a sign
-where friction slides, for 1.3 % of softness takes as much off Bc."""
 
 STEP: Final = 1e-4
 SMALLEST: Final = 1e-3
@@ -139,10 +126,9 @@ class CouplingModel:
 
         Needed where a recording is taken block by block, or where one part is validated by a fit to another.
         """
-        slowest = _slowest(motion)
         origin = float(motion.time[0]) if len(motion) else 0.0
         middle = 0.5 * float(motion.time.min() + motion.time.max()) - origin if len(motion) else 0.0
-        return replace(self, origin=origin, middle=middle, slowest=slowest, smoothing=_smoothing(motion))
+        return replace(self, origin=origin, middle=middle, slowest=slowest(motion), smoothing=smoothing(motion))
 
     def described(self, motion: Motion, delay: float = 0.0) -> NDArray[np.bool_]:
         """Return which samples (n,) the model describes: all but those that friction may hold the joint in.
@@ -152,12 +138,12 @@ class CouplingModel:
         """
         if not self.sticks:
             return np.ones(len(motion), dtype=bool)
-        slowest = _slowest(motion) if self.slowest is None else self.slowest
+        least_rate = slowest(motion) if self.slowest is None else self.slowest
         delays = any(term.delays for term in self.terms)
         beside = BESIDE * float(np.median(np.diff(motion.time))) if delays and len(motion) > 1 else 0.0
         rates = [motion.delayed(delay + shift).dtheta_dot for shift in (-beside, 0.0, beside)]
         least, most = np.min(rates, axis=0), np.max(rates, axis=0)
-        return np.asarray((least >= slowest) | (most <= -slowest))
+        return np.asarray((least >= least_rate) | (most <= -least_rate))
 
     def delay(self, nonlinear: Array | None) -> float:
         """Return how much older the torque reading is, s, for nonlinear parameters (q,); 0 if no term says."""
@@ -277,16 +263,16 @@ class CouplingModel:
 
     def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
         """The motion, seen as it was the delay before, beyond the gap or slack."""
-        angle, contact, smoothing = seen.dtheta, np.ones(len(motion)), self.smoothing or 0.0
+        angle, contact, softness = seen.dtheta, np.ones(len(motion)), self.smoothing or 0.0
         for term, values in self._valued(nonlinear):
             if term.remaining is not None:
                 angle = term.remaining(angle, values)
         for term, values in self._valued(nonlinear):
             if term.contact is not None:
-                contact = term.contact(angle, seen.dtheta_dot, lag, smoothing, values)
+                contact = term.contact(angle, seen.dtheta_dot, lag, softness, values)
                 angle = angle * contact
         elapsed = motion.time - (self.origin or 0.0)
-        return Regressors(elapsed, seen, angle, contact, smoothing, self.middle or 0.0, np.empty(0))
+        return Regressors(elapsed, seen, angle, contact, softness, self.middle or 0.0, np.empty(0))
 
     def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
         """Each term, whether it bends, and its own of the parameters (q,); without them only those that have none."""
@@ -331,26 +317,3 @@ def parse(name: str) -> CouplingModel:
     Raises ValueError as `ga.model.terms.canonical`.
     """
     return CouplingModel(canonical(name))
-
-
-def _slowest(motion: Motion) -> float:
-    """The rate, rad/s, below which friction may hold the joint; zero where the rate's noise hides which samples are.
-
-    Where it rests, the sign of the rate is that of the noise. It is taken from the data because rates differ by four
-    decades between stands.
-    """
-    if not len(motion):
-        return 0.0
-    slowest, noise = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)), motion.rate_noise or 0.0
-    if slowest > noise:
-        return slowest
-    usual = float(np.linalg.norm(motion.dtheta_dot) / np.sqrt(len(motion)))
-    return RESTS * noise if RESTS * noise < QUIET * usual else 0.0
-
-
-def _smoothing(motion: Motion) -> float:
-    """v_s, rad/s, of the Coulomb term."""
-    if not len(motion):
-        return 0.0
-    usual = float(np.linalg.norm(motion.dtheta_dot) / np.sqrt(len(motion)))
-    return float(np.clip(NOISY * (motion.rate_noise or 0.0), FINEST * usual, SMOOTHEST * usual))

@@ -24,6 +24,53 @@ REACHES: Final = (0.002, 0.8)
 FALLS: Final = (0.03, 1.5)
 """Rate over which friction falls from its value at rest, as a part of the r.m.s. rate, at least and at most."""
 
+STUCK: Final = 0.075
+"""Part of the samples, the slowest, in which friction may hold the joint and its sign is not known."""
+
+RESTS: Final = 10.0
+QUIET: Final = 0.05
+"""Times the rate's noise, below which the joint rests where many samples are as slow, and part of the r.m.s. rate up to
+which so much noise is little: a motion that passes through zero is that slow in 4 % of the samples or fewer."""
+
+NOISY: Final = 0.5
+FINEST: Final = 0.001
+SMOOTHEST: Final = 0.05
+"""v_s of the Coulomb term as a part of the rate's noise, at least and at most these parts of the r.m.s. rate: a sign
+where friction slides, for 1.3 % of softness takes as much off Bc."""
+
+
+def slowest(motion: Motion) -> float:
+    """Return the rate, rad/s, below which friction may hold the joint; zero where its noise hides which samples are.
+
+    Where it rests, the sign of the rate is that of the noise. It is taken from the data because rates differ by four
+    decades between stands.
+    """
+    import numpy as np
+
+    if not len(motion):
+        return 0.0
+    least, noise = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)), motion.rate_noise or 0.0
+    if least > noise:
+        return least
+    return RESTS * noise if RESTS * noise < QUIET * _usual(motion) else 0.0
+
+
+def smoothing(motion: Motion) -> float:
+    """Return v_s, rad/s, of the Coulomb term."""
+    import numpy as np
+
+    if not len(motion):
+        return 0.0
+    usual = _usual(motion)
+    return float(np.clip(NOISY * (motion.rate_noise or 0.0), FINEST * usual, SMOOTHEST * usual))
+
+
+def _usual(motion: Motion) -> float:
+    """The r.m.s. rate, rad/s."""
+    import numpy as np
+
+    return float(np.linalg.norm(motion.dtheta_dot) / np.sqrt(len(motion)))
+
 
 def _sign(regressors: Regressors) -> tuple[Array, ...]:
     import numpy as np
