@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import threading
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -14,6 +15,8 @@ from typing import Any
 from hil.errors import WrongUse
 
 _PATIENCE = 3.0  # s for a scheduler to answer; with the time to load Dask it stays below 5 s
+_WITHOUT_WORKERS = 30.0  # s; a worker that dies is started again by its nanny within a few
+_LOOK = 1.0  # s between two looks at the workers
 
 
 @contextmanager
@@ -34,10 +37,11 @@ def dask_executor(address: str, count: int) -> Iterator[Any]:
                 distributed.LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as cluster,
                 distributed.Client(cluster, set_as_default=False) as client,
                 _said(address),
+                _attended(client, address),
             ):
                 yield client.get_executor(pure=False)
             return
-        with _connected(distributed.Client, address) as client, _said(address):
+        with _connected(distributed.Client, address) as client, _said(address), _attended(client, address):
             _check_versions(client, address)
             yield client.get_executor(pure=False)
 
@@ -70,6 +74,37 @@ def _check_versions(client: Any, address: str) -> None:
             f"--cluster {address}: its workers have hil {', '.join(others)}, and this is hil {own}: install the same "
             "version there"
         )
+
+
+@contextmanager
+def _attended(client: Any, address: str) -> Iterator[None]:
+    """Raise WrongUse where no worker is left for long: the scheduler would keep the tasks for one for ever."""
+    ended, alone = threading.Event(), threading.Event()
+    thread = threading.Thread(target=_attend, args=(client, ended, alone), daemon=True)
+    thread.start()
+    try:
+        yield
+    except CancelledError:
+        if not alone.is_set():
+            raise
+        raise WrongUse(
+            f"--cluster {address}: no worker has been left for {_WITHOUT_WORKERS:.0f} s, so that no recording can be "
+            f"identified: start one with `dask worker {address}`, and run the command again"
+        ) from None
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _attend(client: Any, ended: threading.Event, alone: threading.Event) -> None:
+    waited = 0.0
+    while not ended.wait(_LOOK):
+        with suppress(OSError):  # a scheduler that is gone has cancelled the tasks itself
+            waited = 0.0 if client.scheduler_info()["workers"] else waited + _LOOK
+        if waited >= _WITHOUT_WORKERS:
+            alone.set()
+            client.close()  # cancels its tasks, so that who waits for them goes on
+            return
 
 
 @contextmanager

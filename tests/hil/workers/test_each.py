@@ -20,16 +20,21 @@ from hil.identification import each
 from ..conftest import Hil, Maker
 
 MODEL = """
-import os, pathlib, signal
+import os, pathlib, signal, sys
 from typing import Annotated
 
-MARK = pathlib.Path({mark!r})
 PARENT = {parent}
+
+def first():
+    try:
+        pathlib.Path({mark!r}).touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
 
 def dying(time, dtheta, dtheta_dot, *,
           Kc: Annotated[float, "N*m/rad", 0.0, 1.0], Bc: Annotated[float, "N*m*s/rad", 0.0, 0.01]):
-    if PARENT != os.getpid() and not MARK.exists():
-        MARK.touch()
+    if PARENT != os.getpid() and {who}:
         os.kill(os.getpid(), signal.SIGKILL)
     return Kc * dtheta + Bc * dtheta_dot
 """
@@ -118,21 +123,34 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(make_recording: Maker) ->
     assert "no Dask scheduler answers there" in ended.stderr
 
 
+def on_cluster(words: list[Any], address: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run hil in a process of its own, which gives up after 2 s without a worker."""
+    main = (
+        "import sys, hil.workers.cluster as cluster; from hil.cli import app\n"
+        "cluster._WITHOUT_WORKERS = 2.0; sys.exit(app.run(sys.argv[1:]))"
+    )
+    words = [sys.executable, "-c", main, *map(str, words), "--cluster", address]
+    return subprocess.run(words, check=False, capture_output=True, text=True, cwd=folder, timeout=180)
+
+
 def test_a_cluster_finds_the_same_numbers_although_one_of_its_workers_is_killed_at_work(
     hil: Hil, make_recording: Maker, tmp_path: Path
 ) -> None:
     mark = tmp_path / "killed"
-    (tmp_path / "model.py").write_text(MODEL.format(mark=str(mark), parent=os.getpid()))
+    (tmp_path / "model.py").write_text(MODEL.format(mark=str(mark), parent=os.getpid(), who="first()"))
     words = ["identify", "--each", *files(make_recording), "--model", "model.py:dying", "--trials", 2, "--json"]
     here = hil(*words, "--workers", 1)
     with cluster(tmp_path, workers=2) as address:
-        ended = subprocess.run(
-            [sys.executable, "-m", "hil", *map(str, words), "--cluster", address],
-            check=False,
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-        )
+        ended = on_cluster(words, address, tmp_path)
     assert mark.exists()
     assert without_time(ended.stdout) == without_time(here.out)
     assert (ended.returncode, len(without_time(here.out)["results"])) == (here.status, 4)
+
+
+def test_a_cluster_whose_workers_have_all_died_ends_in_one_sentence(make_recording: Maker, tmp_path: Path) -> None:
+    (tmp_path / "model.py").write_text(MODEL.format(mark="", parent=os.getpid(), who="'identify' not in sys.argv"))
+    words = ["identify", "--each", *files(make_recording)[:2], "--model", "model.py:dying", "--trials", 2]
+    with cluster(tmp_path, workers=1) as address:
+        ended = on_cluster(words, address, tmp_path)
+    assert ended.returncode == 2
+    assert "no worker has been left" in ended.stderr.splitlines()[-1]
