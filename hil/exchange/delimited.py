@@ -8,13 +8,14 @@ import math
 import re
 import zlib
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from functools import partial
 from io import BufferedReader, TextIOWrapper
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +25,15 @@ from hil.exchange.headings import is_unit
 from hil.exchange.row_filter import RowFilter
 from hil.recording.input import open_input
 
+if TYPE_CHECKING:
+    from _csv import Reader
+
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 _LARGEST = 1 << 36  # bytes of a file, which is read row by row
 _LONGEST = 1 << 20  # characters of a line; what is longer is read as several, none of which has the right fields
+_PREAMBLE = 200  # lines that are searched for the headings
 _SHOWN = 40  # characters of a bad cell that are quoted
 _EXAMPLE = ("time [s]", "torque [N*m]", "dtheta [rad]", "a", "b", "c", "d", "e")
 _NO_UNIT = frozenset({"", "-", "1"})
@@ -50,13 +55,15 @@ def read(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFi
     kept = [array("d") for _ in wanted]
     lines = array("q")
     with _text(source) as text:
-        names, delimiter, height, rest = _header(source, text)
-        reader = csv.reader(rest, delimiter=delimiter)
-        cells = _Cells(source, names)
+        names, delimiter, height, dates, rest = _header(source, text)
+        reader = _reader(rest, delimiter)
+        cells = _Cells(source, names, dates)
         for row in _rows(source, reader, height):
             if not row:
                 continue
             line = reader.line_num + height
+            while len(row) > len(names) and not row[-1]:  # some loggers end every row with a delimiter
+                row.pop()
             if len(row) != len(names):
                 raise WrongUse(_unequal(source, line, row, names, delimiter))
             if all(one.keeps(cells.number(line, at, row[at])) for at, one in filters):
@@ -92,37 +99,114 @@ def _unequal(source: Path, line: int, row: list[str], names: list[str], delimite
 
 
 class _Header(NamedTuple):
-    """The headings, the character between them, the lines that they take, and the lines below."""
+    """The headings, the character between them, the lines that they take, the columns of dates, the lines below."""
 
     names: list[str]
     delimiter: str
     height: int
+    dates: frozenset[int]
     rest: Iterator[str]
 
 
 def _header(source: Path, text: TextIO) -> _Header:
     """Read the headings, and a line of units below them, if any. Raises WrongUse for a table without headings."""
-    line = text.readline(_LONGEST).rstrip("\r\n")
-    delimiter = max(",;\t", key=line.count)
+    top = [line for line in (text.readline(_LONGEST) for _ in range(_PREAMBLE)) if line]
+    at, row = _place_of_headings(top)
+    line = top[at].rstrip("\r\n") if top else ""
+    delimiter = _delimiter(line)
     names = _split(source, line.removeprefix("#"), delimiter)  # numpy.savetxt writes a # before the headings
     if any(names) and all(_is_number(name) for name in names if name):
         raise WrongUse(
             f"{source} has no headings: its first line holds numbers. Write a line above them with the names and units "
-            f"of its {len(names)} columns, such as {delimiter.join(_EXAMPLE[: len(names)])!r}"
+            f"of its {len(names)} columns, such as {_example(len(names), delimiter)!r}"
         )
-    second = text.readline(_LONGEST)
-    rest = iter(partial(text.readline, _LONGEST), "")
-    if second and (units := _units(source, second.rstrip("\r\n"), delimiter, len(names))):
-        pairs = zip(names, units, strict=True)
-        return _Header([f"{name} [{unit}]" if unit else name for name, unit in pairs], delimiter, 2, rest)
-    return _Header(names, delimiter, 1, chain([second] if second else [], rest))
+    below = iter(partial(text.readline, _LONGEST), "")
+    height = next((place for place in range(at + 1, len(top)) if top[place].strip()), at + 1)
+    if units := _units("".join(top[height : height + 1]), delimiter, len(names)):
+        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
+        height += 1
+    dates = frozenset(place for place, cell in enumerate(row) if _seconds(cell) is not None)
+    names = [f"{name} [s]" if place in dates else name for place, name in enumerate(names)]
+    return _Header(names, delimiter, height, dates, chain(top[height:], below))
+
+
+def _place_of_headings(top: Sequence[str]) -> tuple[int, list[str]]:
+    """Return the index of the line of headings, and the first row below it ([] where none was recognised).
+
+    Loggers write comments and settings above the headings. The headings are the first line without a number that has as
+    many fields as the row of numbers below it; lines that are empty or hold units may stand between. The first line is
+    taken where no line is one, or where it has as many fields itself, and is no comment: then the row is at fault.
+    """
+    for at in range(len(top)):
+        delimiter = _delimiter(top[at])
+        row = _next_row(top[at + 1 :], delimiter)
+        if _heads(top[at].removeprefix("#"), delimiter, row):
+            own = not top[0].startswith("#") and _heads(top[0], delimiter, row)
+            return (0 if own else at), row
+    return 0, []
+
+
+def _heads(line: str, delimiter: str, row: Sequence[str]) -> bool:
+    """Whether a line of several names, none a number, has as many fields as a row, but for empty ones at its end."""
+    names = _fields(line, delimiter)
+    return 1 < len(names) <= len(row) and not any(row[len(names) :]) and not any(map(_is_number, names))
+
+
+def _next_row(lines: Sequence[str], delimiter: str) -> list[str]:
+    """Return the cells of the next line that is neither empty nor of units; [] where it does not begin with numbers."""
+    for line in lines:
+        cells = _fields(line, delimiter)
+        if any(map(_is_number, cells)):
+            return cells if _is_number(cells[0]) or _seconds(cells[0]) is not None else []
+        if any(cells) and not _units(line, delimiter, len(cells)):
+            return []
+    return []
+
+
+def _example(columns: int, delimiter: str) -> str:
+    names = _EXAMPLE[:columns]
+    return delimiter.join(name.replace(" ", "") for name in names) if delimiter == " " else delimiter.join(names)
+
+
+def _delimiter(line: str) -> str:
+    """Return the character that parts the fields of a line: a space where there is no other."""
+    found = max(",;\t", key=line.count)
+    return found if found in line else " "
+
+
+def _fields(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, [] where it is not CSV."""
+    try:
+        return [cell.strip() for cell in next(_reader([line], delimiter), [])]
+    except csv.Error:
+        return []
+
+
+def _reader(lines: Iterable[str], delimiter: str) -> Reader:
+    """Return a reader of rows; several spaces are one delimiter."""
+    spaced = delimiter == " "
+    ended = (line.rstrip() for line in lines) if spaced else lines
+    return csv.reader(ended, delimiter=delimiter, skipinitialspace=spaced)
 
 
 def _split(source: Path, line: str, delimiter: str) -> list[str]:
     try:
-        return [name.strip() for name in next(csv.reader([line], delimiter=delimiter), [])]
+        return [name.strip() for name in next(_reader([line], delimiter), [])]
     except csv.Error as error:
         raise WrongUse(f"{source}, row 1: {_csv_error(error)}") from None
+
+
+def _seconds(text: str) -> float | None:
+    """Return a date with a time of day, or a time of day alone, in s; None where the text is neither (ISO 8601)."""
+    if ":" not in text:
+        return None
+    for written in (text.strip(), f"1970-01-01 {text.strip()}"):
+        try:
+            date = datetime.fromisoformat(written)
+            return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+        except ValueError:
+            continue
+    return None
 
 
 def _is_number(text: str) -> bool:
@@ -133,14 +217,14 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _units(source: Path, line: str, delimiter: str, columns: int) -> list[str]:
+def _units(line: str, delimiter: str, columns: int) -> list[str]:
     """Return the units in the second line of a table, as some loggers write them, "" for a column without; [] if none.
 
     A line with a quotation mark or a number is not one of them.
     """
     if '"' in line or any(map(_is_number, line.split(delimiter))):
         return []
-    cells = [cell.strip().strip("[](){}") for cell in _split(source, line, delimiter)]
+    cells = [cell.strip("[](){}") for cell in _fields(line, delimiter)]
     stated = [cell for cell in cells if cell not in _NO_UNIT]
     if len(cells) != columns or not stated or not all(is_unit(cell) for cell in stated):
         return []
@@ -184,9 +268,10 @@ class _Cells:
     ("0,5", "12,25") can only be one; a file without such a number is refused.
     """
 
-    def __init__(self, source: Path, names: list[str]) -> None:
+    def __init__(self, source: Path, names: list[str], dates: frozenset[int]) -> None:
         self._source = source
         self._names = names
+        self._dates = dates
         self._point = ""  # the place of the first number with a point, and with a comma
         self._comma = ""
         self._sure = False
@@ -201,7 +286,8 @@ class _Cells:
                 raise ValueError  # only Python separates thousands so
             value = float(text)
         except ValueError:
-            return self._with_comma(line, at, text)
+            date = _seconds(text) if at in self._dates else None
+            return self._with_comma(line, at, text) if date is None else date
         if not self._point and "." in text:
             self._point = self._place(line, at, text)
         return value

@@ -21,10 +21,10 @@ def renamed(source: Path, titles: Sequence[str], topic: str | None, joint: str |
         if topic is not None or joint is not None:
             raise WrongUse(f"{source} is no bag, nor a table of PlotJuggler: name its columns, not a topic or joint")
         return list(titles)
-    names = {title: title for title in titles} | {TIME: "time [s]"}
+    names = {title: title for title in titles} | {TIME: f"{TIME} [s]"}
     if topic is not None or joint is not None:
         chosen = _joint(source, titles, topic, joint)
-        names |= {f"{chosen}/{name}": f"{name} [{unit}]" for name, unit in UNITS.items()}
+        names |= {TIME: "time [s]"} | {f"{chosen}/{name}": f"{name} [{unit}]" for name, unit in UNITS.items()}
     return [names[title] for title in titles]
 
 

@@ -165,7 +165,7 @@ def test_a_joint_of_plotjugglers_table_becomes_a_recording(tmp_path: Path) -> No
 def test_columns_of_plotjugglers_table_need_units_but_for_the_time(tmp_path: Path) -> None:
     source = plotjuggler(tmp_path)
     position, effort = "/joint_states/finger/position", "/joint_states/finger/effort"
-    columns = {"time": Column("time"), "torque": Column(effort), "dtheta": Column(position)}
+    columns = {"time": Column("__time"), "torque": Column(effort), "dtheta": Column(position)}
     with pytest.raises(WrongUse, match="does not say the unit of '/joint_states/finger/effort'"):
         import_table(source, tmp_path / "a.h5", columns, [])
     battery = columns | {"torque": Column("/battery/v", "N*m"), "dtheta": Column(position, "rad")}

@@ -330,6 +330,40 @@ def test_units_in_a_line_below_the_headings_are_read(tmp_path: Path) -> None:
         imported(tmp_path, text.replace("20", "twenty"), (), **BARE)
 
 
+UNITED = {"time": Column("t"), "torque": Column("tau"), "dtheta": Column("q")}
+ROWS = "0.5,10,0.1\n0.6,20,0.2\n0.7,30,0.3\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# logger 1.2\n# rig 3, Smith, 2024\n\nt [s],tau [mN*m],q [rad]\n" + ROWS,
+        "Settings;rate;1000\nWriter;2\n***end***\nt;tau;q\n\ns;mNm;rad\n".replace(";", ",") + ROWS,
+        "t[s] tau[mNm]  q[rad]\n" + ROWS.replace(",", "  "),
+        "# t_s tau_mNm q_rad\n" + ROWS.replace(",", " ").replace("\n", " \n"),
+        "t [s],tau [mNm],q [rad]\n" + ROWS.replace("\n", ",\n"),
+        "t;tau_mNm;q_rad\n2024-05-01 23:59:59.9;10;0.1;\n2024-05-02T00:00:00;20;0.2;\n2024-05-02 00:00:00.1;30;0.3\n",
+        "t,tau [mNm],q [rad]\n09:59:59.9,10,0.1\n10:00:00,20,0.2\n10:00:00.1,30,0.3\n",
+    ],
+    ids=["comments", "settings", "spaces", "savetxt", "trailing", "dates", "times"],
+)  # fmt: skip
+def test_tables_as_loggers_write_them_read_the_same(tmp_path: Path, text: str) -> None:
+    with imported(tmp_path, text, (), **UNITED) as recording:
+        np.testing.assert_allclose(recording.channel("time"), [0.0, 0.1, 0.2], atol=1e-6)
+        np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02, 0.03])
+        np.testing.assert_allclose(recording.channel("dtheta"), [0.1, 0.2, 0.3])
+
+
+def test_a_row_below_lines_of_comment_is_named_by_its_line_in_the_file(tmp_path: Path) -> None:
+    with pytest.raises(WrongUse, match=r"row 5, column tau .mNm.: 'twenty' is not a number"):
+        imported(tmp_path, "# a\n\nt [s],tau [mNm],q [rad]\n" + ROWS.replace("20", "twenty"), (), **UNITED)
+
+
+def test_a_first_row_that_is_no_number_does_not_become_the_headings(tmp_path: Path) -> None:
+    with pytest.raises(WrongUse, match="row 2, column TIME: 'a' is not a number"):
+        imported(tmp_path, "TIME,POS,TAU\na,b,c\n" + ROWS)
+
+
 STAND = "[stand]\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n"
 
 
