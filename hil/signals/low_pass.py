@@ -120,11 +120,16 @@ def passed_again(time: Array, values: Array, low_pass: LowPass, rows: Rows) -> A
 
     What depends on the stamps and the rows is kept.
     """
-    found = []
-    for part in _stretches(time, low_pass.step):
-        own = rows if isinstance(rows, slice) else rows[(rows >= part.start) & (rows < part.stop)] - part.start
-        found.append(_value(time[part], values[part], low_pass, own))
-    return np.concatenate(found)
+    if len(time) >= _KEPT / (2 * (low_pass.half + low_pass.near) + 3):
+        return passed(time, values, low_pass)[0][rows]
+    stamps, parts = time.tobytes(), _stretches(time, low_pass.step)
+    if isinstance(rows, slice) or _FEW * len(rows) > len(time):
+        kept = zip(parts, _weights(stamps, low_pass), strict=True)
+        return np.concatenate([_value(values[part], low_pass, weights) for part, weights in kept])[rows]
+    few = zip(parts, _weights_of(stamps, low_pass, rows.tobytes()), strict=True)
+    return np.concatenate(
+        [_value(values[one], low_pass, own, None if own is not None else _own(rows, one)) for one, own in few]
+    )
 
 
 def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
@@ -162,17 +167,18 @@ def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array) -> Ar
     )
 
 
-def _value(time: Array, values: Array, low_pass: LowPass, rows: Rows) -> Array:
-    """Some rows of the first row of `_passed`, at stamps that are asked for again."""
-    if _is_even(time, low_pass):
-        return np.asarray(_filtered(values, low_pass, low_pass.kernels()[:1])[0, rows])
-    if not 2 * low_pass.near < len(time) < _KEPT / (2 * (low_pass.half + low_pass.near) + 3):
-        return np.asarray(_passed(time, values, low_pass, low_pass.kernels())[0, rows])
-    base, stamps = values.mean(), time.tobytes()
-    moved = values - base  # small numbers lose fewer digits
-    if isinstance(rows, slice) or _FEW * len(rows) > len(time):
-        return np.asarray(base + (_weights(stamps, low_pass) @ moved)[rows])
-    return np.asarray(base + _weights_of(stamps, low_pass, rows.tobytes()) @ moved)
+def _value(values: Array, low_pass: LowPass, weights: csr_array | None, rows: NDArray[np.int64] | None = None) -> Array:
+    """The first row of `_passed` of a stretch by its weights, None for one with even stamps; rows: of that which."""
+    if weights is None:
+        found = _filtered(values, low_pass, low_pass.kernels()[:1])[0]
+        return np.asarray(found if rows is None else found[rows])
+    base = values.mean()  # small numbers lose fewer digits
+    return np.asarray(base + weights @ (values - base))
+
+
+def _own(rows: NDArray[np.int64], part: slice) -> NDArray[np.int64]:
+    """Those of the rows, rising, that lie in a stretch, counted from its first."""
+    return np.asarray(rows[(rows >= part.start) & (rows < part.stop)] - part.start)
 
 
 def _filtered(even: Array, low_pass: LowPass, kernels: Array) -> Array:
@@ -199,14 +205,30 @@ def _grid(time: Array, low_pass: LowPass) -> Array:
 
 
 @lru_cache(maxsize=2)
-def _weights(stamps: bytes, low_pass: LowPass) -> csr_array:
+def _weights(stamps: bytes, low_pass: LowPass) -> tuple[csr_array | None, ...]:
+    """Return the weights (n, n) of each stretch, None for one with even stamps."""
+    time = np.frombuffer(stamps)
+    parts = (time[part] for part in _stretches(time, low_pass.step))
+    return tuple(None if _is_even(part, low_pass) else _weights_in(part, low_pass) for part in parts)
+
+
+@lru_cache(maxsize=16)
+def _weights_of(stamps: bytes, low_pass: LowPass, rows: bytes) -> tuple[csr_array | None, ...]:
+    """Return some rows of the weights: each costs as much as a value has neighbours."""
+    wanted, parts = np.frombuffer(rows, dtype=np.int64), _stretches(np.frombuffer(stamps), low_pass.step)
+    found = zip(parts, _weights(stamps, low_pass), strict=True)
+    return tuple(None if weights is None else weights[_own(wanted, part)] for part, weights in found)
+
+
+def _weights_in(time: Array, low_pass: LowPass) -> csr_array:
     """Return the weights (n, n) that make the filtered values of a stretch from its readings, as `_passed` does it.
 
     Readings go to the grid by a local polynomial, through the low-pass there, and back: each is a matrix.
     """
     from scipy.sparse import csr_array, diags_array
 
-    time = np.frombuffer(stamps)
+    if len(time) < 2 * low_pass.near + 1:
+        return csr_array(diags_array(np.full(len(time), np.nan)))
     grid, half = _grid(time, low_pass), low_pass.half
     fits = [_local(time, low_pass.near, order) for order in (0, 1)]
     there = sum(part @ fit for part, fit in zip(_hermite(time, grid), fits, strict=True))
@@ -218,12 +240,6 @@ def _weights(stamps: bytes, low_pass: LowPass) -> csr_array:
         through = diags_array(kernel[::-1], offsets=list(offsets), shape=(len(grid), len(ends)))
         back.append(part @ (through.tocsr() @ padded))
     return csr_array(back[0] + back[1])
-
-
-@lru_cache(maxsize=16)
-def _weights_of(stamps: bytes, low_pass: LowPass, rows: bytes) -> csr_array:
-    """Return some rows of the weights: each costs as much as a value has neighbours."""
-    return _weights(stamps, low_pass)[np.frombuffer(rows, dtype=np.int64)]
 
 
 def _local(time: Array, near: int, order: int) -> csr_array:
