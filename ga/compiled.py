@@ -30,12 +30,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar, cast
 
-import numba
-from numba.core import event
-from numba.core.compiler_lock import global_compiler_lock
-from numba.misc import appdirs
-
 from ga import first_run
+from ga.own_numba import appdirs, event, global_compiler_lock, numba
 
 if sys.platform != "win32":
     import fcntl
@@ -83,7 +79,7 @@ def _no_refcount(function: Callable[P, R]) -> dict[str, bool]:
 def _compiled(function: Callable[P, R], **options: bool) -> Callable[P, R]:
     folder = cache_folder(_package(Path(function.__code__.co_filename)))
     every: dict[str, Any] = _OPTIONS | options | {"cache": folder is not None}
-    with _numba_caching_in(folder):
+    with _numba_set_for(folder):
         dispatcher: Any = numba.njit(**every)(function)
     if folder is not None:
         lock = folder / f"{function.__module__}.{function.__qualname__}.lock".replace("<", "").replace(">", "")
@@ -186,14 +182,14 @@ event.register("numba:compile", _Announced())  # type: ignore[no-untyped-call]
 
 
 @contextmanager
-def _numba_caching_in(folder: Path | None) -> Iterator[None]:
-    # numba reads its setting when a function is decorated; the user's own functions keep the user's setting
-    before = _numba.CACHE_DIR
-    _numba.CACHE_DIR = before if folder is None else str(folder)
+def _numba_set_for(folder: Path | None) -> Iterator[None]:
+    # numba reads its settings when a function is decorated; the user's own functions keep the user's settings
+    before = _numba.CACHE_DIR, _numba.DISABLE_JIT
+    _numba.CACHE_DIR, _numba.DISABLE_JIT = before[0] if folder is None else str(folder), 0
     try:
         yield
     finally:
-        _numba.CACHE_DIR = before
+        _numba.CACHE_DIR, _numba.DISABLE_JIT = before
 
 
 def _package(source: Path) -> Path:
@@ -209,7 +205,8 @@ def cache_folder(package: Path) -> Path | None:
     """Return the folder for the machine code of a package's (or a single file's) present sources.
 
     It lies where `NUMBA_CACHE_DIR` says, else in the user's cache folder, else in the package's `__pycache__`: the
-    first that can be written. None if none can, or if the sources cannot be read: then nothing is cached.
+    first that can be written. None if none can, or if the sources cannot be read: then nothing is cached. A user
+    without a home has no cache folder: that of the working directory would run what somebody else put there.
     """
     try:
         name = f"{package.stem}-{_digest(package, Path(__file__).parent)}"
@@ -217,7 +214,7 @@ def cache_folder(package: Path) -> Path | None:
         return None
     asked = [Path(_numba.CACHE_DIR)] if _numba.CACHE_DIR else []
     user = Path(_appdirs.user_cache_dir("hil", appauthor=False)) / "machine-code"
-    for base in [*asked, user, package / "__pycache__"]:
+    for base in [*asked, *([user] if user.is_absolute() else []), package / "__pycache__"]:
         if _used(base / name):
             _prune(base, package.stem)
             return base / name

@@ -56,13 +56,7 @@ class Commissioning:
     def keep(self, info: ServoInfo, mode: Quantity) -> Path:
         """Keep the outcome for the drive `info` in `mode`; return the file. Raises WrongUse."""
         memory = _memory(info, mode)
-        try:
-            memory.keep(asdict(self))
-        except OSError as error:
-            raise WrongUse(
-                f"{memory.path} cannot be written ({error.strerror}): it keeps the outcome for hil record; make room, "
-                "or set XDG_STATE_HOME to a folder that can be written"
-            ) from None
+        memory.keep(asdict(self))
         return memory.path
 
 
@@ -85,7 +79,7 @@ def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
     with suppress(OSError, ValueError, KeyError, TypeError, WrongUse):
         kept = _memory(info, mode).load() or {}
         found = Commissioning(**{one.name: kept[one.name] for one in fields(Commissioning)})
-        age = time.time() - float(found.time)
+        age = time.time() - found.time
         same = (found.firmware, found.watchdog) == (info.firmware, info.watchdog)
         truths = isinstance(found.releases, bool) and isinstance(found.second_signal, bool)
         if same and truths and -_DAY < age < DAYS * _DAY:

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.servo import ServoInfo
+from hil.errors import WrongUse
 from hil.recording.input import read_text
+from hil.recording.output import atomic_write
 
 _LARGEST = 4096  # bytes of a file
 
@@ -18,26 +20,50 @@ _LARGEST = 4096  # bytes of a file
 class DriveMemory:
     """A file of `kind` for the drive `info`; also: words that tell it from other files of this drive.
 
-    path: `$XDG_STATE_HOME/hil/KIND/DRIVE.json`.
+    path: `$XDG_STATE_HOME/hil/KIND/DRIVE.json`. Raises WrongUse for a user who has no folder for it.
     """
 
     def __init__(self, kind: str, info: ServoInfo, *also: str) -> None:
-        folder = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "hil" / kind
         words = " ".join((info.backend, info.model, info.serial, *also))
-        self.path = folder / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', words)}.json"
+        self.path = _state_folder() / "hil" / kind / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', words)}.json"
 
     def load(self) -> dict[str, Any] | None:
         """Return what was kept, None where nothing was. Raises WrongUse, ValueError where it cannot be read."""
-        if not self.path.exists():
+        try:
+            self.path.stat()
+        except (FileNotFoundError, NotADirectoryError):
             return None
+        except OSError as error:
+            raise WrongUse(f"{self.path} cannot be read ({error.strerror})") from None
         kept = json.loads(read_text(self.path, largest=_LARGEST))
         if not isinstance(kept, dict):
             raise ValueError("it is no table")
         return kept
 
     def keep(self, fields: Mapping[str, Any]) -> None:
-        """Keep `fields` in place of what was kept. Raises OSError."""
-        fresh = self.path.with_name(f".{self.path.name}.{os.getpid()}")
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        fresh.write_text(json.dumps(fields, allow_nan=False) + "\n", encoding="ascii")
-        fresh.replace(self.path)
+        """Keep `fields` in place of what was kept. Raises WrongUse."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(self.path, force=True) as fresh:
+                fresh.write_text(json.dumps(fields, allow_nan=False) + "\n", encoding="ascii")
+        except (OSError, WrongUse) as error:
+            reason = getattr(error.__cause__ or error, "strerror", None) or str(error)
+            raise WrongUse(
+                f"{self.path} cannot be written ({reason}): it keeps what the next run must know of this drive; make "
+                "room, or set XDG_STATE_HOME to a folder that can be written"
+            ) from None
+
+
+def _state_folder() -> Path:
+    """Return the user's folder for state; one that depended on the working directory would forget a hot motor."""
+    asked = Path(os.environ.get("XDG_STATE_HOME", ""))
+    try:
+        folder = asked if asked.is_absolute() else Path.home() / ".local" / "state"
+    except RuntimeError:  # an unknown user, as in a container
+        folder = asked
+    if not folder.is_absolute():
+        raise WrongUse(
+            "this user has no home folder to keep what the next run must know of this drive: set XDG_STATE_HOME to a "
+            "folder that can be written"
+        )
+    return folder

@@ -68,16 +68,10 @@ class HeatMemory:
         return model.after(state, 0.0, max(0.0, rested))
 
     def keep(self, state: Temperatures, at: float) -> None:
-        """Keep the temperatures at `at`, s since 1970."""
+        """Keep the temperatures at `at`, s since 1970. Raises WrongUse."""
         boot, awake = since_boot()
         times = {"time": at, "boot": boot, "since_boot": awake + at - time.time()}
-        try:
-            self._memory.keep(times | {"winding_degC": state.winding, "case_degC": state.case})
-        except OSError as error:
-            raise WrongUse(
-                f"{self._memory.path} cannot be written ({error.strerror}): it keeps the winding's temperature for the "
-                "next run; make room, or set XDG_STATE_HOME to a folder that can be written"
-            ) from None
+        self._memory.keep(times | {"winding_degC": state.winding, "case_degC": state.case})
 
 
 class WindingHeat:

@@ -151,3 +151,17 @@ def test_ctrl_c_while_a_function_is_compiled_ends_the_work_once_that_function_is
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     _compiled_once(lambda: done.append("next"), tmp_path / "next.lock")
     assert done == ["inner", "next"]
+
+
+def test_the_working_directory_says_nothing_of_where_machine_code_is(
+    package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file of numba's settings there, and a user without a home, whose folders are relative: "~/.cache"."""
+    monkeypatch.chdir(tmp_path)
+    Path(".numba_config.yaml").write_text("cache_dir: planted\ndisable_jit: 1\n")
+    assert ask(package, tmp_path / "cache") == (2.0, False)
+    assert (tmp_path / "cache").exists()
+    monkeypatch.setattr("ga.compiled._appdirs.user_cache_dir", lambda *_, **__: "~/.cache/hil")
+    assert cache_folder(package) == package / "__pycache__" / next((package / "__pycache__").iterdir()).name
+    assert not Path("planted").exists()
+    assert not Path("~").exists()

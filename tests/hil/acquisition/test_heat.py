@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from drivers.servo import Quantity, Sample, ServoInfo
 from hil.acquisition import excitation
+from hil.acquisition.drive_memory import DriveMemory
 from hil.acquisition.excitation import Profile
 from hil.acquisition.heat import HeatMemory, TooHot, WindingHeat, heat_budget
 from hil.acquisition.limits import AtJoint, LimitReached
@@ -223,6 +226,42 @@ def test_a_memory_that_cannot_be_written_refuses_the_run_before_it_begins(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
     with pytest.raises(WrongUse, match="XDG_STATE_HOME"):
         budget(0.004, 1.0).start(at_rest(), [])
+
+
+def test_a_memory_that_cannot_be_looked_for_is_not_taken_for_a_cold_motor(state_folder: Path) -> None:
+    state_folder.mkdir(parents=True)
+    with pytest.raises(WrongUse, match="File name too long"):
+        HeatMemory(replace(INFO, serial="1" * 300)).load(_model(), NOW)
+
+
+def test_a_memory_that_could_not_be_kept_leaves_the_one_before_and_nothing_else(
+    state_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW)
+    monkeypatch.setattr("hil.recording.output.take_name", full)
+    with pytest.raises(WrongUse, match="No space left on device"):
+        HeatMemory(INFO).keep(Temperatures(25.0, 25.0), NOW)
+    assert HeatMemory(INFO).load(_model(), NOW) == Temperatures(70.0, 30.0)
+    assert len(list(state_folder.iterdir())) == 1
+
+
+@pytest.mark.parametrize("home", [None, "here"], ids=["unknown user", "relative"])
+def test_no_memory_depends_on_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, home: str | None
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "state")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert DriveMemory("heat", INFO).path.is_relative_to(tmp_path / ".local" / "state")
+    if home is None:
+        monkeypatch.delenv("HOME")
+        monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)
+    else:
+        monkeypatch.setenv("HOME", home)
+    with pytest.raises(WrongUse, match="set XDG_STATE_HOME"):
+        HeatMemory(INFO)
 
 
 def test_positions_are_not_predicted_and_a_stand_without_the_table_has_no_budget() -> None:
