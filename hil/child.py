@@ -23,7 +23,10 @@ def command(module: str, *words: str) -> list[str]:
 
 
 def _search_path() -> list[str]:
-    here = Path.cwd()
+    try:
+        here = Path.cwd()
+    except OSError:  # it was removed, and nothing lies there
+        here = None
     folders = [Path(entry) for entry in sys.path if Path(entry).is_absolute()]
     kept = [folder for folder in folders if (place := folder.resolve()) != here or place == _ROOT]
     if _ROOT not in [folder.resolve() for folder in kept]:  # a checkout that is run from within by `python -m hil`

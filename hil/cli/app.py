@@ -61,6 +61,8 @@ app = typer.Typer(
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # raised by typer for wrong options, not exported
 
 
+_NO_MORE = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN})  # open files, memory, processes
+
 _COMMANDS: dict[str, Callable[..., None]] = {
     "record": record,
     "identify": identify,
@@ -179,8 +181,8 @@ def _status_of(error: Exception) -> int:
         return LIMIT_REACHED
     if isinstance(error, DriverError):
         return STAND_FAILED
-    if isinstance(error, OSError) and error.errno in {errno.EMFILE, errno.ENFILE, errno.ENOMEM}:
-        say("this computer gives hil no more of that: close other programs, or raise the limit (ulimit -n, ulimit -v)")
+    if isinstance(error, OSError) and error.errno in _NO_MORE:
+        say("this computer gives hil no more of that: close other programs, or raise the limit (ulimit -n, -u, -v)")
         return WRONG_USE
     if not isinstance(error, Untrustworthy):
         say("this is a fault in hil itself: run the command again with --debug and report the output")

@@ -20,7 +20,7 @@ from typing import NamedTuple, Self
 from hil.recording.posix import lock
 
 _HEADER = 128  # bytes, of 8 each
-_FOLDERS = ("/dev/shm", tempfile.gettempdir())  # noqa: S108 - memory; else a disk, for which a row may have to wait
+_SHARED = "/dev/shm"  # noqa: S108 - memory
 _KEPT = 7 * 86400.0  # s that rows which nobody recovers stay in memory
 _PUT, _TAKEN, _EVENTS_PUT, _EVENTS_TAKEN, _CLOSED, _FAILURE, _SHAPE = range(7)
 
@@ -62,7 +62,8 @@ class Ring:
 
         Those that runs of long ago have left and nobody has recovered are removed.
         """
-        for folder in _FOLDERS:
+        folders = _folders()
+        for folder in folders:
             cls._remove_old(folder)
             path = _path(folder, uid)
             with suppress(OSError):
@@ -72,7 +73,7 @@ class Ring:
                 except OSError:
                     path.unlink()
                     os.close(file)
-        raise OSError(errno.ENOSPC, f"neither {' nor '.join(_FOLDERS)} has room for {shape.size} bytes")
+        raise OSError(errno.ENOSPC, f"no room for {shape.size} bytes in {' or '.join(folders)}")
 
     @classmethod
     def _filled(cls, file: int, path: Path, shape: Shape) -> Self:
@@ -97,7 +98,7 @@ class Ring:
     @classmethod
     def left(cls, uid: str) -> Self | None:
         """Return that of the recording `uid` whose processes were all killed, None where they left none."""
-        for folder in _FOLDERS:
+        for folder in _folders():
             with suppress(OSError, ValueError):  # none; somebody else's; one that a process has; a name that is none
                 path = _path(folder, uid)
                 file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -204,6 +205,13 @@ class Ring:
         self._numbers.release()
         self._memory.close()
         os.close(self.file)
+
+
+def _folders() -> list[str]:
+    """Return where a ring may be: in memory, else on a disk, for which a row may have to wait."""
+    with suppress(OSError):  # no folder for temporary files can be written
+        return [_SHARED, tempfile.gettempdir()]
+    return [_SHARED]
 
 
 def _path(folder: str, uid: str) -> Path:

@@ -156,7 +156,8 @@ class RecordingWriter:
             if self._failure is not None:
                 raise self._failure
             if self._syncer.ident is None:
-                self._syncer.start()
+                with suppress(RuntimeError):  # the system gives no thread: rows are then safe from a kill alone
+                    self._syncer.start()
             self._write(data, offset)
         except OSError as error:
             raise Untrustworthy(

@@ -27,7 +27,12 @@ def write(ring: Ring, file: int, recorder: int) -> None:
     """Write the rows of `ring` to the open `file`, until the pipe `recorder` ends."""
     ended = threading.Event()
     syncer = threading.Thread(target=_sync, args=(ring, file, ended), daemon=True)
-    syncer.start()
+    try:
+        syncer.start()
+    except RuntimeError:  # the system gives no thread: whoever started this process sees that it ended
+        return
+    with suppress(BrokenPipeError):  # the recorder is dead already
+        os.write(1, b"\n")  # ready
     try:
         while not select.select([recorder], [], [], _PAUSE)[0]:
             drain(ring, file)
@@ -81,6 +86,4 @@ def _note_death(ring: Ring, file: int) -> None:
 if __name__ == "__main__":
     for number in _DEAF_TO:
         signal.signal(number, signal.SIG_IGN)
-    with suppress(BrokenPipeError):  # the recorder is dead already
-        os.write(1, b"\n")  # ready
     write(Ring(int(sys.argv[1]), Path(sys.argv[2])), int(sys.argv[3]), 0)

@@ -59,3 +59,14 @@ def test_a_process_of_hils_finds_the_same_hil_and_its_words(tmp_path: Path, monk
         monkeypatch.chdir(place)
         ended = subprocess.run(command("shown", "a b", "-c"), check=True, capture_output=True, text=True)
         assert json.loads(ended.stdout) == ["__main__", ["a b", "-c"], str(ROOT / "hil" / "__init__.py")]
+
+
+def test_a_process_starts_where_the_working_directory_was_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    ended = subprocess.run(command("json.tool"), check=True, input="[1]", capture_output=True, text=True)
+    assert json.loads(ended.stdout) == [1]

@@ -60,7 +60,7 @@ def test_an_output_whose_name_would_steer_a_terminal_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENOMEM])
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENOMEM, errno.EAGAIN])
 def test_a_computer_that_is_out_of_files_or_memory_is_no_fault_in_hil(
     number: int, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Callable
@@ -23,17 +24,18 @@ from hil.recording.channels import Row
 from hil.recording.reader import Recording
 from hil.recording.ring import Ring, Shape
 from hil.recording.writer import Header, RecordingWriter
-from hil.recording.writer_process import drain
+from hil.recording.writer_process import drain, write
 
 RATE = 1000.0
 HALF = 4000  # rows
+FOLDERS = ring_module._folders  # those of a user
 
 
 @pytest.fixture(autouse=True)
 def memory(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of the shared memory of this test."""
     folder = tmp_path_factory.mktemp("memory")
-    monkeypatch.setattr(ring_module, "_FOLDERS", (str(folder),))
+    monkeypatch.setattr(ring_module, "_folders", lambda: [str(folder)])
     return folder
 
 
@@ -117,7 +119,7 @@ def killed(folder: Path, memory: Path, rate: float, *, both: bool) -> Path:
     """The `.part` of a run of 97 rows whose recorder was killed, and at once or before it its writing process."""
     code = (
         "import os, signal, sys; from pathlib import Path\n"
-        "from hil.recording import ring; ring._FOLDERS = (sys.argv[2],)\n"
+        "from hil.recording import ring; ring._folders = lambda: [sys.argv[2]]\n"
         "from hil.recording.background import BackgroundWriter\n"
         "from hil.recording.channels import Row\n"
         "from hil.recording.writer import Header, RecordingWriter\n"
@@ -231,3 +233,27 @@ def test_a_disk_that_fails_is_reported_in_a_sentence(tmp_path: Path) -> None:
         feed(writer, HALF, 1e-4)
     with pytest.raises(Untrustworthy, match="cannot be written any further"):
         writer.close()
+
+
+def test_a_process_that_gets_no_thread_to_make_rows_durable_is_not_ready(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def refused(_thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    ring = Ring.create(Shape(8, 8, 2, 8, 0, 0), str(uuid.uuid4()))
+    monkeypatch.setattr(threading.Thread, "start", refused)
+    write(ring, -1, -1)
+    assert capfd.readouterr() == ("", "")
+    ring.remove()
+    ring.close()
+
+
+def test_a_computer_whose_folders_for_temporary_files_cannot_be_written_has_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def none() -> str:
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr("tempfile.gettempdir", none)
+    assert FOLDERS() == [ring_module._SHARED]
