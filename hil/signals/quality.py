@@ -142,8 +142,8 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
         found.append(
             Diagnostic(
                 "coarse-clock",
-                "several rows share a time stamp: they were spread evenly up to the next stamp, which makes Bc less "
-                "certain; record with a finer clock",
+                "several rows share a time stamp or arrived together: they were spread evenly up to the next stamp, "
+                "which makes Bc less certain; record with a finer clock, or the times at which they were taken",
             )
         )
     return found

@@ -10,6 +10,11 @@ Array = NDArray[np.float64]
 _COARSE = 0.05  # share of repeated stamps above which a clock is called coarse
 _UNITS = sorted([10.0**-k for k in range(2, 7)] + [2.0**-k for k in range(6, 20)], reverse=True)
 # s, to which stamps are often rounded: decimals, and what numbers of single precision can hold
+_ROWS = 20  # over which the usual pace is taken: more than a burst has
+_LOOKED_FOR_BURSTS = 100_000
+_BURST = 0.2  # of a usual step, below which two rows were stamped together
+_LATE = 1.2  # times between two bursts, by which the rows of one are stamped too late at most
+_IN_BURSTS = 0.3  # share of such steps from which rows arrived in bursts: samples at random times have 0.18
 _ON_UNIT = 0.01  # of a unit, within which a stamp is a multiple of it
 _FULL = 1.05  # of a unit: the range of stamps that were all cut off alike, but for what a fitted pace is off
 _LOOKED = 1000  # stamps at either end that show whether they are
@@ -18,13 +23,14 @@ _SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 
 
 def spread_stamps(time: Array) -> tuple[Array, bool]:
-    """Return the stamps (n,) s with repeats spread evenly up to the next stamp, and whether repeats are many.
+    """Return the stamps (n,) s with repeats and bursts spread evenly up to the next stamp, and whether they are many.
 
     A clock that ticks every 15.6 ms gives several rows one stamp; their order is known and their spacing is even to
     within the loop's own jitter. The rows of the last stamp continue at the rate of the rows before.
     """
-    starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > 0.0)))
-    even, coarse = _before_rounding(time), (len(time) - len(starts)) > _COARSE * len(time)
+    near = _together(time)
+    starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > near)))
+    even, coarse = _before_rounding(time, near), (len(time) - len(starts)) > _COARSE * len(time)
     if even is not time or len(starts) == len(time):
         return even, coarse
     rows = np.arange(len(time), dtype=np.float64)
@@ -35,16 +41,30 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
     return np.interp(rows, anchors, at_anchors), coarse
 
 
-def _before_rounding(time: Array) -> Array:
-    """Stamps (n,) s at an even pace, where they differ from one by no more than the rounding of the stamps.
+def _together(time: Array) -> float:
+    """The step, s, up to which rows were stamped together: above 0 where many rows arrived in bursts.
+
+    A packet brings several rows, which a computer stamps one after the other. Samples that a loop's jitter moves are
+    seldom so near each other.
+    """
+    time = time[:_LOOKED_FOR_BURSTS]
+    steps = np.diff(time)
+    near = _BURST * float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else 0.0
+    return near if np.count_nonzero(steps <= near) > _IN_BURSTS * len(steps) else 0.0
+
+
+def _before_rounding(time: Array, near: float) -> Array:
+    """Stamps (n,) s at an even pace, where they differ from one by no more than their rounding or a burst.
 
     A sample that was taken 0.3 ms from its stamp, at a millisecond of resolution, has a deflection that is off by as
-    much as 2 % at 10 Hz.
+    much as 2 % at 10 Hz. near: s, up to which rows arrived together, at the end of the time in which they were taken.
     """
+    steps = np.diff(time)
     unit = max(_unit(time[:_LOOKED]), _unit(time[-_LOOKED:]))
     pace = float(time[-1] - time[0]) / max(len(time) - 1, 1)
-    steps = np.diff(time)
-    repeat = bool((steps <= 0.0).any())
+    if near and unit <= pace:
+        unit = _LATE * float(np.median(steps[steps > near]))
+    repeat = bool((steps <= near).any())
     if unit == 0.0 or len(time) < 2 * _SHORTEST or repeat is (unit <= pace):
         return time
     usual = np.inf if repeat else float(np.mean(steps[steps < 2.0 * np.median(steps)]))

@@ -80,6 +80,27 @@ def test_stamps_that_were_rounded_at_their_halves_get_the_pace_they_had(rate: fl
     np.testing.assert_allclose(read, true, atol=1e-3 * unit)
 
 
+@pytest.mark.parametrize("packet", [1e-3, 4e-3])
+def test_rows_that_arrive_in_bursts_get_the_pace_at_which_they_were_taken(packet: float) -> None:
+    """A packet brings the rows of one or four milliseconds, which are stamped as they are unpacked."""
+    rng = np.random.default_rng(0)
+    true = np.arange(12_000) / 4000.0
+    arrived = (
+        np.ceil(true / packet) * packet + rng.uniform(0.0, 1e-4, 3001)[np.arange(len(true)) // round(4000 * packet)]
+    )
+    stamped = np.maximum.accumulate(arrived) + np.cumsum(rng.uniform(1e-9, 4e-9, len(true)))
+    time, coarse = spread_stamps(stamped)
+    assert coarse
+    np.testing.assert_allclose(np.diff(time), 1.0 / 4000.0, rtol=1e-3)
+    lost = np.delete(stamped, np.arange(5000, 5400))
+    assert np.diff(spread_stamps(lost)[0]).min() > 0.02 / 4000.0
+
+
+def test_samples_at_random_times_are_no_bursts() -> None:
+    stamps = np.cumsum(np.random.default_rng(0).exponential(1e-3, 5000))
+    np.testing.assert_array_equal(spread_stamps(stamps)[0], stamps)
+
+
 def test_a_fine_clock_is_left_alone() -> None:
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.003, 500))
     time, coarse = spread_stamps(stamps)
