@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -48,22 +49,48 @@ class Step:
     cost: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class Selection:
-    """The model selected, anchored, and the steps: up to it, then one for each rejected term on top of it.
+    """The model selected, and on demand how it was: nobody asks that of one that another selection replaces."""
 
-    residuals: (n,) N m, of its fit; columns: (n, p + q), of the problem linearised there, and values (p + q,), SI.
-    delay: s, how much older the torque reading is, 0 where no term of the model says. alternatives: models with another
-    account of why the torque reading is late.
-    """
+    chosen: Candidate
+    searched: _Steps | None = None
+    late: LateReading | None = None
 
-    model: CouplingModel
-    steps: tuple[Step, ...]
-    residuals: Array
-    columns: Array
-    values: Array
-    delay: float
-    alternatives: tuple[Alternative, ...] = ()
+    @cached_property
+    def model(self) -> CouplingModel:
+        """The model, anchored."""
+        return self.chosen.anchored
+
+    @cached_property
+    def residuals(self) -> Array:
+        """Of its fit, (n,) N m."""
+        return self.chosen.problem.residuals(self.chosen.fit)
+
+    @cached_property
+    def columns(self) -> Array:
+        """Those (n, p + q) of the problem linearised at the fit."""
+        return self.chosen.problem.linearised(self.chosen.fit)[0]
+
+    @property
+    def values(self) -> Array:
+        """All parameters (p + q,), SI."""
+        return self.chosen.fit.values
+
+    @property
+    def delay(self) -> float:
+        """How much older the torque reading is, s; 0 where no term of the model says."""
+        return self.model.delay(self.chosen.fit.nonlinear)
+
+    @cached_property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps up to the model, then one for each rejected term on top of it."""
+        return self.searched.to(self.chosen) if self.searched else ()
+
+    @cached_property
+    def alternatives(self) -> tuple[Alternative, ...]:
+        """The models with another account of why the torque reading is late."""
+        return self.late.alternatives(self.chosen) if self.late else ()
 
 
 def select(
@@ -88,16 +115,16 @@ def select(
     usual = steps.forward(fits.candidate(smallest))
     late = LateReading(fits, steps.criterion, like_skew)
     if not rarer:
-        return _explained(usual, steps, late)
-    if describes(_selection(usual), True):
-        return _explained(late.instead_of_skew(usual), steps, late)
+        return Selection(usual, steps, late)
+    if describes(Selection(usual), True):
+        return Selection(late.instead_of_skew(usual), steps, late)
     rare = _likeliest(fits, rarer, (smallest, usual.terms))
     more = (*terms, *rare)
     noise = criterion_of(fits, more, steps.criterion.richest, doubted=True)
     steps = _Steps(fits, noise, more, _LIKELY, rare, lambda one: describes(one, False))
     richer = steps.forward(fits.candidate(smallest))
     chosen = richer if set(rarer).intersection(richer.terms) else usual
-    return _explained(chosen, steps, LateReading(fits, steps.criterion, like_skew))
+    return Selection(chosen, steps, LateReading(fits, steps.criterion, like_skew))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +168,7 @@ class _Steps:
 
     def _larger(self, smaller: Candidate) -> Candidate | None:
         """The model with one more term that pays, the one that predicts held-out blocks best; None if none."""
-        if set(self.rare).intersection(smaller.terms) and self.is_enough(_selection(smaller)):
+        if set(self.rare).intersection(smaller.terms) and self.is_enough(Selection(smaller)):
             return None
         errors = {
             terms: self.fits.held_out(terms, found).mean() for terms, found in self._beyond(smaller.terms).items()
@@ -175,7 +202,7 @@ class _Steps:
 
         The likelihood of few independent samples may not be able to rank the two.
         """
-        beyond = self._beyond(smaller.terms) if self.rare and not self.is_enough(_selection(smaller)) else {}
+        beyond = self._beyond(smaller.terms) if self.rare and not self.is_enough(Selection(smaller)) else {}
         larger = (self.fits.candidate(terms, beside=smaller) for terms in beyond if set(smaller.terms) < set(terms))
         clear = [one for one in larger if self.criterion.pays(smaller, one, one.terms[-1], nearly=True)]
         return min(clear, key=lambda one: float(one.held_out.mean()), default=smaller)
@@ -204,20 +231,6 @@ def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...]
         larger = [more for less in models if is_addable(term, (more := with_another(less, term))[:-1])]
         lowest[term] = min((fits.fitness(more) for more in larger if not fits.is_rejected(more)), default=np.inf)
     return tuple(sorted((term for term in terms if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY])
-
-
-def _explained(chosen: Candidate, steps: _Steps, late: LateReading) -> Selection:
-    """The model selected, with the steps to it, the terms rejected and the alternatives."""
-    return _selection(chosen, steps.to(chosen), late.alternatives(chosen))
-
-
-def _selection(
-    chosen: Candidate, steps: tuple[Step, ...] = (), alternatives: tuple[Alternative, ...] = ()
-) -> Selection:
-    model, residuals = chosen.anchored, chosen.problem.residuals(chosen.fit)
-    columns, _ = chosen.problem.linearised(chosen.fit)
-    delay = model.delay(chosen.fit.nonlinear)
-    return Selection(model, steps, residuals, columns, chosen.fit.values, delay, alternatives)
 
 
 def _step(fitted: Candidate, weighed: tuple[float, float], *, included: bool) -> Step:
