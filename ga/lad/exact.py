@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.lad.few import ALONE, DISTINCT, PROVEN, ROUNDING, solve_few
+from ga.lad.few import ALONE, DISTINCT, FEW, PROVEN, ROUNDING, solve_few
 from ga.lad.simplex import OPTIMAL, STALLED, descend
 from ga.samples import check, resolution
 
@@ -23,8 +23,6 @@ _RANK: Final = 1e-10
 _PERTURBATIONS: Final = (0.0, 1e-11, 1e-9, 1e-7)
 """Relative to the mean torque: tried in turn until one gives a certificate; ties are resolved by the second."""
 
-_FEW: Final = 4000
-"""Rows up to which a descent over all of them costs less than to find out which ones decide."""
 _DIRECT: Final = 6000
 """Rows up to which the descent takes all of them; above, it is bracketed on a subsample first."""
 
@@ -63,7 +61,7 @@ def least_absolute_deviations(
     could be reached.
     """
     check(columns, torque)
-    if len(torque) <= _FEW and (found := solve_few(columns, torque, near)) is not None:
+    if (len(torque) <= FEW or near is not None) and (found := solve_few(columns, torque, near)) is not None:
         genes, certificate, unique = found
         return Optimum(genes, fitness_of(columns, torque, genes), certificate, unique, resolution(torque))
     sizes = np.abs(columns.T, order="C")
@@ -78,7 +76,7 @@ def least_absolute_deviations(
     best: Optimum | None = None
     for amount in _PERTURBATIONS:
         moved = target + amount * np.random.default_rng(0).uniform(-1.0, 1.0, len(torque)) if amount else target
-        basis = _solve(rows, moved, _weighted_sum(rows, start) / len(rows), close=near is not None)
+        basis = _solve(rows, moved, _weighted_sum(rows, start) / len(rows))
         if basis is None:
             continue
         # the perturbation ends here: the vertex is that of the data as they are
@@ -199,15 +197,10 @@ def _orthogonal(
 
 
 def _solve(
-    rows: NDArray[np.float64], torque: NDArray[np.float64], start: NDArray[np.float64], *, close: bool = False
+    rows: NDArray[np.float64], torque: NDArray[np.float64], start: NDArray[np.float64]
 ) -> NDArray[np.int64] | None:
-    """The optimal basis of all rows (n, r), looked for from the point start (r,); None where the descent stalls.
-
-    close: whether the optimum is thought to be as near to the start as it would be to that of other such rows.
-    """
+    """The optimal basis of all rows (n, r), looked for from the point start (r,); None where the descent stalls."""
     n, r = rows.shape
-    if close and n > _FEW and (found := _bracketed(rows, torque, start, n, widened=False)) is not None:
-        return found
     if n <= _DIRECT:
         return _descend(rows, torque, np.zeros(r), start)[1]
     step = max(n // max(_DIRECT, n // 16), 2)
@@ -221,17 +214,9 @@ def _solve(
 
 
 def _bracketed(
-    rows: NDArray[np.float64],
-    torque: NDArray[np.float64],
-    centre: NDArray[np.float64],
-    count: int,
-    *,
-    widened: bool = True,
+    rows: NDArray[np.float64], torque: NDArray[np.float64], centre: NDArray[np.float64], count: int
 ) -> NDArray[np.int64] | None:
-    """The optimal basis, looked for around the centre (r,), which is as good as an estimate from `count` rows.
-
-    widened: whether it is looked for ever further away until it is found.
-    """
+    """The optimal basis, looked for around the centre (r,), an estimate from `count` rows, ever further away."""
     r = len(centre)
     residual = torque - _times(rows, centre)
     reach = 4.0 * float(np.mean(np.abs(residual))) * np.sqrt(r / count)
@@ -251,7 +236,7 @@ def _bracketed(
                 and np.linalg.norm(np.linalg.solve(rows[basis], torque[basis]) - centre) <= reach
             ):
                 return basis
-        if not (widened and settled.any()):
+        if not settled.any():
             return None
         reach = 4.0 * max(reach, 1e-300)
 

@@ -1,7 +1,8 @@
-"""The exact minimum of the usual case in a few compiled steps: few rows, clearly distinct columns, nothing tied.
+"""The exact minimum of the usual case in a few compiled steps: clearly distinct columns, nothing tied, and few rows or
+genes that are close to it.
 
-A search and a model selection solve ten thousand such problems of some hundred rows, where the calls of dozens of array
-functions cost more than what they compute. All other cases are left to `ga.lad.exact`.
+A search and a model selection solve ten thousand such problems, most of some hundred rows, where the calls of dozens of
+array functions cost more than what they compute. All other cases are left to `ga.lad.exact`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import compiled_no_refcount
-from ga.lad.simplex import OPTIMAL, Basis, Matrix, Vector, invert, room_for, step_down
+from ga.lad.simplex import OPTIMAL, Basis, Matrix, Room, Vector, invert, room_for, step_down
 
 DISTINCT: Final = 1e-3
 """A column of which this part of its length is its own, and more, needs no cleaning from the others."""
@@ -21,6 +22,15 @@ ROUNDING: Final = 64.0 * float(np.finfo(np.float64).eps)
 PROVEN: Final = 1e-9
 ALONE: Final = 1.0 - 1e-9
 """The certificate up to which an optimum is proven, and the multipliers below which it is the only one."""
+
+FEW: Final = 4000
+"""Rows up to which a descent over all of them costs less than to find out which ones decide."""
+
+_FEWEST: Final = 1000
+"""Rows up to which it does so even with genes that are close."""
+
+_SPREAD: Final = 4.0
+"""How far from genes that are thought close the optimum is looked for, in about standard errors of it."""
 
 
 def solve_few(
@@ -31,22 +41,47 @@ def solve_few(
     columns (n, p) and torque (n,), finite, and near (p,): as there. None where the case is not the usual one.
     """
     n, p = columns.shape
-    genes, scale, extent, start, pull, needed, sums = np.zeros((7, p))
+    genes, scale, extent, start, needed, sums = np.zeros((6, p))
     gram, into = np.zeros((2, p, p))
     scaled, rows = np.empty((2, n, p))
-    target, basis, room = np.empty(n), np.zeros(p, np.int64), room_for(n, p)
+    target, found = np.empty(n), None
     columns, begin = np.ascontiguousarray(columns), np.array([] if near is None else near, dtype=np.float64)
     size = measure(columns, np.ascontiguousarray(torque), scale, extent, scaled, target, gram)
     if not (size > 0.0 and factor(gram, into)):
         return None
     turn(begin * scale[: begin.size] / size, scaled, into, rows, target, start)
-    if step_down(rows, target, pull, start, basis, room) != OPTIMAL:
+    if begin.size and n > _FEWEST:
+        found = _descended(rows, target, start, _SPREAD)
+    if found is None and n <= FEW:
+        found = _descended(rows, target, start, np.inf)
+    if found is None:
         return None
+    basis, room = found
     if not sum_by_sign(scaled, rows, target, room.point, room.inverse, basis, sums):
         return None
     certificate = conclude(scaled, target, basis, extent / scale, sums, needed, genes, room.met, room.inverse)
     genes *= size / scale
     return (genes, certificate, bool(np.abs(needed).max() < ALONE)) if certificate <= PROVEN else None
+
+
+def _descended(rows: Matrix, target: Vector, start: Vector, spread: float) -> tuple[Basis, Room] | None:
+    """Return the optimal basis (r,), looked for among the rows (n, r) that decide near the start (r,); None: not there.
+
+    spread: in about standard errors of an estimate from all rows, how far it may be away.
+    """
+    n, r = rows.shape
+    residual = target - np.einsum("nk,k->n", rows, start)  # a linear-algebra library would use threads
+    open_rows, pull, reach = np.arange(n), np.zeros(r), np.inf
+    if spread < np.inf:
+        reach = spread * float(np.mean(np.abs(residual))) * np.sqrt(r / n)
+        # within `reach` of the start the others keep their sign (Cauchy-Schwarz): together they are one linear term
+        settled = np.abs(residual) > reach * np.sqrt(np.einsum("nk,nk->n", rows, rows))
+        pull = np.einsum("nk,n->k", rows, np.where(settled, np.sign(residual), 0.0))
+        open_rows = np.flatnonzero(~settled)
+    basis, room = np.zeros(r, np.int64), room_for(len(open_rows), r)
+    if step_down(rows[open_rows], target[open_rows], pull, start, basis, room) != OPTIMAL:
+        return None
+    return (open_rows[basis], room) if np.linalg.norm(room.point - start) <= reach else None
 
 
 @compiled_no_refcount
