@@ -54,7 +54,7 @@ class _Seen:
         """Return a column (m,) of all samples at those of the motion, (n,), behind what the torque went through."""
         whole, rows = self.motion.whole
         if bends and self.motion.behind is not None:
-            return whole.filtered(column, rows)
+            return whole.filtered(column)[rows]
         return column if self.is_whole else column[rows]
 
     def changing(self, delay: float) -> tuple[Motion, Motion]:

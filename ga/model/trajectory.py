@@ -12,16 +12,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
-    from scipy.interpolate import CubicSpline
+
+    from ga.model.spline import Spline
 
     Array = NDArray[np.float64]
-    Rows = slice | NDArray[np.int64]
 
 
 class Filter(Protocol):
     """What readings went through, each as every other."""
 
-    def alike(self, time: Array, values: Array, rows: Rows) -> Array: ...  # noqa: D102
+    def passing(self, time: Array) -> Callable[[Array], Array]: ...  # noqa: D102
 
 
 _FORGOTTEN: Final = 30.0
@@ -91,7 +91,7 @@ class Motion:
             time=np.concatenate([grid for grid, _ in grids]),
             starts=tuple(np.cumsum([0, *lengths[:-1]]).tolist()),
             part_of=None,
-            **dict(zip(_PARTS, np.concatenate(parts).T.copy(), strict=True)),
+            **dict(zip(_PARTS, np.concatenate(parts, axis=1), strict=True)),
         )
         return whole.of(np.concatenate([asked for _, asked in grids]))
 
@@ -135,15 +135,10 @@ class Motion:
         parts = [memory.averaged(self.time[a:b], values[a:b], width) for a, b in self._stretches()]
         return np.concatenate(parts)
 
-    def filtered(self, values: Array, rows: Rows) -> Array:
-        """Some rows, rising, of values (n,) behind what the torque went through: of few rows it costs less."""
-        if self.behind is None:
-            return values[rows]
-        found = []
-        for a, b in self._stretches():
-            own = rows if isinstance(rows, slice) else rows[(rows >= a) & (rows < b)] - a
-            found.append(self.behind.alike(self.time[a:b], values[a:b], own))
-        return np.concatenate(found)
+    def filtered(self, values: Array) -> Array:
+        """Values (n,) behind what the torque went through."""
+        parts = zip(self._stretches(), self._filters, strict=True)
+        return np.concatenate([through(values[a:b]) for (a, b), through in parts])
 
     def presliding(self, length: float) -> Array:
         """The friction of Dahl (1976), (n,) -1 to 1, that builds up over `length` rad after a reversal."""
@@ -189,21 +184,26 @@ class Motion:
             curve(self.time[start:stop] - delay, order)
             for (start, stop), curve in zip(self._stretches(), self._curves, strict=True)
         ]
-        parts = np.concatenate(found).T.copy()
-        return replace(self, part_of=None, **dict(zip(_PARTS, parts, strict=True)))
+        return replace(self, part_of=None, **dict(zip(_PARTS, np.concatenate(found, axis=1), strict=True)))
 
     def _stretches(self) -> list[tuple[int, int]]:
         return list(zip(self.starts, [*self.starts[1:], len(self)], strict=True))
 
     @cached_property
-    def _curves(self) -> tuple[CubicSpline, ...]:
+    def _filters(self) -> tuple[Callable[[Array], Array], ...]:
+        """What makes of the values in each stretch what is behind the filter."""
+        stretches = self._stretches()
+        return tuple(self.behind.passing(self.time[a:b]) if self.behind else np.asarray for a, b in stretches)
+
+    @cached_property
+    def _curves(self) -> tuple[Spline, ...]:
         """Through the four parts of each stretch: as good as exact where samples are much denser than the motion."""
-        from scipy.interpolate import CubicSpline
+        from ga.model.spline import Spline
 
         if self.part_of is not None:
             return self.part_of[0]._curves
-        values = np.stack([getattr(self, name) for name in _PARTS], axis=1)
-        return tuple(CubicSpline(self.time[start:stop], values[start:stop]) for start, stop in self._stretches())
+        values = np.stack([getattr(self, name) for name in _PARTS])
+        return tuple(Spline.through(self.time[a:b], values[:, a:b]) for a, b in self._stretches())
 
 
 def joined(motions: Sequence[Motion]) -> Motion:

@@ -109,7 +109,7 @@ class UserModel:
             raise WrongUse(f"--model {self.name}: it gave {torque.shape} for {whole.time.shape} samples; at {where}")
         if not np.isfinite(torque).all():
             raise WrongUse(f"--model {self.name}: it gave a torque that is not a number; at {where}")
-        return whole.filtered(torque, rows)
+        return whole.filtered(torque)[rows]
 
 
 def _read_only(values: Array) -> Array:

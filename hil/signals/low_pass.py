@@ -9,6 +9,7 @@ Derivatives of the window would not do: those of a short one are 0.4 % off at lo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
-Rows = slice | NDArray[np.int64]
+Cubic = tuple[NDArray[np.int64], Array, Array]
 
 _ATTENUATION: Final = 70.0  # dB, in the stop band; in the pass band as little is lost, 0.03 %
 _BETA: Final = 0.1102 * (_ATTENUATION - 8.7)  # of the window, by Kaiser's formula
@@ -35,8 +36,7 @@ _NYQUIST: Final = 0.9  # part of half the sampling rate that the stop band must 
 _SIGNALS: Final = 3  # deflection, rate, acceleration
 _BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
 _LEFT: Final = 0.8  # of the samples, that must remain
-_KEPT: Final = 5_000_000  # weights, 60 MB, that are kept for stamps asked for again
-_FEW: Final = 2  # times as many samples as rows, from which the weights of these are kept too
+_KEPT: Final = 300_000  # samples, whose weights are kept for stamps asked for again
 _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
@@ -62,6 +62,11 @@ class LowPass:
         found = np.array([np.convolve(value / value.sum(), one) for one in _differences(self.step)])
         found.flags.writeable = False
         return found
+
+    @lru_cache(maxsize=16)  # noqa: B019 - it holds four numbers
+    def spectra(self, size: int) -> NDArray[np.complex128]:
+        """Return the transforms (3, size/2 + 1) of the kernels."""
+        return np.asarray(np.fft.rfft(self.kernels(), size))
 
     def amplification(self) -> Array:
         """Return the standard deviations (3,) of value, slope and curvature for white noise of 1 rad."""
@@ -108,28 +113,19 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
     They are right where `is_sound`.
     """
     found = np.empty((_SIGNALS, len(time)))
-    kernels = low_pass.kernels()
     for part in _stretches(time, low_pass.step):
-        found[:, part] = _passed(time[part], values[part], low_pass, kernels)
+        found[:, part] = _passed(time[part], values[part], low_pass)
     value, slope, curvature = found
     return value, slope, curvature
 
 
-def passed_again(time: Array, values: Array, low_pass: LowPass, rows: Rows) -> Array:
-    """Return the value of `passed` alone, of some rows, rising, for many readings (n,) at the same stamps.
+def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
+    """Return the function that makes the value of `passed` of readings (n,) at stamps (n,) s, rising.
 
-    What depends on the stamps and the rows is kept.
+    It keeps what depends on the stamps alone, so that many readings at the same stamps cost less.
     """
-    if len(time) >= _KEPT / (2 * (low_pass.half + low_pass.near) + 3):
-        return passed(time, values, low_pass)[0][rows]
-    stamps, parts = time.tobytes(), _stretches(time, low_pass.step)
-    if isinstance(rows, slice) or _FEW * len(rows) > len(time):
-        kept = zip(parts, _weights(stamps, low_pass), strict=True)
-        return np.concatenate([_value(values[part], low_pass, weights) for part, weights in kept])[rows]
-    few = zip(parts, _weights_of(stamps, low_pass, rows.tobytes()), strict=True)
-    return np.concatenate(
-        [_value(values[one], low_pass, own, None if own is not None else _own(rows, one)) for one, own in few]
-    )
+    parts = [(part, _passing(time[part], low_pass)) for part in _stretches(time, low_pass.step)]
+    return lambda values: np.concatenate([pass_part(values[part]) for part, pass_part in parts])
 
 
 def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
@@ -146,50 +142,45 @@ def _stretches(time: Array, step: float) -> list[slice]:
     return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
 
 
-def _passed(time: Array, values: Array, low_pass: LowPass, kernels: Array) -> Array:
-    """The same of a stretch without gaps, a row for each kernel, of which the last has the slope of the one before."""
-    from scipy.interpolate import CubicHermiteSpline
-
+def _passed(time: Array, values: Array, low_pass: LowPass) -> Array:
+    """The same of a stretch without gaps, (3, n)."""
     if _is_even(time, low_pass):
-        return _filtered(values, low_pass, kernels)
+        return _filtered(values, low_pass, _SIGNALS)
     if len(time) < 2 * low_pass.near + 1:
-        return np.full((len(kernels), len(time)), np.nan)
+        return np.full((_SIGNALS, len(time)), np.nan)
     grid = _grid(time, low_pass)
     # a spline through noisy readings of which two are close would swing
-    smooth = CubicHermiteSpline(time, *(local_polynomial(time, values, low_pass.near, order) for order in (0, 1)))
-    value, slope, curvature = _filtered(smooth(grid), low_pass, kernels)
-    return np.array(
-        [
-            CubicHermiteSpline(grid, value, slope)(time),
-            CubicHermiteSpline(grid, slope, curvature)(time),
-            np.interp(time, grid, curvature),
-        ]
-    )
+    fits = [local_polynomial(time, values, low_pass.near, order) for order in (0, 1)]
+    value, slope, curvature = _filtered(_between(_cubic(time, grid), *fits), low_pass, _SIGNALS)
+    back = _cubic(grid, time)
+    return np.array([_between(back, value, slope), _between(back, slope, curvature), np.interp(time, grid, curvature)])
 
 
-def _value(values: Array, low_pass: LowPass, weights: csr_array | None, rows: NDArray[np.int64] | None = None) -> Array:
-    """The first row of `_passed` of a stretch by its weights, None for one with even stamps; rows: of that which."""
-    if weights is None:
-        found = _filtered(values, low_pass, low_pass.kernels()[:1])[0]
-        return np.asarray(found if rows is None else found[rows])
-    base = values.mean()  # small numbers lose fewer digits
-    return np.asarray(base + weights @ (values - base))
+def _passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
+    """What makes the first row of `_passed`, at stamps that are asked for again."""
+    if _is_even(time, low_pass):
+        return lambda values: np.asarray(_filtered(values, low_pass, 1)[0])
+    if not 2 * low_pass.near < len(time) < _KEPT:
+        return lambda values: np.asarray(_passed(time, values, low_pass)[0])
+    grid = _grid(time, low_pass)
+    there, back = _to_grid(time, grid, low_pass.near), _matrix(_cubic(grid, time), len(grid))
+
+    def through(values: Array) -> Array:
+        base = values.mean()  # small numbers lose fewer digits
+        return np.asarray(base + back @ _filtered(there @ (values - base), low_pass, 2).ravel())
+
+    return through
 
 
-def _own(rows: NDArray[np.int64], part: slice) -> NDArray[np.int64]:
-    """Those of the rows, rising, that lie in a stretch, counted from its first."""
-    return np.asarray(rows[(rows >= part.start) & (rows < part.stop)] - part.start)
-
-
-def _filtered(even: Array, low_pass: LowPass, kernels: Array) -> Array:
-    """Readings at even times behind each kernel."""
+def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
+    """Readings at even times behind each of the first kernels."""
     padded = np.pad(even - even[0], low_pass.half, mode="edge")
     # scipy.signal would cost half a second of start-up; what goes around the end is before the first of what is kept
     size = 1 << int(np.ceil(np.log2(len(padded))))
-    spectra = np.fft.rfft(padded, size) * np.fft.rfft(kernels, size)
-    found = np.fft.irfft(spectra, size)[:, 2 * low_pass.half : len(padded)]
+    found = np.fft.irfft(np.fft.rfft(padded, size) * low_pass.spectra(size)[:kernels], size)
+    found = found[:, 2 * low_pass.half : len(padded)]
     found[0] += even[0]
-    return found
+    return np.asarray(found)
 
 
 def _is_even(time: Array, low_pass: LowPass) -> bool:
@@ -204,66 +195,44 @@ def _grid(time: Array, low_pass: LowPass) -> Array:
     return np.asarray(low_pass.step * np.arange(first, last + 1.0))
 
 
-@lru_cache(maxsize=2)
-def _weights(stamps: bytes, low_pass: LowPass) -> tuple[csr_array | None, ...]:
-    """Return the weights (n, n) of each stretch, None for one with even stamps."""
-    time = np.frombuffer(stamps)
-    parts = (time[part] for part in _stretches(time, low_pass.step))
-    return tuple(None if _is_even(part, low_pass) else _weights_in(part, low_pass) for part in parts)
-
-
-@lru_cache(maxsize=16)
-def _weights_of(stamps: bytes, low_pass: LowPass, rows: bytes) -> tuple[csr_array | None, ...]:
-    """Return some rows of the weights: each costs as much as a value has neighbours."""
-    wanted, parts = np.frombuffer(rows, dtype=np.int64), _stretches(np.frombuffer(stamps), low_pass.step)
-    found = zip(parts, _weights(stamps, low_pass), strict=True)
-    return tuple(None if weights is None else weights[_own(wanted, part)] for part, weights in found)
-
-
-def _weights_in(time: Array, low_pass: LowPass) -> csr_array:
-    """Return the weights (n, n) that make the filtered values of a stretch from its readings, as `_passed` does it.
-
-    Readings go to the grid by a local polynomial, through the low-pass there, and back: each is a matrix.
-    """
-    from scipy.sparse import csr_array, diags_array
-
-    if len(time) < 2 * low_pass.near + 1:
-        return csr_array(diags_array(np.full(len(time), np.nan)))
-    grid, half = _grid(time, low_pass), low_pass.half
-    fits = [_local(time, low_pass.near, order) for order in (0, 1)]
-    there = sum(part @ fit for part, fit in zip(_hermite(time, grid), fits, strict=True))
-    ends = np.clip(np.arange(-half, len(grid) + half), 0, len(grid) - 1)
-    padded = csr_array((np.ones(len(ends)), ends, np.arange(len(ends) + 1)), shape=(len(ends), len(grid))) @ there
-    back = []
-    for part, kernel in zip(_hermite(grid, time), low_pass.kernels()[:2], strict=True):
-        offsets = range(2 * half + 1)
-        through = diags_array(kernel[::-1], offsets=list(offsets), shape=(len(grid), len(ends)))
-        back.append(part @ (through.tocsr() @ padded))
-    return csr_array(back[0] + back[1])
-
-
-def _local(time: Array, near: int, order: int) -> csr_array:
-    """The weights (n, n) of a local polynomial: ones, m apart, have a single one in each window of m samples."""
-    from scipy.sparse import csr_array
+def _to_grid(time: Array, grid: Array, near: int) -> csr_array:
+    """Return the weights (k, n) that take readings at uneven stamps (n,) to a grid (k,), as `_passed` does it."""
+    from scipy.sparse import csr_array, vstack
 
     count, width = len(time), 2 * near + 1
     at = np.arange(count)
     first = np.clip(at - near, 0, count - width)[:, None]
-    neighbours = first + (np.arange(width) - first) % width
-    weights = [local_polynomial(time, (at % width == k).astype(np.float64), near, order) for k in range(width)]
-    return csr_array((np.stack(weights, axis=1).ravel(), neighbours.ravel(), width * np.arange(count + 1)))
+    neighbours, fits = first + (np.arange(width) - first) % width, []
+    for order in (0, 1):
+        # ones, `width` apart, have a single one in each window: its weight
+        ones = [local_polynomial(time, (at % width == k).astype(np.float64), near, order) for k in range(width)]
+        weights = np.stack(ones, axis=1)
+        fits.append(csr_array((weights.ravel(), neighbours.ravel(), width * np.arange(count + 1))))
+    return _matrix(_cubic(time, grid), count) @ vstack(fits, format="csr")
 
 
-def _hermite(knots: Array, at: Array) -> tuple[csr_array, csr_array]:
-    """The weights (k, n) of values and slopes (n,) at the knots in the cubic between two of them, at times (k,)."""
-    from scipy.sparse import csr_array
-
+def _cubic(knots: Array, at: Array) -> Cubic:
+    """The two knots beside each time (k,), and the shares (k, 2) of their values and slopes in the cubic between."""
     left = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
     step = knots[left + 1] - knots[left]
     part = (at - knots[left]) / step
-    places, rows = np.stack([left, left + 1], axis=1).ravel(), 2 * np.arange(len(at) + 1)
     later = part**2 * (3.0 - 2.0 * part)
     of_value = np.stack([1.0 - later, later], axis=1)
     of_slope = np.stack([part * (1.0 - part) ** 2, part**2 * (part - 1.0)], axis=1) * step[:, None]
-    shape = (len(at), len(knots))
-    return tuple(csr_array((values.ravel(), places, rows), shape=shape) for values in (of_value, of_slope))
+    return np.stack([left, left + 1], axis=1), of_value, of_slope
+
+
+def _between(cubic: Cubic, values: Array, slopes: Array) -> Array:
+    """Return values (k,) between knots with values and slopes (n,)."""
+    places, of_value, of_slope = cubic
+    return np.asarray((of_value * values[places] + of_slope * slopes[places]).sum(axis=1))
+
+
+def _matrix(cubic: Cubic, knots: int) -> csr_array:
+    """Return the same as weights (k, 2n) of values and slopes one after the other."""
+    from scipy.sparse import csr_array
+
+    places, of_value, of_slope = cubic
+    weights = np.concatenate([of_value, of_slope], axis=1).ravel()
+    columns, rows = np.concatenate([places, knots + places], axis=1).ravel(), 4 * np.arange(len(places) + 1)
+    return csr_array((weights, columns, rows), shape=(len(places), 2 * knots))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.signals.deflection_noise import Read, disturbs, smallest_step
-from hil.signals.low_pass import LowPass, Rows, is_sound, low_pass_for, passed, passed_again
+from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.savitzky_golay import LEAST, kernel, local_polynomial, widest
 
 Array = NDArray[np.float64]
@@ -66,23 +67,24 @@ class Window:
         rate = local_polynomial(time, dtheta, self.slope, 1)
         return dtheta, rate, local_polynomial(time, dtheta, self.curvature, 2)
 
-    def alike(self, time: Array, values: Array, rows: Rows | None = None) -> Array:
-        """Return values (n,) behind what the deflection went through, so that what is between them stays as it is.
+    def alike(self, time: Array, values: Array) -> Array:
+        """Return values (n,) behind what the deflection went through, so that what is between them stays as it is."""
+        return values if self.low_pass is None else _known(passed(time, values, self.low_pass)[0], values)
 
-        rows: of which rows, where others will be asked for at the same stamps, as a search does.
-        """
+    def passing(self, time: Array) -> Callable[[Array], Array]:
+        """Return the function that does the same with many values (n,) at the same stamps, as a search needs it."""
         if self.low_pass is None:
-            return values if rows is None else values[rows]
-        found = _value(time, values, self.low_pass) if rows is None else passed_again(time, values, self.low_pass, rows)
-        return np.where(np.isfinite(found), found, values if rows is None else values[rows])
+            return lambda values: values
+        through = passing(time, self.low_pass)
+        return lambda values: _known(through(values), values)
 
     def sound(self, time: Array) -> NDArray[np.bool_]:
         """Return whether (n,) each sample has all the neighbours that its rate is computed from."""
         return is_sound(time, self.low_pass) if self.low_pass else is_whole(time, self)
 
 
-def _value(time: Array, values: Array, low_pass: LowPass) -> Array:
-    return passed(time, values, low_pass)[0]
+def _known(found: Array, values: Array) -> Array:
+    return np.where(np.isfinite(found), found, values)
 
 
 def window_for(time: Array, dtheta: Array, torque: Array) -> Window:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-import hil.signals.low_pass
+from ga.model.trajectory import Motion
 from hil.recording.reader import Array
-from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passed_again
+from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.savitzky_golay import kernel, local_polynomial
 from hil.signals.windows import Spectrum, window_for, windows
 
@@ -144,23 +144,23 @@ def test_readings_at_stamps_asked_for_again_pass_as_the_first_ones_do() -> None:
     rng = np.random.default_rng(0)
     time = (TIME + 2e-4 * rng.uniform(-1.0, 1.0, len(TIME)))[rng.random(len(TIME)) > 0.05]
     found = low_pass(time)
+    again = passing(time, found)
     for values in (np.sin(40.0 * time) + 3.0, np.sign(np.sin(9.0 * time)), rng.standard_normal(len(time))):
-        whole = passed(time, values, found)[0]
-        for rows in (slice(None), np.arange(0, len(time), 9), np.arange(0, len(time), 2)[5:]):
-            assert passed_again(time, values, found, rows) == pytest.approx(whole[rows], abs=1e-12)
+        assert again(values) == pytest.approx(passed(time, values, found)[0], abs=1e-12)
 
 
-def test_what_a_recording_with_many_losses_needs_again_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_recording_with_many_losses_needs_again_is_computed_once() -> None:
     """Five stretches with uneven stamps, one with even ones, and one that is too short for a local polynomial."""
     rng = np.random.default_rng(0)
     stretches = [TIME[:300] + 2e-4 * rng.uniform(-1.0, 1.0, 300) for _ in range(5)] + [TIME[:300], TIME[:3] ** 1.01]
     time = np.concatenate([part + (TIME[300] + 0.1) * at for at, part in enumerate(stretches)])
-    found, values, built = low_pass(TIME), np.sin(40.0 * time), Mock(wraps=hil.signals.low_pass._weights_in)
-    monkeypatch.setattr(hil.signals.low_pass, "_weights_in", built)
+    found, values = low_pass(TIME), np.sin(40.0 * time)
+    behind = Mock(passing=Mock(side_effect=lambda stamps: passing(stamps, found)))
+    motion = Motion(time, values, values, values, values, behind=behind)
     whole = passed(time, values, found)[0]
-    for rows in (slice(None), np.arange(0, len(time), 9), slice(None), np.arange(3, len(time), 9)):
-        assert passed_again(time, values, found, rows) == pytest.approx(whole[rows], abs=1e-12, nan_ok=True)
-    assert built.call_count == 6
+    for part in (motion, motion.of(slice(None, None, 9)), motion.of(time > 1.0), motion):
+        assert part.whole[0].filtered(values) == pytest.approx(whole, abs=1e-12, nan_ok=True)
+    assert behind.passing.call_count == 1
 
 
 def test_the_counts_of_a_steady_motion_are_no_motion() -> None:
