@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.model.friction import slowest, smoothing
+from ga.model.friction import beside_rest, slowest, smoothing
 from ga.model.memory import without_beginnings
 from ga.model.record import Parameter, Regressors, Term
 from ga.model.terms import TERMS, canonical
@@ -134,7 +134,8 @@ class CouplingModel:
         """Return which samples (n,) the model describes: all but those that friction may hold the joint in.
 
         delay: s, how much older the torque reading is. If the model estimates it, samples next to a reversal are left
-        out as well, because the sign of their friction would decide it.
+        out as well, because the sign of their friction would decide it; and those next to a rest that a low-pass brings
+        friction of unknown size from.
         """
         if not self.sticks:
             return np.ones(len(motion), dtype=bool)
@@ -143,7 +144,8 @@ class CouplingModel:
         beside = BESIDE * float(np.median(np.diff(motion.time))) if delays and len(motion) > 1 else 0.0
         rates = [motion.delayed(delay + shift).dtheta_dot for shift in (-beside, 0.0, beside)]
         least, most = np.min(rates, axis=0), np.max(rates, axis=0)
-        return np.asarray((least >= least_rate) | (most <= -least_rate))
+        held = (least < least_rate) & (most > -least_rate)
+        return np.asarray(~(held | beside_rest(motion, held)))
 
     def delay(self, nonlinear: Array | None) -> float:
         """Return how much older the torque reading is, s, for nonlinear parameters (q,); 0 if no term says."""

@@ -32,18 +32,26 @@ QUIET: Final = 0.05
 """Times the rate's noise, below which the joint rests where many samples are as slow, and part of the r.m.s. rate up to
 which so much noise is little: a motion that passes through zero is that slow in 4 % of the samples or fewer."""
 
+AT_REST: Final = 0.9
+FROM_REST: Final = 0.01
+"""Of what a low-pass makes of a sample, the part that comes from samples in which friction may hold the joint: from
+which on the joint rests there, and up to which their friction does not matter."""
+
 NOISY: Final = 0.5
 FINEST: Final = 0.001
 SMOOTHEST: Final = 0.05
 """v_s of the Coulomb term as a part of the rate's noise, at least and at most these parts of the r.m.s. rate: a sign
 where friction slides, for 1.3 % of softness takes as much off Bc."""
 
+SIGNED: Final = 3.0
+"""Times v_s, from which the Coulomb term is the sign of the rate: 0.995 of it."""
+
 
 def slowest(motion: Motion) -> float:
     """Return the rate, rad/s, below which friction may hold the joint; zero where its noise hides which samples are.
 
-    Where it rests, the sign of the rate is that of the noise. It is taken from the data because rates differ by four
-    decades between stands.
+    Where it rests, the sign of the rate is that of the noise, and where it comes to rest, the term is softer than
+    friction. It is taken from the data because rates differ by four decades between stands.
     """
     import numpy as np
 
@@ -51,8 +59,9 @@ def slowest(motion: Motion) -> float:
         return 0.0
     least, noise = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)), motion.rate_noise or 0.0
     if least > noise:
-        return least
-    return RESTS * noise if RESTS * noise < QUIET * _usual(motion) else 0.0
+        return max(least, SIGNED * smoothing(motion))
+    quiet = QUIET * _usual(motion)
+    return min(RESTS * noise, quiet) if quiet > SIGNED * noise else 0.0
 
 
 def smoothing(motion: Motion) -> float:
@@ -63,6 +72,24 @@ def smoothing(motion: Motion) -> float:
         return 0.0
     usual = _usual(motion)
     return float(np.clip(NOISY * (motion.rate_noise or 0.0), FINEST * usual, SMOOTHEST * usual))
+
+
+def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether (n,) what the torque went through brings a sample friction from where the joint rests.
+
+    held (n,): whether friction may hold the joint. A reversal passes within what the low-pass resolves, and the size
+    of friction is known on both sides of it.
+    """
+    import numpy as np
+
+    if motion.behind is None or not held.any():
+        return np.zeros(len(motion), dtype=bool)
+    whole, rows = motion.whole
+    still, every = np.zeros(len(whole)), np.arange(len(whole))
+    still[rows] = held
+    run = np.cumsum(np.diff(still, prepend=0.0) != 0.0)
+    resting = still * np.isin(run, run[whole.filtered(still, every) > AT_REST])
+    return np.asarray(np.abs(whole.filtered(resting, every)) > FROM_REST)[rows]
 
 
 def _usual(motion: Motion) -> float:

@@ -30,6 +30,7 @@ _PARTS = 20  # windows side by side for which a recording has room, so that few 
 _LOOKED = 1 << 18  # samples that the noise of the deflection is held against the torque of
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
 _CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion are not white
+_COUNTED = 1.3  # times the power of rounding: no more of it is left above a frequency where all else is motion below
 _NARROWER = 0.8  # of a window, the next that is tried
 _FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: friction turns where the rate does
 _TAPER = 0.02  # of a recording at each end
@@ -247,13 +248,15 @@ def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
 class Spectrum:
     """The spectrum of a deflection. frequency (n,) Hz, without zero; density (n,): smoothed; floor: that of its noise.
 
-    noise: rad, the standard deviation of white noise that has the floor's density.
+    noise: rad, the standard deviation of white noise that has the floor's density. rounding: the density that the power
+    of rounding has where it is white.
     """
 
     frequency: Array
     density: Array
     floor: float
     noise: float
+    rounding: float = 0.0
 
     @classmethod
     def of(cls, time: Array, dtheta: Array, least: float = 0.0) -> Spectrum:
@@ -268,13 +271,15 @@ class Spectrum:
         power = np.abs(np.fft.rfft((uniform - uniform.mean()) * taper * taper[::-1])) ** 2
         density = np.convolve(power, np.full(5, 0.2), mode="same")
         of_white = _MEDIAN * float(np.sum((taper * taper[::-1]) ** 2))  # the density of white noise of 1 rad
-        floor = max(float(np.median(density[len(density) // 2 :])), least**2 * of_white)
-        return cls(np.fft.rfftfreq(count, step)[1:], density[1:], floor, float(np.sqrt(floor / of_white)))
+        rounding = least**2 * of_white
+        floor = max(float(np.median(density[len(density) // 2 :])), rounding)
+        return cls(np.fft.rfftfreq(count, step)[1:], density[1:], floor, float(np.sqrt(floor / of_white)), rounding)
 
     @property
     def band(self) -> tuple[float, float]:
-        """The excited band, Hz."""
-        excited = np.where(self.density > _CLEARLY * self.floor, self.density - self.floor, 0.0)
+        """The excited band, Hz: counts of a steady motion make lines of the power that they have in all."""
+        beyond = np.cumsum(self.density[::-1])[::-1] > _COUNTED * self.rounding * len(self.density)
+        excited = np.where(beyond & (self.density > _CLEARLY * self.floor), self.density - self.floor, 0.0)
         if not excited.any():
             return float(self.frequency[0]), float(self.frequency[-1])
         power, rate_power = np.cumsum(excited), np.cumsum(excited * self.frequency**2)

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ga.model.coupling import parse
 from ga.model.terms import UnknownTerm
 from ga.model.trajectory import Motion
+
+Array = NDArray[np.float64]
 
 TIME = np.linspace(1.7e9, 1.7e9 + 4.0, 401)
 DTHETA = 0.2 * np.sin(2.0 * (TIME - TIME[0]))
@@ -106,6 +109,53 @@ def test_friction_says_nothing_of_samples_in_which_the_joint_rests_but_for_the_n
     used = parse("linear+coulomb").anchored(motion).described(motion)
     assert not used[rests].any()
     assert np.mean(used[~rests]) > 0.95
+
+
+def test_where_the_joint_comes_to_rest_friction_is_a_sign_in_every_sample_that_is_described() -> None:
+    """A fifth of the samples are slower than the sign is smoothed, and no noise hides which ones."""
+    dying = np.geomspace(1.0, 1e-6, 401) * np.sign(RATE)
+    motion = replace(moving(rate_noise=1e-9), dtheta_dot=dying)
+    model = parse("linear+coulomb").anchored(motion)
+    used = model.described(motion)
+    assert np.abs(model.columns(motion)[used, 2]).min() > 0.99
+    assert used[np.abs(dying) > 0.01].all()
+
+
+@pytest.mark.parametrize("noise", [0.004, 0.006, 0.012])
+def test_noise_that_leaves_most_rates_known_does_not_hide_where_the_joint_rests(noise: float) -> None:
+    rests = np.arange(len(RATE)) % 100 < 30
+    noise *= float(np.sqrt(np.mean(RATE[~rests] ** 2)))
+    resting = np.where(rests, noise * np.random.default_rng(0).standard_normal(len(RATE)), RATE)
+    motion = replace(moving(rate_noise=noise), dtheta_dot=resting)
+    used = parse("linear+coulomb").anchored(motion).described(motion)
+    assert np.mean(~used[rests]) > 0.97
+    assert np.mean(used[~rests]) > 0.9
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A filter: the mean of so many readings on each side."""
+
+    half: int
+
+    def alike(self, _time: Array, values: Array, rows: slice | NDArray[np.int64]) -> Array:
+        padded = np.pad(values, self.half, mode="edge")
+        found = np.convolve(padded, np.full(2 * self.half + 1, 1.0 / (2 * self.half + 1)), mode="valid")
+        return np.asarray(found[rows])
+
+
+def test_a_filter_brings_friction_of_unknown_size_from_a_rest_but_not_from_a_reversal() -> None:
+    resting = np.where((RATE > 0.0) & (TIME - TIME[0] > 2.0), 0.0, RATE)
+    motion = replace(moving(rate_noise=1e-3), dtheta_dot=resting)
+    model = parse("linear+coulomb").anchored(motion)
+    plain = model.described(motion)
+    seen = model.described(replace(motion, behind=Mean(20)))
+    near = np.convolve(resting == 0.0, np.ones(41), mode="same") > 0.5  # 20 samples on each side of the rest
+    assert not seen[near].any()
+    assert plain[near & (resting != 0.0)].any()
+    far = np.convolve(resting == 0.0, np.ones(61), mode="same") < 0.5
+    assert np.array_equal(seen[far], plain[far])
+    assert (~plain[far]).any()  # at a reversal
 
 
 @pytest.mark.parametrize(("noise", "smoothing"), [(0.01, 0.005), (1e-9, 1e-3), (1.0, 0.05)])
