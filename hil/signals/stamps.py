@@ -42,7 +42,7 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
 
 
 def _together(time: Array) -> float:
-    """The step, s, up to which rows were stamped together: above 0 where many rows arrived in bursts.
+    """The step, s, up to which rows were stamped together: above 0 where many rows arrived in bursts, not all at once.
 
     A packet brings several rows, which a computer stamps one after the other. Samples that a loop's jitter moves are
     seldom so near each other.
@@ -50,7 +50,8 @@ def _together(time: Array) -> float:
     time = time[:_LOOKED_FOR_BURSTS]
     steps = np.diff(time)
     near = _BURST * float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else 0.0
-    return near if np.count_nonzero(steps <= near) > _IN_BURSTS * len(steps) else 0.0
+    are_bursts = np.mean(steps <= near) > _IN_BURSTS and np.mean((steps > 0.0) & (steps <= near)) > _COARSE
+    return near if near and are_bursts else 0.0
 
 
 def _before_rounding(time: Array, near: float) -> Array:
