@@ -16,6 +16,11 @@ Array = NDArray[np.float64]
 FEWEST: Final = 16
 """Samples, below which nothing is concluded."""
 
+_EPISODES = 3  # times that a torque reached the end of its range, from which that end is believed
+_TOP_HEAVY = 3.0  # times as many readings as any level below has: a peak has fewer than its flanks
+_BELOW = 6  # levels that are compared
+_BEYOND = 5.0  # of these levels, by which the deflection went on meanwhile
+_BESIDE = 5  # rows on each side that noise may have kept just below the end
 _FINEST = 1e-9  # s between two samples
 _STILL_ANGLE, _STILL_TORQUE = 1e-12, 1e-15  # rad and N m peak to peak, below which a reading never changes
 
@@ -26,6 +31,7 @@ class Defects:
 
     lost: replies that never came. not_numbers: rows with a NaN. near_gaps: rows whose window spans a gap; those at the
     two ends of the recording are not counted. frozen: rows in which the angle stood still while the torque changed.
+    clipped: rows in which the torque, or a neighbour, stood at the end of the sensor's range while the joint moved on.
     wraps: jumps of the angle by a turn, which were taken back.
     """
 
@@ -34,6 +40,7 @@ class Defects:
     near_gaps: int = 0
     coarse_clock: bool = False
     frozen: int = 0
+    clipped: int = 0
     wraps: int = 0
 
     def __add__(self, other: Defects) -> Defects:
@@ -43,8 +50,35 @@ class Defects:
             self.near_gaps + other.near_gaps,
             self.coarse_clock or other.coarse_clock,
             self.frozen + other.frozen,
+            self.clipped + other.clipped,
             self.wraps + other.wraps,
         )
+
+
+def clipped(dtheta: Array, torque: Array) -> NDArray[np.bool_]:
+    """Return which readings (n,) of a torque, N m, stand at the end of the sensor's range, and those beside them.
+
+    dtheta (n,) rad. At such an end many readings are the same to the last digit, again and again, while the deflection
+    goes on by what would be several levels of the torque. A joint that rests or turns there does not move.
+    """
+    found, spread = np.zeros(len(torque), dtype=bool), float(np.var(dtheta)) if len(torque) else 0.0
+    slope = abs(float(np.mean((dtheta - dtheta.mean()) * torque))) / spread if spread else 0.0
+    for values in (torque, -torque):
+        at_end = values == values.max(initial=-np.inf)
+        episodes = np.count_nonzero(at_end[1:] > at_end[:-1])
+        if np.count_nonzero(at_end) >= FEWEST and episodes >= _EPISODES and _goes_on(values, dtheta[at_end], slope):
+            found |= at_end
+    return np.convolve(found, np.ones(2 * _BESIDE + 1), "same") > 0.5 if found.any() else found
+
+
+def _goes_on(torque: Array, dtheta: Array, slope: float) -> bool:
+    """Whether the deflection, rad at the highest of the torques (n,) N m, spans several levels. slope: N m/rad."""
+    levels, counts = np.unique(torque, return_counts=True)
+    below, step = counts[-_BELOW:-1], np.diff(levels[-_BELOW:])
+    low, high = np.quantile(dtheta, (0.1, 0.9))
+    return bool(
+        len(below) and counts[-1] > _TOP_HEAVY * below.max() and slope * (high - low) > _BEYOND * float(np.median(step))
+    )
 
 
 def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Array) -> None:

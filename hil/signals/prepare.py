@@ -24,7 +24,7 @@ from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import frozen, unwrapped
-from hil.signals.defects import FEWEST, Defects, refuse_hopeless
+from hil.signals.defects import FEWEST, Defects, clipped, refuse_hopeless
 from hil.signals.own_rate import OwnRate, own_rate
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Kind, Readings, Slower
@@ -45,10 +45,10 @@ class Signals:
 
     band: Hz, the excited band. rate_window: s, the width of the local polynomial, 0 where the rate was recorded.
     torque_from: "joint", "motor", "given" or, of several, "mixed". window: that rate and acceleration were computed in,
-    of several that of the noisiest, None where the rate was recorded. slower: the sensors that are
-    slower than the ticks. command (n,): the set-points at these times, None where they were not recorded.
-    refused_rate: how a recorded rate differs from the deflection's derivative, so that it is not used.
-    unfiltered (n,): N m, the torque as it was read where that is another.
+    of several that of the noisiest, None where the rate was recorded. slower: the sensors that are slower than the
+    ticks. command (n,): the set-points at these times, None where they were not recorded. refused_rate: how a recorded
+    rate differs from the deflection's derivative, so that it is not used. unfiltered (n,): N m, the torque as it was
+    read where that is another.
     """
 
     motion: Motion
@@ -68,9 +68,7 @@ class Signals:
 
     def counted_from(self, reference: float) -> Signals:
         """Return the signals with deflections from `reference`, rad."""
-        if reference == 0.0:
-            return self
-        return replace(self, motion=self.motion.shifted(reference))
+        return self if reference == 0.0 else replace(self, motion=self.motion.shifted(reference))
 
     @property
     def as_read(self) -> Array:
@@ -139,7 +137,8 @@ class _Usable:
 
     torque_time: s, when the torque was read, NaN where that is not known: `time` unless another device read it.
     lost, not_numbers: the places of the rows without a reply, and of those with a NaN; frozen: of those in which the
-    angle stood still while the torque changed. wraps: jumps of the angle by a turn that were taken back.
+    angle stood still while the torque changed. wraps: jumps of the angle by a turn that were taken back. clipped (n,):
+    whether the torque stood at the end of its range.
     """
 
     row: NDArray[np.int64]
@@ -151,6 +150,7 @@ class _Usable:
     lost: NDArray[np.int64]
     not_numbers: NDArray[np.int64]
     frozen: NDArray[np.int64]
+    clipped: NDArray[np.bool_]
     wraps: int = 0
 
 
@@ -255,6 +255,7 @@ def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _
         lost=lost + start,
         not_numbers=not_numbers + start,
         frozen=np.flatnonzero(stuck) + start,
+        clipped=clipped(dtheta[good], torque[good]),
     )
 
 
@@ -270,8 +271,8 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
     known = _motor_share(rate, acceleration, columns)
     inside = within(usable.row[angle.row], rows)
     sound = np.ones(len(time), dtype=bool) if columns.rate_given else window.sound(time)
-    starts, long_enough = stretches(time, sound, window.step)
-    own = _own_readings(usable, columns)
+    own, over = _own_readings(usable, columns), usable.clipped[angle.row]
+    starts, long_enough = stretches(time, sound & ~over if own is None else sound, window.step)
     kept = long_enough & (inside if own is None else True)
     is_filtered = own is None and not columns.rate_given and window.low_pass is not None
     motion = Motion(
@@ -287,16 +288,17 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
     if own is None:
         torque = (window.alike(time, usable.torque) if is_filtered else usable.torque)[kept]
     else:
-        motion, torque = _at_readings(motion, own, within(usable.row[own.row], rows))
+        motion, torque = _at_readings(motion, own, within(usable.row[own.row], rows) & ~usable.clipped[own.row])
     return Signals(
         motion=motion,
         torque=_at_joint(torque, columns),
         defects=Defects(
             lost=int(np.count_nonzero(within(usable.lost, rows))),
             not_numbers=int(np.count_nonzero(within(usable.not_numbers, rows))),
-            near_gaps=int(np.count_nonzero((inside & ~long_enough)[window.widest : len(time) - window.widest])),
+            near_gaps=int(np.count_nonzero((inside & ~long_enough & ~over)[window.widest : len(time) - window.widest])),
             coarse_clock=coarse,
             frozen=int(np.count_nonzero(within(usable.frozen, rows))),
+            clipped=int(np.count_nonzero(within(usable.row[usable.clipped], rows))),
             wraps=usable.wraps,
         ),
         band=window.band,
@@ -337,9 +339,7 @@ def _slower(columns: _Columns, angle: Readings, torque: Readings | None, stamps:
 
 def _at_joint(torque: Array, columns: _Columns) -> Array:
     """Return a torque reading (n,) N m as that at the joint, the motor's own share in it, by equation (1)."""
-    if not columns.motor_side or columns.stand is None:
-        return torque
-    return Transmission.of(columns.stand).torque(torque)
+    return Transmission.of(columns.stand).torque(torque) if columns.motor_side and columns.stand else torque
 
 
 def _motor_share(rate: Array, acceleration: Array, columns: _Columns) -> Array:

@@ -129,6 +129,12 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
             "out, so Kc and Bc are those of the others; check the encoder and its cable"
         )
         found.append(Diagnostic("angle-frozen", text))
+    if defects.clipped:
+        text = (
+            f"the torque stands at the end of its range in {defects.clipped} of {rows} rows while the joint moves on: "
+            "they are left out, so Kc and Bc are those of the others; lower --amplitude, or widen the sensor's range"
+        )
+        found.append(Diagnostic("torque-clipped", text))
     if defects.wraps:
         text = (
             f"the deflection jumps {defects.wraps} times by the range of its encoder: the jumps were taken back, so "
