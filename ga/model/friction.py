@@ -85,11 +85,11 @@ def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if motion.behind is None or not held.any():
         return np.zeros(len(motion), dtype=bool)
     whole, rows = motion.whole
-    still, every = np.zeros(len(whole)), np.arange(len(whole))
+    still = np.zeros(len(whole))
     still[rows] = held
     run = np.cumsum(np.diff(still, prepend=0.0) != 0.0)
-    resting = still * np.isin(run, run[whole.filtered(still, every) > AT_REST])
-    return np.asarray(np.abs(whole.filtered(resting, every)) > FROM_REST)[rows]
+    resting = still * np.isin(run, run[whole.filtered(still) > AT_REST])
+    return np.asarray(np.abs(whole.filtered(resting)) > FROM_REST)[rows]
 
 
 def _usual(motion: Motion) -> float:

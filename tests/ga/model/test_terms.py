@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -138,10 +139,12 @@ class Mean:
 
     half: int
 
-    def alike(self, _time: Array, values: Array, rows: slice | NDArray[np.int64]) -> Array:
-        padded = np.pad(values, self.half, mode="edge")
-        found = np.convolve(padded, np.full(2 * self.half + 1, 1.0 / (2 * self.half + 1)), mode="valid")
-        return np.asarray(found[rows])
+    def passing(self, _time: Array) -> Callable[[Array], Array]:
+        def passed(values: Array) -> Array:
+            padded = np.pad(values, self.half, mode="edge")
+            return np.convolve(padded, np.full(2 * self.half + 1, 1.0 / (2 * self.half + 1)), mode="valid")
+
+        return passed
 
 
 def test_a_filter_brings_friction_of_unknown_size_from_a_rest_but_not_from_a_reversal() -> None:
