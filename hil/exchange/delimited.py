@@ -121,6 +121,7 @@ def _header(source: Path, text: TextIO) -> _Header:
             f"of its {len(names)} columns, such as {_example(len(names), delimiter)!r}"
         )
     below = iter(partial(text.readline, _LONGEST), "")
+    names = names[: _widest(top[at + 1 :], delimiter) or None] if row else names
     height = next((place for place in range(at + 1, len(top)) if top[place].strip()), at + 1)
     if units := _units("".join(top[height : height + 1]), delimiter, len(names)):
         names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
@@ -147,9 +148,14 @@ def _place_of_headings(top: Sequence[str]) -> tuple[int, list[str]]:
 
 
 def _heads(line: str, delimiter: str, row: Sequence[str]) -> bool:
-    """Whether a line of several names, none a number, has as many fields as a row, but for empty ones at its end."""
+    """Whether a line of several names, none a number, has a field for each cell of a row that is not empty."""
     names = _fields(line, delimiter)
-    return 1 < len(names) <= len(row) and not any(row[len(names) :]) and not any(map(_is_number, names))
+    return len(row) > 1 < len(names) and not any(row[len(names) :]) and not any(map(_is_number, names))
+
+
+def _widest(lines: Sequence[str], delimiter: str) -> int:
+    """Return the most fields that one of the lines has: LabVIEW names a column "Comment" of which no row has a cell."""
+    return max((len(_fields(line, delimiter)) for line in lines), default=0)
 
 
 def _next_row(lines: Sequence[str], delimiter: str) -> list[str]:

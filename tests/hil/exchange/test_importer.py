@@ -339,13 +339,14 @@ ROWS = "0.5,10,0.1\n0.6,20,0.2\n0.7,30,0.3\n"
     [
         "# logger 1.2\n# rig 3, Smith, 2024\n\nt [s],tau [mN*m],q [rad]\n" + ROWS,
         "Settings;rate;1000\nWriter;2\n***end***\nt;tau;q\n\ns;mNm;rad\n".replace(";", ",") + ROWS,
+        "Program\tx\nReader_Version\t2\n***End***\t\n\t\nt_s\ttau_mNm\tq_rad\tComment\n" + ROWS.replace(",", "\t"),
         "t[s] tau[mNm]  q[rad]\n" + ROWS.replace(",", "  "),
         "# t_s tau_mNm q_rad\n" + ROWS.replace(",", " ").replace("\n", " \n"),
         "t [s],tau [mNm],q [rad]\n" + ROWS.replace("\n", ",\n"),
         "t;tau_mNm;q_rad\n2024-05-01 23:59:59.9;10;0.1;\n2024-05-02T00:00:00;20;0.2;\n2024-05-02 00:00:00.1;30;0.3\n",
         "t,tau [mNm],q [rad]\n09:59:59.9,10,0.1\n10:00:00,20,0.2\n10:00:00.1,30,0.3\n",
     ],
-    ids=["comments", "settings", "spaces", "savetxt", "trailing", "dates", "times"],
+    ids=["comments", "settings", "LabVIEW", "spaces", "savetxt", "trailing", "dates", "times"],
 )  # fmt: skip
 def test_tables_as_loggers_write_them_read_the_same(tmp_path: Path, text: str) -> None:
     with imported(tmp_path, text, (), **UNITED) as recording:
