@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from drivers.servo import Command, DriverError, Limits, Sample, Servo, ServoInfo
+from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Sample, Servo, ServoInfo
 
 _CALLS, _PAUSE = 20, 0.05
 """Calls of `disarm` in `confirm_torque_off`, and s between two of them."""
 _PULLS, _COUNTS, _READINGS, _SETTLES = 0.1, 3.0, 6, 0.01
 """Share of the torque limit, and counts, that a motor without torque may report; readings, and s between two, that must
-say more."""
+say more. As many replies may be lost meanwhile: one that a bad link loses must not hide a motor that pulls."""
 _STAYS, _RETURNS, _ANGLE_COUNTS, _ANGLE = 0.5, 50, 5.0, 1e-3
 """Share of the angle under load that may be left after so many readings; counts, or rad where these are not known, that
 this angle must have."""
@@ -90,7 +90,7 @@ def _read(servo: Servo, driven: Driven, interrupt: BaseException | None) -> Torq
 
     interrupt: one that arrived before and is still to be obeyed. Never raises.
     """
-    pulls, readings = "", 0
+    pulls, readings, lost = "", 0, 0
     while True:
         try:
             sample = servo.exchange(Command.rest())
@@ -100,8 +100,10 @@ def _read(servo: Servo, driven: Driven, interrupt: BaseException | None) -> Torq
             if not pulls or readings >= (_READINGS if measures else _RETURNS):
                 break
             servo.clock.sleep_until(servo.clock.now() + _SETTLES)
-        except Exception:  # noqa: BLE001 - what it reports after its torque-off is a second opinion only
-            return TorqueOff(True, interrupt)
+        except Exception as error:  # noqa: BLE001 - what it reports after its torque-off is a second opinion only
+            lost += 1
+            if lost > _READINGS or not isinstance(error, NoReply | BadReply):
+                return TorqueOff(True, interrupt)
         except BaseException as error:  # noqa: BLE001 - to be obeyed once the torque is off
             interrupt = error
     return TorqueOff(False, DriverError(pulls)) if pulls else TorqueOff(True, interrupt)

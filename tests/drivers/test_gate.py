@@ -10,7 +10,18 @@ import pytest
 
 from drivers.clock import VirtualClock
 from drivers.gate import Gate, to_counts, watchdog_problem
-from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, Sample, ServoInfo, UnsafeCommand
+from drivers.servo import (
+    BadReply,
+    Command,
+    DriverError,
+    Limits,
+    LinkLost,
+    NoReply,
+    Quantity,
+    Sample,
+    ServoInfo,
+    UnsafeCommand,
+)
 from drivers.torque_off import Driven, confirm_torque_off
 
 LIMITS = Limits(torque=0.1, velocity=10.0, temperature=60.0, position=(-1.0, 1.0))
@@ -200,6 +211,35 @@ def test_a_device_that_confirms_and_still_reports_torque_has_not_confirmed(
     result = confirm_torque_off(Pulling(*torques), how)  # type: ignore[arg-type]  # only what it calls
     assert result.confirmed == off
     assert ("CUT THE POWER" in result.alarm) != off
+
+
+class Unreliable(Pulling):
+    """A device that reports the same torque after every torque-off, in a fraction of the replies: the others fail."""
+
+    def __init__(self, error: Exception, lost: int) -> None:
+        super().__init__(0.02)
+        self._error, self._lost = error, lost
+
+    def exchange(self, command: Command) -> Sample:
+        self._lost -= 1
+        if self._lost >= 0:
+            raise self._error
+        return super().exchange(command)
+
+
+@pytest.mark.parametrize(
+    ("error", "lost", "off"),
+    [
+        (NoReply("lost"), 1, False),
+        (BadReply("cut"), 3, False),
+        (NoReply("lost"), 100, True),
+        (LinkLost("gone"), 1, True),
+    ],
+    ids=["one lost", "some damaged", "silent", "no link"],
+)
+def test_a_reply_that_is_lost_hides_no_torque(error: Exception, lost: int, *, off: bool) -> None:
+    result = confirm_torque_off(Unreliable(error, lost), driven())  # type: ignore[arg-type]  # only what it calls
+    assert result.confirmed == off
 
 
 class Staying(Pulling):
