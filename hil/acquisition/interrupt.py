@@ -37,10 +37,11 @@ class StopRequest:
         self.number = self.number or number
 
     @contextmanager
-    def listening(self) -> Iterator[StopRequest]:
+    def listening(self, *, goes_on: bool = False) -> Iterator[StopRequest]:
         """Take the signals that end a process, until the recording is on disk.
 
-        One that is ignored stays so: under nohup a closed terminal ends nothing.
+        One that is ignored stays so: under nohup a closed terminal ends nothing. goes_on: whether another run may
+        follow one that was stopped, so that later signals count.
         """
         before = {number: signal.getsignal(number) for number in ending()}
         before = {number: handler for number, handler in before.items() if handler not in {signal.SIG_IGN, None}}
@@ -49,6 +50,6 @@ class StopRequest:
                 signal.signal(number, self._note)
             yield self
         finally:
-            ignored = self.count and self.exit_follows
+            ignored = self.count and self.exit_follows and not goes_on
             for number, handler in before.items():
                 signal.signal(number, signal.SIG_IGN if ignored else handler)

@@ -53,6 +53,7 @@ _BEYOND, _LONGEST, _UNKNOWN = 0.1, 1.0, 0.5  # s: silence beyond twice the watch
 _TRIES = 10  # readings until one arrives, between the packets of the guardian
 _ACTS, _ACTS_SURELY, _LATEST = 0.05, 0.1, 0.3  # s until the guardian's effect is read, and at most
 _COUNTS = 2.0  # of torque that a load has at least
+_SIGNALS = 2  # that this process sends itself
 _SETTLES = 0.1  # s after torque-off until it is read
 
 
@@ -185,7 +186,7 @@ def try_guardian(servo: Servo, load: Load) -> Trial:
 def try_second_signal(servo: Servo, load: Load) -> None:
     """Send this process two signals to stop, as two times Ctrl-C does."""
     del servo, load
-    for _ in range(2):
+    for _ in range(_SIGNALS):
         signal.raise_signal(signal.SIGINT)
 
 
@@ -225,15 +226,16 @@ def _made(checks: CheckList, stand: Stand, mode: Quantity, what: tuple[Servo, Tr
         *what, lambda sample: abs(sample.joint_torque if from_cell else ratio * sample.motor_torque), goal
     )
     profile = _profile(mode, goal if mode is Quantity.TORQUE else LOAD * limits.deflection)
-    with StopRequest().listening() as stop:
+    with StopRequest().listening(goes_on=True) as stop:
         outcome = Recorder(stand, tried, profile, _RATE, Memory()).run(stop)
-    made = tried.made
-    if outcome.alarm:
-        checks.failed("torque off", outcome.alarm)
-    elif math.isfinite(tried.began):
-        made = _after_off(checks, tried, made, outcome.phases)
-    elif outcome.signal:
-        checks.signal = outcome.signal
+        made = tried.made
+        if outcome.alarm:
+            checks.failed("torque off", outcome.alarm)
+        elif math.isfinite(tried.began):
+            made = _after_off(checks, tried, made, outcome.phases)
+    if stop.count > (_SIGNALS if what[1] is try_second_signal and math.isfinite(tried.began) else 0):
+        checks.signal = stop.number
+        return None
     if made is None and outcome.error is not None:
         raise EndedEarly(str(outcome.error))
     return made

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,7 +15,9 @@ import pytest
 
 from drivers.servo import Quantity, Sample, Servo
 from hil.acquisition.commissioning import last_outcome
+from hil.acquisition.interrupt import StopRequest
 from hil.cli.app import run
+from hil.doctor import commission as commission_module
 from hil.doctor import trials
 from hil.doctor.checks import CheckList
 from hil.doctor.commission import Report, commission
@@ -192,6 +195,35 @@ def test_a_good_outcome_is_kept_for_the_drive_and_its_firmware(monkeypatch: pyte
     assert last_outcome(replace(report.info, firmware="1.2"), Quantity.TORQUE) is None
     monkeypatch.setattr(time, "time", lambda: report.outcome.time + 31 * 86400.0)
     assert last_outcome(report.info, Quantity.TORQUE) is None
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["in a silence", "with the second signal"])
+def test_a_signal_of_the_user_ends_a_commissioning_and_the_next_one_still_counts(
+    monkeypatch: pytest.MonkeyPatch, *, own: bool
+) -> None:
+    def signalled(servo: Servo, load: Load) -> Trial | None:
+        signal.raise_signal(signal.SIGTERM)
+        if not own:
+            return try_silence(servo, load)
+        try_second_signal(servo, load)
+        return None
+
+    rig = rigs.new_rig()
+    on(monkeypatch, rig)
+    monkeypatch.setattr(StopRequest, "exit_follows", True)
+    monkeypatch.setattr(commission_module, "_TRIALS", (("first", "", signalled), ("second", "", nothing_is_tried)))
+    if own:
+        monkeypatch.setattr(trials, "try_second_signal", signalled)
+    before = signal.getsignal(signal.SIGTERM)
+    checks, report = commissioned()
+    assert report is None
+    assert checks.signal == signal.SIGTERM
+    assert signal.getsignal(signal.SIGTERM) == before
+    assert not rig.motor.enabled
+
+
+def nothing_is_tried(*_: object) -> None:
+    raise AssertionError("torque after a signal to stop")
 
 
 def test_the_simulated_servo_needs_none() -> None:
