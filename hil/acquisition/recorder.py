@@ -34,6 +34,7 @@ from hil.stand.transmission import Transmission, Zero
 
 _REST_SAMPLES = 16  # averaged for the zero of the deflection
 _REST_TRIES = 100
+_RESOLVED = 1e-6  # share of the deflection limit that the angle at rest must resolve
 _TOO_LONG = 1.5  # periods that an answer at rest may take; some drives answer sooner once they are armed
 _RAMP_DOWN = 0.1  # s; a first request to stop ramps the torque to zero over this long
 _BLOCK = 512  # set-points computed at a time
@@ -145,6 +146,8 @@ class Recorder:
         joint = _mean(sample.joint_position for sample in samples)
         if not math.isfinite(motor):
             raise BadReply("the drive reports no position: a deflection cannot be recorded")
+        if math.ulp(motor) > _RESOLVED * self._limits.deflection * self._transmission.ratio:
+            raise BadReply(f"the drive reports {motor:.3g} rad at rest, too much to read a deflection from: home it")
         self._has_joint = math.isfinite(joint)
         zero = Zero(motor, joint if self._has_joint else 0.0)
         at_rest = [*map(self._readings(zero), samples)]

@@ -17,7 +17,7 @@ from hil.acquisition.phases import Outcome, Phase
 from hil.acquisition.planned_faults import FaultyHost
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.diagnostics import Diagnostic
-from hil.errors import WrongUse
+from hil.errors import Untrustworthy, WrongUse
 from hil.guardian.servo import Watch
 from hil.live.rerun import check as check_rerun
 from hil.live.viewer import beside
@@ -31,6 +31,7 @@ from hil.recording.output import (
     part_path,
     remove_unfinished,
 )
+from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand.devices import check_backend
 from hil.stand.file import Stand
@@ -193,6 +194,13 @@ def _close_servo(servo: Servo, outcome: Outcome) -> None:
         outcome.error = outcome.error or error
 
 
+def _is_readable(part: Path) -> bool:
+    """Return whether there is a `.part` that can be recovered: somebody may have cut it off meanwhile."""
+    with suppress(WrongUse, Untrustworthy, OSError), Recording(part):
+        return True
+    return False
+
+
 def _finish(writer: Writer, outcome: Outcome, *, force: bool) -> Path:
     """Make the recording final and return where it is. A failure goes into the outcome: the `.part` has the rows."""
     try:
@@ -204,7 +212,7 @@ def _finish(writer: Writer, outcome: Outcome, *, force: bool) -> Path:
             writer.discard()
     except Exception as error:  # noqa: BLE001 - in any case the user must learn where the data is
         kept = writer.path if writer.path.exists() else None
-        hint = "" if kept is None else f"\nThe run itself is safe: hil recover {kept} -o OTHER.h5"
+        hint = f"\nThe run itself is safe: hil recover {kept} -o OTHER.h5" if _is_readable(writer.path) else ""
         failure = WrongUse(f"{error}{hint}")
         failure.__cause__ = error
         if outcome.error is None:

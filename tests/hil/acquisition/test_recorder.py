@@ -198,7 +198,13 @@ def test_a_warm_motor_is_not_started(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rest", "message"), [({"motor_position": math.nan}, "no position"), ({"joint_torque": math.nan}, "torque_source")]
+    ("rest", "message"),
+    [
+        ({"motor_position": math.nan}, "no position"),
+        ({"motor_position": 1e300}, "home it"),
+        ({"motor_position": -3.4e38}, "home it"),
+        ({"joint_torque": math.nan}, "torque_source"),
+    ],
 )
 def test_a_stand_that_cannot_measure_is_not_driven(bench: Bench, rest: dict[str, float], message: str) -> None:
     bench.servo.rest = rest

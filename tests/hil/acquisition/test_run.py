@@ -458,6 +458,22 @@ def test_a_run_that_a_fault_ends_says_where_its_rows_are_when_its_name_was_taken
     assert Path("a.h5").read_text() == "mine"
 
 
+def test_a_run_whose_file_was_cut_off_is_not_said_to_be_safe(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def finish(writer: RecordingWriter, end_reason: str, *, force: bool = False) -> Path:
+        os.truncate(writer.path, 1000)
+        return finished(writer, end_reason, force=force)
+
+    finished = RecordingWriter.finish
+    monkeypatch.setattr(RecordingWriter, "finish", finish)
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["record", "--backend", "sim", "--duration", "1", "-o", "a.h5"]) == 2
+    said = capfd.readouterr().err
+    assert "no row that can be read" in said
+    assert "is safe" not in said
+
+
 def test_faults_are_planned_for_a_simulated_stand_only(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "stand.toml").write_text(
         STAND.text.replace('"sim"', '"odrive"')
