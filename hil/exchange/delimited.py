@@ -115,11 +115,8 @@ def _header(source: Path, text: TextIO) -> _Header:
     line = top[at].rstrip("\r\n") if top else ""
     delimiter = _delimiter(line)
     names = _split(source, line.removeprefix("#"), delimiter)  # numpy.savetxt writes a # before the headings
-    if any(names) and all(_is_number(name) for name in names if name):
-        raise WrongUse(
-            f"{source} has no headings: its first line holds numbers. Write a line above them with the names and units "
-            f"of its {len(names)} columns, such as {_example(len(names), delimiter)!r}"
-        )
+    if not row:
+        _refuse_bare_numbers(source, top, len(names))
     below = iter(partial(text.readline, _LONGEST), "")
     names = names[: _widest(top[at + 1 :], delimiter) or None] if row else names
     height = next((place for place in range(at + 1, len(top)) if top[place].strip()), at + 1)
@@ -129,6 +126,20 @@ def _header(source: Path, text: TextIO) -> _Header:
     dates = frozenset(place for place, cell in enumerate(row) if _seconds(cell) is not None)
     names = [f"{name} [s]" if place in dates else name for place, name in enumerate(names)]
     return _Header(names, delimiter, height, dates, chain(top[height:], below))
+
+
+def _refuse_bare_numbers(source: Path, top: Sequence[str], names: int) -> None:
+    """Raise WrongUse for a table whose numbers begin at once, or below comments and a title alone."""
+    for line in top:
+        delimiter = _delimiter(line)
+        cells = _fields(line, delimiter)
+        if any(cells) and all(_is_number(cell) for cell in cells if cell):
+            if line is top[0] or top[0].startswith("#") or names == 1 < len(cells):
+                raise WrongUse(
+                    f"{source} has no headings: no names stand above its numbers. Write a line above them with the "
+                    f"names and units of its {len(cells)} columns, such as {_example(len(cells), delimiter)!r}"
+                )
+            return
 
 
 def _place_of_headings(top: Sequence[str]) -> tuple[int, list[str]]:
@@ -301,7 +312,12 @@ class _Cells:
     def _with_comma(self, line: int, at: int, text: str) -> float:
         if not _DECIMAL_COMMA.fullmatch(text):
             shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-            raise WrongUse(f"{self._source}, row {line}, column {self._names[at]}: {shown!r} is not a number")
+            remedy = (
+                "write dates as 2024-05-01 12:00:00.002, or the time in seconds"
+                if ":" in text
+                else "empty the cell where nothing was read"
+            )
+            raise WrongUse(f"{self._source}, row {line}, column {self._names[at]}: {shown!r} is not a number: {remedy}")
         if not self._comma:
             self._comma = self._place(line, at, text)
         self._sure = self._sure or not _THOUSANDS.fullmatch(text)
