@@ -26,6 +26,7 @@ DONE, UNTRUSTWORTHY, WRONG_USE, STAND_FAILED, LIMIT_REACHED = 0, 1, 2, 3, 4
 INTERRUPTED = 130
 _UNUSUAL = re.compile(r"[^\n\t -~]")
 _SPELLED = str.maketrans({"\u00b1": "+/-", "\u00b5": "u", "\u00b7": "*", "\u2026": "..."})
+_LONGEST = 10_000  # characters of a line: the command to resume a search of many files has some thousand
 _STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode's controls, formats, surrogates, separators of lines
 
 
@@ -66,7 +67,12 @@ def note(text: str) -> None:
 def say(text: str) -> None:
     """Print a line to standard error, apart from the command's data. Never raises: words must not cost data."""
     with suppress(Exception):
-        _written(text, sys.stderr)
+        _written("\n".join(map(_cut, text.split("\n"))), sys.stderr)
+
+
+def _cut(line: str) -> str:
+    """Return a line of which a terminal shows all: a file of others may have a name or a word of a megabyte."""
+    return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}... ({len(line) - _LONGEST} more characters)"
 
 
 def printable(text: str) -> str:

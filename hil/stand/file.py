@@ -23,7 +23,7 @@ from hil.recording.input import read_text
 from hil.stand.calibration import CalibrationTable
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
 from hil.stand.sentences import NO_SUCH_KEY, names_the_value, sentence
-from hil.stand.toml_table import errors_in, line_of
+from hil.stand.toml_table import LISTED, errors_in, line_of
 from hil.stand.winding import WindingTable
 from sim_backend.parameters import SimParameters
 
@@ -192,8 +192,8 @@ def _parsed(text: str, name: str) -> Stand:
     model = _file_model(frozenset(name for name in table if name in BACKENDS), kind)
     file, wrong = _validated(table, model)
     if errors := [*errors, *wrong]:
-        lines = sorted((line_of(text, list(place)), said) for place, said in errors)
-        raise errors_in(name, [f"line {at}: {said}" for at, said in lines])
+        lines = sorted((line_of(text, list(place)), said) for place, said in errors[:LISTED])
+        raise errors_in(name, [f"line {at}: {said}" for at, said in lines], len(errors))
     devices = {backend: getattr(file, backend) for backend in table if backend in BACKENDS}
     sensor = None if kind is None else (kind, file.joint_sensor)
     return Stand(file.stand, file.limits, devices, sensor, text, file.calibration, file.winding)

@@ -15,7 +15,9 @@ from hil.quantities import in_si
 from hil.recording.input import read_text
 
 _LARGEST = 1 << 20  # bytes
-_LISTED, _LONGEST = 20, 220  # errors, and characters of one
+LISTED = 20
+"""Errors of a file that are listed."""
+_LONGEST = 220  # characters of one
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
 
 Table = TypeVar("Table", bound=BaseModel)
@@ -38,15 +40,18 @@ def load_table(path: Path, kind: type[Table], message: Callable[[str, Any], str]
     except ValidationError as error:
         items += [item for item in error.errors() if item["loc"] not in wrong]
     if items:
-        raise errors_in(path, [message(text, item) for item in items])
+        raise errors_in(path, [message(text, item) for item in items[:LISTED]], len(items))
     return checked
 
 
-def errors_in(name: object, lines: list[str]) -> WrongUse:
-    """Return the error of a file that has these, each a sentence with its place; the first ones are listed."""
-    cut = [line if len(line) <= _LONGEST else f"{line[:_LONGEST]}..." for line in lines[:_LISTED]]
-    more = [f"and {len(lines) - _LISTED} more"] if len(lines) > _LISTED else []
-    return WrongUse(f"{name} has {len(lines)} error(s):\n" + "\n".join(f"  {line}" for line in [*cut, *more]))
+def errors_in(name: object, lines: list[str], count: int) -> WrongUse:
+    """Return the error of a file that has `count` errors. lines: the first `LISTED`, each a sentence with its place.
+
+    Not more of them: the place of each is looked for in the whole text, which may have a hundred thousand.
+    """
+    cut = [line if len(line) <= _LONGEST else f"{line[:_LONGEST]}..." for line in lines]
+    more = [f"and {count - len(lines)} more"] if count > len(lines) else []
+    return WrongUse(f"{name} has {count} error(s):\n" + "\n".join(f"  {line}" for line in [*cut, *more]))
 
 
 def line_of(text: str, place: list[Any]) -> int:

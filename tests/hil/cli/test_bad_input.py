@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import os
 import random
 import subprocess
@@ -305,6 +306,25 @@ def test_a_nested_or_huge_stand_file_is_wrong_use(hil: Hil, text: str) -> None:
     Path("stand.toml").write_text(text)
     status, _, err = hil("record", "--stand", "stand.toml")
     assert (status, "fault in hil" in err, len(err) < 500) == (2, False, True)
+
+
+def test_of_very_many_errors_the_first_are_looked_at(hil: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[object] = []
+
+    def line_of(_text: str, place: object) -> int:
+        looked.append(place)
+        return len(looked)
+
+    monkeypatch.setattr("hil.stand.file.line_of", line_of)
+    Path("stand.toml").write_text("[stand]\n" + "".join(f"k{at} = 1\n" for at in range(500)))
+    status, _, err = hil("record", "--stand", "stand.toml")
+    assert (status, "has 500 error(s)" in err, "and 480 more" in err, len(looked)) == (2, True, True, 20)
+
+
+def test_a_word_of_a_megabyte_does_not_fill_the_terminal(hil: Hil) -> None:
+    Path("a.json").write_text(json.dumps({"schema": "q" * 1_000_000}))
+    status, _, err = hil("export", "a.json", "-o", "a.xml")
+    assert (status, "more characters" in err, len(err) < 11_000) == (2, True, True)
 
 
 @pytest.mark.parametrize("ratio", ["1e300", "1e-300", "1e-9", "0", "-1", "nan", "inf"])
