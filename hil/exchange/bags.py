@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import sqlite3
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -28,15 +29,20 @@ UNITS: Mapping[str, str] = MappingProxyType({"position": "rad", "velocity": "rad
 """The units of a rotary joint in a JointState, as its definition states them."""
 
 _LARGEST = 1 << 36  # bytes of a file, which is read message by message
+_DESCRIPTION, _DESCRIBED = "metadata.yaml", 1 << 24  # of a folder, and its largest size, bytes
+_DATABASE = b"SQLite format 3\0"  # at the begin of one
 _MEMORY = 1 << 32  # bytes that reading may take: a damaged file can unpack to any size
 _MOST_NUMBERS = 64  # of one array in a message
 _MOST_FILES = 10_000
+_NO_TABLES = (
+    "SELECT type, name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'create virtual%' LIMIT 1"
+)
 
 
 def is_bag(source: Path) -> bool:
     """Return whether a path is one of a ROS 2 bag: its folder, or one of its files."""
     with suppress(OSError):  # a name that is too long
-        return source.suffix.lower() in SUFFIXES or (source / "metadata.yaml").is_file()
+        return source.suffix.lower() in SUFFIXES or (source / _DESCRIPTION).is_file()
     return False
 
 
@@ -48,7 +54,10 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
     """
     rosbags = _rosbags(source)
     for path in _files(source):
-        open_input(path, largest=_LARGEST).close()
+        with open_input(path, largest=_DESCRIBED if path.name == _DESCRIPTION else _LARGEST) as file:
+            is_database = file.read(len(_DATABASE)) == _DATABASE
+        if is_database:
+            _check_tables(path)
     try:
         with bounded_memory(_MEMORY), rosbags.AnyReader([source], default_typestore=rosbags.typestore) as reader:
             return _read(source, reader, topic, joint)
@@ -81,12 +90,28 @@ def _rosbags(source: Path) -> _Library:
 def _files(source: Path) -> list[Path]:
     if not source.is_dir():
         return [source]
-    if not (source / "metadata.yaml").is_file():
+    if not (source / _DESCRIPTION).is_file():
         raise WrongUse(f"{source} is a folder without metadata.yaml: name the one that `ros2 bag record` made")
-    found = [path for path in source.iterdir() if path.name == "metadata.yaml" or path.suffix in SUFFIXES]
+    found = [path for path in source.iterdir() if not path.is_dir() and _may_be_read(path)]
     if len(found) > _MOST_FILES:
         raise WrongUse(f"{source} holds {len(found)} files: check the name")
     return found
+
+
+def _may_be_read(path: Path) -> bool:
+    """Return whether the library may read something in a bag's folder: the description there says what, of any name."""
+    return path.suffix in SUFFIXES or not path.is_file() or path.stat().st_size > 0
+
+
+def _check_tables(path: Path) -> None:
+    """Raise WrongUse for a database that holds more than tables: reading a view may never end, nor heed Ctrl-C."""
+    try:
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as database:
+            found = database.execute(_NO_TABLES).fetchone()
+    except sqlite3.Error as error:
+        raise WrongUse(f"{path} is damaged, or no ROS 2 bag ({error}): record it again") from None
+    if found is not None:
+        raise WrongUse(f"{path} is no ROS 2 bag, which holds tables only: it has the {found[0]} {found[1]!r}")
 
 
 def _reason(error: Exception) -> str:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import sqlite3
 import struct
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +124,30 @@ def test_a_damaged_bag_is_one_sentence(tmp_path: Path, damage: str) -> None:
     with pytest.raises(WrongUse, match=r"b\.mcap.*(damaged, or no ROS 2 bag|is empty|it has no mess)") as refusal:
         imported(tmp_path, tmp_path / "b.mcap")
     assert "Errno" not in str(refusal.value)
+
+
+def test_a_database_whose_rows_are_made_as_they_are_read_is_no_bag(tmp_path: Path) -> None:
+    path = tmp_path / "a # 100%.db3"
+    endless = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT count(*) AS schema_version FROM c"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE topics(id, name, type, serialization_format)")
+        database.execute("CREATE TABLE messages(id, topic_id, timestamp, data)")
+        database.execute(f"CREATE VIEW schema AS {endless}")
+        database.commit()
+    with pytest.raises(WrongUse, match="it has the view 'schema'"):
+        bags.columns(path, None, None)
+
+
+def test_nothing_but_files_is_read_in_the_folder_of_a_bag(tmp_path: Path) -> None:
+    """Its description names its files, which may have any name: a FIFO would be waited for."""
+    folder = bag(tmp_path / "bag")
+    (folder / "note.txt").touch()
+    imported(tmp_path, folder)
+    os.mkfifo(folder / "fifo.bin")
+    description = folder / "metadata.yaml"
+    description.write_text(description.read_text().replace("bag.db3", "fifo.bin"))
+    with pytest.raises(WrongUse, match=r"fifo\.bin is not a file"):
+        imported(tmp_path, folder)
 
 
 def test_a_bag_that_unpacks_to_more_than_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
