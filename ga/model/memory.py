@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from ga.compiled import compiled_no_refcount
+from ga.model.spline import Spline
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,15 +45,13 @@ def averaged(time: Array, values: Array, width: float) -> Array:
 
     The values are cubic between two times, with the slopes that central differences give them.
     """
-    from scipy.interpolate import CubicHermiteSpline
-
     if len(time) < 2:
         return values
-    integral = CubicHermiteSpline(time, values, np.gradient(values, time, axis=0)).antiderivative()
-    reach = np.minimum(0.5 * width, np.minimum(time - time[0], time[-1] - time))
-    before, after = time - np.maximum(reach, _AT_ONCE), time + np.maximum(reach, _AT_ONCE)
-    size = (after - before).reshape(-1, *(1,) * (values.ndim - 1))
-    return np.asarray((integral(after) - integral(before)) / size)
+    table = values.reshape(len(time), -1)
+    integral = Spline.along(time, table.T, np.asarray(np.gradient(table, time, axis=0)).T).integral()
+    reach = np.maximum(np.minimum(0.5 * width, np.minimum(time - time[0], time[-1] - time)), _AT_ONCE)
+    before, after = time - reach, time + reach
+    return np.asarray(((integral(after) - integral(before)) / (after - before)).T.reshape(values.shape))
 
 
 def presliding(time: Array, rate: Array, length: float) -> Array:

@@ -20,7 +20,7 @@ _FEWEST: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """Curves between knots (n,) s, rising. parts (n-1, k, 4): coefficients of the cubics, the constant first."""
+    """Curves between knots (n,) s, rising. parts (n-1, k, m): coefficients of the polynomials, the constant first."""
 
     knots: Array
     parts: Array
@@ -33,19 +33,35 @@ class Spline:
         """
         if len(knots) < 2:
             raise ValueError("a curve needs two knots at least")
-        step, slopes = np.diff(knots), _slopes(knots, values)
-        before, after, chord = slopes[:, :-1], slopes[:, 1:], np.diff(values, axis=1) / step
+        return cls.along(knots, values, _slopes(knots, values))
+
+    @classmethod
+    def along(cls, knots: Array, values: Array, slopes: Array) -> Spline:
+        """Return the curves with values and slopes (k, n)."""
+        step, before, after = np.diff(knots), slopes[:, :-1], slopes[:, 1:]
+        chord = np.diff(values, axis=1) / step
         square, cube = (3.0 * chord - 2.0 * before - after) / step, (before + after - 2.0 * chord) / step**2
         parts = np.stack([values[:, :-1], before, square, cube])
         return cls(np.ascontiguousarray(knots), np.ascontiguousarray(parts.T))
 
-    def __call__(self, times: Array, order: int = 0) -> Array:
-        """Return the values (k, m) at times (m,) s, rising, or how fast they change; outside, as the ends continue."""
-        parts, found = self.parts, np.empty((self.parts.shape[1], len(times)))
-        if order == 1:
-            parts = np.pad(parts[..., 1:] * np.arange(1.0, 4.0), ((0, 0), (0, 0), (0, 1)))
-        evaluate(self.knots, parts, np.ascontiguousarray(times), found)
+    def __call__(self, times: Array) -> Array:
+        """Return the values (k, m) at times (m,) s, rising; outside, as the ends continue."""
+        found = np.empty((self.parts.shape[1], len(times)))
+        evaluate(self.knots, self.parts, np.ascontiguousarray(times), found)
         return found
+
+    def changing(self) -> Spline:
+        """Return how fast the curves change."""
+        orders = np.arange(1.0, self.parts.shape[2])
+        return Spline(self.knots, np.ascontiguousarray(self.parts[..., 1:] * orders))
+
+    def integral(self) -> Spline:
+        """Return the integrals of the curves from the first knot on."""
+        orders, step = np.arange(1.0, self.parts.shape[2] + 1.0), np.diff(self.knots)
+        parts = self.parts / orders
+        areas = np.cumsum((parts * step[:, None, None] ** orders).sum(axis=2), axis=0)
+        until = np.concatenate([np.zeros_like(areas[:1]), areas[:-1]])
+        return Spline(self.knots, np.concatenate([until[..., None], parts], axis=2))
 
 
 def _slopes(knots: Array, values: Array) -> Array:
@@ -75,5 +91,7 @@ def evaluate(knots: Array, parts: Array, times: Array, found: Array) -> None:
             at += 1
         past = times[i] - knots[at]
         for k in range(len(found)):
-            square = parts[at, k, 2] + past * parts[at, k, 3]
-            found[k, i] = parts[at, k, 0] + past * (parts[at, k, 1] + past * square)
+            value = 0.0
+            for order in range(parts.shape[2] - 1, -1, -1):
+                value = value * past + parts[at, k, order]
+            found[k, i] = value

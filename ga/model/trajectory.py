@@ -108,11 +108,11 @@ class Motion:
         """The motion as it was `delay` seconds before each time; before a stretch began, as its ends continue."""
         if delay == 0.0:
             return self
-        return self._evaluated(delay, 0)
+        return self._evaluated(delay, self._curves)
 
     def changing(self, delay: float) -> Motion:
         """How fast each part changes, per second, at `delay` seconds before each time."""
-        return self._evaluated(delay, 1)
+        return self._evaluated(delay, self._changes)
 
     def lagged(self, values: Array, constant: float) -> Array:
         """Values (n,) or (n, k) of each time, behind a first-order lag of `constant` s that has settled at each start.
@@ -179,12 +179,10 @@ class Motion:
         """The number (n,) of the stretch that each sample is in."""
         return np.asarray(np.searchsorted(self.starts, np.arange(len(self)), side="right") - 1)
 
-    def _evaluated(self, delay: float, order: int) -> Motion:
-        found = [
-            curve(self.time[start:stop] - delay, order)
-            for (start, stop), curve in zip(self._stretches(), self._curves, strict=True)
-        ]
-        return replace(self, part_of=None, **dict(zip(_PARTS, np.concatenate(found, axis=1), strict=True)))
+    def _evaluated(self, delay: float, curves: tuple[Spline, ...]) -> Motion:
+        parts = zip(self._stretches(), curves, strict=True)
+        found = np.concatenate([curve(self.time[start:stop] - delay) for (start, stop), curve in parts], axis=1)
+        return replace(self, part_of=None, **dict(zip(_PARTS, found, strict=True)))
 
     def _stretches(self) -> list[tuple[int, int]]:
         return list(zip(self.starts, [*self.starts[1:], len(self)], strict=True))
@@ -204,6 +202,10 @@ class Motion:
             return self.part_of[0]._curves
         values = np.stack([getattr(self, name) for name in _PARTS])
         return tuple(Spline.through(self.time[a:b], values[:, a:b]) for a, b in self._stretches())
+
+    @cached_property
+    def _changes(self) -> tuple[Spline, ...]:
+        return tuple(curve.changing() for curve in self._curves) if self.part_of is None else self.part_of[0]._changes
 
 
 def joined(motions: Sequence[Motion]) -> Motion:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.savitzky_golay import local_polynomial
+from hil.signals.savitzky_golay import local_polynomial, local_weights
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -200,14 +200,9 @@ def _to_grid(time: Array, grid: Array, near: int) -> csr_array:
     from scipy.sparse import csr_array, vstack
 
     count, width = len(time), 2 * near + 1
-    at = np.arange(count)
-    first = np.clip(at - near, 0, count - width)[:, None]
-    neighbours, fits = first + (np.arange(width) - first) % width, []
-    for order in (0, 1):
-        # ones, `width` apart, have a single one in each window: its weight
-        ones = [local_polynomial(time, (at % width == k).astype(np.float64), near, order) for k in range(width)]
-        weights = np.stack(ones, axis=1)
-        fits.append(csr_array((weights.ravel(), neighbours.ravel(), width * np.arange(count + 1))))
+    neighbours = np.clip(np.arange(count) - near, 0, count - width)[:, None] + np.arange(width)
+    rows = width * np.arange(count + 1)
+    fits = [csr_array((one.ravel(), neighbours.ravel(), rows)) for one in local_weights(time, time[neighbours])]
     return _matrix(_cubic(time, grid), count) @ vstack(fits, format="csr")
 
 

@@ -59,6 +59,18 @@ def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array
     return found
 
 
+def local_weights(time: Array, windows: Array) -> tuple[Array, Array]:
+    """Return the weights (n, m) of readings at the times (n, m) of windows in value and slope per s at times (n,) s."""
+    middle, scale = 0.5 * (windows[:, 0] + windows[:, -1]), 0.5 * (windows[:, -1] - windows[:, 0])
+    chebyshev = np.polynomial.chebyshev
+    basis = chebyshev.chebvander((windows - middle[:, None]) / scale[:, None], DEGREE)
+    at, slopes = (time - middle) / scale, chebyshev.chebder(np.eye(DEGREE + 1))
+    wanted = [chebyshev.chebvander(at, DEGREE), chebyshev.chebvander(at, DEGREE - 1) @ slopes / scale[:, None]]
+    shares = np.linalg.solve(basis.transpose(0, 2, 1) @ basis, np.stack(wanted, axis=2))
+    value, slope = (basis @ shares).transpose(2, 0, 1)
+    return value, slope
+
+
 def _is_even(time: Array) -> bool:
     """Return whether stamps (n,) are even to their own rounding."""
     grid = np.linspace(time[0], time[-1], len(time))
