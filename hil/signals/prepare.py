@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,19 +120,18 @@ class _Columns:
         window = _window(usable, columns)
         if not columns.rate_given:
             return columns, window
-        time = spread_stamps(usable.time)[0]
+        time = usable.stamps[0]
         derived = np.where(window.sound(time), window.moved(time, usable.dtheta)[1], np.nan)
         refused = own_rate(time, usable.reported_rate, derived, window.band[1])
         return replace(columns, rate_given=refused is None, refused=refused), window
 
     def _slower(self, usable: _Usable) -> _Columns:
-        time = spread_stamps(usable.time)[0]
-        torque = None if self.own_time else slow_channel.kind_of(time, usable.torque)
-        dtheta = slow_channel.kind_of(time, usable.dtheta)
+        torque = None if self.own_time else slow_channel.kind_of(usable.stamps[0], usable.torque)
+        dtheta = slow_channel.kind_of(usable.stamps[0], usable.dtheta)
         return replace(self, torque=torque, dtheta=dtheta, rate_given=self.rate_given and dtheta is None)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class _Usable:
     """The rows (n,) that hold a reply and only finite numbers: their place in the file and the raw readings.
 
@@ -152,6 +152,17 @@ class _Usable:
     frozen: NDArray[np.int64]
     clipped: NDArray[np.bool_]
     wraps: int = 0
+
+    @cached_property
+    def stamps(self) -> tuple[Array, bool]:
+        """The stamps (n,) s with repeats and bursts spread, and whether they are many."""
+        return spread_stamps(self.time)
+
+    def readings(self, values: Array, kind: Kind | None) -> Readings:
+        """Return which of the values (n,) are readings: all, or of a sensor that is slower, as its kind says."""
+        time, _ = self.stamps
+        every = Readings(np.arange(len(time)), time, values)
+        return every if kind is None else slow_channel.readings(time, values, kind)
 
 
 def prepare(recording: Recording, stand: StandTable | None) -> Signals:
@@ -197,26 +208,15 @@ class LongRecording:
 
 
 def _window(usable: _Usable, columns: _Columns) -> Window:
-    angle = _angle(usable, columns)
+    angle = usable.readings(usable.dtheta, columns.dtheta)
     return window_for(angle.time, angle.value, usable.torque[angle.row])
-
-
-def _angle(usable: _Usable, columns: _Columns) -> Readings:
-    """The deflection's own readings, rad."""
-    time = spread_stamps(usable.time)[0]
-    if columns.dtheta is not None:
-        return slow_channel.readings(time, usable.dtheta, columns.dtheta)
-    return Readings(np.arange(len(time)), time, usable.dtheta)
 
 
 def _own_readings(usable: _Usable, columns: _Columns) -> Readings | None:
     """The torque's own readings, N m, where they were not taken at the ticks."""
     if columns.own_time:
         return slow_channel.stamped(usable.torque_time, usable.torque)
-    time = spread_stamps(usable.time)[0]
-    if columns.torque is not None:
-        return slow_channel.readings(time, usable.torque, columns.torque)
-    return None if columns.dtheta is None else Readings(np.arange(len(time)), time, usable.torque)
+    return usable.readings(usable.torque, columns.torque) if columns.torque or columns.dtheta else None
 
 
 def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
@@ -261,7 +261,7 @@ def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _
 
 def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
     """Return the signals of the usable rows within `rows` of the file; the other rows only fill their windows."""
-    (stamps, coarse), angle = spread_stamps(usable.time), _angle(usable, columns)
+    (stamps, coarse), angle = usable.stamps, usable.readings(usable.dtheta, columns.dtheta)
     time, dtheta = angle.time, angle.value
     if columns.rate_given:
         rate = usable.reported_rate
