@@ -36,7 +36,7 @@ _NYQUIST: Final = 0.9  # part of half the sampling rate that the stop band must 
 _SIGNALS: Final = 3  # deflection, rate, acceleration
 _BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
 _LEFT: Final = 0.8  # of the samples, that must remain
-_KEPT: Final = 300_000  # samples, whose weights are kept for stamps asked for again
+_KEPT: Final = 100_000  # samples, whose weights, 20 MB, are kept for stamps asked for again
 _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
