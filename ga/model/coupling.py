@@ -171,12 +171,20 @@ class CouplingModel:
         return self._known(motion, torque, nonlinear)
 
     def jacobian(
-        self, motion: Motion, nonlinear: Array, genes: Array, lag: float = 0.0, *, changing: Motion | None = None
+        self,
+        motion: Motion,
+        nonlinear: Array,
+        genes: Array,
+        lag: float = 0.0,
+        torque: Array | None = None,
+        *,
+        changing: Motion | None = None,
     ) -> Array:
         """Return how the torque changes with each nonlinear parameter: (n, q), N m per unit, at (q,) and genes (p,).
 
-        changing: how fast the motion changes, per second; None: interpolated. Where flanks meet, the damping torque
-        jumps, and where the joint turns, its friction; what that adds at single samples is left out.
+        torque: (n,) N m, as read, None for the model's own: where the model remembers, what the beginnings make of it
+        changes too. changing: how fast the motion changes, per second; None: interpolated. Where flanks meet, the
+        damping torque jumps, and where the joint turns, its friction; what that adds at single samples is left out.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
         seen = model._seen(motion, nonlinear, lag)
@@ -191,9 +199,13 @@ class CouplingModel:
                     pushed = -model._pushed(seen.whole, nonlinear, genes, shift * seen.whole.contact)
                     found.append(model._read(motion, seen.passed(pushed, bends=True), nonlinear))
             else:
+                read = model._torque(motion, seen, nonlinear, genes, lag=lag) if torque is None else torque
                 for _ in values:
                     ends = model._beside(nonlinear, len(found))
-                    low, high = (model._torque(motion, seen, end, genes, lag=lag) for end in ends)
+                    low, high = (
+                        model._known(motion, model._torque(motion, seen, end, genes, lag=lag) - read, end)
+                        for end in ends
+                    )
                     found.append((high - low) / (ends[1] - ends[0])[len(found)])
         return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
 
@@ -206,10 +218,10 @@ class CouplingModel:
         return beside
 
     def _torque(self, motion: Motion, seen: _Seen, nonlinear: Array, genes: Array, *, lag: float) -> Array:
-        """The torque (n,), N m, of a motion seen with its delay, without what the beginnings make."""
+        """The torque (n,), N m, of a motion seen with its delay, with what the beginnings make."""
         moved = self._seen(motion, nonlinear, lag, seen)
         torque = self._stacked(moved, nonlinear) @ genes + moved.near.motion.known
-        return self._read(motion, torque, nonlinear)
+        return self._behind_cell(motion, torque, nonlinear)
 
     def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]:
         """Return low (q,) and high (q,) of the nonlinear parameters, for motion up to `highest` Hz."""

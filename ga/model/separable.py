@@ -61,7 +61,9 @@ class SeparableModel(Protocol):
     def needs_ratio(self) -> bool: ...  # noqa: D102
     def columns(self, motion: Motion, nonlinear: Array | None = None, lag: float = 0.0) -> Array: ...  # noqa: D102
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array: ...  # noqa: D102
-    def jacobian(self, motion: Motion, nonlinear: Array, genes: Array, lag: float = 0.0) -> Array: ...  # noqa: D102
+    def jacobian(  # noqa: D102
+        self, motion: Motion, nonlinear: Array, genes: Array, lag: float = 0.0, torque: Array | None = None
+    ) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +142,7 @@ class Problem:
         Its residuals at `fit.values` are those of the fit.
         """
         columns = self.model.columns(self.motion, fit.nonlinear, fit.lag)
-        jacobian = self.model.jacobian(self.motion, fit.nonlinear, fit.optimum.genes, fit.lag)
+        jacobian = self.model.jacobian(self.motion, fit.nonlinear, fit.optimum.genes, fit.lag, self.torque)
         target = self.model.target(self.motion, self.torque, fit.nonlinear) + jacobian @ fit.nonlinear
         return np.concatenate([columns, jacobian], axis=1), target
 

@@ -83,7 +83,9 @@ class UserModel:
         values = 0.5 * (self.low + self.high) if nonlinear is None else nonlinear
         return np.asarray(torque - motion.known - self._torque(motion, values))
 
-    def jacobian(self, motion: Motion, nonlinear: Array, _genes: Array, _lag: float = 0.0) -> Array:
+    def jacobian(
+        self, motion: Motion, nonlinear: Array, _genes: Array, _lag: float = 0.0, _torque: Array | None = None
+    ) -> Array:
         """Return how the torque changes with each parameter, (n, q), by differences within the bounds."""
         found = []
         for at, width in enumerate(self.high - self.low):
