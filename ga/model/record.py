@@ -34,7 +34,8 @@ class Parameter:
     `absent`. friction: whether its torque turns with the motion. positive: whether physics allows no value below zero.
     nonlinear: whether it is searched and not solved for. Of nonlinear parameters: starts, values to begin at as parts
     of the range; kinked, whether the torque has breaks where it ends; refined, whether breaks make the fitness rough
-    along it; about, the parameter that is the middle between the two ends that this one moves.
+    along it; open_ended, whether its upper end is no rejection: it may be as much and more; about, the parameter that
+    is the middle between the two ends that this one moves.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Parameter:
     starts: tuple[float, ...] = ANYWHERE
     kinked: bool = False
     refined: bool = False
+    open_ended: bool = False
     about: str = ""
 
 

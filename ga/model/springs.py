@@ -20,8 +20,11 @@ if TYPE_CHECKING:
 WIDEST_GAP: Final = 0.95
 """Part of the whole deflection that a gap or slack may take."""
 
-LONGEST_RELAXATION: Final = 0.5
-"""s, of a Maxwell branch, at most."""
+LONGEST_RELAXATION: Final = 10.0
+"""s, of a Maxwell branch, at most, and half the recording; or `LONGEST_ONCE` and a tenth of it."""
+
+LONGEST_ONCE: Final = 0.5
+"""s, of a Maxwell branch in a motion that does not repeat: a slower one looks like friction or a drift there."""
 
 SHORTEST_RELAXATION: Final = 0.02
 """Of a Maxwell branch, as a part of the shortest period: a shorter one is a damping."""
@@ -86,7 +89,8 @@ def _turn_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], 
 
 
 def _relaxation_bounds(motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
-    longest = min(LONGEST_RELAXATION, 0.1 * float(motion.time[-1] - motion.time[0]))
+    longest, part = (LONGEST_RELAXATION, 0.5) if motion.repeats else (LONGEST_ONCE, 0.1)
+    longest = min(longest, part * float(motion.time[-1] - motion.time[0]))
     shortest = min(SHORTEST_RELAXATION / highest, 0.5 * longest)
     return ((shortest, longest),)
 
@@ -132,7 +136,8 @@ def _branch(number: int, needs: str) -> Term:
                 absent=None,
                 positive=True,
                 nonlinear=True,
-                starts=(0.001, 0.01, 0.03, 0.1, 0.3, 0.7),
+                open_ended=True,
+                starts=(0.0002, 0.0007, 0.002, 0.007, 0.02, 0.07, 0.2, 0.6),
             ),
         ),
         columns=lambda r: (_unrelaxed(r, r.angle),),

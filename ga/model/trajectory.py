@@ -27,6 +27,9 @@ class Filter(Protocol):
 _FORGOTTEN: Final = 30.0
 """Times its constant, after which nothing is left of a state to all digits that matter."""
 
+_AGAIN: Final = 4
+"""Passes, below which what seems to change in time may as well differ between the directions."""
+
 _PARTS: Final = ("dtheta", "dtheta_dot", "dtheta_ddot", "known")
 
 
@@ -59,6 +62,20 @@ class Motion:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def passes(self) -> int:
+        """How often the joint went from the lower quarter of its range to the upper one, or back."""
+        import numpy as np
+
+        centred = self.dtheta - 0.5 * (self.dtheta.min() + self.dtheta.max())
+        outer = np.abs(centred) > 0.5 * np.abs(centred).max()
+        return int(np.count_nonzero(np.diff(np.sign(centred[outer]))))
+
+    @property
+    def repeats(self) -> bool:
+        """Whether it passes its range so often that what changes in time differs from what changes with direction."""
+        return self.passes >= _AGAIN
 
     @property
     def whole(self) -> tuple[Motion, NDArray[np.int64] | slice]:

@@ -237,10 +237,10 @@ _IMPLAUSIBLE = {
 
 
 def _why_not(evidence: Evidence, at: int) -> str:
-    name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
+    name = evidence.names[at]
     if name in COUPLING and evidence.unmoved:
         return f"{name} is not identifiable: {evidence.unmoved}"
-    if not columns[:, at].any():
+    if not evidence.columns[:, at].any():
         return f"{name} is not identifiable: nothing in this recording excites it"
     if name == "Bc" and evidence.friction_likeness >= LIKE_FRICTION:
         return f"Bc cannot be distinguished from dry friction at the one speed driven; {_SEVERAL_SPEEDS}"
@@ -248,6 +248,19 @@ def _why_not(evidence: Evidence, at: int) -> str:
         if evidence.parameters[at].presence:
             return f"{name} cannot be distinguished from zero: its 95 % interval holds zero; leave its term out"
         return _too_wide(evidence, at)
+    return _alike(evidence, at)
+
+
+def _alike(evidence: Evidence, at: int) -> str:
+    """Return which other parameter the recording confuses this one with, and what would separate them."""
+    name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
+    constant = float(evidence.values[evidence.names.index("tau1")]) if "tau1" in evidence.names else 0.0
+    if name in {"Kc", "K1"} and constant > 1.0 / (2.0 * np.pi * low):
+        return (
+            f"{name} cannot be distinguished from the rest of the stiffness: a part of the coupling relaxes in about "
+            f"{constant:.2g} s (tau1), and the joint moved at {low:.2g} Hz and faster; hold a load for at least "
+            f"{5.0 * constant:.2g} s (--profile steps at a low --band), and use K'(f) of --verbose for motion as here"
+        )
     norms = np.linalg.norm(columns, axis=0)
     alike = np.abs(columns.T @ columns[:, at]) / np.where(norms > 0.0, norms, 1.0) / norms[at]
     alike[at] = 0.0
@@ -280,12 +293,15 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
     """Return which value the selected model alone gives a parameter that other models give another value."""
     name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = (float(of[at]) for of in evidence.exact)
-    late = {"skew", "lag", "window"} & set(evidence.names)
-    cause = "a torque that is read late looks like a viscoelastic coupling that relaxes fast; " if late else ""
-    known = "if you know that the torque cell or its filter is that late" if late else "if you know that it is right"
+    if {"skew", "lag", "window"} & set(evidence.names):
+        cause = "a torque that is read late looks like a viscoelastic coupling that relaxes fast"
+        known = "if you know that the torque cell or its filter is that late"
+    else:
+        cause = "in slow motion a torque cell that lags looks like less damping; drive faster (--band)"
+        known = "or, if you know that nothing delays the torque"
     return (
         f"{name} is {value:.3g} +- {half:.2g} {unit} by the model {evidence.model.name}, but others fit as well with "
-        f"another {name}: {cause}{known}, name the model: --model {evidence.model.name}"
+        f"another {name}: {cause}; {known}, name the model: --model {evidence.model.name}"
     )
 
 

@@ -14,13 +14,13 @@ from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification.misfit import Described, tested
 from hil.identification.selection import stepwise
-from hil.identification.selection.late import Alternative
+from hil.identification.selection.fits import LATE
+from hil.identification.selection.late import EARLIER, Alternative
 from hil.identification.selection.stepwise import Selection, Step
 from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
 
-_AGAIN = 4  # passes, below which what seems to change in time may as well differ between the directions
 _STICKING = 1.25  # times the error of the other samples, from which the model does not describe the slow ones
 
 
@@ -96,7 +96,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     if linear_only:
         terms = tuple(term for term in terms if TERMS[term].linear)
     # in one triangle friction that builds up looks like a drift; Kc and Bc are averages with and without one anyway
-    once = {"drift", "softening"} if passes(signals.motion) < _AGAIN else set()
+    once = set() if signals.motion.repeats else {"drift", "softening"}
     terms = tuple(term for term in terms if term not in once)
     # an inertia hides behind a skew, but where neither is enough it may be there, whoever read the torque
     rarer = () if linear_only else (*RARER, *(name for name, one in TERMS.items() if one.selection == "motor torque"))
@@ -104,7 +104,8 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     absent = {"lag"} if signals.torque_from == "motor" else set()
     rarer = tuple(term for term in rarer if term not in terms and term not in absent | once)
     # nobody says that a given torque is the joint's and not the motor's
-    like_skew = ("lag", "inertia") if signals.torque_from == "given" else ("lag",)
+    late = EARLIER if signals.torque_from == "given" else LATE
+    accounts = tuple(term for term in late if term in (*terms, *rarer))
     motion, highest = signals.motion, signals.band[1]
     found = stepwise.select(
         motion,
@@ -112,23 +113,18 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         highest,
         terms,
         rarer=rarer,
-        like_skew=tuple(term for term in like_skew if term in rarer),
+        accounts=accounts,
         describes=lambda found, averaged: _describes(found, signals, averaged=averaged),
     )
     sticking = _is_sticking(found.model, motion, found.delay, found.residuals)
     if sticking:
         described = found.model.described(motion, found.delay)
         rarer = tuple(term for term in rarer if term in found.model.name.split("+"))
-        again = stepwise.select(motion.of(described), signals.torque[described], highest, (*terms, *rarer))
+        again = stepwise.select(
+            motion.of(described), signals.torque[described], highest, (*terms, *rarer), accounts=accounts
+        )
         found = again if again.model.sticks else found
     return Choice(found.model.anchored(motion), found.steps, sticking, found.delay, found.alternatives)
-
-
-def passes(motion: Motion) -> int:
-    """Return how often the joint went from the lower quarter of its range to the upper one, or back."""
-    centred = motion.dtheta - 0.5 * (motion.dtheta.min() + motion.dtheta.max())
-    outer = np.abs(centred) > 0.5 * np.abs(centred).max()
-    return int(np.count_nonzero(np.diff(np.sign(centred[outer]))))
 
 
 def _describes(found: Selection, signals: Signals, *, averaged: bool) -> bool:

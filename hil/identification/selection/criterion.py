@@ -97,6 +97,15 @@ class Criterion:
             found = max(found, float(spectrum.covariance[0, 0]) / power) if power > 0.0 else np.inf
         return found
 
+    def blurred(self, fitted: Candidate, term: str) -> float:
+        """Return the factor by which a likelihood ratio is less certain: of correlation, and of the rate.
+
+        What the rate is wrong by lasts as long as the recording, however many samples see it: two models that differ by
+        less cannot be ranked.
+        """
+        inexact = 2.0 * self.density * _EXPLAINED * self.size
+        return self.correlation(fitted, term) + len(self.signs) * inexact**2
+
     def likeliest(self, smaller: Candidate, paying: list[Candidate]) -> Candidate:
         """Return the plainest of some larger models, the last term of each paying, that the data cannot rank.
 
@@ -169,5 +178,8 @@ def _has_rivals(term: str, considered: tuple[str, ...]) -> bool:
 
 
 def _is_distinct(fitted: Candidate, term: str) -> bool:
-    """Whether the term can be distinguished from the others: where the joint moves slowly a skew is a damping."""
-    return all(column @ column < _CONFUSED * (alone @ alone) for column, alone in fitted.own_columns(term))
+    """Whether the term can be distinguished from the others: where the joint moves slowly a skew is a damping.
+
+    Its own parameters need not be distinguishable: how slowly a branch relaxes may show, and not how stiff it is.
+    """
+    return any(column @ column < _CONFUSED * (alone @ alone) for column, alone in fitted.columns_of(term))

@@ -78,6 +78,14 @@ class Candidate:
             others = np.delete(columns, at, axis=1)
             yield columns[:, at], columns[:, at] - others @ np.linalg.lstsq(others, columns[:, at], rcond=None)[0]
 
+    def columns_of(self, term: str) -> Iterator[tuple[Array, Array]]:
+        """For each parameter of the term: its column (n,), and the part of it orthogonal to those of other terms."""
+        columns = self.problem.linearised(self.fit)[0]
+        mine = np.array([parameter.name in own(term) for parameter in self.model.parameters])
+        others = columns[:, ~mine]
+        for column in columns[:, mine].T:
+            yield column, column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
+
     def is_possible(self, *terms: str) -> bool:
         """Return whether the damping and these terms are possible, and the data do not reject one of the terms."""
         return self.damping >= 0.0 and not any(self.is_at_end(term) or self.is_impossible(term) for term in terms)
@@ -86,7 +94,8 @@ class Candidate:
         """Return whether a parameter of the term came to an end of its bounds: the data reject it."""
         problem, values = self.problem, self.fit.nonlinear
         near = _MARGIN * (problem.high - problem.low)
-        ends = (values <= problem.low + near) | (values >= problem.high - near)
+        open_ended = np.array([parameter.open_ended for parameter in self.model.nonlinear], dtype=bool)
+        ends = (values <= problem.low + near) | ((values >= problem.high - near) & ~open_ended)
         return any(end and p.name in own(term) for end, p in zip(ends, self.model.nonlinear, strict=True))
 
     def is_impossible(self, term: str) -> bool:

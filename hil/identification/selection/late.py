@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,11 @@ from hil.identification.selection.fits import LATE, Candidate, Fits
 
 Array = NDArray[np.float64]
 
-_EARLIER = (*LATE, "inertia")  # why a torque reading may be late, or may seem to be early
+EARLIER: Final = (*LATE, "inertia")
+"""Why a torque reading may be late, or may seem to be early."""
+
 _STIFFEST, _FELT = 2.0, 0.1  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
-_RARE = 2.0 * math.log(10.0)  # in Akaike's criterion: one joint in ten relaxes faster than it moves
+_RARE = 2.0 * math.log(10.0)  # in Akaike's criterion: one joint in ten relaxes faster than it moves, or is read late
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,31 +38,45 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class LateReading:
-    """A recording whose torque reading may be late; like_skew: terms that may be there where a skew seems to be."""
+    """A recording whose torque reading may be late; accounts: the terms by which it may be, of `EARLIER`."""
 
     fits: Fits
     criterion: Criterion
-    like_skew: tuple[str, ...] = ()
+    accounts: tuple[str, ...] = ()
+
+    def instead_of_branch(self, chosen: Candidate) -> Candidate:
+        """Return the model with a lag in place of its branch where that fits as well.
+
+        A branch without a damper of its own beside it has the form of a lag, which has a parameter less.
+        """
+        possible = "maxwell" in chosen.terms and "lag" in self.accounts and is_addable("lag", chosen.terms)
+        other = self._with(_replaced(chosen.terms, "maxwell", "lag")) if possible else None
+        if other is None:
+            return chosen
+        alike = self.criterion.blurred(other, "lag")
+        parameter = math.log(max(len(self.fits.torque) / alike, math.e))
+        return other if self.criterion.ratio(other, chosen) / alike < parameter else chosen
 
     def instead_of_skew(self, chosen: Candidate) -> Candidate:
         """Return the model with a lag or an inertia in place of its skew where that fits clearly better."""
         gains = {}
-        for one in self.like_skew if "skew" in chosen.terms else ():
-            terms = _replaced(chosen.terms, one)
+        others = [one for one in self.accounts if one not in chosen.terms] if "skew" in chosen.terms else []
+        for one in others:
+            terms = _replaced(chosen.terms, "skew", one)
             if self.fits.fitness(terms) < np.inf:
                 other = self.fits.candidate(terms)
                 gains[one] = self._independent(chosen, other, one) if other.is_possible(one) else 0.0
         best = max(gains, key=lambda one: gains[one], default="")
-        return self.fits.candidate(_replaced(chosen.terms, best)) if gains.get(best, 0.0) > STRONG else chosen
+        return self.fits.candidate(_replaced(chosen.terms, "skew", best)) if gains.get(best, 0.0) > STRONG else chosen
 
     def alternatives(self, chosen: Candidate) -> tuple[Alternative, ...]:
-        """Return the models with a skew, a lag of the cell, both, an inertia or a branch, in place of its own."""
-        if not {*LATE, *self.like_skew}.intersection(chosen.terms) or "mean" in chosen.terms:
-            return ()
-        found = self._others(chosen)
-        alike = max(
-            self.criterion.correlation(one, term) for one in (chosen, *found) for term in _EARLIER if term in one.terms
-        )
+        """Return the models with a skew, a lag of the cell, both, an inertia or a branch, in place of its own or none.
+
+        In slow motion any of them is a damping: a model without one may have the fit, and not the damping.
+        """
+        found = self._others(chosen) if "mean" not in chosen.terms else []
+        both = [(one, term) for one in (chosen, *found) for term in EARLIER if term in one.terms]
+        alike = max((self.criterion.blurred(one, term) for one, term in both), default=1.0)
         return tuple(
             Alternative(one.anchored, one.fit.nonlinear, self._akaike(chosen, one, alike))
             for one in found
@@ -67,24 +84,33 @@ class LateReading:
         )
 
     def _independent(self, chosen: Candidate, other: Candidate, one: str) -> float:
-        """The likelihood ratio of the other model, divided by the factor of correlation of its term."""
-        return float(self.criterion.ratio(chosen, other) / self.criterion.correlation(other, one))
+        """The likelihood ratio of the other model, divided by the factor by which it is less certain."""
+        return float(self.criterion.ratio(chosen, other) / self.criterion.blurred(other, one))
 
     def _others(self, chosen: Candidate) -> list[Candidate]:
         """The models with any account of a late torque reading, that of the model chosen among them."""
-        others = tuple(term for term in chosen.terms if term not in {*LATE, *self.like_skew})
-        alone = [one for term in LATE if (one := self._with((*others, term))) is not None]
-        nearest = min(alone, key=lambda one: one.fit.fitness, default=chosen)
-        both = self._with((*others, *LATE), beside=nearest)
-        moved = self._with((*others, "inertia")) if "inertia" in self.like_skew else None
-        return alone + [one for one in (both, moved, self._relaxing(chosen, others)) if one is not None]
+        others = tuple(term for term in chosen.terms if term not in self.accounts)
+        accounts = [(*others, term) for term in self.accounts]
+        if "maxwell" in others:
+            stiff = tuple(term for term in others if term != "maxwell")
+            accounts += [(*stiff, term) for term in self.accounts]
+            accounts += [(*stiff, *LATE)] if set(LATE) <= set(self.accounts) else []
+        found = [one for terms in accounts if (one := self._with(terms)) is not None]
+        if len(others) < len(chosen.terms):
+            nearest = min(
+                (one for one in found if one.terms[-1] in LATE), key=lambda one: one.fit.fitness, default=chosen
+            )
+            both = self._with((*others, *LATE), beside=nearest) if set(LATE) <= set(self.accounts) else None
+            found += [one for one in (both, self._relaxing(chosen, others)) if one is not None]
+        return found
 
     def _akaike(self, chosen: Candidate, one: Candidate, alike: float) -> float:
-        """Akaike's criterion of a model less that of the one chosen, alike: their factor of correlation."""
+        """Akaike's criterion of a model less that of the one chosen, alike: the factor by which it is less certain."""
+        relaxes = "maxwell" in one.terms and "maxwell" not in chosen.terms
         return (
             2.0 * (len(one.model.parameters) - len(chosen.model.parameters))
             - self.criterion.ratio(chosen, one) / alike
-            + (_RARE if "maxwell" in one.terms and "maxwell" not in chosen.terms else 0.0)
+            + (_RARE if relaxes or not set(EARLIER).intersection(chosen.terms) else 0.0)
         )
 
     def _relaxing(self, chosen: Candidate, others: tuple[str, ...]) -> Candidate | None:
@@ -111,7 +137,7 @@ class LateReading:
             return None
         found = self.fits.candidate(terms, beside)
         found = found if beside is None else _deeper(found)
-        return found if found.is_possible(*(term for term in _EARLIER if term in terms)) else None
+        return found if found.is_possible(*(term for term in EARLIER if term in terms)) else None
 
 
 def _deeper(found: Candidate) -> Candidate:
@@ -121,6 +147,6 @@ def _deeper(found: Candidate) -> Candidate:
     return replace(found, fit=min(found.fit, near, key=lambda fit: fit.fitness))
 
 
-def _replaced(terms: tuple[str, ...], one: str) -> tuple[str, ...]:
-    """The terms with another one in place of a skew."""
-    return tuple(one if term == "skew" else term for term in terms)
+def _replaced(terms: tuple[str, ...], one: str, other: str) -> tuple[str, ...]:
+    """The terms with another one in place of one."""
+    return tuple(other if term == one else term for term in terms)

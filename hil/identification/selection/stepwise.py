@@ -100,20 +100,20 @@ def select(
     terms: tuple[str, ...] = CONSIDERED,
     *,
     rarer: tuple[str, ...] = (),
-    like_skew: tuple[str, ...] = (),
+    accounts: tuple[str, ...] = (),
     describes: Callable[[Selection, bool], bool] = lambda _selection, _averaged: True,
 ) -> Selection:
     """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
 
     describes: whether a model describes the recording, the second argument: but for small effects that every bench has;
-    where it does not, rarer terms are considered too. like_skew: terms that may be in the torque where a skew seems to
+    where it does not, rarer terms are considered too. accounts: terms by which the torque may be read late, or seem to
     be.
     Raises RuntimeError where not even the smallest model can be fitted.
     """
     fits, smallest = Fits(motion, torque, highest), _smallest(terms)
     steps = _Steps(fits, criterion_of(fits, terms, smallest), terms)
     usual = steps.forward(fits.candidate(smallest))
-    late = LateReading(fits, steps.criterion, like_skew)
+    late = LateReading(fits, steps.criterion, accounts)
     if not rarer:
         return Selection(usual, steps, late)
     if describes(Selection(usual), True):
@@ -124,7 +124,8 @@ def select(
     steps = _Steps(fits, noise, more, _LIKELY, rare, lambda one: describes(one, False))
     richer = steps.forward(fits.candidate(smallest))
     chosen = richer if set(rarer).intersection(richer.terms) else usual
-    return Selection(chosen, steps, LateReading(fits, steps.criterion, like_skew))
+    late = LateReading(fits, steps.criterion, accounts)
+    return Selection(late.instead_of_branch(chosen), steps, late)
 
 
 @dataclass(frozen=True, eq=False)

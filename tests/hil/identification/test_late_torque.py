@@ -23,15 +23,15 @@ SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, boun
 
 
 def identified(
-    make_recording: Maker, response: Response, model: str | None = None, damping: float = BC
+    make_recording: Maker, response: Response, model: str | None = None, damping: float = BC, omega: Array = OMEGA
 ) -> Identification:
-    """The result of a sum of sines of 1 to 12 Hz, with the torque behind a filter of that response (12,)."""
+    """The result of a sum of sines, of 1 to 12 Hz unless said, with the torque behind a filter of that response."""
 
     def change(channels: dict[str, Array]) -> None:
         rng = np.random.default_rng(4)
-        waves = 0.05 * np.exp(1j * (np.outer(channels["time"], OMEGA) + rng.uniform(0.0, 2.0 * np.pi, 12)))
+        waves = 0.05 * np.exp(1j * (np.outer(channels["time"], omega) + rng.uniform(0.0, 2.0 * np.pi, len(omega))))
         channels["dtheta"] = waves.sum(axis=1).imag
-        torque = (waves * (KC + 1j * OMEGA * damping) * response).sum(axis=1).imag
+        torque = (waves * (KC + 1j * omega * damping) * response).sum(axis=1).imag
         channels["torque"] = torque + 5e-4 * rng.standard_normal(len(torque))
 
     path = make_recording(change=change, samples=3000)
@@ -71,3 +71,28 @@ def test_a_damping_that_another_model_doubts_is_said_with_the_model_that_would_d
     assert said
     assert "name the model: --model linear+lag" in said[0]
     assert "looks like a viscoelastic coupling that relaxes fast" in said[0]
+
+
+def test_a_lag_in_slow_motion_takes_the_trust_from_bc_and_not_from_kc(make_recording: Maker) -> None:
+    """It lowers Bc by Kc times the lag, and shows in nothing else."""
+    omega = 2.0 * np.pi * np.arange(0.25, 1.3, 0.25)
+    found = identified(make_recording, 1.0 / (1.0 + 4e-3j * omega), omega=omega)
+    assert found.model.name == "linear"
+    assert found["Kc"].ci95[0] < KC < found["Kc"].ci95[1]
+    assert found.trusted("Kc")
+    assert found["Bc"].conditional is not None
+    assert found["Bc"].conditional.ci95[1] < BC  # the selected model alone would have been wrong
+    assert found["Bc"].ci95[0] < BC < found["Bc"].ci95[1]
+
+
+def test_a_branch_that_relaxes_more_slowly_than_the_joint_moved_leaves_bc_and_asks_for_a_load(
+    make_recording: Maker,
+) -> None:
+    omega = 2.0 * np.pi * np.arange(3.0, 12.5, 1.0)
+    relaxing = 0.35 * KC * 2.0j * omega / (1.0 + 2.0j * omega)
+    found = identified(make_recording, 1.0 + relaxing / (KC + 1j * omega * BC), omega=omega)
+    assert found.model.name == "linear+maxwell"
+    assert (found.trusted("Kc"), found.trusted("Bc")) == (False, True)
+    assert found["Bc"].ci95[0] < BC < found["Bc"].ci95[1]
+    (said,) = [one.message for one in found.diagnostics if one.is_error and one.parameter == "Kc"]
+    assert "hold a load for at least" in said

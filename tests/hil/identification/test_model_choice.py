@@ -21,7 +21,7 @@ from ga.model.trajectory import Motion
 from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
-from hil.identification.model_choice import choose, passes
+from hil.identification.model_choice import choose
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.signals.prepare import Signals, prepare
@@ -140,8 +140,8 @@ def test_the_passes_of_a_joint_are_counted_from_end_to_end_of_its_range() -> Non
     time = np.linspace(0.0, 1.0, 1000)
     triangle = np.interp(time, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0]) + 0.1 * np.sin(300.0 * time)
     none = np.zeros(1000)
-    assert passes(Motion(time, triangle, none, none, none)) == 1
-    assert passes(Motion(time, 3.0 + np.sin(10.0 * np.pi * time), none, none, none)) == 9
+    assert Motion(time, triangle, none, none, none).passes == 1
+    assert Motion(time, 3.0 + np.sin(10.0 * np.pi * time), none, none, none).passes == 9
 
 
 @pytest.mark.parametrize(("periods", "included"), [(1, False), (4, True)])

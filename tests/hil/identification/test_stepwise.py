@@ -14,7 +14,8 @@ from ga.model.separable import Fit, Problem, best_start
 from ga.model.trajectory import Motion
 from hil.identification.selection import criterion
 from hil.identification.selection import fits as fits_module
-from hil.identification.selection.fits import Fits
+from hil.identification.selection.fits import LATE, Fits
+from hil.identification.selection.late import LateReading
 from hil.identification.selection.stepwise import Selection, select
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
 
@@ -193,10 +194,19 @@ def test_a_lag_that_a_skew_hides_is_an_alternative() -> None:
     moved = chirp(TIME - 1e-3)
     motion = Motion(TIME, chirp(TIME).dtheta, chirp(TIME).rate, chirp(TIME).acceleration, np.zeros(SAMPLES))
     noisy = linear(moved) + 5e-5 * np.random.default_rng(4).standard_normal(SAMPLES)
-    found = select(motion, noisy, HIGHEST, rarer=("lag",))
+    found = select(motion, noisy, HIGHEST, rarer=("lag",), accounts=LATE)
     assert "skew" in found.model.name
     alternatives = {one.model.name: one.criterion for one in found.alternatives}
     assert alternatives[found.model.name.replace("skew", "lag")] > 0.0  # the skew is there
+
+
+def test_a_branch_beside_a_mean_is_not_replaced_by_a_lag_which_excludes_it() -> None:
+    motion = Motion(TIME, chirp(TIME).dtheta, chirp(TIME).rate, chirp(TIME).acceleration, np.zeros(SAMPLES))
+    fits = Fits(motion, linear(chirp(TIME)), HIGHEST)
+    late = LateReading(fits, criterion.criterion_of(fits, ("skew",), ("linear",)), LATE)
+    chosen = fits.candidate(("linear", "maxwell", "mean"))
+    assert late.instead_of_branch(chosen) is chosen
+    assert late.alternatives(chosen) == ()
 
 
 def sheathed(moved: Moved, reach: float) -> Array:
