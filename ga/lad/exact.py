@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.lad.few import ALONE, DISTINCT, FEW, PROVEN, ROUNDING, solve_few
+from ga.lad.few import ALONE, DISTINCT, MANY, PROVEN, ROUNDING, solve_few
 from ga.lad.simplex import OPTIMAL, STALLED, descend
 from ga.samples import check, resolution
 
@@ -61,7 +61,7 @@ def least_absolute_deviations(
     could be reached.
     """
     check(columns, torque)
-    if (len(torque) <= FEW or near is not None) and (found := solve_few(columns, torque, near)) is not None:
+    if (len(torque) <= MANY or near is not None) and (found := solve_few(columns, torque, near)) is not None:
         genes, certificate, unique = found
         return Optimum(genes, fitness_of(columns, torque, genes), certificate, unique, resolution(torque))
     sizes = np.abs(columns.T, order="C")

@@ -1,5 +1,4 @@
-"""The exact minimum of the usual case in a few compiled steps: clearly distinct columns, nothing tied, and few rows or
-genes that are close to it.
+"""The exact minimum of the usual case in a few compiled steps: distinct columns, nothing tied, not too many rows.
 
 A search and a model selection solve ten thousand such problems, most of some hundred rows, where the calls of dozens of
 array functions cost more than what they compute. All other cases are left to `ga.lad.exact`.
@@ -23,7 +22,11 @@ PROVEN: Final = 1e-9
 ALONE: Final = 1.0 - 1e-9
 """The certificate up to which an optimum is proven, and the multipliers below which it is the only one."""
 
-FEW: Final = 4000
+MANY: Final = 40_000
+"""Rows up to which about `_SOME` of them show well enough where the optimum of all is."""
+
+_SOME: Final = 2000
+_ALL: Final = 4000
 """Rows up to which a descent over all of them costs less than to find out which ones decide."""
 
 _FEWEST: Final = 1000
@@ -52,8 +55,12 @@ def solve_few(
     turn(begin * scale[: begin.size] / size, scaled, into, rows, target, start)
     if begin.size and n > _FEWEST:
         found = _descended(rows, target, start, _SPREAD)
-    if found is None and n <= FEW:
+    if found is None and n <= _ALL:
         found = _descended(rows, target, start, np.inf)
+    elif found is None and n <= MANY:
+        some = _sample(n)
+        rough = _descended(rows[some], target[some], start, np.inf)
+        found = rough and _descended(rows, target, rough[1].point, _SPREAD * np.sqrt(n / len(some)))
     if found is None:
         return None
     basis, room = found
@@ -62,6 +69,12 @@ def solve_few(
     certificate = conclude(scaled, target, basis, extent / scale, sums, needed, genes, room.met, room.inverse)
     genes *= size / scale
     return (genes, certificate, bool(np.abs(needed).max() < ALONE)) if certificate <= PROVEN else None
+
+
+def _sample(n: int) -> Basis:
+    """One row at random out of every so many: a fixed stride could beat with a periodic excitation."""
+    step = n // _SOME
+    return np.arange(n // step) * step + np.random.default_rng(1).integers(0, step, n // step)
 
 
 def _descended(rows: Matrix, target: Vector, start: Vector, spread: float) -> tuple[Basis, Room] | None:

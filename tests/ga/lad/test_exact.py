@@ -186,11 +186,12 @@ def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: f
 
 @pytest.mark.parametrize("kind", ["normal", "outliers"])
 @pytest.mark.parametrize("is_near", [False, True])
-def test_few_rows_take_the_short_way_to_the_optimum_of_the_long_one(
-    kind: str, is_near: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("rows", [300, 9000])
+def test_rows_that_are_not_too_many_take_the_short_way_to_the_optimum_of_the_long_one(
+    kind: str, is_near: bool, rows: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for seed in range(20):
-        columns, torque = recording(kind, 300, 1 + seed % 6, np.random.default_rng(seed))
+        columns, torque = recording(kind, rows, 1 + seed % 6, np.random.default_rng(seed))
         short = solve_few(columns, torque, np.ones(columns.shape[1]) if is_near else None)
         with monkeypatch.context() as without:
             without.setattr(exact, "solve_few", lambda *_: None)
