@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
@@ -35,6 +36,7 @@ _OTHERS = frozenset(
     }
 )
 """Suffixes of other formats, and of a recording in progress: a file of that name would be taken for what it is not."""
+_READ_ONLY = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _TEMPORARY = re.compile(r"\.hil-[0-9a-f]{32}")
 
 
@@ -117,7 +119,9 @@ def _locked_alone(part: Path) -> int | None:
         file = open_binary(part, os.O_RDWR)
     except FileNotFoundError:
         return None
-    except PermissionError:
+    except OSError as error:
+        if error.errno not in _READ_ONLY:
+            raise
         file = open_binary(part, os.O_RDONLY)
     try:
         lock(file, shared=False)

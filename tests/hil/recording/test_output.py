@@ -9,8 +9,11 @@ from pathlib import Path
 import pytest
 
 from hil.errors import WrongUse
-from hil.recording import output
-from hil.recording.output import atomic_write
+from hil.recording import output, posix
+from hil.recording.channels import Row
+from hil.recording.final import finalise
+from hil.recording.output import atomic_write, check_ended
+from hil.recording.writer import Header, RecordingWriter
 
 
 @pytest.fixture(params=["with hard links", "without hard links"])
@@ -111,3 +114,19 @@ def test_a_result_is_durable_before_it_has_its_name(tmp_path: Path, monkeypatch:
         temporary.write_text("data")
     assert synced[0] == (4, False)
     assert synced[-1][1]
+
+
+def test_an_unfinished_recording_on_a_disk_that_is_read_only_can_be_recovered_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read_only(path: Path, flags: int) -> int:
+        if flags & os.O_RDWR and path == part:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        return posix.open_binary(path, flags)
+
+    part = tmp_path / "a.h5.part"
+    with RecordingWriter(tmp_path / "a.h5", Header(profile={"kind": "sine"}), 10) as writer:
+        writer.append(Row(0, time=0.0, torque=0.0, dtheta=0.0))
+    monkeypatch.setattr("hil.recording.output.open_binary", read_only)
+    check_ended(part)
+    assert finalise(part, tmp_path / "b.h5").samples == 1
