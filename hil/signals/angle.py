@@ -1,4 +1,6 @@
-"""Faults of an angle's reading: a zero far away, jumps by a turn, a reading that stopped while the torque went on."""
+"""Faults of an angle's reading: a zero far away, jumps by a turn, single wrong readings, one that stopped while the
+torque went on.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +17,10 @@ _SEVERAL = 3  # jumps, from which a range that is no turn is certain
 _USUAL = 5.0  # times the usual step of the torque, up to which it goes on at a jump
 _LONGEST = 0.5  # s without any change, from which on a reading may be frozen
 _MOVED = 0.3  # of the torque's range, that it covers while the reading is frozen
+_ODD = 20.0  # times the usual distance from its neighbours' cubic, or counts, from which a reading may be wrong
+_ALONE = 0.1  # of its distance, that the neighbours' may be once it is put right
+_CUBIC = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # a reading less what the cubic through its neighbours has there
+_FEW = 0.01  # of the readings may be wrong
 _SLOWER = 10.0  # times the usual time between two changes of the reading
 
 
@@ -62,6 +68,23 @@ def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: flo
         and bool(at_ends.all())
         and goes_on
     )
+
+
+def spikes(angle: Array) -> NDArray[np.bool_]:
+    """Return which readings (n,) of an angle, rad, are wrong alone: far from the cubic through two on each side.
+
+    Where a motion is sharp, the neighbours' readings are far from it too, and not by what a wrong one makes of them.
+    """
+    wrong = np.zeros(len(angle), dtype=bool)
+    if len(angle) < 2 * len(_CUBIC):
+        return wrong
+    off = np.convolve(angle - angle.mean(), _CUBIC, mode="valid")
+    least = float(np.abs(np.diff(angle))[np.diff(angle) != 0.0].min(initial=np.inf))
+    far = np.flatnonzero(np.abs(off) > _ODD * max(1.4826 * float(np.median(np.abs(off))), least))
+    far = far[(far >= 2) & (far < len(off) - 2)]
+    around = off[far[:, None] + np.arange(-2, 3)] - off[far, None] * _CUBIC / _CUBIC[2]
+    wrong[far[np.abs(around).max(axis=1, initial=0.0) < _ALONE * np.abs(off[far])] + 2] = True
+    return wrong if np.count_nonzero(wrong) <= _FEW * len(angle) else np.zeros_like(wrong)
 
 
 def far_zero(angle: Array) -> float:

@@ -32,7 +32,7 @@ class Defects:
     lost: replies that never came. not_numbers: rows with a NaN. near_gaps: rows whose window spans a gap; those at the
     two ends of the recording are not counted. frozen: rows in which the angle stood still while the torque changed.
     clipped: rows in which the torque, or a neighbour, stood at the end of the sensor's range while the joint moved on.
-    wraps: jumps of the angle by a turn, which were taken back.
+    spikes: rows in which the angle alone is wrong. wraps: jumps of the angle by a turn, which were taken back.
     """
 
     lost: int = 0
@@ -41,6 +41,7 @@ class Defects:
     coarse_clock: bool = False
     frozen: int = 0
     clipped: int = 0
+    spikes: int = 0
     wraps: int = 0
 
     def __add__(self, other: Defects) -> Defects:
@@ -51,6 +52,7 @@ class Defects:
             self.coarse_clock or other.coarse_clock,
             self.frozen + other.frozen,
             self.clipped + other.clipped,
+            self.spikes + other.spikes,
             self.wraps + other.wraps,
         )
 

@@ -24,7 +24,7 @@ from hil.recording.ahead import ahead
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
-from hil.signals.angle import frozen, unwrapped
+from hil.signals.angle import frozen, spikes, unwrapped
 from hil.signals.defects import FEWEST, Defects, clipped, refuse_hopeless
 from hil.signals.own_rate import OwnRate, own_rate
 from hil.signals.savitzky_golay import local_polynomial
@@ -38,6 +38,7 @@ Array = NDArray[np.float64]
 
 _PROBE = 1 << 20  # rows from which the columns to read and the windows are chosen
 _MARGIN = 256  # rows beyond the windows of a block, to replace those that were lost
+_LEFT_OUT = ("lost", "not_numbers", "frozen", "spikes")  # rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,9 +137,8 @@ class _Usable:
     """The rows (n,) that hold a reply and only finite numbers: their place in the file and the raw readings.
 
     torque_time: s, when the torque was read, NaN where that is not known: `time` unless another device read it.
-    lost, not_numbers: the places of the rows without a reply, and of those with a NaN; frozen: of those in which the
-    angle stood still while the torque changed. wraps: jumps of the angle by a turn that were taken back. clipped (n,):
-    whether the torque stood at the end of its range.
+    The places of the rows left out: lost, without a reply; not_numbers, with a NaN; frozen and spikes, with an angle
+    that stood still or is wrong. wraps: jumps of the angle taken back. clipped (n,): whether the torque was at its end.
     """
 
     row: NDArray[np.int64]
@@ -150,6 +150,7 @@ class _Usable:
     lost: NDArray[np.int64]
     not_numbers: NDArray[np.int64]
     frozen: NDArray[np.int64]
+    spikes: NDArray[np.int64]
     clipped: NDArray[np.bool_]
     wraps: int = 0
 
@@ -241,10 +242,11 @@ def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _
     good = answered.copy()
     for column in (time, torque, dtheta, rate):
         good &= np.abs(column) < LARGEST  # false for NaN too
-    stuck = np.zeros(len(time), dtype=bool)
+    stuck, odd = np.zeros((2, len(time)), dtype=bool)
     stuck[good] = frozen(time[good], dtheta[good], torque[good])
+    odd[good] = spikes(dtheta[good])
     lost, not_numbers = np.flatnonzero(~answered), np.flatnonzero(answered & ~good)
-    good &= ~stuck
+    good &= ~stuck & ~odd
     return _Usable(
         row=np.flatnonzero(good) + start,
         time=time[good],
@@ -256,6 +258,7 @@ def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _
         not_numbers=not_numbers + start,
         frozen=np.flatnonzero(stuck) + start,
         clipped=clipped(dtheta[good], torque[good]),
+        spikes=np.flatnonzero(odd) + start,
     )
 
 
@@ -293,11 +296,9 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
         motion=motion,
         torque=_at_joint(torque, columns),
         defects=Defects(
-            lost=int(np.count_nonzero(within(usable.lost, rows))),
-            not_numbers=int(np.count_nonzero(within(usable.not_numbers, rows))),
+            **{name: int(np.count_nonzero(within(getattr(usable, name), rows))) for name in _LEFT_OUT},
             near_gaps=int(np.count_nonzero((inside & ~long_enough & ~over)[window.widest : len(time) - window.widest])),
             coarse_clock=coarse,
-            frozen=int(np.count_nonzero(within(usable.frozen, rows))),
             clipped=int(np.count_nonzero(within(usable.row[usable.clipped], rows))),
             wraps=usable.wraps,
         ),

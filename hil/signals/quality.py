@@ -135,6 +135,12 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
             "they are left out, so Kc and Bc are those of the others; lower --amplitude, or widen the sensor's range"
         )
         found.append(Diagnostic("torque-clipped", text))
+    if defects.spikes:
+        text = (
+            f"the deflection of {defects.spikes} of {rows} rows is far from those before and after: these rows are "
+            "left out; check the encoder's cable"
+        )
+        found.append(Diagnostic("angle-spikes", text))
     if defects.wraps:
         text = (
             f"the deflection jumps {defects.wraps} times by the range of its encoder: the jumps were taken back, so "

@@ -155,13 +155,14 @@ def test_where_an_encoder_has_its_zero_changes_neither_kc_nor_bc(
         assert further["parameters"][name]["value"] == pytest.approx(far["parameters"][name]["value"], rel=1e-6)
 
 
-def test_an_angle_that_wraps_or_freezes_is_mended_with_a_warning(
+def test_an_angle_that_wraps_freezes_or_has_spikes_is_mended_with_a_warning(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     deflection, torque = multisine(TIME)[0], plain() + 5e-4 * np.random.default_rng(0).standard_normal(len(TIME))
     faulty = {
         "angle-wrapped": np.mod(deflection + 0.01, 2.0 * np.pi),
         "angle-frozen": np.where(TIME > 7.0, deflection[3501], deflection),
+        "angle-spikes": deflection + np.where(np.arange(len(TIME)) % 601 == 300, 0.1, 0.0),
     }
     for code, angle in faulty.items():
         path = tmp_path / f"{code}.h5"

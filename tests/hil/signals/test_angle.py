@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.signals.angle import far_zero, frozen, unwrapped
+from hil.signals.angle import far_zero, frozen, spikes, unwrapped
 
 TIME = np.arange(5000) / 500.0
 ANGLE = 0.3 * np.sin(2.0 * np.pi * TIME)
@@ -77,3 +77,29 @@ def test_coarse_counts_are_not_frozen() -> None:
     slow = 0.3 * np.sin(2.0 * np.pi * 0.1 * TIME)
 
     assert not frozen(TIME, np.round(slow / 0.02) * 0.02, TORQUE).any()
+
+
+@pytest.mark.parametrize("size", [1.0, 0.01, -0.01])
+def test_single_wrong_readings_are_found_whatever_the_counts(size: float) -> None:
+    places = np.array([4, 700, 1703, 1709, 4990])
+    read = 1e-4 * np.round(ANGLE / 1e-4)
+    read[places] += size
+
+    assert np.array_equal(np.flatnonzero(spikes(read)), places)
+
+
+@pytest.mark.parametrize(
+    "angle",
+    [
+        np.abs(ANGLE),  # a kink
+        np.where(ANGLE > 0.0, 0.3, -0.3),  # a jump
+        np.where(TIME > 5.0, np.maximum(ANGLE, 0.0), 0.0),  # long at rest
+        np.repeat(ANGLE[::5], 5),  # held
+        0.01 * np.random.default_rng(0).standard_t(3, 5000),
+        np.mod(ANGLE, 0.5),
+        ANGLE * 0.0,
+    ],
+)
+@pytest.mark.parametrize("count", [1e-9, 1e-3])
+def test_no_reading_of_a_sharp_held_or_noisy_motion_counts_as_wrong(angle: np.ndarray, count: float) -> None:
+    assert not spikes(count * np.round(angle / count)).any()
