@@ -16,13 +16,17 @@ from hil.uncertainty.criteria import (
     BETWEEN,
     COUPLING,
     EVIDENCE_AGAINST,
+    FRICTION,
     INFLATION,
     LIKE_FRICTION,
+    LITTLE_FRICTION,
     LONGEST_SKEW,
     ONE_SPEED,
     OPTIMISER_GAP,
+    PLAY,
     UNEXPLAINED,
     distinguishable,
+    narrow,
 )
 
 Array = NDArray[np.float64]
@@ -36,7 +40,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     for at, name in enumerate(evidence.names):
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
             found += _of_parameter(evidence, at, name)
-    found += _inertia(evidence) + _implausible_skew(evidence) + stiffnesses
+    found += _inertia(evidence) + _implausible_skew(evidence) + _little_load(evidence) + stiffnesses
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
             Diagnostic(
@@ -61,22 +65,31 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
 
 
 def rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> list[Diagnostic]:
-    """Return a warning for each undecided term with which Kc or Bc would be outside its interval."""
-    undecided = []
-    for step in steps:
-        for estimate in () if step.included else found[:2]:
-            value = {"Kc": step.Kc, "Bc": step.Bc}[estimate.name]
-            if step.gain > EVIDENCE_AGAINST and not estimate.ci95[0] <= value <= estimate.ci95[1]:
-                undecided.append(
-                    Diagnostic(
-                        "model-dependent",
-                        f"the data cannot decide whether {step.term} is present; with it, {estimate.name} would be "
-                        f"{value / estimate.value - 1.0:+.2%} from here, which is outside its interval: a wider band "
-                        "or a larger amplitude would decide",
-                        estimate.name,
-                    )
-                )
-    return undecided
+    """Return what is to know of each undecided term with which Kc or Bc would be outside its interval.
+
+    Errors where the models that the data cannot decide between differ as much as an interval may be wide.
+    """
+    undecided = [step for step in steps if not step.included and step.gain > EVIDENCE_AGAINST]
+    return [diagnostic for estimate in found[:2] for diagnostic in _rivals(undecided, estimate)]
+
+
+def _rivals(undecided: list[Step], estimate: Estimate) -> list[Diagnostic]:
+    low, high = estimate.ci95
+    values = {step.term: {"Kc": step.Kc, "Bc": step.Bc}[estimate.name] for step in undecided}
+    outside = {term: value for term, value in values.items() if not low <= value <= high}
+    possible = [estimate.value, *(value for value in outside.values() if value > 0.0)]
+    is_wide = not narrow(0.5 * (max(possible) - min(possible)), estimate.value)
+    return [
+        Diagnostic(
+            "model-dependent",
+            f"the data cannot decide whether {term} is present; with it, {estimate.name} would be "
+            f"{value / estimate.value - 1.0:+.2%} from here, which is outside its interval: a wider band "
+            "or a larger amplitude would decide",
+            estimate.name,
+            is_error=is_wide and value > 0.0,
+        )
+        for term, value in outside.items()
+    ]
 
 
 def other_stiffness(values: Mapping[str, float], *, spans: str = "") -> list[Diagnostic]:
@@ -136,6 +149,36 @@ def _inertia(evidence: Evidence) -> list[Diagnostic]:
         f"motor's, Kc is too low by its inertia times the frequency squared, in rad/s; {_SEVERAL_SPEEDS}"
     )
     return [Diagnostic("one-frequency", text, "Kc")]
+
+
+def _little_load(evidence: Evidence) -> list[Diagnostic]:
+    """A warning of a torque that friction takes most of, or of a joint that hardly leaves its play."""
+    values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
+    torque, angle = (_middle_of(one) for one in (evidence.signals.coupling_torque, evidence.signals.motion.dtheta))
+    friction = max((abs(values[name]) for name in _FRICTION if name in values), default=0.0)
+    gap, causes, times = values.get("gap", 0.0), [], 1.0
+    if friction > FRICTION * torque:
+        causes.append(f"friction takes {friction:.2g} of the {torque:.2g} N m of torque")
+        times = friction / (LITTLE_FRICTION * torque)
+    if 0.5 * gap > PLAY * angle:
+        beyond = max(0.0, angle - 0.5 * gap)
+        causes.append(f"the joint leaves its play of {gap:.2g} rad for only {beyond:.2g} rad on each side")
+    if not causes:
+        return []
+    text = (
+        f"{' and '.join(causes)}, so that Kc follows from how these are modelled: drive with {_many(times)} the torque"
+    )
+    return [Diagnostic("little-load", text, "Kc")]
+
+
+def _many(times: float) -> str:
+    return f"at least {np.ceil(times):.0f} times" if times > 2.0 else "several times"
+
+
+def _middle_of(values: Array) -> float:
+    """Half the range of values (n,), without the outermost."""
+    low, high = np.quantile(values, [_OUTERMOST, 1.0 - _OUTERMOST])
+    return float(0.5 * (high - low))
 
 
 def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
@@ -229,6 +272,8 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
     return found
 
 
+_OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
+_FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
 _SEVERAL_SPEEDS = "drive at several speeds (--profile chirp or multisine over two octaves)"
 _IMPLAUSIBLE = {
     "Kc": "a sign is wrong; check that a positive torque makes a positive deflection",

@@ -149,14 +149,8 @@ def misfit_diagnostics(
 
     Where the torque's readings show what was done to them, that comes first, and no term that looks like it.
     """
-    if found is None:
-        return [
-            Diagnostic(
-                "misfit-untested",
-                "the recording is too short to test whether the model describes it, so effects that are left out would "
-                "be in Kc and Bc unseen: record for longer",
-            )
-        ]
+    if found is None or found.is_undecided:
+        return [_untested(model, found)]
     if not found.misfit:
         return []
     signals = described.signals
@@ -166,6 +160,16 @@ def misfit_diagnostics(
     message = "; ".join(part for part in parts if part)
     misfit = Diagnostic("misfit", message, found.affected, is_error=found.is_grave)
     return [Diagnostic("torque-reading", seen, found.affected, is_error=found.is_grave), misfit] if seen else [misfit]
+
+
+def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
+    """Return the warning that the recording is too short for the tests, or that they can decide nothing by it."""
+    seen = f", and {found.share:.0%} of the residuals of {model} can be predicted" if found else ""
+    return Diagnostic(
+        "misfit-untested",
+        f"the recording is too short to test whether the model describes it{seen}, so effects that are left out would "
+        "be in Kc and Bc unseen: record for longer",
+    )
 
 
 def _respects(model: str, found: LackOfFit) -> str:
@@ -179,7 +183,7 @@ def _respects(model: str, found: LackOfFit) -> str:
 
 def _consequence(found: LackOfFit) -> str:
     if found.explains_too_little:
-        return f"{found.unexplained:.0%} of the torque is neither this model nor noise: its Kc and Bc mean nothing"
+        return f"{found.unexplained:.0%} of the torque follows from the motion, not from it: its Kc and Bc mean nothing"
     return f"Kc may be wrong by {_percent(found.Kc)} and Bc by {_percent(found.Bc)}" + (
         ", which their intervals include" if found.outside else ""
     )

@@ -49,6 +49,15 @@ BETWEEN: Final = 3.0
 DIFFERENT: Final = 3.0
 """Ratio of two values of Kc in one recording, from which no single Kc stands for both."""
 
+FRICTION: Final = 0.5
+"""Part of the torque that friction takes, from which Kc follows from how friction is modelled."""
+
+LITTLE_FRICTION: Final = 0.2
+"""Part of the torque that friction may take: in real ramps with 0.2 to 0.3, Kc repeated within 4 % (median)."""
+
+PLAY: Final = 0.75
+"""Part of the range of the deflection that is play, from which the flanks are short."""
+
 COUPLING: Final = ("Kc", "Bc")
 """The parameters without which a result is not usable."""
 

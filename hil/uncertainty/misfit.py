@@ -111,7 +111,7 @@ class LackOfFit:
 
     @property
     def explains_too_little(self) -> bool:
-        """Whether the model leaves a large part of the torque to something that is not noise."""
+        """Whether a large part of the torque follows from the motion, whatever of, and not from the model."""
         return self.unexplained > _UNEXPLAINED
 
     @property
@@ -126,7 +126,12 @@ class LackOfFit:
 
     @property
     def misfit(self) -> bool:
-        """Whether the model is rejected, and by an amount that matters."""
+        """Whether the model is rejected, and by an amount that matters.
+
+        Or whether so much of the torque follows from the motion but not from the model that no test has to say so.
+        """
+        if self.explains_too_little:
+            return True
         if self.of_noise or not self.failed:
             return False
         if self._is_small:
@@ -136,7 +141,7 @@ class LackOfFit:
     @property
     def is_undecided(self) -> bool:
         """Whether no test rejects the model, and its residuals can be predicted: few of its samples are independent."""
-        return not self.failed and self.share >= _PLAIN
+        return not self.failed and not self.misfit and self.share >= _PLAIN
 
     @property
     def in_intervals(self) -> tuple[float, float]:

@@ -45,6 +45,16 @@ def test_a_term_that_would_move_a_parameter_out_of_its_interval_is_named() -> No
     assert "+5.00%" in diagnostic.message
 
 
+@pytest.mark.parametrize(("values", "errors"), [((2.7e-4, 1.4e-4), 0), ((2.8e-4, 1.2e-4), 2), ((2.7e-4, -1e-3), 0)])
+def test_models_that_differ_as_much_as_an_interval_may_be_wide_are_an_error_where_they_are_possible(
+    values: tuple[float, float], errors: int
+) -> None:
+    """35 % of 0.2 mN m s/rad: half of what lies between the least and the largest Bc that is not negative."""
+    found = rivals((CHOSEN, *(step(name, value) for name, value in zip(("skew", "lag"), values, strict=True))), FOUND)
+    assert [one.code for one in found] == ["model-dependent"] * 2
+    assert [one.is_error for one in found].count(True) == errors
+
+
 def test_a_term_that_moves_nothing_or_has_strong_evidence_against_it_is_not() -> None:
     assert not rivals((CHOSEN, step("skew", 2.005e-4), step("slack", 3e-4, gain=-7.0)), FOUND)
 
@@ -235,6 +245,19 @@ def test_hysteresis_that_nobody_named_leaves_no_single_stiffness(make_recording:
     assert high > 0.3
     assert named.trusted("Kc")
     assert named["Kc"].ci95[1] - named["Kc"].ci95[0] < 0.01
+
+
+@pytest.mark.parametrize(("friction", "remedy"), [(0.5e-3, ""), (12e-3, "at least 4 times")])
+def test_friction_that_takes_most_of_the_torque_is_a_reason_to_drive_with_more(
+    friction: float, remedy: str, make_recording: Maker
+) -> None:
+    def rubs(channels: dict[str, Array]) -> None:
+        channels["torque"] += friction * np.sign(np.gradient(channels["dtheta"]))
+
+    found = identify([make_recording(noise=2e-5, change=rubs)], parse("linear+coulomb"), SEARCH)
+    said = [one for one in found.diagnostics if one.code == "little-load"]
+    assert [one.parameter for one in said] == (["Kc"] if remedy else [])
+    assert all(remedy in one.message and not one.is_error for one in said)
 
 
 def test_a_spring_with_one_stiff_side_has_no_single_stiffness() -> None:

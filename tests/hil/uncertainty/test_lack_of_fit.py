@@ -199,6 +199,7 @@ def test_a_model_that_leaves_a_large_part_of_the_torque_is_not_trusted(friction:
 
     assert found.unexplained == pytest.approx(np.std(left) / np.std(torque), rel=0.1)
     assert found.explains_too_little is too_little
+    assert replace(found, of_noise=True, respects=()).misfit is too_little
     assert found.affected is None or not too_little
 
 
