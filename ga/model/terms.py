@@ -33,6 +33,7 @@ _RECORDS: Final = (
     springs.BACKLASH,
     springs.DEADBAND,
     springs.SLACK,
+    friction.MESH,
     friction.CAPSTAN,
     sensors.SKEW,
     sensors.LAG,
