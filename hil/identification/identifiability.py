@@ -194,7 +194,7 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
     return [
         Diagnostic(
             "skew-implausible",
-            f"the skew of {1e3 * skew:.3g} ms is {ticks:.2g} ticks, and one recorder reads torque and angle less than "
+            f"the skew of {1e3 * skew:.3g} ms is {ticks:.3g} ticks, and one recorder reads torque and angle less than "
             "one apart: a filter of the torque cell, an inertia or a slow cell may be taken for it, and Bc is wrong "
             "then; try --model linear+offset+lag, or compare the two sensors' filters",
             "Bc",
@@ -215,7 +215,7 @@ def _filtered(evidence: Evidence) -> Diagnostic:
     known = f"; if you know that it is a mean: --model {evidence.model.name}" if evidence.selected else ""
     return Diagnostic(
         "filtered-torque",
-        f"the torque is {1e3 * late:.3g} ms late and a mean over {1e3 * window:.3g} ms, {window / step:.2g} ticks: a "
+        f"the torque is {1e3 * late:.3g} ms late and a mean over {1e3 * window:.3g} ms, {window / step:.3g} ticks: a "
         "filter stands before it, and if it is not a mean, Bc is wrong; switch it off, or pass the angle through the "
         f"same filter{known}",
         "Bc",
@@ -311,7 +311,7 @@ def _alike(evidence: Evidence, at: int) -> str:
     alike[at] = 0.0
     other = evidence.names[int(np.argmax(alike))]
     return (
-        f"{name} cannot be distinguished from {other} in this recording, {low:.2g} to {high:.2g} Hz; drive at several "
+        f"{name} cannot be distinguished from {other} in this recording, {low:.3g} to {high:.3g} Hz; drive at several "
         "speeds (--profile chirp or multisine) and over a wider band"
     )
 
@@ -361,4 +361,4 @@ def _corner(evidence: Evidence) -> str:
     corner = stiffness / (2.0 * np.pi * damping)
     if high >= corner:
         return ""
-    return f"the joint moved at up to {high:.2g} Hz, and damping shows only towards {corner:.2g} Hz: "
+    return f"the joint moved at up to {high:.3g} Hz, and damping shows only towards {corner:.3g} Hz: "

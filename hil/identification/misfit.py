@@ -212,4 +212,4 @@ def _frequencies(dynamic: DynamicStiffness | None) -> str:
     if len(bands.frequency) < 2 or abs(high - low) < max(error, _CHANGES * abs(low)):
         return ""
     first, last = float(bands.frequency[0]), float(bands.frequency[-1])
-    return f"without a model Kc is {low:.3g} N m/rad at {first:.2g} Hz and {high:.3g} at {last:.2g} Hz"
+    return f"without a model Kc is {low:.3g} N m/rad at {first:.3g} Hz and {high:.3g} at {last:.3g} Hz"

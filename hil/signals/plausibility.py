@@ -52,7 +52,7 @@ class Swing(NamedTuple):
 def in_words(torque: Swing, deflection: Swing) -> str:
     """Return both ranges as people read them: "torque -12.1 to 11.8 N m; deflection -34 to 34 rad, 5.4 turns"."""
     size = max(abs(deflection.least), abs(deflection.largest))
-    turned = f"{size / _TURN:.2g} turns" if size >= _TURN else f"{math.degrees(size):.2g} deg"
+    turned = f"{size / _TURN:.3g} turns" if size >= _TURN else f"{math.degrees(size):.3g} deg"
     return f"torque {_range(torque, 'N m')}; deflection {_range(deflection, 'rad')}, {turned}"
 
 
@@ -106,7 +106,7 @@ def _many_turns(deflection: Swing) -> list[Diagnostic]:
     if not 2.0 * deflection.half > _TURN:
         return []
     message = (
-        f"the deflection spans {2.0 * deflection.half / _TURN:.2g} turns, which no coupling does: if it was read in "
+        f"the deflection spans {2.0 * deflection.half / _TURN:.3g} turns, which no coupling does: if it was read in "
         "degrees, Kc and Bc are 57 times too low; import it with --dtheta-unit deg, or check the gear ratio"
     )
     return [Diagnostic("many-turns", message)]
@@ -120,7 +120,7 @@ def _odd_stiffness(torque: Swing, deflection: Swing, limits: LimitsTable) -> lis
     if 1.0 / _ODD_STIFFNESS < ratio < _ODD_STIFFNESS:
         return []
     message = (
-        f"torque over deflection is {ratio * expected:.3g} N m/rad, {ratio:.2g} times the ratio of the stand's limits: "
+        f"torque over deflection is {ratio * expected:.3g} N m/rad, {ratio:.3g} times the ratio of the stand's limits: "
         "Kc is off by as much if a unit is mistaken; check the units of torque and deflection, or correct [limits]"
     )
     return [Diagnostic("odd-stiffness", message, "Kc")]

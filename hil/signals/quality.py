@@ -184,7 +184,7 @@ def _slow(one: Slower, highest: float) -> Diagnostic:
     if one.channel == "deflection" and highest * one.step > _SPARSE:
         return Diagnostic(
             "slow-angle",
-            f"{text}: the joint moves at up to {highest:.2g} Hz, too fast to be followed between them, so that Kc and "
+            f"{text}: the joint moves at up to {highest:.3g} Hz, too fast to be followed between them, so that Kc and "
             "Bc are wrong; read the encoder more often, or lower --band",
             is_error=True,
         )

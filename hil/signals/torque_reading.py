@@ -70,8 +70,8 @@ def _seen_in_noise(signals: Signals, step: float) -> str:
         return ""
     if (edge := _cliff(frequency[1:], power[1:], signals.band[1])) is not None:
         return (
-            f"the torque has nothing above {edge:.2g} Hz, not even noise: a smooth curve was laid through the readings "
-            f"of a cell of about {2.0 * edge:.2g} Hz; record these readings with their own time stamps"
+            f"the torque has nothing above {edge:.3g} Hz, not even noise: a smooth curve was laid through the readings "
+            f"of a cell of about {2.0 * edge:.3g} Hz; record these readings with their own time stamps"
         )
     if (count := _mean_of(frequency[looked], power[looked], step)) is not None:
         return (
