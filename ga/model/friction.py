@@ -331,6 +331,7 @@ CAPSTAN: Final = Term(
             absent=None,
             nonlinear=True,
             starts=(0.3, 0.5, 0.7),
+            place=True,
         ),
     ),
     bounds=_capstan_bounds,

@@ -35,7 +35,8 @@ class Parameter:
     nonlinear: whether it is searched and not solved for. Of nonlinear parameters: starts, values to begin at as parts
     of the range; kinked, whether the torque has breaks where it ends; refined, whether breaks make the fitness rough
     along it; open_ended, whether its upper end is no rejection: it may be as much and more; about, the parameter that
-    is the middle between the two ends that this one moves.
+    is the middle between the two ends that this one moves; place, whether it is a deflection, rad, that counts from
+    where the deflection does.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Parameter:
     refined: bool = False
     open_ended: bool = False
     about: str = ""
+    place: bool = False
 
 
 @dataclass(frozen=True, slots=True)

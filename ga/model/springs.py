@@ -198,6 +198,7 @@ ASYMMETRIC: Final = Term(
             scales=False,
             absent=None,
             nonlinear=True,
+            place=True,
         ),
     ),
     columns=_beside_turn,
@@ -254,6 +255,7 @@ _CENTRE: Final = Parameter(
     starts=(0.3, 0.5, 0.7),
     kinked=True,
     refined=True,
+    place=True,
 )
 
 BACKLASH: Final = Term(
@@ -298,6 +300,7 @@ SLACK: Final = Term(
             starts=(0.05, 0.2, 0.4, 0.6, 0.8),
             kinked=True,
             refined=True,
+            place=True,
         ),
     ),
     bounds=_slack_bounds,

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
 from hil.identification.disk_table import DiskTable
+from hil.identification.fitting.unloaded import Unloaded, unloaded
 from hil.identification.model_choice import Choice
 from hil.recording.ahead import Progress, ahead
-from hil.signals.angle import far_zero
 from hil.signals.defects import Defects
 from hil.signals.prepare import LongRecording, Signals, joined, prepare
 from hil.signals.quality import assess, recording_diagnostics
@@ -23,6 +23,9 @@ from hil.uncertainty.blocks import Block, Blocks
 Array = NDArray[np.float64]
 Choose = Callable[[Signals, bool], Choice]
 """Return the model for signals; the second argument is whether they are all the signals."""
+
+Rest = Callable[[Signals], Unloaded]
+"""Return where the joint of the signals is unloaded."""
 
 IN_MEMORY = 4_000_000
 """Rows, of all recordings together, up to which they are held in memory."""
@@ -35,7 +38,8 @@ class Dataset:
     choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones; whole: whether they
     are all. used (n,): which of these signals are fitted. blocks: columns of the linear parameters, and torque, of all
     fitted samples; in_memory: of those in `signals`. edges: where each recording ends in the blocks. uncertainty: of
-    the torque's scale, relative, one standard deviation.
+    the torque's scale, relative, one standard deviation. place: where the joint is unloaded, from which the deflections
+    of the signals count.
     """
 
     choice: Choice
@@ -46,6 +50,7 @@ class Dataset:
     in_memory: Block
     edges: tuple[int, ...]
     uncertainty: float
+    place: Unloaded
     diagnostics: list[Diagnostic]
 
     @property
@@ -56,61 +61,62 @@ class Dataset:
 
 @contextmanager
 def open_dataset(
-    sources: Sequence[Source], choose: Choose, progress: Progress | None = None, *, centred: bool = True
+    sources: Sequence[Source], choose: Choose, progress: Progress | None = None, *, rest: Rest = unloaded
 ) -> Iterator[Dataset]:
     """Pool the recordings with the model that `choose` returns.
 
-    progress is called at every pass through recordings that do not fit in memory. centred: whether deflections whose
-    zero is far away count from the middle of their range, as they must where a constant torque is a parameter. Raises
-    WrongUse, Untrustworthy as `Source.verify`, reading and `prepare`.
+    progress is called at every pass through recordings that do not fit in memory. rest: by which it is found where the
+    joint is unloaded, from which deflections count. Raises WrongUse, Untrustworthy as `Source.verify`, reading and
+    `prepare`.
     """
     for source in sources:
         source.verify(progress)
     rows = sum(len(source.recording) for source in sources)
     if rows <= IN_MEMORY:
-        yield _in_memory(sources, choose, centred=centred)
+        yield _in_memory(sources, choose, rest)
         return
     long = [LongRecording(source.recording, source.table) for source in sources]
     glimpses = [one.glimpse() for one in long]
     signals = joined([stretch for stretches in glimpses for stretch in stretches])
-    reference = far_zero(signals.motion.dtheta) if centred else 0.0
-    signals = signals.counted_from(reference)
+    place = rest(signals)
+    signals = signals.counted_from(place.reference)
     choice = choose(signals, False)
     with DiskTable(sources[0].path, rows, len(choice.model.linear), progress) as table:
         edges, diagnostics = _to_disk(
-            sources, list(zip(long, glimpses, strict=True)), choice, table, progress, reference=reference
+            sources, list(zip(long, glimpses, strict=True)), choice, table, progress, reference=place.reference
         )
         used = choice.described(signals.motion)
         seen = _rows(choice, signals, used)
-        yield Dataset(choice, signals, used, False, table.blocks, seen, edges, _uncertainty(sources), diagnostics)
+        yield Dataset(
+            choice, signals, used, False, table.blocks, seen, edges, _uncertainty(sources), place, diagnostics
+        )
 
 
-def _in_memory(sources: Sequence[Source], choose: Choose, *, centred: bool) -> Dataset:
+def _in_memory(sources: Sequence[Source], choose: Choose, rest: Rest) -> Dataset:
     parts, diagnostics = [], []
     for source in sources:
         part = prepare(source.recording, source.table)
         parts.append(replace(part, command=_command(source, part)))
         diagnostics += _diagnostics(source, [part], part.defects)
     signals = joined(parts)
-    reference = far_zero(signals.motion.dtheta) if centred else 0.0
-    signals = signals.counted_from(reference)
-    diagnostics += _far_zero(reference)
+    place = rest(signals)
+    signals = signals.counted_from(place.reference)
+    diagnostics += _other_zero(place.reference)
     choice = choose(signals, True)
     used = choice.described(signals.motion)
     rows = _rows(choice, signals, used)
     blocks = Blocks.of(*rows)
     edges = tuple(np.cumsum(used)[np.cumsum([len(part) for part in parts]) - 1].tolist())
     diagnostics += _slow(len(used) - blocks.rows, len(used))
-    return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), diagnostics)
+    return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), place, diagnostics)
 
 
-def _far_zero(reference: float) -> list[Diagnostic]:
+def _other_zero(reference: float) -> list[Diagnostic]:
     if reference == 0.0:
         return []
     text = (
-        f"the deflection's zero is {abs(reference):.3g} rad away from the motion: deflections, and the torque at rest, "
-        f"count from {reference:.4g} rad, which changes neither Kc nor Bc of a linear spring; Kc of one that curves is "
-        "its stiffness there: zero the encoder at the joint's rest"
+        f"the encoder's zero is {abs(reference):.3g} rad away from where the joint seems unloaded: deflections count "
+        f"from {reference:.4g} rad, where the torque at rest is taken; set the zero with the joint unloaded"
     )
     return [Diagnostic("encoder-zero", text)]
 
@@ -144,7 +150,7 @@ def _to_disk(
                 progress("reading", min(1.0, read / rows))
         edges.append(table.rows)
         diagnostics += _diagnostics(source, stretches, defects)
-    return tuple(edges), diagnostics + _far_zero(reference) + _slow(read - table.rows, read)
+    return tuple(edges), diagnostics + _other_zero(reference) + _slow(read - table.rows, read)
 
 
 def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> Block:

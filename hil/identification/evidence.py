@@ -22,27 +22,32 @@ from hil.uncertainty.stationarity import VarianceComponents
 
 Array = NDArray[np.float64]
 
+UNLOADED_PLACE = "unloaded place"
+"""What the Kc of a spring that curves depends on, where nobody knows where the joint is unloaded."""
+
 _MARGIN = 1e-4  # part of a range within which a value is at its end
 
 
 Span = tuple[float, float, str]
-"""The least and the largest Kc, N m/rad, of a model without a single one, and what it depends on."""
+"""The least and the largest Kc, N m/rad, of a model without a single one, and what it depends on, "" for its errors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """What identifiability is derived from.
 
-    columns: (m, p + q), of the signals. values, low, high: (p + q,), SI, of all parameters. exact: the values and
-    half the intervals given the model, where `values` and `errors` are averaged over models. scattered: the variance
-    components of pooled recordings. gap: of the optimiser, relative. deflection: what its errors do to the values, None
-    where the rate was recorded too. unmoved: why nothing moved, "" where it did.
+    reference: rad, the encoder's reading that the deflections of the signals count from. columns: (m, p + q), of the
+    signals. values, low, high: (p + q,), SI, of all parameters. exact: the values and half the intervals given the
+    model, where `values` and `errors` are averaged over models. scattered: the variance components of pooled
+    recordings. gap: of the optimiser, relative. deflection: what its errors do to the values, None where the rate was
+    recorded too. unmoved: why nothing moved, "" where it did.
     selected: whether the model was selected, and not named. span: of Kc, where a model was selected that has no single
-    one and the motion met all of it.
+    one and the motion met all of it, or where it is not known where the joint is unloaded.
     """
 
     model: Coupling
     signals: Signals
+    reference: float
     columns: Array
     values: Array
     errors: ConfidenceIntervals
@@ -67,6 +72,11 @@ class Evidence:
     def names(self) -> list[str]:
         """All parameters' names."""
         return [parameter.name for parameter in self.parameters]
+
+    @property
+    def zeros(self) -> Array:
+        """What parameters (p + q,) that are a place count from, by the encoder's reading; 0 for all others."""
+        return np.array([self.reference if parameter.place else 0.0 for parameter in self.parameters])
 
     @property
     def has_friction(self) -> bool:
@@ -153,26 +163,26 @@ def _slides(motion: Motion, values: Mapping[str, float], half_width: float) -> b
 
 
 def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
-    """Return the estimates of all parameters, in the model's order."""
-    found, span = [], evidence.span
-    for at, parameter in enumerate(evidence.parameters):
-        value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
-        exact, own = (float(of[at]) for of in evidence.exact)
+    """Return the estimates of all parameters, in the model's order; places count from the encoder's zero."""
+    found, span, trials = [], evidence.span, evidence.trials
+    for at, (parameter, zero) in enumerate(zip(evidence.parameters, evidence.zeros.tolist(), strict=True)):
+        value, half = zero + float(evidence.values[at]), float(evidence.errors.half_width[at])
+        exact, own = zero + float(evidence.exact[0][at]), float(evidence.exact[1][at])
         is_average = (exact, own) != (value, half)
-        best, mean, std = (float(of[at]) for of in (evidence.trials.best, evidence.trials.mean, evidence.trials.std))
+        best, mean, std = (float(of[at]) for of in (trials.best, trials.mean, trials.std))
         found.append(
             Estimate(
                 name=parameter.name,
                 unit=parameter.unit,
                 value=value,
                 ci95=(value - half, value + half),
-                optimiser=Repeatability(best, mean, std),
+                optimiser=Repeatability(zero + best, zero + mean, std),
                 identifiable=evidence.identifiable(at),
                 at_bound=evidence.at_bound(at),
-                bounds=(float(evidence.low[at]), float(evidence.high[at])),
+                bounds=(zero + float(evidence.low[at]), zero + float(evidence.high[at])),
                 components=evidence.scattered[at],
                 conditional=Conditional(exact, (exact - own, exact + own)) if is_average else None,
-                depends_on=span[2] if span and parameter.name == "Kc" else None,
+                depends_on=(span[2] or None) if span and parameter.name == "Kc" else None,
             )
         )
     return tuple(found)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
-from hil.identification.evidence import Evidence, sliding, span_of_stiffness
+from hil.identification.evidence import UNLOADED_PLACE, Evidence, sliding, span_of_stiffness
 from hil.identification.result import Estimate
 from hil.identification.selection.stepwise import Step
 from hil.uncertainty.criteria import (
@@ -35,8 +35,9 @@ Array = NDArray[np.float64]
 def judge(evidence: Evidence) -> list[Diagnostic]:
     """Return the warnings and errors of the result."""
     found = _interruption(evidence.trials)
-    exact = dict(zip(evidence.names, evidence.exact[0].tolist(), strict=True))
+    exact = dict(zip(evidence.names, (evidence.exact[0] + evidence.zeros).tolist(), strict=True))
     stiffnesses = other_stiffness(exact, spans=evidence.span[2] if evidence.span else "")
+    stiffnesses += _unloaded(evidence)
     for at, name in enumerate(evidence.names):
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
             found += _of_parameter(evidence, at, name)
@@ -126,6 +127,22 @@ def other_stiffness(values: Mapping[str, float], *, spans: str = "") -> list[Dia
         )
         found.append(Diagnostic("two-stiffnesses", text, "Kc"))
     return found
+
+
+def _unloaded(evidence: Evidence) -> list[Diagnostic]:
+    """Say that the place is unknown where a curving spring has its Kc; an error where Kc could be nearly anything."""
+    if evidence.span is None or evidence.span[2] != UNLOADED_PLACE:
+        return []
+    least, most, _ = evidence.span
+    text = (
+        f"the spring curves, and its Kc is that of the unloaded joint: {least:.3g} to {most:.3g} N m/rad over the "
+        "motion, because no two of the zeros of encoder and torque and the middle of the spring are at one place; set "
+        "the encoder's zero with the joint unloaded and record again, or name the model without offset if the torque's "
+        "zero was set so"
+    )
+    at = evidence.names.index("Kc")
+    wide = not narrow(float(evidence.errors.half_width[at]), float(evidence.values[at]))
+    return [Diagnostic("unloaded-place", text, "Kc", is_error=wide)]
 
 
 def _inertia(evidence: Evidence) -> list[Diagnostic]:

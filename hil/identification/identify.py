@@ -27,12 +27,13 @@ from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
-from hil.identification.dataset import Dataset, open_dataset
+from hil.identification.dataset import Dataset, Rest, open_dataset
 from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
 from hil.identification.fitting.exact import solved, unproven
 from hil.identification.fitting.forecast import forecast
+from hil.identification.fitting.unloaded import Unloaded, unloaded
 from hil.identification.fitting.validation import validated
 from hil.identification.identifiability import judge, rivals
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
@@ -125,7 +126,7 @@ def _identified(
             progress("choosing the model", 0.0)
         return choose(model, signals, linear_only=not whole or search.preset == "paper")
 
-    with open_dataset(sources, chosen, progress, centred=_is_relative(model)) as data:
+    with open_dataset(sources, chosen, progress, rest=_rest(model)) as data:
         solution = (_nonlinear if data.choice.model.nonlinear else _linear)(data, search, progress)
         evidence = _evidence(data, solution)
         found = estimates(evidence)
@@ -159,6 +160,7 @@ def _identified(
                 + misfit_diagnostics(described, data.choice.model.name, fit, dynamic)
             ),
             signals=data.signals,
+            values=solution.values,
             fitted=data.used,
             torque_uncertainty=data.uncertainty,
             lack_of_fit=fit,
@@ -167,9 +169,17 @@ def _identified(
         )
 
 
-def _is_relative(model: Coupling | None) -> bool:
-    """Whether the model has no parameter that is a deflection, as a user's own may and those of gap and slack are."""
-    return model is None or bool(model.linear and not {"centre", "slack"} & set(_names(model.nonlinear)))
+def _rest(model: Coupling | None) -> Rest:
+    """By which it is found where the joint is unloaded.
+
+    At the encoder's zero where a parameter counts from it, as a user's own may and those of gap and slack do. A model
+    that is named without an offset of the torque says that its reading has none.
+    """
+    if model is None:
+        return unloaded
+    if not model.linear or {"centre", "slack"} & set(_names(model.nonlinear)):
+        return lambda _signals: Unloaded()
+    return partial(unloaded, balanced="tau0" not in _names(model.linear))
 
 
 def _evidence(data: Dataset, solution: _Solution) -> Evidence:
@@ -180,7 +190,9 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     values, chosen = _averaged(data, solution, sampling.half_width)
     # the interval that is reported may be narrower than that of the selected model
     given = (_names(parameters), solution.values, np.minimum(sampling.half_width, chosen))
-    span = span_met(data.signals.motion, *given) if data.choice.steps else None
+    span = (span_met(data.signals.motion, *given) if data.choice.steps else None) or data.place.span(
+        dict(zip(given[0], solution.values.tolist(), strict=True))
+    )
     if span is not None:
         values[0] += 0.5 * (span[0] + span[1]) - solution.values[0]  # Kc
         chosen[0] += 0.5 * (span[1] - span[0])
@@ -192,6 +204,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     return Evidence(
         model=data.choice.model,
         signals=data.signals,
+        reference=data.place.reference,
         columns=solution.columns,
         values=values,
         errors=exact.with_choice(chosen, sampling.half_width),

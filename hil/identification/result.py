@@ -129,7 +129,8 @@ class Identification:
     search_seconds: for the trials alone. torque_uncertainty: of the torque's scale, relative, one standard deviation.
     lack_of_fit: the test whether the model describes the recordings; dynamic_stiffness: of the joint without a model;
     None where the recordings are too short. fixture: the fixture that was removed, None where it counts as rigid.
-    fitted (n,): which of the signals the model was fitted to.
+    values (p + q,): of the exact optimum, SI, for the signals, whose deflections may count from another zero than the
+    estimates. fitted (n,): which of the signals the model was fitted to.
     deflection: its errors, None where they are too small to do anything.
     """
 
@@ -149,6 +150,7 @@ class Identification:
     validation: Validation
     diagnostics: tuple[Diagnostic, ...]
     signals: Signals
+    values: NDArray[np.float64]
     fitted: NDArray[np.bool_]
     torque_uncertainty: float = 0.0
     lack_of_fit: LackOfFit | None = None

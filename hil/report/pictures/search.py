@@ -94,7 +94,7 @@ def landscape(found: Identification, spans: tuple[Span, Span]) -> Landscape:
     where they are many.
     """
     columns, target = linear_problem(found)
-    values = np.array([estimate.exact for estimate in found.estimates])[: columns.shape[1]]
+    values = found.values[: columns.shape[1]]
     fitted = found.fitted
     residuals = (target - columns @ values)[fitted]
     places = [[estimate.name for estimate in found.estimates].index(name) for name in PARAMETERS]

@@ -120,15 +120,14 @@ class Traces:
 
 def modelled(found: Identification) -> Array:
     """Return the torque of the model, (n,) N m, for the motion of the recordings."""
-    values = np.array([estimate.exact for estimate in found.estimates])
     columns, target = linear_problem(found)
-    return np.asarray(found.signals.torque - target + columns @ values[: columns.shape[1]])
+    return np.asarray(found.signals.torque - target + columns @ found.values[: columns.shape[1]])
 
 
 def linear_problem(found: Identification) -> tuple[Array, Array]:
     """Return the columns (n, p) of the linear parameters, and what is left for them of the torque, (n,) N m."""
     signals, p = found.signals, len(found.model.linear)
-    values = np.array([estimate.exact for estimate in found.estimates])
+    values = found.values
     nonlinear = values[p:]
     lag = max(0.0, values[1] / values[0]) if found.model.needs_ratio and values[0] > 0.0 else 0.0
     columns = found.model.columns(signals.motion, nonlinear, lag)

@@ -1,0 +1,181 @@
+"""Where the joint is unloaded: the place at which Kc of a spring that curves is its stiffness.
+
+Three witnesses know that place, and none of them need be right: the encoder's zero, if it was set there; the zero of
+the torque, if its reading has no offset; and the symmetry of the spring, if it is alike in both directions. Two that
+agree are believed: they have no common cause to be wrong by the same. So is one that is nearer to the encoder's zero,
+or where that is far away to the torque's, than by chance, and Kc is the stiffness anywhere between. Otherwise it is
+that of any place in the motion. Deflections then count from that place, so that Kc does not depend on an angle added
+to all readings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial import Legendre, Polynomial
+from numpy.typing import NDArray
+
+from ga.lad.exact import least_absolute_deviations
+from hil.identification.evidence import UNLOADED_PLACE, Span
+from hil.signals.angle import far_zero
+from hil.signals.prepare import Signals
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import covariance
+from hil.uncertainty.criteria import EVIDENCE_AGAINST
+
+Array = NDArray[np.float64]
+
+_ROWS = 6000  # of all, by which the curve is found
+_DEGREES = (1, 3, 5, 7, 9)  # of the curve, the first beyond which nothing is evident
+_NEAR = 1.0 / 40.0  # of the motion, than which two places anywhere in it are nearer in one case of twenty
+_RESOLVED = 1e-4  # of the torque's range, below which no disagreement changes anything that is reported
+
+
+@dataclass(frozen=True, slots=True)
+class Unloaded:
+    """reference: rad, the encoder's reading that deflections count from, 0 for its own zero.
+
+    low, high: rad from there, between which the joint is unloaded. agreed: whether two witnesses nearly agree on it.
+    """
+
+    reference: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+    agreed: bool = True
+
+    def span(self, values: Mapping[str, float]) -> Span | None:
+        """Return the least and the largest Kc, N m/rad, of a model with these values, SI, by name.
+
+        None for a spring that does not curve, or whose model has a place of its own, and where the place is known.
+        """
+        curves = [values.get(name, 0.0) for name in ("Kp", "K3", "K5")]
+        if not any(curves) or self.low == self.high == 0.0 or {"gap", "slack", "rest"} & set(values):
+            return None
+        progressive, cubic, quintic = curves
+        slope = Polynomial([values["Kc"], 2.0 * progressive, 3.0 * cubic, 0.0, 5.0 * quintic])
+        found = slope(np.linspace(self.low, self.high, 101))
+        return float(found.min()), float(found.max()), "" if self.agreed else UNLOADED_PLACE
+
+
+def unloaded(signals: Signals, *, balanced: bool = False) -> Unloaded:
+    """Return where the joint is unloaded: at the encoder's zero, unless that is far away or the others contradict it.
+
+    balanced: whether the torque is known to have no offset, so that its zero needs no other witness.
+    """
+    angle = signals.motion.dtheta
+    middle = far_zero(angle)
+    try:
+        curve = _curve(signals)
+    except RuntimeError:
+        return Unloaded(middle)
+    balance, symmetric = curve.crossing(0), curve.crossing(2)
+    encoder = 0.0 if middle == 0.0 else None
+    if curve.is_straight:
+        return Unloaded(middle if encoder == 0.0 or balance is None else balance)
+    agreeing = _agreeing(curve, encoder, balance)
+    if not agreeing and balanced and balance is not None:
+        agreeing = [balance]
+    if agreeing:
+        return _between(agreeing, agreeing[0], agreed=True)
+    known = [place for place in (encoder, balance, symmetric) if place is not None]
+    near = [place for place in known if abs(place - known[0]) <= _NEAR * float(np.ptp(angle))]
+    if len(near) > 1:
+        return _between(near, near[-1], agreed=True)
+    return _between([*known, float(angle.min()), float(angle.max())], [middle, *known][-1], agreed=False)
+
+
+def _agreeing(curve: _Curve, encoder: float | None, balance: float | None) -> list[float]:
+    """The places, rad, of encoder and torque that another witness agrees with, the encoder's first."""
+    places = [place for place in (encoder, balance) if place is not None]
+    if encoder is not None and curve.imbalance(encoder) <= curve.limit:
+        return places
+    against = [curve.asymmetry(place) for place in places]
+    most = min(curve.limit, min(against, default=0.0) - EVIDENCE_AGAINST)
+    return [place for place, gain in zip(places, against, strict=True) if gain <= most]
+
+
+def _between(places: list[float], reference: float, *, agreed: bool) -> Unloaded:
+    return Unloaded(reference, min(places) - reference, max(places) - reference, agreed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Curve:
+    """The static torque, N m, over the deflection, rad: a series with coefficients (p,) and their covariance (p, p).
+
+    scale: N m, the range of the torque. limit: the evidence, a square over its variance, that is strong.
+    """
+
+    coefficients: Array
+    covariance: Array
+    domain: tuple[float, float]
+    scale: float
+    limit: float
+
+    @cached_property
+    def torque(self) -> Legendre:
+        return Legendre(self.coefficients, self.domain)
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether the stiffness is the same everywhere."""
+        return len(self.coefficients) == 2
+
+    def imbalance(self, place: float) -> float:
+        """Return the evidence that the torque is not zero at a deflection, rad: its square over its variance."""
+        return self._evidence(self._series(place))
+
+    def asymmetry(self, place: float) -> float:
+        """Return the evidence that the torque rises on one side of a deflection, rad, other than it falls beyond.
+
+        As far as the motion goes on both sides, at least over an eighth of it; infinite beyond its ends, where nobody
+        knows.
+        """
+        low, high = self.domain
+        if not low < place < high:
+            return math.inf
+        reach = max(min(place - low, high - place), (high - low) / 8.0)
+        return self._evidence(self._series(place + reach) + self._series(place - reach) - 2.0 * self._series(place))
+
+    def _series(self, place: float) -> Array:
+        return np.array([Legendre.basis(k, self.domain)(place) for k in range(len(self.coefficients))])
+
+    def _evidence(self, series: Array) -> float:
+        variance = max(float(series @ self.covariance @ series), 0.0) + (_RESOLVED * self.scale) ** 2
+        return float(series @ self.coefficients) ** 2 / variance
+
+    def crossing(self, order: int) -> float | None:
+        """Return the deflection, rad, nearest the middle of the motion at which a derivative of the torque is zero."""
+        roots = self.torque.deriv(order).trim().roots()
+        real = np.real(roots[np.isreal(roots)])
+        inside = real[(real >= self.domain[0]) & (real <= self.domain[1])]
+        return float(inside[np.argmin(np.abs(inside - np.mean(self.domain)))]) if inside.size else None
+
+
+def _curve(signals: Signals) -> _Curve:
+    """The static torque beside damping and friction. Raises RuntimeError where they cannot be distinguished."""
+    for degree, more in pairwise(_DEGREES):
+        richer = _fitted(signals, more)
+        if (richer.coefficients**2 <= richer.limit * np.diag(richer.covariance))[degree + 1 :].all():
+            return _fitted(signals, degree)
+    return richer
+
+
+def _fitted(signals: Signals, degree: int) -> _Curve:
+    every = slice(None, None, max(1, len(signals) // _ROWS))
+    motion, torque = signals.motion, signals.coupling_torque[every]
+    angle, rate = motion.dtheta[every], motion.dtheta_dot[every]
+    ends = (float(motion.dtheta.min()), float(motion.dtheta.max()))
+    series = [Legendre.basis(k, ends)(angle) for k in range(degree + 1)]
+    columns = np.stack([*series, rate, np.sign(rate)], axis=1)
+    values = least_absolute_deviations(columns, torque).genes
+    found = covariance(Blocks.of(columns, torque), values)
+    if not found.distinct[: degree + 1].all():
+        raise RuntimeError("the torque over the deflection cannot be distinguished from damping and friction")
+    own = slice(degree + 1)
+    limit = math.log(len(torque)) - EVIDENCE_AGAINST
+    return _Curve(values[own], found.matrix[own, own], ends, float(np.ptp(torque)), limit)
