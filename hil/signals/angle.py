@@ -18,6 +18,7 @@ _USUAL = 5.0  # times the usual step of the torque, up to which it goes on at a 
 _LONGEST = 0.5  # s without any change, from which on a reading may be frozen
 _MOVED = 0.3  # of the torque's range, that it covers while the reading is frozen
 _ODD = 20.0  # times the usual distance from its neighbours' cubic, or counts, from which a reading may be wrong
+_BESIDE = 65  # readings around one, by which that distance is usual there
 _ALONE = 0.1  # of its distance, that the neighbours' may be once it is put right
 _CUBIC = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # a reading less what the cubic through its neighbours has there
 _FEW = 0.01  # of the readings may be wrong
@@ -83,7 +84,11 @@ def spikes(angle: Array) -> NDArray[np.bool_]:
     far = np.flatnonzero(np.abs(off) > _ODD * max(1.4826 * float(np.median(np.abs(off))), least))
     far = far[(far >= 2) & (far < len(off) - 2)]
     around = off[far[:, None] + np.arange(-2, 3)] - off[far, None] * _CUBIC / _CUBIC[2]
-    wrong[far[np.abs(around).max(axis=1, initial=0.0) < _ALONE * np.abs(off[far])] + 2] = True
+    far = far[np.abs(around).max(axis=1, initial=0.0) < _ALONE * np.abs(off[far])]
+    # stamps that jitter move every reading of a fast motion, and some of them alone
+    first = np.clip(far - _BESIDE // 2, 0, max(len(off) - _BESIDE, 0))
+    beside = np.abs(off[first[:, None] + np.arange(min(_BESIDE, len(off)))])
+    wrong[far[np.abs(off[far]) > _ODD * 1.4826 * np.median(beside, axis=1)] + 2] = True
     return wrong if np.count_nonzero(wrong) <= _FEW * len(angle) else np.zeros_like(wrong)
 
 

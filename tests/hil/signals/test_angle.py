@@ -103,3 +103,12 @@ def test_single_wrong_readings_are_found_whatever_the_counts(size: float) -> Non
 @pytest.mark.parametrize("count", [1e-9, 1e-3])
 def test_no_reading_of_a_sharp_held_or_noisy_motion_counts_as_wrong(angle: np.ndarray, count: float) -> None:
     assert not spikes(count * np.round(angle / count)).any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_reading_of_a_chirp_counts_as_wrong_where_stamps_jitter_and_replies_are_lost(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 20.0, 0.002)[rng.random(10_000) > 0.05]
+    read_at = time + rng.uniform(-1e-4, 1e-4, len(time))
+
+    assert not spikes(0.35 * np.sin(2.0 * np.pi * 0.1 * np.expm1(read_at * 0.25) / 0.25)).any()
