@@ -89,11 +89,13 @@ class LackOfFit:
         """Return what is left of it, given what as many errors again of the motion add to what is predicted, (N m)^2.
 
         added (k,): by standing in the residuals, beside regressors that have both. A wrong model leaves the same, and
-        errors leave more (Cook and Stefanski 1994), counts of a motion that rests or repeats now more, now less.
+        errors leave more (Cook and Stefanski 1994), counts of a motion that rests or repeats now more, now less. That
+        is allowed for unless Kc or Bc would be wrong by much, for then the errors must explain it by themselves.
         """
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
-        left = self.predicted**2 - (added.mean() + _SCATTER * added.std(ddof=1)) / _AGAIN
+        doubt = 0.0 if self._grave else _SCATTER * added.std(ddof=1)
+        left = self.predicted**2 - (added.mean() + doubt) / _AGAIN
         return replace(self, of_noise=bool(left < min(_SHARE / self.share, _OF_NOISE) * self.predicted**2))
 
     @property

@@ -153,6 +153,15 @@ def test_what_grows_with_the_errors_of_the_deflection_as_they_do_is_no_misfit() 
     assert not small.beside_noise(of_a_tenth).of_noise
 
 
+def test_errors_that_explain_a_misfit_only_by_chance_excuse_none_that_would_move_kc_by_much() -> None:
+    found = judged(relaxed(0.2, 0.03) + PLAIN + noise(0))
+    scattered = found.predicted**2 * np.array([0.7, 1.0, 1.6, 1.9])  # 1.3 on average, and 1.5 would be enough
+
+    assert found.is_grave
+    assert found.beside_noise(scattered).misfit
+    assert not replace(found, Kc=2e-3, Bc=0.02).beside_noise(scattered).misfit
+
+
 def test_errors_that_stand_in_residuals_and_regressors_are_predicted_from_these() -> None:
     errors = np.random.default_rng(3).standard_normal((2, len(TIME))) * 1e-3
     recorded = Recorded(TIME, PLAIN, X + errors.sum(axis=0), V)
