@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 MOST_FRICTION: Final = 0.9
 """Part of the torque that a tendon may lose in its sheath."""
 
-SLIPS: Final = (0.001, 0.05)
-"""Deflection over which friction of a mesh builds up: beyond, it would pass for a part of the flanks' stiffness."""
-
 REACHES: Final = (0.002, 0.8)
 """Deflection over which friction builds up, as a part of the whole, at least and at most."""
 
@@ -144,31 +141,6 @@ def _capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float
 def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
     span = float(motion.dtheta.max() - motion.dtheta.min())
     return ((REACHES[0] * span, REACHES[1] * span),)
-
-
-def _mesh_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    span = float(motion.dtheta.max() - motion.dtheta.min())
-    return ((SLIPS[0] * span, SLIPS[1] * span),)
-
-
-def _meshing(regressors: Regressors) -> tuple[Array, ...]:
-    import numpy as np
-
-    return (np.abs(regressors.angle) * _presliding(regressors)[0],)
-
-
-def _meshing_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
-    import numpy as np
-
-    (level,), (building,) = _presliding(regressors), _building_up(regressors, changing)
-    loading = np.sign(regressors.angle) * changing.dtheta * regressors.contact
-    return (loading * level + np.abs(regressors.angle) * building,)
-
-
-def _meshing_pushed(regressors: Regressors, genes: Array, moved: Array) -> Array:
-    import numpy as np
-
-    return np.asarray(genes[0] * np.sign(regressors.angle) * moved * _presliding(regressors)[0])
 
 
 def _building_up(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
@@ -342,38 +314,6 @@ CAPSTAN: Final = Term(
     reason="where a gap is open, the tendon carries no torque that could make friction",
     sticks=True,
     selection="misfit",
-)
-
-MESH: Final = Term(
-    "mesh",
-    "friction in proportion to the torque beyond a gap, as of the teeth of a gear",
-    (
-        Parameter(
-            "Kg",
-            "N*m/rad",
-            "friction for each radian beyond the gap; Kg/Kc of the torque is friction",
-            presence=True,
-            friction=True,
-            positive=True,
-        ),
-        Parameter(
-            "slip",
-            "rad",
-            "deflection after a reversal over which that friction builds up",
-            scales=False,
-            absent=None,
-            positive=True,
-            nonlinear=True,
-            starts=(0.1, 0.3, 0.7),
-        ),
-    ),
-    columns=_meshing,
-    rates=_meshing_on,
-    pushed=_meshing_pushed,
-    bounds=_mesh_bounds,
-    forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
-    needs="backlash",
-    selection="named",
 )
 
 QUADRATIC: Final = Term(

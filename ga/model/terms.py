@@ -33,7 +33,6 @@ _RECORDS: Final = (
     springs.BACKLASH,
     springs.DEADBAND,
     springs.SLACK,
-    friction.MESH,
     friction.CAPSTAN,
     sensors.SKEW,
     sensors.LAG,

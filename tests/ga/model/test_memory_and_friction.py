@@ -206,20 +206,6 @@ def test_friction_in_proportion_to_the_torque_comes_back() -> None:
     assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
 
 
-def test_friction_in_proportion_to_the_torque_beyond_a_gap_comes_back() -> None:
-    """Each flank carries Kc s and loses Kg abs(s) of it; s in rad beyond a gap of 0.02 rad about 0.01 rad."""
-    beyond = MOTION.dtheta - 0.01
-    beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - 0.01, 0.0)
-    touches = beyond * (beyond + BC / KC * MOTION.dtheta_dot) > 0.0
-    slip = 0.02 * float(np.ptp(MOTION.dtheta))
-    friction = 0.25 * KC * np.abs(beyond) * MOTION.presliding(slip)
-    torque = touches * (KC * beyond + BC * MOTION.dtheta_dot + friction) + NOISES
-    found = identified("linear+offset+backlash+mesh", torque)
-    assert (found["gap"], found["centre"]) == pytest.approx((0.02, 0.01), abs=1e-3)
-    assert [found["Kc"], found["Bc"], found["Kg"]] == pytest.approx([KC, BC, 0.25 * KC], rel=0.02)
-    assert found["slip"] == pytest.approx(slip, rel=0.3)
-
-
 def test_a_dead_band_whose_damper_always_acts_comes_back() -> None:
     beyond = MOTION.dtheta - 0.01
     sprung = np.sign(beyond) * np.maximum(np.abs(beyond) - 0.01, 0.0)
@@ -296,8 +282,7 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
     "name",
     ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
      "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew",
-     "linear+coulomb+stribeck+skew", "linear+offset+cubic+quintic+progressive+skew",
-     "linear+offset+backlash+mesh+skew"],
+     "linear+coulomb+stribeck+skew", "linear+offset+cubic+quintic+progressive+skew"],
 )  # fmt: skip
 def test_the_jacobian_is_the_derivative_of_what_the_model_explains(name: str) -> None:
     even = moving(np.linspace(0.0, 4.0, 1601))
