@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
 from hil.identification.disk_table import DiskTable
-from hil.identification.fitting.unloaded import Unloaded, unloaded
+from hil.identification.fitting.unloaded import Rest, Unloaded, unloaded
 from hil.identification.model_choice import Choice
 from hil.recording.ahead import Progress, ahead
 from hil.signals.defects import Defects
@@ -23,9 +23,6 @@ from hil.uncertainty.blocks import Block, Blocks
 Array = NDArray[np.float64]
 Choose = Callable[[Signals, bool], Choice]
 """Return the model for signals; the second argument is whether they are all the signals."""
-
-Rest = Callable[[Signals], Unloaded]
-"""Return where the joint of the signals is unloaded."""
 
 IN_MEMORY = 4_000_000
 """Rows, of all recordings together, up to which they are held in memory."""

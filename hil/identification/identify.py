@@ -27,19 +27,20 @@ from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
-from hil.identification.dataset import Dataset, Rest, open_dataset
+from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
 from hil.identification.fitting.exact import solved, unproven
 from hil.identification.fitting.forecast import forecast
-from hil.identification.fitting.unloaded import Unloaded, unloaded
+from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
-from hil.identification.identifiability import judge, rivals
+from hil.identification.identifiability import judge
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
+from hil.identification.selection.rivals import rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.ahead import Progress
 from hil.signals.prepare import Signals
@@ -126,7 +127,7 @@ def _identified(
             progress("choosing the model", 0.0)
         return choose(model, signals, linear_only=not whole or search.preset == "paper")
 
-    with open_dataset(sources, chosen, progress, rest=_rest(model)) as data:
+    with open_dataset(sources, chosen, progress, rest=rest_for(model)) as data:
         solution = (_nonlinear if data.choice.model.nonlinear else _linear)(data, search, progress)
         evidence = _evidence(data, solution)
         found = estimates(evidence)
@@ -167,19 +168,6 @@ def _identified(
             dynamic_stiffness=dynamic,
             deflection=summarised(evidence),
         )
-
-
-def _rest(model: Coupling | None) -> Rest:
-    """By which it is found where the joint is unloaded.
-
-    At the encoder's zero where a parameter counts from it, as a user's own may and those of gap and slack do. A model
-    that is named without an offset of the torque says that its reading has none.
-    """
-    if model is None:
-        return unloaded
-    if not model.linear or {"centre", "slack"} & set(_names(model.nonlinear)):
-        return lambda _signals: Unloaded()
-    return partial(unloaded, balanced="tau0" not in _names(model.linear))
 
 
 def _evidence(data: Dataset, solution: _Solution) -> Evidence:

@@ -11,9 +11,9 @@ to all readings.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
 from hil.identification.evidence import UNLOADED_PLACE, Span
+from hil.identification.model_choice import Coupling
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
@@ -60,6 +61,23 @@ class Unloaded:
         slope = Polynomial([values["Kc"], 2.0 * progressive, 3.0 * cubic, 0.0, 5.0 * quintic])
         found = slope(np.linspace(self.low, self.high, 101))
         return float(found.min()), float(found.max()), "" if self.agreed else UNLOADED_PLACE
+
+
+Rest = Callable[[Signals], Unloaded]
+"""Return where the joint of the signals is unloaded."""
+
+
+def rest_for(model: Coupling | None) -> Rest:
+    """Return what finds where the joint is unloaded, for a model that is named, or None for one to be selected.
+
+    It is at the encoder's zero where a parameter counts from it, as a user's own may and those of gap and slack do. A
+    model that is named without an offset of the torque says that its reading has none.
+    """
+    if model is None:
+        return unloaded
+    if not model.linear or {"centre", "slack"} & {parameter.name for parameter in model.nonlinear}:
+        return lambda _signals: Unloaded()
+    return partial(unloaded, balanced="tau0" not in {parameter.name for parameter in model.linear})
 
 
 def unloaded(signals: Signals, *, balanced: bool = False) -> Unloaded:

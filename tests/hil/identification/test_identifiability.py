@@ -12,9 +12,10 @@ from ga.model.memory import yielding
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
 from hil.identification.evidence import span_met
-from hil.identification.identifiability import other_stiffness, rivals
+from hil.identification.identifiability import other_stiffness
 from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification, Repeatability
+from hil.identification.selection.rivals import rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array
 from hil.signals.inspection import inspect

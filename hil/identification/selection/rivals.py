@@ -1,0 +1,36 @@
+"""The terms that the data cannot decide on, and what Kc and Bc would be with them."""
+
+from __future__ import annotations
+
+from hil.diagnostics import Diagnostic
+from hil.identification.result import Estimate
+from hil.identification.selection.stepwise import Step
+from hil.uncertainty.criteria import EVIDENCE_AGAINST, narrow
+
+
+def rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> list[Diagnostic]:
+    """Return what is to know of each undecided term with which Kc or Bc would be outside its interval.
+
+    Errors where the models that the data cannot decide between differ as much as an interval may be wide.
+    """
+    undecided = [step for step in steps if not step.included and step.gain > EVIDENCE_AGAINST]
+    return [diagnostic for estimate in found[:2] for diagnostic in _rivals(undecided, estimate)]
+
+
+def _rivals(undecided: list[Step], estimate: Estimate) -> list[Diagnostic]:
+    low, high = estimate.ci95
+    values = {step.term: {"Kc": step.Kc, "Bc": step.Bc}[estimate.name] for step in undecided}
+    outside = {term: value for term, value in values.items() if not low <= value <= high}
+    possible = [estimate.value, *(value for value in outside.values() if value > 0.0)]
+    is_wide = not narrow(0.5 * (max(possible) - min(possible)), estimate.value)
+    return [
+        Diagnostic(
+            "model-dependent",
+            f"the data cannot decide whether {term} is present; with it, {estimate.name} would be "
+            f"{value / estimate.value - 1.0:+.2%} from here, which is outside its interval: a wider band "
+            "or a larger amplitude would decide",
+            estimate.name,
+            is_error=is_wide and value > 0.0,
+        )
+        for term, value in outside.items()
+    ]
