@@ -63,6 +63,7 @@ WORDS = {
     "--require": ("Kc", "Bc", "both"),
     "--format": ("csv", "mat", "parquet", "mcap", "mujoco", "urdf", "sdf", "c", "json", "doc"),
     "--time": ("t", "t [s]", "none"), "--torque": ("q", "t"), "--dtheta": ("p", "t"), "--dtheta-dot": ("p", "q"),
+    "--command": ("q", "p", "t"), "--command-unit": ("A", "N*m", "s"),
     "--motor-torque": ("q",), "--motor-position": ("p",), "--time-unit": ("s", "ms", "N*m"),
     "--torque-unit": ("N*m", "mN*m", "deg"), "--dtheta-unit": ("rad", "deg", "s"),
     "--where": ("t>1", "p==0", "q", "nope==1", "t==nan", "t<-1e300"), "--topic": ("/joint_states", ""),

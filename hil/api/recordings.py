@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
-from hil.recording.channels import CHANNELS
+from hil.recording.channels import CHANNELS, units_of
 from hil.recording.reader import Event, Recording
 
 if TYPE_CHECKING:
@@ -91,12 +91,10 @@ def load(path: str | os.PathLike[str]) -> LoadedRecording:
     Raises WrongUse for a file that is no recording, Untrustworthy for a damaged one.
     """
     with Recording(Path(path)) as recording:
-        position = recording.profile.get("mode") == "position"
-        units = {name: channel.unit for name, channel in CHANNELS.items()}
         return LoadedRecording(
             path=recording.path,
             channels=MappingProxyType({name: recording.channel(name) for name in CHANNELS}),
-            units=MappingProxyType(units | {"command": "rad" if position else "N*m"}),
+            units=MappingProxyType(units_of(recording.profile.get("mode", "torque"))),
             descriptions=MappingProxyType({name: channel.description for name, channel in CHANNELS.items()}),
             profile=MappingProxyType(recording.profile),
             attributes=MappingProxyType(recording.attributes),

@@ -98,13 +98,16 @@ def import_data(
     dtheta_dot: Annotated[str | None, typer.Option(help="Column of its rate [default: from the deflection].")] = None,
     motor_torque: Annotated[str | None, typer.Option(help="Column of the motor's torque (with --stand).")] = None,
     motor_position: Annotated[str | None, typer.Option(help="Column of the motor's position (with --stand).")] = None,
+    command: Annotated[str | None, typer.Option(help="Column of the set-point; Kc and Bc are surer with it.")] = None,
     time_unit: Annotated[str | None, typer.Option(help="s, ms, us, ns [default: the heading's].")] = None,
     torque_unit: Annotated[str | None, typer.Option(help="N*m, mN*m, kgf*cm, ...; of either torque.")] = None,
     dtheta_unit: Annotated[str | None, typer.Option(help="rad, deg, rev; of deflection or motor position.")] = None,
     dtheta_dot_unit: Annotated[str | None, typer.Option(help="rad/s, deg/s, rev/s, rpm.")] = None,
+    command_unit: Annotated[str | None, typer.Option(help="N*m, rad, A, V, ...: what was commanded.")] = None,
     torque_scale: Annotated[float, typer.Option(help="Multiply the torque; -1 inverts its sign.")] = 1.0,
     dtheta_scale: Annotated[float, typer.Option(help="Multiply the deflection or the motor position.")] = 1.0,
     dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
+    command_scale: Annotated[float, typer.Option(help="Multiply the set-point.")] = 1.0,
     topic: Annotated[str | None, typer.Option(help="Of a ROS 2 bag or PlotJuggler's CSV: /joint_states.")] = None,
     joint: Annotated[str | None, typer.Option(help="The joint's name in the joint states.")] = None,
     where: Annotated[
@@ -127,7 +130,8 @@ def import_data(
         _columns("time", (time_unit, 1.0), time=time)
         | _columns("torque", (torque_unit, torque_scale), torque=torque, motor_torque=motor_torque)
         | _columns("dtheta", (dtheta_unit, dtheta_scale), dtheta=dtheta, motor_position=motor_position)
-        | _columns("dtheta-dot", (dtheta_dot_unit, dtheta_dot_scale), dtheta_dot=dtheta_dot),
+        | _columns("dtheta-dot", (dtheta_dot_unit, dtheta_dot_scale), dtheta_dot=dtheta_dot)
+        | _columns("command", (command_unit, command_scale), command=command),
         [RowFilter.parse(text) for text in where or ()],
         topic=topic,
         joint=joint,

@@ -15,6 +15,7 @@ from hil import units
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.exchange.columns import Table, open_table
+from hil.exchange.command import MODES, check_command, dimension_of_command, held
 from hil.exchange.headings import bracketed_text, heading, listed, unit_of
 from hil.exchange.row_filter import RowFilter
 from hil.recording.channels import CHANNELS
@@ -35,7 +36,7 @@ DIMENSION: Mapping[str, str] = MappingProxyType(
         "motor_position": "angle",
     }
 )
-"""The channels that a column can be named for, and the dimension of each."""
+"""The channels that a column can be named for, and the dimension of each; that of the command is its column's."""
 
 _COARSE = 0.01  # share of rows with the stamp of the row before, and other readings, from which the clock is coarse
 _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
@@ -83,8 +84,9 @@ def import_table(
     """Write the rows of a CSV, .csv.gz, Parquet or .mat file, or of a ROS 2 bag, that pass every filter as a recording.
 
     columns: channel (see DIMENSION) to its column: time, torque or motor_torque, and dtheta or motor_position; motor
-    channels are converted to the joint by the stand's gear. {}: the file is an export of hil, or a joint state, whose
-    effort is the torque and whose position the deflection. topic, joint: as in `open_table`. force: replace a
+    channels are converted to the joint by the stand's gear; command, with the set-point, may be left out. {}: the file
+    is an export of hil, or a joint state, whose effort is the torque and whose position the deflection. topic, joint:
+    as in `open_table`. force: replace a
     recording of that name. Raises WrongUse, with the row at fault, for a column whose unit nobody states, and for
     readings that the stand's limits rule out.
     """
@@ -93,25 +95,32 @@ def import_table(
     if columns:
         _check_channels(columns, stand)
     names = {channel: column.name for channel, column in columns.items()} or _own(table)
+    titles = {channel: table.titles[table.place(column.name)] for channel, column in columns.items()}
+    dimensions = _dimensions(titles, columns)
     understood = {
-        channel: _unit(channel, table.titles[table.place(column.name)], column) for channel, column in columns.items()
+        channel: _unit(channel, dimensions[channel], titles[channel], column) for channel, column in columns.items()
     }
     numbers, rows = table.read(list(names.values()), where)
+    if "command" in columns:
+        numbers[list(names).index("command")] = held(numbers[list(names).index("command")])
     if table.joins_topics:
-        numbers, rows = _with_readings(source, numbers, rows)
+        numbers, rows = _with_readings(source, list(names), numbers, rows)
     numbers, rows, repeated = _once(list(names).index("time"), numbers, rows)
     channels = dict(zip(names, numbers, strict=True))
     _check_readings(source, channels, columns)
     used = _all_stated(source, channels, columns, understood)
     for channel, unit in used.items():
-        channels[channel] = channels[channel] * (columns[channel].scale * units.factor(DIMENSION[channel], unit))
+        channels[channel] = channels[channel] * (columns[channel].scale * units.factor(dimensions[channel], unit))
     _check_time(source, channels["time"], rows)
     if columns:
         _complete(source, channels, stand)
+    if "command" in columns:
+        check_command(source, columns["command"].name, channels)
     swings = _swings(channels, used)
     diagnostics = _plausible(source, swings, stand)
+    mode = {"mode": MODES[dimensions["command"]]} if "command" in columns else {}
     header = Header(
-        profile={"kind": "imported", "source": source.name, "where": " and ".join(str(item) for item in where)},
+        profile={"kind": "imported", "source": source.name, "where": " and ".join(str(item) for item in where)} | mode,
         stand_toml="" if stand is None else stand.text,
         command_line=command_line,
     )
@@ -198,9 +207,11 @@ def _with_joint_state(table: Table, columns: Mapping[str, Column]) -> Mapping[st
     return {**added, **columns}
 
 
-def _with_readings(source: Path, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+def _with_readings(
+    source: Path, names: Sequence[str], numbers: Array, rows: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.int64]]:
     """Leave out the rows that were not read at this time. Raises WrongUse where none has both torque and deflection."""
-    read = np.isfinite(numbers[1:])
+    read = np.isfinite(numbers[[at for at, name in enumerate(names) if name not in {"time", "command"}]])
     if not read.all(axis=0).any():
         raise WrongUse(f"{source}: no row has both torque and deflection: export them from one topic, or resample them")
     return numbers[:, read.any(axis=0)], rows[read.any(axis=0)]
@@ -234,12 +245,18 @@ def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
             raise WrongUse(f"{channel} cannot be scaled by {column.scale:g}: give a number that is not zero")
 
 
-def _unit(channel: str, title: str, column: Column) -> str | None:
+def _dimensions(titles: Mapping[str, str], columns: Mapping[str, Column]) -> Mapping[str, str]:
+    """Return the dimension of each channel. Raises WrongUse for a command of which nobody states it."""
+    if "command" not in columns:
+        return DIMENSION
+    return {**DIMENSION, "command": dimension_of_command(titles["command"], columns["command"].unit)}
+
+
+def _unit(channel: str, dimension: str, title: str, column: Column) -> str | None:
     """Return a column's unit: the one given, else the heading's; None where there is neither.
 
     Raises WrongUse where the two differ, and for an unknown unit.
     """
-    dimension = DIMENSION[channel]
     named = unit_of(title, dimension)
     if column.unit is None:
         if named is None and (text := bracketed_text(title)):

@@ -25,7 +25,12 @@ class Row(NamedTuple):
     seq: Annotated[int, Channel("1", "row number since the start")]
     time: Annotated[float, Channel("s", "when the set-point was sent, from the start")] = math.nan
     command: Annotated[
-        float, Channel("N*m or rad", "set-point at the joint: torque or position, as the profile's mode says")
+        float,
+        Channel(
+            "N*m or rad",
+            "set-point at the joint: torque or position, as the profile's mode says; of an import also current, A, or "
+            "voltage, V",
+        ),
     ] = math.nan
     torque: Annotated[
         float,
@@ -57,6 +62,7 @@ row_of: Callable[[tuple[float, ...]], Row] = partial(tuple.__new__, Row)
 _FIELDS = {name: get_args(hint) for name, hint in get_type_hints(Row, include_extras=True).items()}
 
 CHANNELS: Mapping[str, Channel] = MappingProxyType({name: channel for name, (_, channel) in _FIELDS.items()})
+_COMMANDED = {"torque": "N*m", "position": "rad", "current": "A", "voltage": "V"}
 ROW = np.dtype([(name, "<u8" if kind is int else "<f8") for name, (kind, _) in _FIELDS.items()])
 LATER = frozenset({"joint_time"})
 """Channels that the first recordings do not have; they read as NaN."""
@@ -66,3 +72,9 @@ END_MARK = 2**64 - 1
 Rows = NDArray[np.void]
 LARGEST = 1e12
 """A number beyond it, in SI, is no reading of any channel; its square would soon leave the range of numbers."""
+
+
+def units_of(mode: str) -> dict[str, str]:
+    """Return the unit of each channel in a recording whose profile has this mode, by which its command has one unit."""
+    units = {name: channel.unit for name, channel in CHANNELS.items()}
+    return units | {"command": _COMMANDED.get(mode, units["command"])}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.channels import CHANNELS
+from hil.recording.channels import units_of
 from hil.recording.reader import Recording
 from hil.report.html_page import Page, Picture, Section, table_rows, write
 from hil.report.identification import (
@@ -83,7 +83,7 @@ def _seen(at: int, path: Path) -> list[Picture]:
         if not 1 < len(recording) <= _MOST:
             return []
         channels = {name: recording.channel(name) for name in ("time", "command", "torque", "dtheta")}
-        units = {name: CHANNELS[name].unit for name in channels}
+        units = units_of(recording.profile.get("mode", "torque"))
         text = f"Command, torque and deflection of {path} over {len(recording)} samples, and torque over deflection."
         return [Picture(f"recording{at}", "The recording", text, lambda: recording_figure(channels, units))]
     return []

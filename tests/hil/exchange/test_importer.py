@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.api.recordings import load
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table
 from hil.exchange.row_filter import RowFilter
@@ -490,3 +491,48 @@ def test_parquet_without_its_library_says_what_to_install(tmp_path: Path, monkey
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(WrongUse, match="needs pyarrow: pip install 'hil\\[parquet\\]', or use CSV"):
         import_table(tmp_path / "a.parquet", tmp_path / "a.h5", PLAIN, [])
+
+
+DRIVEN = "TIME,POS,TAU,u\n" + "".join(f"{i / 10},{math.sin(i)},{math.cos(i)},{i % 3}\n" for i in range(10))
+
+
+@pytest.mark.parametrize(
+    ("heading", "unit", "si", "factor"),
+    [
+        ("u [mN*m]", None, "N*m", 1e-3),
+        ("u_deg", None, "rad", math.pi / 180.0),
+        ("u", "mA", "A", 1e-3),
+        ("u (V)", "V", "V", 1.0),
+    ],
+)
+def test_a_command_is_of_the_dimension_that_its_unit_says(
+    tmp_path: Path, heading: str, unit: str | None, si: str, factor: float
+) -> None:
+    command = Column("u", unit, -2.0)
+    with imported(tmp_path, DRIVEN.replace(",u\n", f",{heading}\n"), command=command) as recording:
+        np.testing.assert_allclose(recording.channel("command"), -2.0 * factor * (np.arange(10) % 3))
+    assert load(tmp_path / "a.h5").units["command"] == si
+
+
+def test_a_set_point_holds_until_the_next(tmp_path: Path) -> None:
+    text = "TIME,POS,TAU,u\n0,1,1,\n1,2,3,5\n2,3,1,\n3,1,2,7\n4,2,2,\n"
+    with imported(tmp_path, text, command=Column("u", "A")) as recording:
+        np.testing.assert_array_equal(recording.channel("command"), [math.nan, 5.0, 5.0, 7.0, 7.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "said"),
+    [
+        (DRIVEN, Column("u"), "'u' does not say whether the command is a torque, an angle, a current or a voltage"),
+        (DRIVEN, Column("u", "kg"), "--command-unit kg: a command is a torque, an angle, a current or a voltage"),
+        (DRIVEN.replace(",u\n", ",u [deg]\n"), Column("u", "V"), "'u [deg]' is an angle by its heading"),
+        (re.sub(r",[012]\n", ",4\n", DRIVEN), Column("u", "A"), "'u' is 4 in every row: leave --command out"),
+        (re.sub(r",[012]\n", ",nan\n", DRIVEN), Column("u", "A"), "'u' holds no number"),
+        (re.sub(r",[012]\n", ",inf\n", DRIVEN), Column("u", "A"), "'u' holds no number"),
+        (DRIVEN, Column("POS", "A", -3.0), "'POS' is the dtheta that was read, whose errors it shares"),
+        (DRIVEN, Column("TAU", "V"), "'TAU' is the torque that was read, whose errors it shares"),
+    ],
+)
+def test_a_command_that_is_none_is_refused_with_a_reason(tmp_path: Path, text: str, column: Column, said: str) -> None:
+    with pytest.raises(WrongUse, match=re.escape(said)):
+        imported(tmp_path, text, command=column)

@@ -11,10 +11,11 @@ import pytest
 from scipy.special import erf
 
 from ga.model.coupling import parse
+from hil.exchange.importer import Column, import_table
 from hil.identification.identify import Search, identify
 from hil.identification.model_choice import choose
 from hil.identification.result import Identification
-from hil.recording.reader import Array
+from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
 from hil.report.deflection import deflection_json, deflection_lines
 
@@ -193,3 +194,34 @@ def test_a_far_zero_of_a_noisy_encoder_changes_nothing(tmp_path: Path) -> None:
     near, far = (recorded(tmp_path / "a.h5", noise=5e-3, zero=zero) for zero in (0.0, 4.0))
     assert near["Kc"].value == pytest.approx(far["Kc"].value, rel=1e-6)
     assert near["Bc"].value == pytest.approx(far["Bc"].value, rel=1e-5)
+
+
+def as_table(recording: Path, columns: dict[str, str], command: Array | None = None) -> Identification:
+    """A recording through a table of which some columns are named, with their unit, and back."""
+    with Recording(recording) as read:
+        channels = {name: read.channel(name) for name in ("time", "torque", "dtheta", "command")}
+    rows = np.column_stack(list((channels | ({} if command is None else {"command": command})).values()))
+    table, again = recording.with_suffix(".csv"), recording.with_name("b.h5")
+    np.savetxt(table, rows, fmt="%.17g", delimiter=",", header=",".join(channels), comments="")
+    import_table(table, again, {name: Column(name, unit) for name, unit in columns.items()}, [], force=True)
+    return identify([again], parse("linear+offset"), SEARCH)
+
+
+def test_the_command_of_a_table_serves_as_a_recorded_one_does(tmp_path: Path) -> None:
+    path, read = tmp_path / "a.h5", {"time": "s", "torque": "N*m", "dtheta": "rad"}
+    direct, without = recorded(path, noise=5e-3, seed=2), as_table(path, read)
+    given = as_table(path, read | {"command": "A"})  # only its shape counts
+    methods = [one.deflection.method for one in (given, without) if one.deflection is not None]
+    assert methods == ["instruments", "simulation"]
+    for name in ("Kc", "Bc"):
+        assert given[name].value == pytest.approx(direct[name].value, rel=1e-9)
+        assert given[name].ci95 == pytest.approx(direct[name].ci95, rel=1e-9)
+        assert np.ptp(without[name].ci95) > np.ptp(given[name].ci95)
+
+
+def test_a_column_that_drove_nothing_is_noticed_as_no_command(tmp_path: Path) -> None:
+    path, wandering = tmp_path / "a.h5", np.random.default_rng(3).standard_normal(len(TIME)).cumsum()
+    recorded(path, noise=5e-3, seed=2)
+    found = as_table(path, {"time": "s", "torque": "N*m", "dtheta": "rad", "command": "V"}, wandering)
+    assert any(one.code == "weak-command" for one in found.diagnostics)
+    assert holds(found)
