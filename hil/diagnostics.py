@@ -35,9 +35,9 @@ def driven_by_position(*, is_error: bool) -> Diagnostic:
     """
     return Diagnostic(
         "motor-side",
-        "the torque is the motor's and its drive held positions: between two ticks the drive's own loop moves the "
-        "torque, which the readings do not show, and Bc is not the joint's, while Kc is nearly right "
-        "(docs/position_loop.md); record with --mode torque --profile chirp, or with a torque cell at the joint",
+        "the torque is the motor's, and its drive held positions. Between two ticks the drive's own loop changes the "
+        "torque, and the readings do not show it. Kc is nearly right, but Bc is not that of the joint "
+        "(docs/position_loop.md). Record with --mode torque --profile chirp, or with a torque cell at the joint",
         "Bc",
         is_error=is_error,
     )
@@ -54,8 +54,8 @@ def lateness(late: int, samples: int) -> list[Diagnostic]:
     return [
         Diagnostic(
             "many-late",
-            f"{share:.1%} of the ticks came more than half a period late, so the motor was not driven as the profile "
-            "says: lower --rate, or free the computer of other work",
+            f"{share:.1%} of the ticks came more than half a period late, so the motor did not follow the profile. "
+            "Lower --rate, or close other programs",
             is_error=share > _MOSTLY_LATE,
         )
     ]

@@ -126,8 +126,8 @@ def _check_names(model: Coupling) -> None:
     names = [parameter.name for parameter in (*model.linear, *model.nonlinear)]
     if not set(COMPARED) <= set(names):
         raise WrongUse(
-            f"{' and '.join(COMPARED)} are compared, and model {model.name!r} has {', '.join(names)}: name them so "
-            "in the model"
+            f"{' and '.join(COMPARED)} are compared, but model {model.name!r} has {', '.join(names)}: give its "
+            "parameters these names"
         )
 
 
@@ -153,8 +153,8 @@ def _common_scale(measured: Sequence[Measured]) -> list[Diagnostic]:
     return [
         Diagnostic(
             "scale-in-common",
-            f"the torque's scale is uncertain by {common:.2g} of itself, in all recordings alike: the intervals "
-            "include it, the standard deviations within and between the recordings do not",
+            f"the torque's scale is uncertain by {common:.2%}, the same in all recordings. The intervals include it; "
+            "the standard deviations within and between the recordings do not",
         )
     ]
 
@@ -189,7 +189,7 @@ def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
     unit = next((one.estimates[name].unit for one in measured if name in one.estimates), "")
     if len(usable) < 2:
         verdict = (
-            f"{name} cannot be compared: {len(usable)} of {len(measured)} recordings identify it, and it takes two."
+            f"{name} cannot be compared: {len(usable)} of {len(measured)} recordings identify it, and two are needed."
         )
         return Repeated(name, unit, paths, None, None, None, verdict)
     pooled = between(values, errors)
@@ -215,21 +215,21 @@ def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:
     low, high = (end * scale for end in pooled.between_ci95)
     if pooled.p_alike < _CHANCE:
         verdict = (
-            f"{name} does not repeat: it differs from recording to recording by {apart:.2g} % (standard deviation; "
-            f"95 %: {low:.2g} to {high:.2g} %), and one recording's own error is {within:.2g} %. Quote the pooled "
-            "interval, never one recording's"
+            f"{name} does not repeat: the recordings differ by {apart:.2g} % (standard deviation; 95 %: {low:.2g} to "
+            f"{high:.2g} %), and the error of one recording is {within:.2g} %. Use the pooled interval, not that of "
+            "one recording"
         )
     elif high < 0.1 * within:
-        verdict = f"{name} repeats, more closely than the recordings' own errors of {within:.2g} % let expect"
+        verdict = f"{name} repeats: the recordings differ by less than their own errors of {within:.2g} % predict"
     elif high > 2.0 * within:
         verdict = (
-            f"{name} agrees within the recordings' own errors of {within:.2g} %, but {count} of them cannot rule out "
-            f"that it differs by up to {high:.2g} %: record more"
+            f"{name} agrees within the error of one recording, {within:.2g} %, but {count} recordings are too few: "
+            f"they may still differ by up to {high:.2g} %. Record more"
         )
     else:
         verdict = (
-            f"{name} repeats: the recordings differ by at most {high:.2g} % (standard deviation), and one recording's "
-            f"own error is {within:.2g} %"
+            f"{name} repeats: the recordings differ by at most {high:.2g} % (standard deviation), and the error of one "
+            f"recording is {within:.2g} %"
         )
     if slope is not None and slope.p < _CHANCE:
         verdict += f". It drifts by {slope.slope * scale:+.2g} % an hour (p = {slope.p:.2g})"

@@ -112,8 +112,8 @@ def _other_zero(reference: float) -> list[Diagnostic]:
     if reference == 0.0:
         return []
     text = (
-        f"the encoder's zero is {abs(reference):.3g} rad away from where the joint seems unloaded: deflections count "
-        f"from {reference:.4g} rad, where the torque at rest is taken; set the zero with the joint unloaded"
+        f"the joint seems to be unloaded at {reference:.4g} rad and not at the encoder's zero. Deflections count from "
+        "there, so Kc and Bc are not affected. Set the encoder's zero with the joint unloaded"
     )
     return [Diagnostic("encoder-zero", text)]
 
@@ -168,7 +168,7 @@ def _slow(left_out: int, samples: int) -> list[Diagnostic]:
     if not left_out:
         return []
     text = (
-        f"{left_out} of {samples} samples, so slow that friction may hold the joint, are left out: no Kc or Bc can be "
-        "estimated from them; drive faster"
+        f"{left_out} of {samples} samples are left out: the joint is so slow there that friction may hold it. They "
+        "say nothing about Kc or Bc. Drive faster"
     )
     return [Diagnostic("slow-samples", text)]

@@ -65,8 +65,8 @@ def _check_names(model: Coupling | None) -> None:
     names = _CORRECTED if model is None else [parameter.name for parameter in (*model.linear, *model.nonlinear)]
     if model is not None and not set(_CORRECTED) <= set(names):
         raise WrongUse(
-            f"--fixture corrects Kc and Bc, and model {model.name!r} has {', '.join(names)}: name them so in the "
-            "model, or leave the option out"
+            f"--fixture corrects Kc and Bc, but model {model.name!r} has {', '.join(names)}: give its parameters "
+            "these names, or leave the option out"
         )
 
 
@@ -128,8 +128,8 @@ def _of_fixture(fixture: Identification) -> list[Diagnostic]:
 def _lost(estimate: Estimate) -> Diagnostic:
     return Diagnostic(
         "not-identifiable",
-        f"{estimate.name} of the joint cannot be separated from the fixture's: corrected, its 95 % interval is as wide "
-        "as the value; stiffen the fixture, or record both for longer and over a wider band",
+        f"{estimate.name} of the joint cannot be separated from that of the fixture: its interval after the "
+        "correction is too wide. Stiffen the fixture, or record both for longer and over a wider band",
         estimate.name,
         is_error=True,
     )

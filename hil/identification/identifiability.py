@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.terms import PARAMETERS
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.evidence import UNLOADED_PLACE, Evidence, sliding, span_of_stiffness
@@ -43,9 +44,9 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
         found.append(
             Diagnostic(
                 "unexplained",
-                f"model {evidence.model.name!r} leaves {evidence.holdout.nrmse:.0%} of the torque's spread in blocks "
-                "it was not fitted to: torque and deflection have little to do with each other; check units, signs and "
-                "that both are of the same joint",
+                f"model {evidence.model.name} leaves {evidence.holdout.nrmse:.0%} of the torque in data that it was "
+                "not fitted to. Torque and deflection hardly depend on each other, so Kc and Bc mean nothing. Check "
+                "units and signs, and that both readings are of the same joint",
                 is_error=True,
             )
         )
@@ -55,7 +56,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
         found.append(
             Diagnostic(
                 "not-converged",
-                f"the search ended {evidence.gap:.2g} above the exact optimum: give it more --generations",
+                f"the search ended {evidence.gap:.2%} above the exact optimum. Use more --generations",
                 is_error=True,
             )
         )
@@ -71,28 +72,32 @@ def other_stiffness(values: Mapping[str, float], *, spans: str = "") -> list[Dia
     if (before := sliding(values)) is not None:
         kc, (more, reach) = values["Kc"], before
         text = (
-            f"Kc depends on how far the joint moves: it is {kc:.3g} N m/rad once the friction slides, and "
-            f"{kc + more:.3g} N m/rad for motion of less than {reach:.2g} rad"
+            f"Kc depends on the amplitude: it is {kc:.3g} N m/rad in large motion, where the friction slides, and "
+            f"{kc + more:.3g} N m/rad in motion of less than {reach:.2g} rad. "
         )
         model = "boucwen" if "Fy" in values else "dahl"
-        remedy = f"its interval spans both; name --model linear+offset+{model} for the former"
-        use = "use the latter for such motion, and K'(f) of --verbose for other motion"
-        text += f": {remedy if spans == 'amplitude' else use}"
+        remedy = f"The interval of Kc spans both. For the Kc of large motion, name --model linear+offset+{model}"
+        use = "The Kc here is that of large motion. For motion between, use K'(f) of --verbose"
+        text += remedy if spans == "amplitude" else use
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "amplitude"))
     if "Ka" in values and (span := span_of_stiffness(values, sliding_only=True)) is not None:
         soft, stiff, _ = span
         text = (
-            f"Kc is {stiff:.3g} N m/rad on one side of {values['turn']:.3g} rad and {soft:.3g} N m/rad on the other: a "
-            "gap or a slack tendon of which the joint reached one end, or two springs"
+            f"Kc is {stiff:.3g} N m/rad on one side of {values['turn']:.3g} rad and {soft:.3g} N m/rad on the other. "
+            "The joint has two springs, or a gap or a slack tendon of which it reached only one end. "
         )
-        remedy = "its interval spans both; name --model linear+offset+slack or +deadband, or move over both ends"
-        text += f": {remedy if spans == 'direction' else 'the Kc here is their mean'}"
+        remedy = (
+            "The interval of Kc spans both. Move the joint beyond both ends of the gap, or name --model "
+            "linear+offset+slack or linear+offset+deadband"
+        )
+        text += remedy if spans == "direction" else "The Kc here is their mean"
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "direction"))
     if {"Kc", "K1", "tau1"} <= set(values):
         fast = values["Kc"] + values["K1"] + values.get("K2", 0.0)
         text = (
-            f"Kc is {values['Kc']:.3g} N m/rad once the coupling has relaxed, and {fast:.3g} N m/rad for motion much "
-            f"faster than tau1, {1e3 * values['tau1']:.3g} ms: use K'(f) and B'(f) of --verbose for motion between"
+            f"Kc depends on the speed: it is {values['Kc']:.3g} N m/rad in slow motion, and {fast:.3g} N m/rad in "
+            f"motion much faster than {1e3 * values['tau1']:.3g} ms (tau1). The Kc here is that of slow motion. For "
+            "motion between, use K'(f) and B'(f) of --verbose"
         )
         found.append(Diagnostic("two-stiffnesses", text, "Kc"))
     return found
@@ -104,10 +109,11 @@ def _unloaded(evidence: Evidence) -> list[Diagnostic]:
         return []
     least, most, _ = evidence.span
     text = (
-        f"the spring curves, and its Kc is that of the unloaded joint: {least:.3g} to {most:.3g} N m/rad over the "
-        "motion, because no two of the zeros of encoder and torque and the middle of the spring are at one place; set "
-        "the encoder's zero with the joint unloaded and record again, or name the model without offset if the torque's "
-        "zero was set so"
+        f"the spring curves: its stiffness is {least:.3g} to {most:.3g} N m/rad over the motion. Kc is the stiffness "
+        "of the unloaded joint, but the place where the joint is unloaded is not known: the encoder's zero, the "
+        "torque's zero and the middle of the spring are at three places. The interval of Kc spans the whole motion. "
+        "Set the encoder's zero with the joint unloaded and record again. If the torque's zero was set with the joint "
+        "unloaded, name the model without offset"
     )
     at = evidence.names.index("Kc")
     wide = not narrow(float(evidence.errors.half_width[at]), float(evidence.values[at]))
@@ -120,8 +126,9 @@ def _inertia(evidence: Evidence) -> list[Diagnostic]:
     if "J" in evidence.names and evidence.signals.torque_from != "motor":
         inertia = float(evidence.values[evidence.names.index("J")])
         text = (
-            f"the torque holds an inertia of {inertia:.2g} kg m^2 and is the motor's rather than the joint's; the "
-            "model includes it, which would lower Kc otherwise; import it with --motor-torque, and set motor_inertia"
+            f"the torque includes an inertia of {inertia:.2g} kg m^2, so it is likely the motor's torque and not the "
+            "joint's. The model has a term for the inertia, so Kc is not affected. Import the torque with "
+            "--motor-torque, and set motor_inertia in the stand file"
         )
         return [Diagnostic("inertia-in-torque", text, "Kc")]
     if "J" in evidence.names or evidence.signals.torque_from != "given":
@@ -131,8 +138,8 @@ def _inertia(evidence: Evidence) -> list[Diagnostic]:
     if float(np.var(left)) * INFLATION > float(np.var(motion.dtheta_ddot)):
         return []
     text = (
-        "the joint moved at one frequency, at which a stiffness and an inertia are alike: if the torque is the "
-        f"motor's, Kc is too low by its inertia times the frequency squared, in rad/s; {_SEVERAL_SPEEDS}"
+        "the joint moved at one frequency, where an inertia looks like less stiffness. If the torque is the motor's, "
+        f"Kc is too low by the motor's inertia times (2 pi f)^2. {_SEVERAL_SPEEDS}"
     )
     return [Diagnostic("one-frequency", text, "Kc")]
 
@@ -144,21 +151,18 @@ def _little_load(evidence: Evidence) -> list[Diagnostic]:
     friction = max((abs(values[name]) for name in _FRICTION if name in values), default=0.0)
     gap, causes, times = values.get("gap", 0.0), [], 1.0
     if friction > FRICTION * torque:
-        causes.append(f"friction takes {friction:.2g} of the {torque:.2g} N m of torque")
+        causes.append(f"friction takes {friction:.2g} N m of the {torque:.2g} N m of torque")
         times = friction / (LITTLE_FRICTION * torque)
     if 0.5 * gap > PLAY * angle:
         beyond = max(0.0, angle - 0.5 * gap)
-        causes.append(f"the joint leaves its play of {gap:.2g} rad for only {beyond:.2g} rad on each side")
+        causes.append(f"the joint has {gap:.2g} rad of play and moves only {beyond:.2g} rad beyond it on each side")
     if not causes:
         return []
     text = (
-        f"{' and '.join(causes)}, so that Kc follows from how these are modelled: drive with {_many(times)} the torque"
+        f"{', and '.join(causes)}. Kc then depends on the model of that effect. Drive with "
+        f"{f'at least {np.ceil(times):.0f}' if times > 2.0 else 'several'} times the torque"
     )
     return [Diagnostic("little-load", text, "Kc")]
-
-
-def _many(times: float) -> str:
-    return f"at least {np.ceil(times):.0f} times" if times > 2.0 else "several times"
 
 
 def _middle_of(values: Array) -> float:
@@ -177,15 +181,13 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
     ticks = abs(skew) / float(np.median(np.diff(evidence.signals.motion.time)))
     if ticks <= LONGEST_SKEW:
         return []
-    return [
-        Diagnostic(
-            "skew-implausible",
-            f"the skew of {1e3 * skew:.3g} ms is {ticks:.3g} ticks, and one recorder reads torque and angle less than "
-            "one apart: a filter of the torque cell, an inertia or a slow cell may be taken for it, and Bc is wrong "
-            "then; try --model linear+offset+lag, or compare the two sensors' filters",
-            "Bc",
-        )
-    ]
+    text = (
+        f"the torque reading seems {1e3 * abs(skew):.3g} ms {'older' if skew > 0.0 else 'newer'} than the angle "
+        f"reading, {ticks:.3g} ticks. One recorder reads both within one tick, so the cause may be a filter of the "
+        "torque cell, a slow cell or an inertia. Bc is wrong then. Try --model linear+offset+lag, or compare the "
+        "filters of the two sensors"
+    )
+    return [Diagnostic("skew-implausible", text, "Bc")]
 
 
 def _filtered(evidence: Evidence) -> Diagnostic:
@@ -198,12 +200,12 @@ def _filtered(evidence: Evidence) -> Diagnostic:
         for name in ("window", "skew")
     )
     step = float(np.median(np.diff(evidence.signals.motion.whole[0].time)))
-    known = f"; if you know that it is a mean: --model {evidence.model.name}" if evidence.selected else ""
+    known = f". If you know that it is a mean, name --model {evidence.model.name}" if evidence.selected else ""
     return Diagnostic(
         "filtered-torque",
-        f"the torque is {1e3 * late:.3g} ms late and a mean over {1e3 * window:.3g} ms, {window / step:.3g} ticks: a "
-        "filter stands before it, and if it is not a mean, Bc is wrong; switch it off, or pass the angle through the "
-        f"same filter{known}",
+        f"a filter acts on the torque: it is {1e3 * late:.3g} ms late and looks like a mean over {1e3 * window:.3g} ms "
+        f"({window / step:.3g} ticks). Bc is wrong if the filter is not a mean. Switch the filter off, or pass the "
+        f"angle through the same filter{known}",
         "Bc",
         is_error=evidence.selected,
     )
@@ -212,58 +214,42 @@ def _filtered(evidence: Evidence) -> Diagnostic:
 def _interruption(trials: Trials) -> list[Diagnostic]:
     if not trials.interrupted:
         return []
-    return [
-        Diagnostic(
-            "interrupted",
-            f"the search was cut short with {int(trials.finished.sum())} of {len(trials.finished)} trials at their "
-            "end: the best is the best so far, mean and deviation are over all of them as they stood",
-        )
-    ]
+    text = (
+        f"the search was stopped after {int(trials.finished.sum())} of {len(trials.finished)} trials. The best trial "
+        "is the best so far; the mean and the deviation include the trials that had not ended"
+    )
+    return [Diagnostic("interrupted", text)]
 
 
 def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
     found, is_error = [], name in COUPLING
     end = evidence.at_bound(at)
     if end is not None:
-        found.append(
-            Diagnostic(
-                "at-bound",
-                f"{name} lies at or beyond the {end} end of its bounds, where the search cannot go; "
-                f"widen them with --bounds {name}=LOW:HIGH",
-                name,
-                is_error=is_error,
-            )
-        )
+        text = f"{name} is at the {end} end of its bounds, and its true value may lie beyond. Widen the bounds: "
+        found.append(Diagnostic("at-bound", f"{text}--bounds {name}=LOW:HIGH", name, is_error=is_error))
     if not evidence.identifiable(at):
         found.append(Diagnostic("not-identifiable", _why_not(evidence, at), name, is_error=is_error))
     elif evidence.parameters[at].positive and evidence.values[at] < 0.0:
-        found.append(
-            Diagnostic(
-                "implausible",
-                f"{name} is {evidence.values[at]:.3g} {evidence.parameters[at].unit}, and it cannot be negative: "
-                f"{_IMPLAUSIBLE.get(name, 'Bc takes up what it is wrong by; leave its term out, or try --model auto')}",
-                name if is_error else "Bc",
-                is_error=True,
-            )
+        text = (
+            f"{name} is {evidence.values[at]:.3g} {evidence.parameters[at].unit}, but it cannot be negative. "
+            f"{_IMPLAUSIBLE.get(name, 'Bc is wrong by the same torque. Leave the term out, or try --model auto')}"
         )
+        found.append(Diagnostic("implausible", text, name if is_error else "Bc", is_error=True))
     elif name == "Bc" and evidence.friction_likeness > ONE_SPEED:
-        found.append(
-            Diagnostic(
-                "one-speed",
-                f"Bc would hold most of any dry friction, which the model has no term for and which looks like damping "
-                f"at one speed: {_SEVERAL_SPEEDS}, and try --model auto",
-                name,
-            )
+        text = (
+            "the joint moved at one speed, where dry friction looks like damping. The model has no term for friction, "
+            f"so Bc includes most of any friction. {_SEVERAL_SPEEDS}, and try --model auto"
         )
+        found.append(Diagnostic("one-speed", text, name))
     return found
 
 
 _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
 _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
-_SEVERAL_SPEEDS = "drive at several speeds (--profile chirp or multisine over two octaves)"
+_SEVERAL_SPEEDS = "Drive at several speeds (--profile chirp or multisine over two octaves)"
 _IMPLAUSIBLE = {
-    "Kc": "a sign is wrong; check that a positive torque makes a positive deflection",
-    "Bc": "the torque is read later or earlier than the angle, or friction is taken for it; try --model auto",
+    "Kc": "A sign is wrong: check that a positive torque makes a positive deflection",
+    "Bc": "The torque is read later or earlier than the angle, or the joint has friction. Try --model auto",
 }
 
 
@@ -274,10 +260,10 @@ def _why_not(evidence: Evidence, at: int) -> str:
     if not evidence.columns[:, at].any():
         return f"{name} is not identifiable: nothing in this recording excites it"
     if name == "Bc" and evidence.friction_likeness >= LIKE_FRICTION:
-        return f"Bc cannot be distinguished from dry friction at the one speed driven; {_SEVERAL_SPEEDS}"
+        return f"Bc cannot be distinguished from dry friction: the joint moved at one speed. {_SEVERAL_SPEEDS}"
     if distinguishable(float(evidence.errors.half_width[at]), float(evidence.errors.inflation[at])):
         if evidence.parameters[at].presence:
-            return f"{name} cannot be distinguished from zero: its 95 % interval holds zero; leave its term out"
+            return f"{name} may be zero: its 95 % interval includes zero. Leave its term out of --model"
         return _too_wide(evidence, at)
     return _alike(evidence, at)
 
@@ -288,36 +274,38 @@ def _alike(evidence: Evidence, at: int) -> str:
     constant = float(evidence.values[evidence.names.index("tau1")]) if "tau1" in evidence.names else 0.0
     if name in {"Kc", "K1"} and constant > 1.0 / (2.0 * np.pi * low):
         return (
-            f"{name} cannot be distinguished from the rest of the stiffness: a part of the coupling relaxes in about "
-            f"{constant:.2g} s (tau1), and the joint moved at {low:.2g} Hz and faster; hold a load for at least "
-            f"{5.0 * constant:.2g} s (--profile steps at a low --band), and use K'(f) of --verbose for motion as here"
+            f"{name} is not identifiable: a part of the stiffness relaxes in about {constant:.2g} s (tau1), but the "
+            f"slowest motion was at {low:.2g} Hz. Hold a load for at least {5.0 * constant:.2g} s (--profile steps at "
+            "a low --band). In the band of this recording, use K'(f) of --verbose"
         )
     norms = np.linalg.norm(columns, axis=0)
     alike = np.abs(columns.T @ columns[:, at]) / np.where(norms > 0.0, norms, 1.0) / norms[at]
     alike[at] = 0.0
     other = evidence.names[int(np.argmax(alike))]
+    pair = " from ".join(f"{one} ({PARAMETERS[one].meaning})" if one in PARAMETERS else one for one in (name, other))
+    extra = [one for one in (name, other) if one not in COUPLING]
     return (
-        f"{name} cannot be distinguished from {other} in this recording, {low:.3g} to {high:.3g} Hz; drive at several "
-        "speeds (--profile chirp or multisine) and over a wider band"
+        f"the band of this recording, {low:.3g} to {high:.3g} Hz, does not distinguish {pair}. Drive at several speeds "
+        "over a wider band (--profile chirp or multisine)" + (f", or leave out the term of {extra[0]}" if extra else "")
     )
 
 
 def _too_wide(evidence: Evidence, at: int) -> str:
     """Return why the parameter's interval is as wide as its value, and what would narrow it."""
-    name, scatter = evidence.names[at], evidence.scattered[at]
+    name, unit, scatter = evidence.names[at], evidence.parameters[at].unit, evidence.scattered[at]
     if scatter is not None and scatter.between > BETWEEN * scatter.within:
         return (
-            f"{name} is not identifiable: the recordings differ by {scatter.between:.2g} (standard deviation), their "
-            f"own errors are {scatter.within:.2g}; see which with hil compare, and pool only those of one joint in the "
-            "same units"
+            f"{name} is not identifiable: it differs between the recordings by {scatter.between:.2g} {unit} (standard "
+            f"deviation), and the error of one recording is only {scatter.within:.2g} {unit}. Find the recording that "
+            "differs with hil compare, and pool only recordings of one joint in the same units"
         )
     if evidence.selected and evidence.exact[1][at] < 0.5 * abs(evidence.exact[0][at]):
         return _by_the_choice(evidence, at)
-    wide = "its 95 % interval is as wide as its value"
+    wide = f"it is {evidence.values[at]:.3g} ± {evidence.errors.half_width[at]:.2g} {unit} (95 %)"
     if name == "Bc" and evidence.has_friction:
-        return f"Bc cannot be distinguished from Coulomb friction (Fc): {wide}; {_corner(evidence)}{_SEVERAL_SPEEDS}"
+        return f"Bc cannot be distinguished from friction: {wide}. {_corner(evidence)}{_SEVERAL_SPEEDS}"
     corner = _corner(evidence) if name == "Bc" else ""
-    return f"{name} is not identifiable: {wide}; {corner}excite it more (--band, --amplitude)"
+    return f"{name} is not identifiable: {wide}. {corner}Excite it more (--band, --amplitude)"
 
 
 def _by_the_choice(evidence: Evidence, at: int) -> str:
@@ -325,14 +313,15 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
     name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = (float(of[at]) for of in evidence.exact)
     if {"skew", "lag", "window"} & set(evidence.names):
-        cause = "a torque that is read late looks like a viscoelastic coupling that relaxes fast"
-        known = "if you know that the torque cell or its filter is that late"
+        cause = "A late torque reading looks like a viscoelastic coupling that relaxes fast. Drive faster (--band)"
+        known = "the torque cell or its filter is that late"
     else:
-        cause = "in slow motion a torque cell that lags looks like less damping; drive faster (--band)"
-        known = "or, if you know that nothing delays the torque"
+        cause = "In slow motion, a torque cell that lags looks like less damping. Drive faster (--band)"
+        known = "nothing delays the torque"
     return (
-        f"{name} is {value:.3g} +- {half:.2g} {unit} by the model {evidence.model.name}, but others fit as well with "
-        f"another {name}: {cause}; {known}, name the model: --model {evidence.model.name}"
+        f"{name} depends on the model: model {evidence.model.name} gives {value:.3g} ± {half:.2g} {unit}, and other "
+        f"models that fit equally well give other values. {cause}. If you know that {known}, name --model "
+        f"{evidence.model.name}"
     )
 
 
@@ -347,4 +336,4 @@ def _corner(evidence: Evidence) -> str:
     corner = stiffness / (2.0 * np.pi * damping)
     if high >= corner:
         return ""
-    return f"the joint moved at up to {high:.3g} Hz, and damping shows only towards {corner:.3g} Hz: "
+    return f"Damping shows near {corner:.3g} Hz and above, but the joint moved at up to {high:.3g} Hz only. "

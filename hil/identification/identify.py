@@ -279,7 +279,7 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Sol
     model, motion = data.choice.model, data.signals.motion
     if search.checkpoint is not None:
         names = ", ".join(_names(model.nonlinear))
-        raise WrongUse(f"--checkpoint: the search for {names} takes seconds and is not kept: leave the option out")
+        raise WrongUse(f"--checkpoint: the search for {names} takes seconds and is not saved: leave the option out")
     unbounded, p = np.full(len(model.linear), np.nan), len(model.linear)
     low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
     low, high = narrowed(low, high, search.bounds, _names((*model.linear, *model.nonlinear)), model.name)

@@ -157,35 +157,37 @@ def misfit_diagnostics(
     longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
     seen = seen_in_torque(signals, longest)
     parts = [_respects(model, found), _consequence(found), "" if seen else _remedy(found), _frequencies(dynamic)]
-    message = "; ".join(part for part in parts if part)
+    message = ". ".join(part for part in parts if part)
     misfit = Diagnostic("misfit", message, found.affected, is_error=found.is_grave)
     return [Diagnostic("torque-reading", seen, found.affected, is_error=found.is_grave), misfit] if seen else [misfit]
 
 
 def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
     """Return the warning that the recording is too short for the tests, or that they can decide nothing by it."""
-    seen = f", and {found.share:.0%} of the residuals of {model} can be predicted" if found else ""
+    seen = f", but the motion predicts {found.share:.0%} of its residuals" if found else ""
     return Diagnostic(
         "misfit-untested",
-        f"the recording is too short to test whether the model describes it{seen}, so effects that are left out would "
-        "be in Kc and Bc unseen: record for longer",
+        f"the recording is too short to test model {model}{seen}. Kc and Bc may include effects that the model leaves "
+        "out. Record for longer",
     )
 
 
 def _respects(model: str, found: LackOfFit) -> str:
     compared = [one for one in found.failed if one.Kc is not None]
-    differing = [f"{one.name} ({_percent(one.Kc)} and {_percent(one.Bc)})" for one in compared]
+    differing = [f"{one.name} (Kc by {_percent(one.Kc)}, Bc by {_percent(one.Bc)})" for one in compared]
     plain = [one.name for one in found.failed if one.Kc is None and one.code != "any"]
     respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
-    said = ", ".join(respects[:_RESPECTS]) or "its residuals follow from the motion"
-    return f"{model} does not describe this recording: {said}; {found.share:.0%} of the residuals can be predicted"
+    said = "".join(f"{one}; " for one in respects[:_RESPECTS])
+    return (
+        f"model {model} does not describe this recording: {said}the motion predicts {found.share:.0%} of the residuals"
+    )
 
 
 def _consequence(found: LackOfFit) -> str:
     if found.explains_too_little:
-        return f"{found.unexplained:.0%} of the torque follows from the motion, not from it: its Kc and Bc mean nothing"
+        return f"It leaves out {found.unexplained:.0%} of the torque, so Kc and Bc mean nothing"
     return f"Kc may be wrong by {_percent(found.Kc)} and Bc by {_percent(found.Bc)}" + (
-        ", which their intervals include" if found.outside else ""
+        "; their intervals include this" if found.outside else ""
     )
 
 
@@ -197,9 +199,9 @@ def _percent(size: float | None) -> str:
 def _remedy(found: LackOfFit) -> str:
     """What the residuals look like, with the model or experiment to try."""
     if not found.suspects:
-        return "no known effect explains it: look at the residuals with --report, and at K'(f) with --verbose"
+        return "No known effect explains the residuals. Look at them with --report, and at K'(f) with --verbose"
     looks = [f"{one.effect.name} (with it Kc {one.Kc:+.1%}, Bc {one.Bc:+.0%})" for one in found.suspects]
-    return f"it looks like {' or '.join(looks)}: {found.suspects[0].effect.advice}"
+    return f"The residuals look like {' or '.join(looks)}: {found.suspects[0].effect.advice}"
 
 
 def _frequencies(dynamic: DynamicStiffness | None) -> str:
@@ -212,4 +214,4 @@ def _frequencies(dynamic: DynamicStiffness | None) -> str:
     if len(bands.frequency) < 2 or abs(high - low) < max(error, _CHANGES * abs(low)):
         return ""
     first, last = float(bands.frequency[0]), float(bands.frequency[-1])
-    return f"without a model Kc is {low:.3g} N m/rad at {first:.3g} Hz and {high:.3g} at {last:.3g} Hz"
+    return f"Without a model, Kc is {low:.3g} N m/rad at {first:.3g} Hz and {high:.3g} N m/rad at {last:.3g} Hz"

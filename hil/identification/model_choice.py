@@ -64,8 +64,8 @@ def choose(model: Coupling | None, signals: Signals, *, linear_only: bool) -> Ch
     """
     if model is not None and linear_only and model.nonlinear:
         raise WrongUse(
-            f"model {model.name!r} has {', '.join(p.name for p in model.nonlinear)}, which the preset paper does not "
-            "search for, nor anything in recordings that do not fit in memory: leave the term out of --model"
+            f"model {model.name!r} has nonlinear parameters ({', '.join(p.name for p in model.nonlinear)}). --preset "
+            "paper does not search for them, and they need recordings that fit in memory. Leave the term out of --model"
         )
     try:
         return _named(model, signals) if model is not None else _selected(signals, linear_only=linear_only)

@@ -9,7 +9,7 @@ from hil.report.formatting import engineering, json_number
 if TYPE_CHECKING:
     from hil.identification.result import Deflection
 
-_METHODS = {"instruments": "by instruments, from the command", "simulation": "corrected by a simulation of the noise"}
+_METHODS = {"instruments": "the command as an instrument", "simulation": "a simulation of the noise"}
 
 
 def deflection_json(deflection: Deflection) -> dict[str, Any]:
@@ -29,10 +29,10 @@ def deflection_lines(one: Deflection | None) -> list[str]:
     """Return a line on the noise of the deflection and what was done about it; none where it does nothing."""
     if one is None:
         return []
-    noise = f"noise of {engineering(one.noise, 'rad', 2)} in the deflection"
-    passed = "" if one.low_pass is None else f", which went through a low-pass of {one.low_pass:.3g} Hz"
+    passed = "" if one.low_pass is None else f", before a low-pass of {one.low_pass:.3g} Hz"
+    noise = f"the deflection has noise of {engineering(one.noise, 'rad', 2)}{passed}"
     if one.method == "none":
         left = ", ".join(f"{name} {100.0 * size:+.1g} %" for name, size in one.predicted.items())
-        return [f"{noise}{passed}: what is left of it does not matter ({left})"]
+        return [f"{noise}; the rest does not matter ({left})"]
     before = ", ".join(f"{name} {100.0 * size:+.2g} %" for name, size in one.before.items())
-    return [f"{noise}{passed}: Kc and Bc {_METHODS[one.method]} (before: {before})"]
+    return [f"{noise}; Kc and Bc are corrected with {_METHODS[one.method]} (before: {before})"]

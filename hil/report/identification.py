@@ -202,7 +202,7 @@ def _verdict(found: Identification, estimate: Estimate) -> str:
     codes = [code for code in found.doubts(estimate.name) if code != "two-stiffnesses" or not estimate.depends_on]
     doubts = f" (not to be trusted: {', '.join(codes)})" if codes else ""
     if estimate.depends_on is not None:
-        return f"{estimate.name} from {interval} {unit}, it depends on the {estimate.depends_on}{doubts}"
+        return f"{estimate.name} = {interval} {unit} (depends on the {estimate.depends_on}){doubts}"
     if not estimate.identifiable or half is None:
         return f"{estimate.name} = {value} {unit} (not identifiable)"
     return f"{estimate.name} = {value} ± {half} {unit}{doubts}"
@@ -273,8 +273,8 @@ def identification_lines(found: Identification) -> list[str]:
     return [
         f"mean |torque error| {found.optimum * factor:.5g} {unit}; best trial {found.fitness * factor:.5g} {unit}; "
         f"optimiser gap {found.optimiser_gap:.1e}",
-        f"validation on 20 % held-out data: {found.validation.fitness * factor:.3g} {unit}; "
-        f"RMS {found.validation.nrmse:.2%} of the torque's",
+        f"validation on 20 % held-out data: mean |torque error| {found.validation.fitness * factor:.3g} {unit}; "
+        f"r.m.s. error {found.validation.nrmse:.2%} of the torque",
         *_choice_lines(found),
         *_component_lines(found),
         *deflection_lines(found.deflection),
@@ -293,7 +293,8 @@ def summary_lines(found: Identification) -> list[str]:
     return [
         f"model {found.model.name}{chosen}" + (f": {',  '.join(others)}" if others else ""),
         f"mean |torque error| {found.optimum * factor:.3g} {unit} over {found.samples} samples; "
-        f"RMS {found.validation.nrmse:.2%} of the torque's on held-out data; optimiser gap {found.optimiser_gap:.1e}",
+        f"r.m.s. error {found.validation.nrmse:.2%} of the torque on held-out data; "
+        f"optimiser gap {found.optimiser_gap:.1e}",
         *_component_lines(found),
         *deflection_lines(found.deflection),
         *_fixture_lines(found),
@@ -323,7 +324,7 @@ def _choice_lines(found: Identification) -> list[str]:
     """How much of the intervals of Kc and Bc comes from the choice of the model."""
     averages = [estimate for estimate in found.estimates[:2] if estimate.conditional is not None]
     shares = " and ".join(f"{estimate.choice:.0%} of the interval of {estimate.name}" for estimate in averages)
-    return [f"the choice of the model makes up {shares}"] if shares else []
+    return [f"the choice of the model makes {shares}"] if shares else []
 
 
 def _component_lines(found: Identification) -> list[str]:
@@ -345,4 +346,4 @@ def _fixture_lines(found: Identification) -> list[str]:
         for estimate in found.fixture.estimates
         for factor, unit in [people_unit(estimate.unit, milli=milli(found))]
     ]
-    return [f"without the fixture of {found.fixture.recording}, {' and '.join(values)}"]
+    return [f"the fixture, {' and '.join(values)}, is removed from Kc and Bc ({found.fixture.recording})"]

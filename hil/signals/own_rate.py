@@ -36,9 +36,9 @@ class OwnRate:
         """Return what is said of it."""
         late = "late" if self.lag >= 0.0 else "early"
         text = (
-            f"the recorded rate is {1e3 * abs(self.lag):.3g} ms {late} beside the derivative of the deflection, and "
-            f"{self.size:.3g} times as large: whatever reported it filters it, and Kc and Bc would be wrong with it; "
-            "the derivative is used instead, so nothing is lost; leave the column out"
+            f"the recorded rate is {1e3 * abs(self.lag):.3g} ms {late} and {self.size:.3g} times the derivative of the "
+            "deflection: a filter acts on it. The derivative is used in its place, so Kc and Bc are not affected. "
+            "Leave the column out"
         )
         return Diagnostic("filtered-rate", text)
 

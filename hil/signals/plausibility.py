@@ -87,8 +87,8 @@ def _beyond(name: str, dimension: str, swing: Swing, limit: float, unit: str) ->
         return []
     size, times = f"{swing.half:.3g} {unit}", swing.half / limit
     message = f"the {name} swings by +/- {size}, {times:.3g} times the stand's limit of {limit:.3g} {unit}"
-    meaning = "if its unit is mistaken, Kc and Bc are wrong by the factor of that unit"
-    return [Diagnostic("beyond-limits", f"{message}: {meaning}; {_likely(dimension, swing, limit)}")]
+    meaning = "If its unit is wrong, Kc and Bc are wrong by the same factor"
+    return [Diagnostic("beyond-limits", f"{message}. {meaning}. {_likely(dimension, swing, limit)}")]
 
 
 def _likely(dimension: str, swing: Swing, limit: float) -> str:
@@ -96,18 +96,18 @@ def _likely(dimension: str, swing: Swing, limit: float) -> str:
     for unit in _MISTAKEN[dimension]:
         if _LEAST * limit <= swing.half / swing.factor * units.factor(dimension, unit) <= _TOLERANCE * limit:
             return (
-                f"the readings are likely in {unit}: import them with --{option}-unit {unit}, or correct [limits] of "
+                f"The readings are likely in {unit}: import them with --{option}-unit {unit}, or correct [limits] of "
                 "the stand file"
             )
-    return f"check --{option}-unit and the sensor's scale, or correct [limits] of the stand file"
+    return f"Check --{option}-unit and the sensor's scale, or correct [limits] of the stand file"
 
 
 def _many_turns(deflection: Swing) -> list[Diagnostic]:
     if not 2.0 * deflection.half > _TURN:
         return []
     message = (
-        f"the deflection spans {2.0 * deflection.half / _TURN:.3g} turns, which no coupling does: if it was read in "
-        "degrees, Kc and Bc are 57 times too low; import it with --dtheta-unit deg, or check the gear ratio"
+        f"the deflection spans {2.0 * deflection.half / _TURN:.3g} turns, which no coupling does. If the column is "
+        "in degrees, Kc and Bc are 57 times too low. Import it with --dtheta-unit deg, or check the gear ratio"
     )
     return [Diagnostic("many-turns", message)]
 
@@ -121,6 +121,6 @@ def _odd_stiffness(torque: Swing, deflection: Swing, limits: LimitsTable) -> lis
         return []
     message = (
         f"torque over deflection is {ratio * expected:.3g} N m/rad, {ratio:.3g} times the ratio of the stand's limits: "
-        "Kc is off by as much if a unit is mistaken; check the units of torque and deflection, or correct [limits]"
+        "if a unit is wrong, Kc is wrong by that factor. Check the units of torque and deflection, or correct [limits]"
     )
     return [Diagnostic("odd-stiffness", message, "Kc")]

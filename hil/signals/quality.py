@@ -108,7 +108,7 @@ def _unfinished(recording: Recording) -> list[Diagnostic]:
         return []
     why = str(recording.attributes.get("end_reason", "")) or "it never ended"
     return [
-        Diagnostic("unfinished", f"{recording.path} is not a whole run ({why}): its {len(recording)} rows are used")
+        Diagnostic("unfinished", f"{recording.path} is not a complete run ({why}): its {len(recording)} rows are used")
     ]
 
 
@@ -125,26 +125,26 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
         found.append(Diagnostic("not-a-number", numbers))
     if defects.frozen:
         text = (
-            f"the deflection stood still in {defects.frozen} of {rows} rows while the torque changed: they are left "
-            "out, so Kc and Bc are those of the others; check the encoder and its cable"
+            f"the deflection stood still in {defects.frozen} of {rows} rows while the torque changed. These rows are "
+            "left out; Kc and Bc come from the other rows. Check the encoder and its cable"
         )
         found.append(Diagnostic("angle-frozen", text))
     if defects.clipped:
         text = (
-            f"the torque stands at the end of its range in {defects.clipped} of {rows} rows while the joint moves on: "
-            "they are left out, so Kc and Bc are those of the others; lower --amplitude, or widen the sensor's range"
+            f"the torque is at the end of its sensor's range in {defects.clipped} of {rows} rows. These rows are left "
+            "out; Kc and Bc come from the other rows. Lower --amplitude, or widen the sensor's range"
         )
         found.append(Diagnostic("torque-clipped", text))
     if defects.spikes:
         text = (
-            f"the deflection of {defects.spikes} of {rows} rows is far from those before and after: these rows are "
-            "left out; check the encoder's cable"
+            f"the deflection of {defects.spikes} of {rows} rows is far from the readings before and after. These rows "
+            "are left out. Check the encoder's cable"
         )
         found.append(Diagnostic("angle-spikes", text))
     if defects.wraps:
         text = (
-            f"the deflection jumps {defects.wraps} times by the range of its encoder: the jumps were taken back, so "
-            "Kc and Bc are not affected; set the encoder's zero so that the joint does not pass it"
+            f"the deflection jumps {defects.wraps} times by the range of its encoder. The jumps are removed, so Kc and "
+            "Bc are not affected. Set the encoder's zero so that the joint does not pass it"
         )
         found.append(Diagnostic("angle-wrapped", text))
     if defects.near_gaps:
@@ -154,8 +154,8 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
         found.append(
             Diagnostic(
                 "coarse-clock",
-                "several rows share a time stamp or arrived together: they were spread evenly up to the next stamp, "
-                "which makes Bc less certain; record with a finer clock, or the times at which they were taken",
+                "several rows share a time stamp or arrived together. Their times are spread evenly up to the next "
+                "stamp, so Bc is less certain. Record with a finer clock, or record the time of each reading",
             )
         )
     return found
@@ -167,31 +167,34 @@ def _weaknesses(quality: Quality) -> list[Diagnostic]:
     if lost > _MANY_LOST:
         found.append(Diagnostic("many-lost", f"{lost:.1%} of the replies were lost: check cable and baud rate"))
     if saturated > _MANY_SATURATED:
-        text = f"the torque limit acted in {saturated:.1%} of the rows: lower --amplitude"
+        text = f"the torque limit cut the command in {saturated:.1%} of the rows: lower --amplitude"
         found.append(Diagnostic("saturated", text))
     if counts < _FEW_COUNTS:
         text = f"the deflection spans {counts:.0f} counts of the encoder: raise --amplitude"
         found.append(Diagnostic("few-counts", text, is_error=counts < 3.0))
     if quality.snr < _POOR_SNR:
-        text = f"the torque stands only {quality.snr:.0f} dB above its noise: raise --amplitude"
+        text = f"the torque is only {quality.snr:.0f} dB above its noise: raise --amplitude"
         found.append(Diagnostic("poor-snr", text, is_error=quality.snr < 3.0))
     return found
 
 
 def _slow(one: Slower, highest: float) -> Diagnostic:
-    shown = "repeats them until the next" if one.kind == "held" else "has straight lines between them"
-    text = f"the {one.channel} has {1.0 / one.step:.3g} readings a second and {shown}, at {1.0 / one.tick:.3g} rows"
+    shown = "each repeated until the next" if one.kind == "held" else "joined by straight lines"
+    text = (
+        f"the sensor of the {one.channel} has {1.0 / one.step:.3g} readings a second, {shown}, and the recording has "
+        f"{1.0 / one.tick:.3g} rows a second"
+    )
     if one.channel == "deflection" and highest * one.step > _SPARSE:
         return Diagnostic(
             "slow-angle",
-            f"{text}: the joint moves at up to {highest:.3g} Hz, too fast to be followed between them, so that Kc and "
-            "Bc are wrong; read the encoder more often, or lower --band",
+            f"{text}. The joint moves at up to {highest:.3g} Hz, too fast for these readings, so Kc and Bc are wrong. "
+            "Read the encoder more often, or lower --band",
             is_error=True,
         )
-    used = "only these are used, each at the moment at which it was converted"
+    text += ". Only the sensor's own readings are used"
     if one.unsure > _UNSURE * one.tick:
-        used += f"; the age of all of them is known to {1e3 * one.unsure:.2g} ms, which makes Bc less certain"
-    text += f": {used}; record the sensor's own readings with its own time stamps"
+        text += f". Their age is known to {1e3 * one.unsure:.2g} ms, so Bc is less certain"
+    text += ". Record the sensor's own readings with its own time stamps"
     if one.channel == "deflection":
         return Diagnostic("slow-angle", text, "Bc")
     return Diagnostic("slow-cell", text, "Bc")

@@ -46,8 +46,8 @@ def seen_in_torque(signals: Signals, longest: float) -> str:
         return ""
     if float(np.mean(np.diff(torque) == 0.0)) > _REPEATS and len(np.unique(torque)) > len(torque) // 2:
         return (
-            "single readings of the torque repeat, as behind a median filter, which is no filter of one delay: switch "
-            "it off"
+            "single readings of the torque repeat, which is typical of a median filter. No model corrects such a "
+            "filter, so Bc may be wrong. Switch it off"
         )
     found = _seen_in_noise(signals, step)
     if found:
@@ -56,8 +56,8 @@ def seen_in_torque(signals: Signals, longest: float) -> str:
     if late <= longest:
         return ""
     return (
-        f"torque and deflection go best together with the torque {1e3 * late:.3g} ms late, and a model knows at most "
-        f"{1e3 * longest:.2g} ms: take it off the time stamps of the torque, or look for what keeps its readings back"
+        f"the torque reading is {1e3 * late:.3g} ms late, and a model corrects at most {1e3 * longest:.2g} ms. "
+        "Subtract the delay from the time stamps of the torque, or find what delays its readings"
     )
 
 
@@ -70,14 +70,14 @@ def _seen_in_noise(signals: Signals, step: float) -> str:
         return ""
     if (edge := _cliff(frequency[1:], power[1:], signals.band[1])) is not None:
         return (
-            f"the torque has nothing above {edge:.3g} Hz, not even noise: a smooth curve was laid through the readings "
-            f"of a cell of about {2.0 * edge:.3g} Hz; record these readings with their own time stamps"
+            f"the torque has nothing above {edge:.3g} Hz, not even noise: a smooth curve joins the readings of a cell "
+            f"of about {2.0 * edge:.3g} Hz. Record these readings with their own time stamps"
         )
     if (count := _mean_of(frequency[looked], power[looked], step)) is not None:
         return (
             f"the noise of the torque lacks the multiples of {1.0 / (count * step):.3g} Hz: each reading is the mean "
-            f"of {count}, {1e3 * 0.5 * (count - 1) * step:.3g} ms late; switch the mean off, or pass the angle through "
-            "the same one"
+            f"of {count} and {1e3 * 0.5 * (count - 1) * step:.3g} ms late. Switch the mean off, or pass the angle "
+            "through the same mean"
         )
     return ""
 

@@ -135,7 +135,7 @@ def _refuse_soft(measured: Element, fixture: Element) -> None:
     if 2.0 * measured.stiffness < fixture.stiffness:  # 1/K_fixture is less than half of 1/K_measured
         return
     raise Untrustworthy(
-        f"the fixture ({fixture.stiffness:.4g} N m/rad) is softer than the joint: of the compliance behind the "
-        f"{measured.stiffness:.4g} N m/rad measured, more is the fixture's than the joint's; stiffen the fixture and "
-        "record both again"
+        f"the fixture ({fixture.stiffness:.4g} N m/rad) is softer than the joint: together they have "
+        f"{measured.stiffness:.4g} N m/rad. Kc and Bc of the joint cannot be identified behind it. Stiffen the fixture "
+        "and record both again"
     )

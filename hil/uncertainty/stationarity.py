@@ -85,8 +85,8 @@ def disagreement(
             continue
         other = "the others" if len(values) > 2 else "the other one"
         text = (
-            f"{name} is {values[at] / usual[at] - 1.0:+.1%} in {paths[at]} from {other}: the pooled {name} is of none "
-            "of them; leave that recording out, or compare them with hil compare"
+            f"{name} of {paths[at]} differs by {values[at] / usual[at] - 1.0:+.1%} from {other}. The pooled {name} "
+            "describes no recording. Leave that recording out, or compare them with hil compare"
         )
         found.append(Diagnostic("recordings-differ", text, name))
     return found
@@ -106,8 +106,8 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
                 Diagnostic(
                     "not-stationary",
                     f"Kc is {min(values):.3g} N m/rad in one quarter of the recording and {max(values):.3g} N m/rad in "
-                    "another: a unit changed, a cable slipped or came loose, and no single Kc describes both; look at "
-                    "it with --report, and import or record again",
+                    "another. No single Kc describes both: a unit changed, or the cable slipped or came loose. Look "
+                    "at the recording with --report, and import or record again",
                     "Kc",
                     is_error=True,
                 )

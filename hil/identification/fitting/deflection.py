@@ -70,22 +70,23 @@ def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
     if found is None:
         return []
     if found.counts < _FEW[found.method] and "Bc" in evidence.names:
-        text = f"the deflection spans {found.counts:.0f} counts of the encoder: Bc cannot be identified; {_REMEDY}"
+        text = f"the deflection spans {found.counts:.0f} counts of the encoder. Bc cannot be identified: {_REMEDY}"
         return [Diagnostic("few-counts", text, "Bc", is_error=True)]
     if found.method == "none":
         return []
     changes = _relative(evidence, found.change)
     most = INTERVAL if found.method == "instruments" else _FIRST_ORDER
     said = [
-        Diagnostic("deflection-noise", f"{_cause(found)}: {name} cannot be identified; {_REMEDY}", name, is_error=True)
+        Diagnostic("deflection-noise", f"{_cause(found)}. {name} cannot be identified: {_REMEDY}", name, is_error=True)
         for name, change in changes.items()
         if not abs(change) < most
     ]
     sizes = [abs(changes.get(name, 0.0)) for name in COUPLING]
     if not said and any(size > least for size, least in zip(sizes, _SAID, strict=True)):
-        how = "by the command" if found.method == "instruments" else "by a simulation of the noise, which is less sure"
+        how = "the command" if found.method == "instruments" else "a simulation of the noise, which is less accurate"
         moved = " and ".join(f"{name} by {100.0 * change:+.2g} %" for name, change in changes.items())
-        said.append(Diagnostic("deflection-noise", f"{_cause(found)}: it is corrected {how}, {moved}; {_REMEDY}"))
+        text = f"{_cause(found)}. They are corrected with {how}: {moved}. To need less correction, {_REMEDY}"
+        said.append(Diagnostic("deflection-noise", text))
     return said + _weak(found)
 
 
@@ -93,8 +94,8 @@ def _weak(found: DeflectionErrors) -> list[Diagnostic]:
     if not found.is_weak:
         return []
     text = (
-        "the motion hardly follows the recorded command, so that Kc and Bc are corrected by a simulation of the "
-        "deflection's noise and not by the command: record the set-point that was driven"
+        "the motion hardly follows the recorded command. The noise of the deflection is therefore corrected with a "
+        "simulation, and Kc and Bc are less accurate. Record the set-point that was driven"
     )
     return [Diagnostic("weak-command", text)]
 

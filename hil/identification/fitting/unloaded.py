@@ -193,7 +193,7 @@ def _fitted(signals: Signals, degree: int) -> _Curve:
     values = least_absolute_deviations(columns, torque).genes
     found = covariance(Blocks.of(columns, torque), values)
     if not found.distinct[: degree + 1].all():
-        raise RuntimeError("the torque over the deflection cannot be distinguished from damping and friction")
+        raise RuntimeError("the motion does not separate stiffness from damping and friction")
     own = slice(degree + 1)
     limit = math.log(len(torque)) - EVIDENCE_AGAINST
     return _Curve(values[own], found.matrix[own, own], ends, float(np.ptp(torque)), limit)

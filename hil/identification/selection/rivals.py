@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ga.model.terms import TERMS
 from hil.diagnostics import Diagnostic
 from hil.identification.result import Estimate
 from hil.identification.selection.stepwise import Step
@@ -26,9 +27,9 @@ def _rivals(undecided: list[Step], estimate: Estimate) -> list[Diagnostic]:
     return [
         Diagnostic(
             "model-dependent",
-            f"the data cannot decide whether {term} is present; with it, {estimate.name} would be "
-            f"{value / estimate.value - 1.0:+.2%} from here, which is outside its interval: a wider band "
-            "or a larger amplitude would decide",
+            f"the data cannot decide whether {term} is present ({TERMS[term].meaning}). With it, {estimate.name} "
+            f"changes by {value / estimate.value - 1.0:+.2%}, which is outside its interval. Record over a wider band "
+            "or with a larger amplitude",
             estimate.name,
             is_error=is_wide and value > 0.0,
         )

@@ -183,7 +183,7 @@ def test_a_real_locked_output_is_imported_and_identified(hil: Hil, locked_output
     assert "coarse-clock" in {warning["code"] for warning in found["warnings"]}
     assert not found["parameters"]["Bc"]["identifiable"]
     assert any(
-        warning["parameter"] == "Bc" and "cannot be distinguished from Coulomb friction" in warning["message"]
+        warning["parameter"] == "Bc" and "cannot be distinguished from friction" in warning["message"]
         for warning in found["errors"]
     )
 

@@ -64,7 +64,7 @@ def test_a_variance_between_recordings_is_estimated_and_stated_in_words(make_rec
     assert kc.pooled.between == pytest.approx(np.std(put_in, ddof=1), rel=0.02)
     assert kc.pooled.within < 0.05 * kc.pooled.between
     assert kc.repeats is False
-    assert "Kc does not repeat: it differs from recording to recording by 1.6 %" in kc.verdict
+    assert "Kc does not repeat: the recordings differ by 1.6 %" in kc.verdict
     assert "drifts" not in kc.verdict
     assert bc.repeats is True
 
@@ -132,7 +132,7 @@ def test_recordings_that_agree_more_closely_than_their_errors_are_said_to(make_r
     """The same noise in each, so that they agree by construction."""
     paths = [stamped(make_recording(f"{name}.h5", noise=1e-4, seed=5), hour) for hour, name in enumerate("abc")]
     verdict = compare(paths, parse_model("linear"), SEARCH).parameters[0].verdict
-    assert verdict.startswith("Kc repeats, more closely than the recordings' own errors of")
+    assert verdict.startswith("Kc repeats: the recordings differ by less than their own errors of")
 
 
 def test_the_real_runs_of_one_actuator_agree(tmp_path: Path, locked_output: Path) -> None:

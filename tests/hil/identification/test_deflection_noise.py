@@ -166,8 +166,8 @@ def test_large_noise_is_taken_off_by_the_command_and_the_result_says_so(tmp_path
     assert holds(found)
     assert found["Kc"].exact < found["Kc"].value  # the exact optimum knows no instruments
     (line,) = deflection_lines(found.deflection)
-    assert line.startswith("noise of 30")
-    assert "by instruments, from the command (before: Kc -" in line
+    assert line.startswith("the deflection has noise of 30 mrad")
+    assert "corrected with the command as an instrument (before: Kc -" in line
     assert deflection_json(found.deflection)["instrument_strength"] > 0.9
 
 
@@ -181,7 +181,7 @@ def test_without_a_command_large_noise_is_simulated(tmp_path: Path) -> None:
 def test_six_counts_without_a_command_are_too_few_for_bc(tmp_path: Path) -> None:
     found = recorded(tmp_path / "a.h5", chirp, bits=12, peak=0.0045, torque_noise=5e-5, commanded=False)
     assert not found.trusted("Bc")
-    assert any("counts of the encoder: Bc cannot be identified" in one.message for one in found.diagnostics)
+    assert any("counts of the encoder. Bc cannot be identified" in one.message for one in found.diagnostics)
 
 
 def test_a_clean_deflection_is_used_as_it_was_read(tmp_path: Path) -> None:

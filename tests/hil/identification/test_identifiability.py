@@ -84,7 +84,7 @@ def test_a_friction_that_comes_out_negative_makes_the_damping_untrustworthy(make
     assert found["Fc"].ci95[1] < 0.0
     assert (found.trusted("Kc"), found.trusted("Bc")) == (True, False)
     (said,) = [one for one in found.diagnostics if one.code == "implausible"]
-    assert "Fc is -0.000999 N*m, and it cannot be negative" in said.message
+    assert "Fc is -0.000999 N*m, but it cannot be negative" in said.message
 
 
 def test_model_selection_never_includes_a_negative_friction(make_recording: Maker) -> None:
@@ -132,8 +132,8 @@ def test_a_damping_that_friction_may_be_names_the_friction_and_the_corner(make_r
     path = make_recording(samples=20000, change=lambda channels: sine(channels, 0.05))
     (said,) = of_damping(identify([path], parse("linear+coulomb"), SEARCH))
     assert (said.code, said.is_error) == ("not-identifiable", True)
-    assert "from Coulomb friction (Fc)" in said.message
-    assert "damping shows only towards" in said.message
+    assert "from friction" in said.message
+    assert "Damping shows near" in said.message
 
 
 def test_recordings_that_differ_by_their_units_are_said_to_differ(make_recording: Maker) -> None:
@@ -142,7 +142,9 @@ def test_recordings_that_differ_by_their_units_are_said_to_differ(make_recording
     found = identify(paths, parse("linear"), SEARCH)
     for name in ("Kc", "Bc"):
         assert not found[name].identifiable
-        assert any("the recordings differ" in one.message for one in found.diagnostics if one.parameter == name)
+        assert any(
+            "differs between the recordings by" in one.message for one in found.diagnostics if one.parameter == name
+        )
 
 
 def test_no_corner_is_named_where_there_is_none(make_recording: Maker) -> None:
@@ -172,7 +174,7 @@ def test_friction_that_is_not_there_cannot_be_distinguished_from_zero(make_recor
     assert not found["Fc"].identifiable
     (said,) = [diagnostic for diagnostic in found.diagnostics if diagnostic.parameter == "Fc"]
     assert (said.code, said.is_error) == ("not-identifiable", False)
-    assert "cannot be distinguished from zero" in said.message
+    assert "interval includes zero" in said.message
     assert found["Kc"].identifiable
 
 
@@ -201,10 +203,10 @@ def test_a_model_with_two_stiffnesses_says_both() -> None:
     (sliding,) = other_stiffness({"Kc": 0.24, "Bc": 3e-3, "Fd": 1.2e-3, "reach": 0.02})
     (relaxed,) = other_stiffness({"Kc": 0.3, "Bc": 3e-3, "K1": 0.09, "tau1": 0.02})
     (yielding,) = other_stiffness({"Kc": 0.24, "Bc": 3e-3, "Fy": 1.2e-3, "yield": 0.02}, spans="amplitude")
-    assert "0.24 N m/rad once the friction slides, and 0.3 N m/rad" in sliding.message
+    assert "0.24 N m/rad in large motion, where the friction slides, and 0.3 N m/rad" in sliding.message
     assert "--model linear+offset+boucwen" in yielding.message
     assert yielding.is_error
-    assert "0.39 N m/rad for motion much faster than tau1, 20 ms" in relaxed.message
+    assert "0.39 N m/rad in motion much faster than 20 ms (tau1)" in relaxed.message
     assert not any(one.is_error for one in (sliding, relaxed))
     assert other_stiffness({"Kc": 0.3, "Bc": 3e-3}) == []
 

@@ -98,5 +98,5 @@ def test_a_model_without_kc_and_bc_is_identified_and_cannot_be_compared(make_rec
     own = load(written(tmp_path, GOOD.replace("Kc", "k").replace("Bc", "b")))
     paths = [make_recording(f"{seed}.h5", noise=1e-4, seed=seed) for seed in range(2)]
     assert [estimate.name for estimate in identify(paths, own, SEARCH).estimates] == ["k", "b"]
-    with pytest.raises(WrongUse, match="has k, b: name them so"):
+    with pytest.raises(WrongUse, match="has k, b: give its parameters"):
         compare(paths, own, SEARCH)

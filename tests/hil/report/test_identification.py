@@ -174,7 +174,7 @@ def test_a_stiffness_that_depends_on_the_amplitude_is_a_range_and_has_no_value(m
     wide = replace(kc, value=0.6, ci95=(0.48, 0.72), depends_on="amplitude", identifiable=False)
     spans = replace(result, estimates=(wide, bc))
     first = headline(spans).split(",  ")[0]
-    assert first == "Kc from 480 to 720 mN m/rad, it depends on the amplitude"
+    assert first == "Kc = 480 to 720 mN m/rad (depends on the amplitude)"
     assert "600" not in text(spans, 100).split("optimiser")[0]
     assert as_json(spans)["parameters"]["Kc"]["depends_on"] == "amplitude"
     assert as_json(result)["parameters"]["Kc"]["depends_on"] is None

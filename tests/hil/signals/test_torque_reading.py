@@ -82,13 +82,13 @@ def seen(path: Path, reading: Reading) -> str:
 
 
 SEEN: dict[str, tuple[Reading, str]] = {
-    "mean of 20": (mean(20), "multiples of 25 Hz: each reading is the mean of 20, 19 ms late"),
-    "mean of 7": (mean(7), "the mean of 7, 6 ms late"),
-    "spline of 80 Hz": (resampled(CubicSpline, 80.0), "a smooth curve was laid through the readings of a cell"),
+    "mean of 20": (mean(20), "multiples of 25 Hz: each reading is the mean of 20 and 19 ms late"),
+    "mean of 7": (mean(7), "the mean of 7 and 6 ms late"),
+    "spline of 80 Hz": (resampled(CubicSpline, 80.0), "a smooth curve joins the readings of a cell"),
     "spectrum of 100 Hz": (by_fourier, "the torque has nothing above 5"),
-    "median of 5": (median(5), "as behind a median filter"),
-    "median of 21": (median(21), "as behind a median filter"),
-    "30 ms late": (late(0.03), "and a model knows at most 20 ms"),
+    "median of 5": (median(5), "typical of a median filter"),
+    "median of 21": (median(21), "typical of a median filter"),
+    "30 ms late": (late(0.03), "a model corrects at most 20 ms"),
 }
 
 

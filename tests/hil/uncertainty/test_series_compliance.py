@@ -121,7 +121,7 @@ def test_a_damping_that_cannot_be_told_leaves_the_stiffness_told() -> None:
 
 @pytest.mark.parametrize("stiffness", [0.001, 0.0177, 0.035, -0.1, 0.0])
 def test_a_fixture_softer_than_the_joint_is_refused(stiffness: float) -> None:
-    with pytest.raises(Untrustworthy, match=r"softer than the joint.*stiffen the fixture and record both again"):
+    with pytest.raises(Untrustworthy, match=r"softer than the joint.*Stiffen the fixture and record both again"):
         corrected(Element(17.75e-3, BC), Element(stiffness, 1e-4), SLOW)
 
 
