@@ -35,8 +35,8 @@ DEFAULT_RATE = 500.0
 _WITHOUT_HARDWARE = frozenset({"sim", "replay"})
 _UNGUARDED = Diagnostic(
     "no-guardian",
-    "there is no guardian: where hil is killed, frozen or late, only the drive's own watchdog switches the torque off, "
-    "and nothing restores the settings of the drive; leave out --no-guardian (Windows has no guardian)",
+    "there is no guardian: if hil is killed, frozen or late, only the drive's own watchdog switches the torque off. "
+    "Nothing restores the settings of the drive. Leave out --no-guardian (Windows has no guardian)",
 )
 _FAST_MODE = 1e6  # rad/s; above this a simulated second takes about as long as a real one
 

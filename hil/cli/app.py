@@ -182,7 +182,7 @@ def _status_of(error: Exception) -> int:
     if isinstance(error, DriverError):
         return STAND_FAILED
     if isinstance(error, OSError) and error.errno in _NO_MORE:
-        say("this computer gives hil no more of that: close other programs, or raise the limit (ulimit -n, -u, -v)")
+        say("this computer has no more of that for hil: close other programs, or raise the limit (ulimit -n, -u, -v)")
         return WRONG_USE
     if not isinstance(error, Untrustworthy):
         say("this is a fault in hil itself: run the command again with --debug and report the output")

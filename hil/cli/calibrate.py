@@ -194,9 +194,9 @@ def _print_scale(found: Scale, keys: list[str]) -> None:
     out(f"  uncertainty of Kc and Bc from it: {100.0 * found.uncertainty:.2g} % (one standard deviation)")
     out(f"  off the line: {engineering(found.residual, 'N m')} (root mean square)")
     if found.hysteresis == found.hysteresis:
-        out(f"  hysteresis: {engineering(found.hysteresis, 'N m')}; as large as a dry friction, it would look like one")
+        out(f"  hysteresis: {engineering(found.hysteresis, 'N m')}; it would look like dry friction of this size")
     else:
-        say("warning [no-hysteresis]: no load hung while loading and while unloading, so hysteresis is not known")
+        say("warning [no-hysteresis]: no load was measured both while loading and unloading: hysteresis is not known")
     if found.one_sided:
         say("warning [one-sided]: all loads pulled the same way: the scale of the other direction is not measured")
     say(f"stored: {', '.join(keys)} and [calibration.torque]")

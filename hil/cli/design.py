@@ -19,10 +19,10 @@ def design(
     backend: options.Backend = None,
     stand: options.StandFile = None,
     kc: Annotated[
-        float | None, options.measured("--kc", "stiffness", "Rough, N m/rad [default: [sim.coupling]'s].")
+        float | None, options.measured("--kc", "stiffness", "A rough value, N m/rad [default: [sim.coupling]'s].")
     ] = None,
     bc: Annotated[
-        float | None, options.measured("--bc", "damping", "Rough, N m s/rad [default: [sim.coupling]'s].")
+        float | None, options.measured("--bc", "damping", "A rough value, N m s/rad [default: [sim.coupling]'s].")
     ] = None,
     torque_noise: Annotated[
         float | None,

@@ -25,7 +25,7 @@ def doctor(
     move: Annotated[bool, typer.Option("--move", help="Jog the motor to check the signs and the lock.")] = False,
     amplitude: Annotated[
         str | None,
-        typer.Option(metavar="NUMBER", help="Of --move, N m or rad at the joint, or with a unit [default: limit/20]."),
+        typer.Option(metavar="NUMBER", help="For --move: N m or rad at the joint, or with a unit [default: limit/20]."),
     ] = None,
     mode: options.Mode = Quantity.TORQUE,
     rate: Annotated[float, typer.Option(min=1.0, max=10_000.0, help="Hz to reach.")] = options.DEFAULT_RATE,
@@ -34,9 +34,9 @@ def doctor(
     ] = False,
     commission: Annotated[
         bool,
-        typer.Option("--commission", help="Try under 10 % of the torque limit whether the drive releases its torque."),
+        typer.Option("--commission", help="Test under 10 % of the torque limit that the drive releases its torque."),
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Of --commission: do not ask before the torque is on.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="For --commission: do not ask before the torque is on.")] = False,
     as_json: options.Json = False,
 ) -> None:
     """Check ports and CAN interfaces, and with a stand file also the drive; say how to mend what is wrong.
@@ -126,7 +126,7 @@ def _summary(ports: list[Port], interfaces: list[Port]) -> str:
     wrong = sum(bool(port.problem) for port in (*ports, *interfaces))
     seen = f"{len(ports)} serial port(s), {len(interfaces)} CAN interface(s)"
     if wrong:
-        return f"{seen}: {wrong} cannot be used as they are"
+        return f"{seen}: {wrong} cannot be used"
     if not (ports or interfaces):
         return f"nothing is wrong: {seen} are connected; the simulated servo needs none (hil demo)"
     return f"nothing is wrong: {seen}; look at a drive with: hil doctor stand.toml"

@@ -29,7 +29,9 @@ def emulate(
         Path | None, typer.Option(help="A new CSV file of the torque at every moment, which survives a kill.")
     ] = None,
     faults: options.Faults = None,
-    instant: Annotated[bool, typer.Option("--instant", help="Answer at once, without the time of the wire.")] = False,
+    instant: Annotated[
+        bool, typer.Option("--instant", help="Answer at once: no time for the bytes on the wire.")
+    ] = False,
 ) -> None:
     """Emulate a drive on a port or bus until Ctrl-C, moving the simulated plant ([sim] of --stand).
 

@@ -22,9 +22,9 @@ def inspect(
     plot: Annotated[Path | None, typer.Option(help="Also draw the recording into this file (PNG).")] = None,
     force: options.Force = False,
     as_json: options.Json = False,
-    verify: Annotated[bool, typer.Option("--verify", help="Only check that it is as it was written.")] = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Only check that the file is as it was written.")] = False,
 ) -> None:
-    """Summarise a recording and check its quality; like every command, first that it is as it was written."""
+    """Summarise a recording and check its quality, after a check that the file is as it was written."""
     from hil.api.recordings import load
     from hil.recording.output import check_output
     from hil.report.inspection import as_json as to_json
@@ -92,7 +92,7 @@ def import_data(
         typer.Argument(help="CSV, .csv.gz, .parquet, .mat, or a ROS 2 bag: .mcap, .db3, folder."),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="The recording to write.")],
-    time: Annotated[str | None, typer.Option(help="Column of the time; none at all for a file of hil export.")] = None,
+    time: Annotated[str | None, typer.Option(help="Column of the time; not needed for a file of hil export.")] = None,
     torque: Annotated[str | None, typer.Option(help="Column of the torque at the joint.")] = None,
     dtheta: Annotated[str | None, typer.Option(help="Column of the deflection.")] = None,
     dtheta_dot: Annotated[str | None, typer.Option(help="Column of its rate [default: from the deflection].")] = None,
@@ -108,7 +108,7 @@ def import_data(
     dtheta_scale: Annotated[float, typer.Option(help="Multiply the deflection or the motor position.")] = 1.0,
     dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
     command_scale: Annotated[float, typer.Option(help="Multiply the set-point.")] = 1.0,
-    topic: Annotated[str | None, typer.Option(help="Of a ROS 2 bag or PlotJuggler's CSV: /joint_states.")] = None,
+    topic: Annotated[str | None, typer.Option(help="For a ROS 2 bag or PlotJuggler's CSV: /joint_states.")] = None,
     joint: Annotated[str | None, typer.Option(help="The joint's name in the joint states.")] = None,
     where: Annotated[
         list[str] | None, typer.Option(metavar="FILTER", help="Rows to keep: 'test_nr==100'; repeat for several.")

@@ -49,11 +49,13 @@ def identify(
     ] = None,
     preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",
     trials: options.Trials = None,
-    generations: Annotated[int | None, typer.Option(min=1, help="Of each trial [default: the preset's].")] = None,
-    population: Annotated[int | None, typer.Option(min=3, help="Chromosomes [default: the preset's].")] = None,
+    generations: Annotated[int | None, typer.Option(min=1, help="In each trial [default: the preset's].")] = None,
+    population: Annotated[
+        int | None, typer.Option(min=3, help="Number of chromosomes [default: the preset's].")
+    ] = None,
     mutation: Annotated[float | None, typer.Option(min=0.0, max=1.0, help="Probability (0.1: Algorithm 1).")] = None,
-    selection: Annotated[str | None, typer.Option(help="A reading of the paper; see docs/paper.md.")] = None,
-    weights: Annotated[str | None, typer.Option(help="Of equation 6; see docs/paper.md.")] = None,
+    selection: Annotated[str | None, typer.Option(help="How parents are selected; see docs/paper.md.")] = None,
+    weights: Annotated[str | None, typer.Option(help="Those of equation 6; see docs/paper.md.")] = None,
     replacement: Annotated[str | None, typer.Option(help="Which individual is replaced; see docs/paper.md.")] = None,
     bounds: options.Bounds = None,
     seed: options.Seed = options.DEFAULT_SEED,

@@ -85,8 +85,8 @@ NoGuardian = Annotated[
     bool,
     typer.Option(
         "--no-guardian",
-        help="Go without the process that switches the torque off where hil is killed, frozen or late: then only the "
-        "drive's own watchdog does.",
+        help="Run without the process that switches the torque off if hil is killed, frozen or late. Then only the "
+        "drive's own watchdog does it.",
     ),
 ]
 Rerun = Annotated[

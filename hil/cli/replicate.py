@@ -13,7 +13,7 @@ from hil.cli.terminal import exit_interrupted, note, out, print_diagnostics, pri
 
 
 def replicate(
-    evaluations: Annotated[int, typer.Option(min=1, help="Of each trial; the paper's is 200000000.")] = 2_000_000,
+    evaluations: Annotated[int, typer.Option(min=1, help="For each trial; the paper has 200000000.")] = 2_000_000,
     trials: Annotated[int, typer.Option(min=1, help="Independent searches.")] = 30,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,

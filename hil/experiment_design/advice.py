@@ -22,17 +22,17 @@ def of_task(task: Task, *, noise_stated: bool) -> list[Diagnostic]:
         found.append(
             Diagnostic(
                 "noise-assumed",
-                f"the stand file does not describe its sensors: a torque noise of {task.readings.white:.3g} N m and a "
-                f"count of {task.readings.angle_lsb:.2g} rad are assumed, and all errors are proportional to the "
-                "noise; measure it with hil inspect and give it as --torque-noise",
+                f"the stand file does not describe its sensors. A torque noise of {task.readings.white:.3g} N m and a "
+                f"count of {task.readings.angle_lsb:.2g} rad are assumed; all errors are proportional to the noise. "
+                "Measure it with hil inspect and give it as --torque-noise",
             )
         )
     if task.joint.inertia == 0.0 and task.mode is Quantity.TORQUE:
         found.append(
             Diagnostic(
                 "no-inertia",
-                "the stand file gives no motor_inertia: the resonance is not predicted, and at it the deflection can "
-                "be many times the predicted one; add motor_inertia to [stand]",
+                "the stand file gives no motor_inertia, so the resonance is not predicted. The deflection can be many "
+                "times the predicted one there. Add motor_inertia to [stand]",
             )
         )
     if task.readings.motor_side:
@@ -43,14 +43,14 @@ def of_task(task: Task, *, noise_stated: bool) -> list[Diagnostic]:
 def _motor_side(task: Task) -> Diagnostic:
     if task.mode is Quantity.POSITION:
         message = (
-            "between ticks the motor's torque follows the drive's own position loop, which is not predicted: Bc can be "
-            "far from this prediction; use a torque cell, or --mode torque"
+            "between ticks the drive's own position loop changes the motor's torque, which is not predicted. Bc can be "
+            "far from this prediction. Use a torque cell, or --mode torque"
         )
     else:
         message = (
-            "the motor's torque is constant from tick to tick and read before it changes, which is half a tick "
-            f"({500.0 / task.rate:.2g} ms) of skew: the predicted bias of Bc is rough, and its error is larger than "
-            "predicted"
+            "the motor's torque is constant from tick to tick and read before it changes, which is a skew of half a "
+            f"tick ({500.0 / task.rate:.2g} ms). The predicted bias of Bc is rough, and its error is larger than "
+            "predicted. Use a torque cell, or a higher --rate"
         )
     return Diagnostic("motor-side", message, "Bc")
 
@@ -73,9 +73,9 @@ def _near_limits(judged: Assessment) -> list[Diagnostic]:
     return [
         Diagnostic(
             "near-limit",
-            f"{described(judged.profile)}: keeps the limits for this Kc and Bc, but exceeds that on "
-            f"{judged.limited_by} by {worst - 1.0:.0%} where Kc is 25 % higher or 20 % lower, or Bc 50 % higher or "
-            "33 % lower; lower --amplitude",
+            f"{described(judged.profile)}: keeps the limits for this Kc and Bc. If Kc is 25 % higher or 20 % lower, or "
+            f"Bc 50 % higher or 33 % lower, it exceeds the limit of {judged.limited_by} by {worst - 1.0:.0%}. Lower "
+            "--amplitude",
         )
     ]
 
@@ -86,12 +86,12 @@ def _corner(task: Task, judged: Assessment) -> list[Diagnostic]:
     if judged.profile.setpoints or low <= corner <= high or (judged.profile.excitation.from_zero and corner <= high):
         return []
     where = "above" if corner > high else "below"
-    weak, remedy = ("Bc", "widen --band upwards") if corner > high else ("Kc", "widen --band downwards")
+    weak, remedy = ("Bc", "Widen --band upwards") if corner > high else ("Kc", "Widen --band downwards")
     return [
         Diagnostic(
             "corner-outside-band",
-            f"{described(judged.profile)}: the corner Kc/(2 pi Bc) of {corner:.3g} Hz lies {where} the band, where "
-            f"{weak} carries the smaller part of the torque and is estimated less well; {remedy}, or record for longer",
+            f"{described(judged.profile)}: the corner Kc/(2 pi Bc) of {corner:.3g} Hz is {where} the band. There "
+            f"{weak} makes the smaller part of the torque and is estimated less well. {remedy}, or record for longer",
             weak,
         )
     ]
@@ -103,8 +103,9 @@ def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
         found.append(
             Diagnostic(
                 "one-speed",
-                f"{described(profile)}: at one speed, Bc would hold most of any dry friction, which the model omits; "
-                "drive at several (--profile chirp or multisine over two octaves)",
+                f"{described(profile)}: the joint moves at one speed, where dry friction looks like damping. The model "
+                "has no term for friction, so Bc includes most of any friction. Drive at several speeds (--profile "
+                "chirp or multisine over two octaves)",
                 "Bc",
             )
         )
@@ -114,7 +115,7 @@ def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
             Diagnostic(
                 "friction-in-damping",
                 f"{described(profile)}: without +coulomb, dry friction of 1 % of the torque ({amount:.2g} N m) changes "
-                f"Bc by {amount * judged.friction / task.joint.damping:+.1%}; add it to --model",
+                f"Bc by {amount * judged.friction / task.joint.damping:+.1%}. Add +coulomb to --model",
                 "Bc",
             )
         )
@@ -123,13 +124,13 @@ def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
 
 def _biased(task: Task, judged: Assessment) -> list[Diagnostic]:
     delays = next(name for name, term in TERMS.items() if term.delays)
-    remedy = "" if delays in task.terms else f"; add +{delays} to --model"
+    remedy = "" if delays in task.terms else f". Add +{delays} to --model"
     return [
         Diagnostic(
             "biased",
             f"{described(judged.profile)}: {name} has a bias of {judged[name].bias / judged[name].rough:+.2%}, "
             f"{abs(judged[name].bias) / judged[name].error:.0f} of its standard errors, from the skew of the readings "
-            f"and the window of the rate, which a longer recording does not reduce{remedy}",
+            f"and the window of the rate. A longer recording does not reduce it{remedy}",
             name,
         )
         for name in ("Kc", "Bc")
@@ -144,9 +145,10 @@ def _not_identifiable(judged: Assessment) -> list[Diagnostic]:
         if not distinguishable(parameter.error, parameter.inflation):
             reason = "it has no effect on the torque, or another parameter has the same; leave a term out of --model"
         elif name == "Bc" and judged.friction_likeness >= LIKE_FRICTION:
-            reason = "at the one speed driven it cannot be distinguished from dry friction; drive at several speeds"
+            reason = "at one speed it cannot be distinguished from dry friction; drive at several speeds"
         elif name in COUPLING and not narrow(_NORMAL * parameter.error, parameter.rough):
-            reason = "its 95 % interval is as wide as its value; raise --amplitude or --duration"
+            half = _NORMAL * parameter.error / parameter.rough
+            reason = f"half its 95 % interval is {half:.0%} of its value; raise --amplitude or --duration"
         else:
             continue
         message = f"{described(judged.profile)}: {name} is not identifiable: {reason}, or widen --band"

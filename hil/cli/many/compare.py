@@ -15,7 +15,7 @@ from hil.cli.terminal import UNTRUSTWORTHY, command_line, note, out, out_table, 
 def compare(
     recordings: Annotated[list[Path], typer.Argument(help="Two or more recordings of one joint on one stand.")],
     model: options.Model = "auto",
-    trials: Annotated[int | None, typer.Option(min=1, help="Independent searches of each, as in hil identify.")] = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="Independent searches for each recording.")] = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
     cluster: options.Cluster = None,
