@@ -63,7 +63,7 @@ def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinea
     """
     if not (choice.steps and isinstance(choice.model, CouplingModel)):
         return {}
-    kept = replace(signals, motion=signals.motion.of(used), torque=signals.torque[used])
+    kept = replace(signals, motion=signals.motion.of(used), torque=signals.torque[used], jerked=None)
     doubtful = {
         step.term: AKAIKE if step.term in _BENCH else step.cost
         for step in choice.steps

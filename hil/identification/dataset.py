@@ -82,7 +82,7 @@ def open_dataset(
         edges, diagnostics = _to_disk(
             sources, list(zip(long, glimpses, strict=True)), choice, table, progress, reference=place.reference
         )
-        used = choice.described(signals.motion)
+        used = choice.described(signals)
         seen = _rows(choice, signals, used)
         yield Dataset(
             choice, signals, used, False, table.blocks, seen, edges, _uncertainty(sources), place, diagnostics
@@ -100,11 +100,11 @@ def _in_memory(sources: Sequence[Source], choose: Choose, rest: Rest) -> Dataset
     signals = signals.counted_from(place.reference)
     diagnostics += _other_zero(place.reference)
     choice = choose(signals, True)
-    used = choice.described(signals.motion)
+    used = choice.described(signals)
     rows = _rows(choice, signals, used)
     blocks = Blocks.of(*rows)
     edges = tuple(np.cumsum(used)[np.cumsum([len(part) for part in parts]) - 1].tolist())
-    diagnostics += _slow(len(used) - blocks.rows, len(used))
+    diagnostics += _slow(int(np.count_nonzero(~choice.moving(signals.motion))), len(used))
     return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), place, diagnostics)
 
 
@@ -135,19 +135,20 @@ def _to_disk(
     reference: float,
 ) -> tuple[tuple[int, ...], list[Diagnostic]]:
     """Write all columns and torque to the table; return where each recording ends in it, and the diagnostics."""
-    edges, diagnostics, read = [], [], 0
+    edges, diagnostics, read, held = [], [], 0, 0
     rows = sum(len(source.recording) for source in sources)
     for source, (recording, stretches) in zip(sources, long, strict=True):
         defects = Defects()
         for part in (part.counted_from(reference) for part in ahead(recording.stream())):
-            table.extend(*_rows(choice, part, choice.described(part.motion)))
+            table.extend(*_rows(choice, part, choice.described(part)))
             defects += part.defects
             read += len(part)
+            held += int(np.count_nonzero(~choice.moving(part.motion)))
             if progress is not None:
                 progress("reading", min(1.0, read / rows))
         edges.append(table.rows)
         diagnostics += _diagnostics(source, stretches, defects)
-    return tuple(edges), diagnostics + _other_zero(reference) + _slow(read - table.rows, read)
+    return tuple(edges), diagnostics + _other_zero(reference) + _slow(held, read)
 
 
 def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> Block:

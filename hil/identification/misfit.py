@@ -110,7 +110,7 @@ def _held_against(described: Described, motion: Motion) -> tuple[Recorded, Fitte
     if described.averaged:
         columns = np.concatenate([columns, *_of_every_bench(described, recorded, residuals)], axis=1)
     seen = described.signals.motion  # the same samples, whatever errors are added
-    kept = described.kept & is_smooth(seen.time, seen.dtheta, seen.dtheta_dot)
+    kept = described.kept & is_smooth(seen)
     included = frozenset(code for name, code in _TERMS.items() if name in names)
     return recorded, Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
 

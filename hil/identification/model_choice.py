@@ -51,9 +51,13 @@ class Choice:
     delay: float = 0.0
     alternatives: tuple[Alternative, ...] = ()
 
-    def described(self, motion: Motion) -> NDArray[np.bool_]:
-        """Return which samples (n,) the model describes."""
+    def moving(self, motion: Motion) -> NDArray[np.bool_]:
+        """Return in which samples (n,) friction does not hold the joint."""
         return self.model.described(motion, self.delay) if self.sticking else np.ones(len(motion), dtype=bool)
+
+    def described(self, signals: Signals) -> NDArray[np.bool_]:
+        """Return which samples (n,) the model describes: the joint moves, at a rate that is known."""
+        return self.moving(signals.motion) & signals.rate_known
 
 
 def choose(model: Coupling | None, signals: Signals, *, linear_only: bool) -> Choice:
@@ -80,7 +84,7 @@ def _named(model: Coupling, signals: Signals) -> Choice:
     problem = Problem(choice.model, signals.motion, signals.torque, *model.bounds(signals.motion, signals.band[1]))
     # which samples friction holds depends on the delay, and the delay on the samples: twice is close enough
     for _ in range(2):
-        found = fit(problem.of(choice.described(problem.motion)))
+        found = fit(problem.of(choice.described(signals)))
         delay = choice.model.delay(found.nonlinear)
         sticking = choice.sticking or _is_sticking(choice.model, problem.motion, delay, problem.residuals(found))
         choice = replace(choice, sticking=sticking, delay=delay)
@@ -106,44 +110,50 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     # nobody says that a given torque is the joint's and not the motor's
     late = EARLIER if signals.torque_from == "given" else LATE
     accounts = tuple(term for term in late if term in (*terms, *rarer))
-    motion, highest = signals.motion, signals.band[1]
+    highest, seen = signals.band[1], signals.rate_known
+    motion, torque = _seen(signals.motion, seen), signals.torque[seen]
     found = stepwise.select(
         motion,
-        signals.torque,
+        torque,
         highest,
         terms,
         rarer=rarer,
         accounts=accounts,
-        describes=lambda found, averaged: _describes(found, signals, averaged=averaged),
+        describes=lambda found, averaged: _describes(found, signals, seen, averaged=averaged),
     )
     sticking = _is_sticking(found.model, motion, found.delay, found.residuals)
     if sticking:
         described = found.model.described(motion, found.delay)
         rarer = tuple(term for term in rarer if term in found.model.name.split("+"))
-        again = stepwise.select(
-            motion.of(described), signals.torque[described], highest, (*terms, *rarer), accounts=accounts
-        )
+        again = stepwise.select(motion.of(described), torque[described], highest, (*terms, *rarer), accounts=accounts)
         found = again if again.model.sticks else found
-    return Choice(found.model.anchored(motion), found.steps, sticking, found.delay, found.alternatives)
+    model = found.model.anchored(signals.motion)
+    return Choice(model, found.steps, sticking, found.delay, found.alternatives)
 
 
-def _describes(found: Selection, signals: Signals, *, averaged: bool) -> bool:
-    """Whether the model selected passes the tests of its fit, however small what it lacks is.
+def _seen(motion: Motion, rows: NDArray[np.bool_]) -> Motion:
+    return motion if rows.all() else motion.of(rows)
+
+
+def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_], *, averaged: bool) -> bool:
+    """Whether the model selected from the samples seen (n,) passes the tests of its fit, however small what it lacks.
 
     averaged: whether it may lack small effects that every bench has, and whether no proof that it lacks any is enough.
 
     Noise of the deflection is no lack of a term, and rarer ones would be made of it.
     """
-    motion, kept = signals.motion, np.ones(len(signals), dtype=bool)
+    motion, fitted = _seen(signals.motion, seen), np.ones(np.count_nonzero(seen), dtype=bool)
     if _is_sticking(found.model, motion, found.delay, found.residuals):
-        kept = found.model.described(motion, found.delay)
+        fitted = found.model.described(motion, found.delay)
+    kept = seen.copy()
+    kept[seen] = fitted
     fit = tested(
         Described(
             model=found.model,
             signals=signals,
             kept=kept,
-            residuals=found.residuals[kept],
-            columns=found.columns[kept],
+            residuals=found.residuals[fitted],
+            columns=found.columns[fitted],
             values=found.values,
             half_width=np.zeros(len(found.values)),
             averaged=averaged,

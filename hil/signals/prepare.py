@@ -50,7 +50,7 @@ class Signals:
     of several that of the noisiest, None where the rate was recorded. slower: the sensors that are slower than the
     ticks. command (n,): the set-points at these times, None where they were not recorded. refused_rate: how a recorded
     rate differs from the deflection's derivative, so that it is not used. unfiltered (n,): N m, the torque as it was
-    read where that is another.
+    read where that is another. jerked (n,): whether a jump of the acceleration leaves each no rate; None: none.
     """
 
     motion: Motion
@@ -64,6 +64,7 @@ class Signals:
     command: Array | None = None
     refused_rate: OwnRate | None = None
     unfiltered: Array | None = None
+    jerked: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -71,6 +72,11 @@ class Signals:
     def counted_from(self, reference: float) -> Signals:
         """Return the signals with deflections from `reference`, rad."""
         return self if reference == 0.0 else replace(self, motion=self.motion.shifted(reference))
+
+    @property
+    def rate_known(self) -> NDArray[np.bool_]:
+        """Whether the rate of each sample (n,) is known."""
+        return np.ones(len(self), dtype=bool) if self.jerked is None else ~self.jerked
 
     @property
     def as_read(self) -> Array:
@@ -86,6 +92,7 @@ class Signals:
 def joined(parts: list[Signals]) -> Signals:
     """Return the signals of several recordings, or of the blocks of one, one after the other."""
     commands = [part.command for part in parts if part.command is not None]
+    known = np.concatenate([part.rate_known for part in parts])
     return Signals(
         motion=one_after_the_other([part.motion for part in parts]),
         torque=np.concatenate([part.torque for part in parts]),
@@ -97,6 +104,7 @@ def joined(parts: list[Signals]) -> Signals:
         slower=tuple(dict.fromkeys(one for part in parts for one in part.slower)),
         command=np.concatenate(commands) if len(commands) == len(parts) else None,
         unfiltered=np.concatenate([part.as_read for part in parts]),
+        jerked=None if known.all() else ~known,
     )
 
 
@@ -277,7 +285,7 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
     own, over = _own_readings(usable, columns), usable.clipped[angle.row]
     starts, long_enough = stretches(time, sound & ~over if own is None else sound, window.step)
     kept = long_enough & (inside if own is None else True)
-    is_filtered = own is None and not columns.rate_given and window.low_pass is not None
+    is_filtered, jerks = (own is None and not columns.rate_given and one for one in (window.low_pass, window.jerks))
     motion = Motion(
         time[kept],
         dtheta[kept],
@@ -306,8 +314,9 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
         rate_window=0.0 if columns.rate_given else (2 * window.slope + 1) * window.step,
         window=None if columns.rate_given else window,
         torque_from="motor" if columns.motor_side else ("given" if columns.stand is None else "joint"),
-        slower=_slower(columns, angle, own, stamps),
+        slower=slow_channel.slower(columns.torque, own, columns.dtheta, angle, stamps),
         refused_rate=columns.refused,
+        jerked=window.jerked(time, dtheta, rate)[kept] if jerks else None,
         unfiltered=_at_joint(usable.torque[kept], columns) if is_filtered else None,
     )
 
@@ -327,15 +336,6 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
             break
         time = slow_channel.repaced(time, at, found, own.unsure)
     return at, found
-
-
-def _slower(columns: _Columns, angle: Readings, torque: Readings | None, stamps: Array) -> tuple[Slower, ...]:
-    found, step = [], float(np.median(np.diff(stamps))) if columns.torque or columns.dtheta else np.nan
-    if columns.torque is not None and torque is not None:
-        found.append(Slower("torque", columns.torque, torque.step, step, torque.unsure))
-    if columns.dtheta is not None:
-        found.append(Slower("deflection", columns.dtheta, angle.step, step, angle.unsure))
-    return tuple(found)
 
 
 def _at_joint(torque: Array, columns: _Columns) -> Array:

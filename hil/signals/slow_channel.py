@@ -88,6 +88,18 @@ def kind_of(time: Array, values: Array) -> Kind | None:
     return "joined" if _is_joined(time, values, count) and len(_corners(time, values).row) >= _FEWEST else None
 
 
+def slower(
+    torque: Kind | None, own: Readings | None, dtheta: Kind | None, angle: Readings, stamps: Array
+) -> tuple[Slower, ...]:
+    """Return the channels that show a sensor slower than the rows at `stamps` (n,) s, with what it read of its own."""
+    found, step = [], float(np.median(np.diff(stamps))) if torque or dtheta else np.nan
+    if torque is not None and own is not None:
+        found.append(Slower("torque", torque, own.step, step, own.unsure))
+    if dtheta is not None:
+        found.append(Slower("deflection", dtheta, angle.step, step, angle.unsure))
+    return tuple(found)
+
+
 def readings(time: Array, values: Array, kind: Kind) -> Readings:
     """Return the sensor's own readings of such a channel, (m,), fewer than its samples (n,)."""
     return _held(time, values) if kind == "held" else _corners(time, values)

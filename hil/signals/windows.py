@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.trajectory import Motion
 from hil.signals.deflection_noise import Read, disturbs, smallest_step
 from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.savitzky_golay import LEAST, kernel, local_polynomial, widest
@@ -25,7 +26,9 @@ _NARROWEST = 6  # samples on each side of a window
 _WIDEST = 250  # samples on each side of a window
 _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
 _OTHERS = (9, 12)  # samples on each side of windows, beside which another shows where the rate is wrong
+_NARROW = (LEAST, LEAST + 1)  # the same of windows that are no wider than needed: few samples are lost to a jump
 _UNSURE, _BEYOND_NOISE = 0.005, 8.0  # of the r.m.s. rate, and times the usual difference, from which it is
+_SMOOTH = 0.5  # of the samples, that must be left where those beside a jerk are left out
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
 _LOOKED = 1 << 18  # samples that the noise of the deflection is held against the torque of
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
@@ -43,7 +46,8 @@ class Window:
     slope, curvature: neighbours a side. step: s, the median between two samples. band: Hz, the excited band. noise:
     rad/s, the standard deviation of the slope's; of_deflection: rad, of the readings. count: rad, the smallest step
     between two of these. low_pass: what is used in place of the polynomials where that noise would reach Kc or Bc, as
-    noisy says, or where the joint moves faster than the narrowest of them follows.
+    noisy says, or where the joint moves faster than the narrowest of them follows. jerk: rad/s, by which rates in
+    several windows differ at most where the acceleration does not jump; infinite where no jump would show.
     """
 
     slope: int
@@ -55,6 +59,12 @@ class Window:
     count: float
     low_pass: LowPass | None = None
     noisy: bool = False
+    jerk: float = np.inf
+
+    @property
+    def jerks(self) -> bool:
+        """Whether the acceleration jumps, so that some samples have no rate."""
+        return bool(np.isfinite(self.jerk))
 
     @property
     def widest(self) -> int:
@@ -78,6 +88,10 @@ class Window:
             return lambda values: values
         through = passing(time, self.low_pass)
         return lambda values: _known(through(values), values)
+
+    def jerked(self, time: Array, dtheta: Array, rate: Array) -> NDArray[np.bool_]:
+        """Return whether (n,) each sample is beside a jump of the acceleration, where no window gives the rate."""
+        return _differing(time, dtheta, rate, _NARROW) > self.jerk
 
     def sound(self, time: Array) -> NDArray[np.bool_]:
         """Return whether (n,) each sample has all the neighbours that its rate is computed from."""
@@ -120,8 +134,15 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     found = Window(slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count)
     of_rate = _amplified(slope, step)
     noisy = disturbs(read, found.of_deflection, found.of_deflection * of_rate)
-    if not noisy and smoothed_away(slope, time[:_LOOKED], dtheta[:_LOOKED], of_deflection) <= _UNSEEN * hidden:
+    first = time[:_LOOKED], dtheta[:_LOOKED]
+    if not noisy and smoothed_away(slope, *first, of_deflection) <= _UNSEEN * hidden:
         return found
+    if not noisy:
+        narrow = local_polynomial(*first, slope, 1)
+        jerky = replace(found, jerk=_jerk(_differing(*first, narrow, _NARROW), narrow))
+        smooth = ~jerky.jerked(*first, narrow)
+        if smooth.mean() >= _SMOOTH and smoothed_away(slope, *first, of_deflection, smooth) <= _UNSEEN * hidden:
+            return jerky
     highest = spectrum.above(of_deflection)
     if not noisy:  # what goes on beyond is taken from torque and deflection alike, also where sampling has folded it
         highest = max(spectrum.band[1], min(highest, _FOLLOWED / step))
@@ -161,13 +182,15 @@ def best_of(slope: int, time: Array, dtheta: Array, noise: float) -> int:
     return slope
 
 
-def smoothed_away(slope: int, time: Array, dtheta: Array, noise: float) -> float:
+def smoothed_away(slope: int, time: Array, dtheta: Array, noise: float, seen: NDArray[np.bool_] | None = None) -> float:
     """Return the part of the rate, rad/s r.m.s., that a window of `slope` neighbours a side smooths away.
 
-    noise: rad, of the deflection (n,), which does not count. It is what the narrowest polynomial there is finds more.
+    noise: rad, of the deflection (n,), which does not count. It is what the narrowest polynomial there is finds more,
+    in the samples seen (n,), or in all.
     """
     step = float(np.median(np.diff(time)))
-    whole = _whole(time, slope, step)
+    slope = max(slope, LEAST + 1)  # nothing is narrower than the least
+    whole = _whole(time, slope, step) & (True if seen is None else seen)
     if not whole.any():
         return 0.0
     more = (local_polynomial(time, dtheta, LEAST, 1) - local_polynomial(time, dtheta, slope, 1))[whole]
@@ -222,17 +245,26 @@ def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
     return whole
 
 
-def is_smooth(time: Array, dtheta: Array, rate: Array) -> NDArray[np.bool_]:
-    """Return whether (n,) the rate hardly depends on the window that it is computed in, as it does beside a jerk.
+def is_smooth(motion: Motion) -> NDArray[np.bool_]:
+    """Return whether (n,) the rate of a motion hardly depends on the window that it is computed in, as beside a jerk.
 
-    time s; dtheta rad; rate rad/s. Noise of the deflection, which the wider window averages too, does not count.
+    Noise of the deflection, which the wider window averages too, does not count.
     """
-    if len(time) <= 2 * max(_OTHERS):
-        return np.ones(len(time), dtype=bool)
-    # the rate may have been computed in one of them
-    apart = np.max([np.abs(local_polynomial(time, dtheta, half, 1) - rate) for half in _OTHERS], axis=0)
-    usual = float(np.sqrt(np.mean(rate**2)))
-    return np.asarray(apart <= max(_UNSURE * usual, _BEYOND_NOISE * float(np.median(apart))))
+    seen, rows = motion.whole
+    if len(seen) <= 2 * max(_OTHERS):
+        return np.ones(len(motion), dtype=bool)
+    apart = _differing(seen.time, seen.dtheta, seen.dtheta_dot, _OTHERS)
+    return (apart <= _jerk(apart, seen.dtheta_dot))[rows]
+
+
+def _differing(time: Array, dtheta: Array, rate: Array, halves: tuple[int, ...]) -> Array:
+    """By how much, rad/s, the rate (n,) differs from those of other windows; it may have been computed in one."""
+    return np.asarray(np.max([np.abs(local_polynomial(time, dtheta, half, 1) - rate) for half in halves], axis=0))
+
+
+def _jerk(apart: Array, rate: Array) -> float:
+    """By how much, rad/s, the rates (n,) of several windows differ at most where the acceleration does not jump."""
+    return max(_UNSURE * float(np.sqrt(np.nanmean(rate**2))), _BEYOND_NOISE * float(np.nanmedian(apart)))
 
 
 def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:

@@ -153,7 +153,7 @@ def criterion_of(
         signs=np.sign(residuals),
         density=inside / (2.0 * near * len(residuals)) if near > 0.0 else np.inf,
         size=float(np.mean(np.abs(fits.torque))),
-        smooth=is_smooth(motion.time, motion.dtheta, motion.dtheta_dot),
+        smooth=is_smooth(motion),
         choices=len(considered),
         doubted=doubted,
     )

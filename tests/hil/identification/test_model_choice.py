@@ -95,7 +95,7 @@ def error(found: Signals, model: str, *, of_all: bool) -> float:
     """The error of Kc from the samples that the choice includes, or from all of them."""
     choice = choose(model_of(model), found, linear_only=False)
     problem = Problem(choice.model, found.motion, found.torque, *choice.model.bounds(found.motion, found.band[1]))
-    taken = problem if of_all else problem.of(choice.described(found.motion))
+    taken = problem if of_all else problem.of(choice.described(found))
     return abs(float(fit(taken).optimum.genes[0]) / KC - 1.0)
 
 
@@ -105,7 +105,7 @@ def test_where_friction_holds_the_joint_its_samples_are_left_out(model: str, ske
     choice = choose(model_of(model), found, linear_only=False)
     assert choice.sticking
     assert choice.delay == pytest.approx(skew, abs=1e-4)
-    assert 0.85 < choice.described(found.motion).mean() < 0.95
+    assert 0.85 < choice.described(found).mean() < 0.95
     assert error(found, model, of_all=False) < 1.5e-3
     assert error(found, model, of_all=True) > 2e-3
 
@@ -114,7 +114,7 @@ def test_where_there_is_next_to_no_friction_all_samples_are_taken() -> None:
     found = recorded(1e-6)
     choice = choose(model_of("linear+coulomb"), found, linear_only=False)
     assert not choice.sticking
-    assert choice.described(found.motion).all()
+    assert choice.described(found).all()
 
 
 def test_the_ladder_leaves_them_out_as_well() -> None:
@@ -126,7 +126,7 @@ def test_the_ladder_leaves_them_out_as_well() -> None:
 
 def test_a_model_without_friction_takes_all_samples() -> None:
     found = recorded(1e-3)
-    assert choose(model_of("linear+offset"), found, linear_only=False).described(found.motion).all()
+    assert choose(model_of("linear+offset"), found, linear_only=False).described(found).all()
 
 
 def test_noise_that_hides_which_samples_are_slow_leaves_none_out() -> None:

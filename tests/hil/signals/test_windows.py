@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ga.model.trajectory import Motion
+from hil.recording.reader import Array
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.windows import is_smooth, window_for
+
+
+def _moving(time: Array, angle: Array, rate: Array) -> Motion:
+    return Motion(time, angle, rate, np.zeros_like(rate), np.zeros_like(rate))
 
 
 @pytest.mark.parametrize("half", [6, 9, 12])
@@ -18,11 +24,11 @@ def test_the_rate_is_sure_but_for_the_samples_beside_a_jerk_whatever_the_noise(h
     angle = np.cumsum(rate) / 500.0
     seen = local_polynomial(time, angle, half, 1)
     beside = np.abs(np.mod(time + 0.05, 0.1) - 0.05)  # s from the nearest change
-    sure = is_smooth(time, angle, seen)
+    sure = is_smooth(_moving(time, angle, seen))
     assert np.mean(sure[30:-30][beside[30:-30] < 0.005]) < 0.6
     assert sure[30:-30][beside[30:-30] > 0.03].all()
     smooth = np.sin(8.0 * time) + 1e-3 * np.random.default_rng(0).standard_normal(2000)
-    assert np.mean(is_smooth(time, smooth, local_polynomial(time, smooth, half, 1))) > 0.999
+    assert np.mean(is_smooth(_moving(time, smooth, local_polynomial(time, smooth, half, 1)))) > 0.999
 
 
 def test_the_rate_has_as_little_error_as_any_window_gives_where_motion_goes_on_beyond_the_band() -> None:

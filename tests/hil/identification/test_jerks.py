@@ -1,0 +1,58 @@
+"""A command that steps at the ticks makes the acceleration jump: what the samples hide there is no skew.
+
+The joint follows the steps as a system of second order, whose deflection and rate at the ticks are exact.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+from ga.evolution.evolution import PRESETS
+from ga.model.coupling import parse
+from hil.identification.identify import Search, identify
+from hil.recording.reader import Array
+
+from ..conftest import Maker
+
+KC, BC, SAMPLES = 0.3, 3e-3, 5000
+OMEGA = 2.0 * np.pi * 12.0
+SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
+
+
+@pytest.fixture
+def stepped(make_recording: Maker) -> Path:
+    """Steps of 0.2 rad to either side every 0.1 s at 500 Hz."""
+    system = np.array([[0.0, 1.0], [-(OMEGA**2), -1.6 * OMEGA]]), np.array([[0.0], [OMEGA**2]])
+    a, b, *_ = cont2discrete((*system, np.eye(2), np.zeros((2, 1))), 2e-3)
+
+    def change(channels: dict[str, Array]) -> None:
+        rng, state = np.random.default_rng(3), np.zeros((SAMPLES, 2))
+        command = np.repeat(rng.choice([-0.2, 0.2], SAMPLES // 50), 50)
+        for at in range(SAMPLES - 1):
+            state[at + 1] = a @ state[at] + b[:, 0] * command[at]
+        channels["dtheta"] = state[:, 0]
+        channels["torque"] = state @ [KC, BC] + 3e-4 * rng.standard_normal(SAMPLES)
+
+    return make_recording(change=change, samples=SAMPLES)
+
+
+def test_steps_at_the_ticks_make_no_skew_where_none_is(stepped: Path) -> None:
+    """From all samples it is 20 us, half its interval 10 us."""
+    found = identify([stepped], parse("linear+skew"), SEARCH)
+    assert 0.8 < np.mean(found.fitted) < 0.95
+    low, high = found["skew"].ci95
+    assert low < 0.0 < high
+    assert high - low < 0.1 / 500.0
+
+
+def test_steps_at_the_ticks_leave_bc_in_its_interval(stepped: Path) -> None:
+    found = identify([stepped], None, SEARCH)
+    assert "skew" not in found.model.name
+    for name, truth in (("Kc", KC), ("Bc", BC)):
+        low, high = found[name].ci95
+        assert low < truth < high
+        assert high - low < 0.04 * truth
