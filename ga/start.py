@@ -93,7 +93,8 @@ def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
     Only what goes through the rows is compiled: the few numbers of p parameters are not worth a first run's seconds.
     """
     n, p = columns.shape
-    size, power, _ = equations(columns, torque, work, np.inf)
+    set_up = two_equations if p == 2 else equations  # each is compiled where it is needed
+    size, power, _ = set_up(columns, torque, work, np.inf)
     if not _factor(work, n) or not _solve(work):
         return 0.0
     for k in range(p):
@@ -103,7 +104,7 @@ def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
     smooth = max(_SMOOTH * np.sqrt(max(power, 0.0) / n), least, 1e-300)
     moved = error = 0.0
     for _ in range(2):
-        total, _, near = equations(columns, torque, work, smooth)
+        total, _, near = set_up(columns, torque, work, smooth)
         error = max(0.5 * np.pi * total / n, _NEAR * smooth / max(near / n, _FEWEST)) / np.sqrt(n)
         if not _solve(work):
             return 0.0
@@ -126,8 +127,6 @@ def equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tu
     and how many are small.
     """
     n, p = columns.shape
-    if p == 2:
-        return _two_equations(columns, torque, work, smooth)
     total = power = 0.0
     near = 0
     for k in range(p):
@@ -150,7 +149,7 @@ def equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tu
 
 
 @compiled_no_refcount
-def _two_equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
+def two_equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
     """Set up the equations for two columns, in registers: three times as fast."""
     total = power = aa = ab = bb = ta = tb = 0.0
     near = 0

@@ -14,7 +14,7 @@ import numpy as np
 
 from ga.evolution.generational import family_of, generational
 from ga.evolution.generator import seeded
-from ga.evolution.population import Population, Record, Rules, populate, unrecorded
+from ga.evolution.population import Population, Record, Rules, evaluate_first, scatter, scatter_around, unrecorded
 from ga.evolution.steady_state import steady_state, tangents_of
 from ga.fitness.engine import Engine, columns_of, parts
 
@@ -164,7 +164,12 @@ def begin(
     if bounds.low.size != p:
         raise ValueError(f"bounds of {bounds.low.size} parameters for {p} columns")
     population = unborn(p, settings, seed, trial)
-    populate(*parts(engine), rules_of(bounds, settings, engine.floor, True), start, population)
+    rules = rules_of(bounds, settings, engine.floor, True)
+    if start is None:
+        scatter(rules, population)
+    else:
+        scatter_around(rules, start, population)
+    evaluate_first(*parts(engine), population)
     return population
 
 

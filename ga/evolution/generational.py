@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_no_refcount
+from ga.compiled import compiled_no_refcount, compiled_within
 from ga.evolution.generator import load, store, uniform
 from ga.evolution.operators import (
     REDRAWS,
@@ -78,14 +78,14 @@ def generational(  # noqa: PLR0917 - the compiled loops take their parts by posi
             break
 
 
-@compiled_no_refcount
+@compiled_within
 def draw_parents(population: Population) -> None:
     """Put p + 2 different chromosomes, each as likely as any, in front of the population's order."""
     count = population.genes.shape[1] + 2
     store(sample_distinct(population.order, count, load(population.generator)), population.generator)
 
 
-@compiled_no_refcount
+@compiled_within
 def breed(rules: Rules, population: Population, parents: Order, centre: Genes, children: NDArray[np.float64]) -> None:
     """Fill children (count, p) by ensemble crossover and mutation, within the bounds. centre: (p,), overwritten."""
     words = load(population.generator)
@@ -104,7 +104,7 @@ def breed(rules: Rules, population: Population, parents: Order, centre: Genes, c
     store(words, population.generator)
 
 
-@compiled_no_refcount
+@compiled_within
 def survive(population: Population, places: Order, genes: NDArray[np.float64], errors: NDArray[np.float64]) -> None:
     """Put the best of the family into the parents' places, the best first; errors is used up."""
     for i in range(places.size):

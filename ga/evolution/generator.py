@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_inline
+from ga.compiled import compiled_inline, compiled_within
 
 State: TypeAlias = NDArray[np.uint64]
 Words: TypeAlias = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
@@ -31,19 +31,19 @@ def seeded(seed: int, trial: int) -> State:
     return np.random.SeedSequence(seed, spawn_key=(trial,)).generate_state(4, np.uint64).astype(np.uint64, copy=False)
 
 
-@compiled_inline
+@compiled_within
 def load(state: State) -> Words:
     """The words of a state (4,)."""
     return state[0], state[1], state[2], state[3]
 
 
-@compiled_inline
+@compiled_within
 def store(words: Words, state: State) -> None:
     """Set a state (4,) to the words."""
     state[0], state[1], state[2], state[3] = words
 
 
-@compiled_inline
+@compiled_within
 def draw(words: Words) -> tuple[np.uint64, Words]:
     """The next 64 random bits, and the words after them."""
     a, b, c, d = words

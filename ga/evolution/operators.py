@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_inline
+from ga.compiled import compiled_inline, compiled_within
 from ga.evolution.generator import Words, below, uniform
 
 Genes: TypeAlias = NDArray[np.float64]
@@ -31,7 +31,7 @@ def copy(source: Genes, target: Genes) -> None:
         target[k] = source[k]
 
 
-@compiled_inline
+@compiled_within
 def sample_distinct(order: Order, count: int, words: Words) -> Words:
     """Draw `count` different chromosomes, each with the same probability, into the front of `order`."""
     for i in range(count):
@@ -73,7 +73,7 @@ def arithmetic_crossover(first: Genes, second: Genes, share: float, child: Genes
         child[k] = second[k] + share * (first[k] - second[k])
 
 
-@compiled_inline
+@compiled_within
 def mutate(child: Genes, low: Genes, high: Genes, words: Words) -> tuple[int, Words]:
     """The paper, "Mutation": one gene, chosen at random, is redrawn uniformly in its bounds. Returns which."""
     k, words = below(words, child.size)
@@ -82,7 +82,7 @@ def mutate(child: Genes, low: Genes, high: Genes, words: Words) -> tuple[int, Wo
     return k, words
 
 
-@compiled_inline
+@compiled_within
 def weighted_centre(genes: Genes, fitness: NDArray[np.float64], parents: Order, inverse: bool, centre: Genes) -> None:
     """Equation 6 for any number of parents: their mean, weighted by the error or by its inverse."""
     total = 0.0
@@ -98,7 +98,7 @@ def weighted_centre(genes: Genes, fitness: NDArray[np.float64], parents: Order, 
         centre[k] /= total
 
 
-@compiled_inline
+@compiled_within
 def ensemble_crossover(genes: Genes, parents: Order, reach: float, child: Genes, words: Words) -> Words:
     """Move the child from the parents' weighted centre, spread as the parents are (Kobayashi 2009, REX).
 

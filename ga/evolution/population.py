@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_inline, compiled_no_refcount
+from ga.compiled import compiled_no_refcount, compiled_within
 from ga.evolution.generator import State, load, store, uniform
 from ga.evolution.operators import REDRAWS, Genes, Order, clamp, copy, is_inside
 from ga.fitness.cells import Tree
@@ -90,7 +90,7 @@ def unrecorded() -> Record:
     return Record(np.full(1, -1), np.empty(0))
 
 
-@compiled_no_refcount
+@compiled_within
 def due_after(record: Record, population: Population) -> int:
     """The first entry of the record that is of a generation yet to come."""
     due = 0
@@ -99,7 +99,7 @@ def due_after(record: Record, population: Population) -> int:
     return due
 
 
-@compiled_inline
+@compiled_within
 def recorded(record: Record, due: int, population: Population) -> int:
     """Record the best fitness if this generation is due; the next entry that is."""
     if population.progress[0] == record.generation[due]:
@@ -109,14 +109,8 @@ def recorded(record: Record, due: int, population: Population) -> int:
 
 
 @compiled_no_refcount
-def populate(
-    samples: Samples | None, tree: Tree | None, rules: Rules, start: Start | None, population: Population
-) -> None:
-    """Draw the first population, in the bounds or in the start's cube, and evaluate it."""
-    if start is None:
-        scatter(rules, population)
-    else:
-        scatter_around(rules, start, population)
+def evaluate_first(samples: Samples | None, tree: Tree | None, population: Population) -> None:
+    """Evaluate the first population."""
     for i in range(population.fitness.size):
         population.fitness[i] = error_of(samples, tree, population.genes[i], np.inf)
         remember(population, population.genes[i], population.fitness[i])
@@ -155,7 +149,7 @@ def scatter_around(rules: Rules, start: Start, population: Population) -> None:
     store(words, population.generator)
 
 
-@compiled_inline
+@compiled_within
 def remember(population: Population, child: Genes, error: float) -> None:
     """Keep the best chromosome ever: some readings of the paper let the population lose it."""
     if error < population.best_fitness[0]:
@@ -163,7 +157,7 @@ def remember(population: Population, child: Genes, error: float) -> None:
         copy(child, population.best)
 
 
-@compiled_inline
+@compiled_within
 def has_settled(rules: Rules, population: Population) -> bool:
     """Whether the fitness of the population spreads over no more than the tolerance."""
     if rules.tolerance < 0.0:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ga.compiled import compiled_no_refcount
+from ga.compiled import compiled_no_refcount, compiled_within
 from ga.samples import check, resolution
 
 if TYPE_CHECKING:
@@ -199,7 +199,7 @@ def fill(
         blocks[i // LANES, 0, i % LANES] = residual
 
 
-@compiled_no_refcount
+@compiled_within
 def dense_error(samples: Samples, genes: NDArray[np.float64], limit: float) -> float:
     """Equation 5 for one chromosome (p,), N m; infinite, perhaps, where it exceeds the limit."""
     for k in range(genes.size):
@@ -237,7 +237,7 @@ def _open_error(samples: Samples) -> float:
     return _folded(total)
 
 
-@compiled_no_refcount
+@compiled_within
 def _settled(samples: Samples) -> float:
     error: float = samples.settled[0]
     for k in range(samples.place.size):
@@ -259,7 +259,7 @@ def _folded(total: NDArray[np.float64]) -> float:
     return error
 
 
-@compiled_no_refcount
+@compiled_within
 def _is_near(samples: Samples) -> bool:
     for k in range(samples.place.size):
         along = 0.0
@@ -270,7 +270,7 @@ def _is_near(samples: Samples) -> bool:
     return True
 
 
-@compiled_no_refcount
+@compiled_within
 def _plain_error(samples: Samples, genes: NDArray[np.float64]) -> float:
     """Equation 5 row by row."""
     total = part = 0.0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from ga.compiled import compiled_inline, compiled_no_refcount
+from ga.compiled import compiled_no_refcount, compiled_within
 from ga.fitness.cell_tree import tree_error, tree_tangent
 from ga.fitness.cells import Tree, another, grow
 from ga.fitness.dense import Samples, collapse, dense_error, dense_tangent, pack, shared
@@ -60,7 +60,7 @@ def fork(engine: Engine) -> Engine:
     return shared(engine) if isinstance(engine, Samples) else another(engine)
 
 
-@compiled_inline
+@compiled_within
 def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float) -> float:
     """Equation 5 for one chromosome (p,), N m; infinite, perhaps, where it exceeds the limit."""
     if samples is not None:

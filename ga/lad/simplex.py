@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_no_refcount
+from ga.compiled import compiled_no_refcount, compiled_within
 
 Vector: TypeAlias = NDArray[np.float64]
 Matrix: TypeAlias = NDArray[np.float64]
@@ -119,7 +119,7 @@ def step_down(  # noqa: PLR0917 - compiled functions take their parts by positio
     return STALLED
 
 
-@compiled_no_refcount
+@compiled_within
 def _to_vertex(rows: Matrix, torque: Vector, basis: Basis, room: Room) -> bool:
     """Invert the rows of the basis and go to where they have no residual; False where they are dependent."""
     r, inverse = basis.size, room.inverse
@@ -136,7 +136,7 @@ def _to_vertex(rows: Matrix, torque: Vector, basis: Basis, room: Room) -> bool:
     return True
 
 
-@compiled_no_refcount
+@compiled_within
 def invert(left: Matrix, inverse: Matrix) -> bool:
     """Apply to `inverse` what makes `left` the identity (Gauss and Jordan, pivoted); False if it is singular."""
     r = len(left)
@@ -159,7 +159,7 @@ def invert(left: Matrix, inverse: Matrix) -> bool:
     return True
 
 
-@compiled_no_refcount
+@compiled_within
 def _leave(room: Room) -> int:
     """Choose the basis row whose edge goes down most steeply, and set the direction along it; -1 where none does.
 
@@ -182,7 +182,7 @@ def _leave(room: Room) -> int:
     return best
 
 
-@compiled_no_refcount
+@compiled_within
 def _meet(rows: Matrix, entering: int, count: int, step: float, room: Room) -> None:
     """Go to where the entering row has no residual, and keep it so: its unit normal joins the rows met."""
     for k in range(room.point.size):
@@ -195,7 +195,7 @@ def _meet(rows: Matrix, entering: int, count: int, step: float, room: Room) -> N
         normal[k] /= size
 
 
-@compiled_no_refcount
+@compiled_within
 def _free_direction(met: Matrix, count: int, downhill: Vector, direction: Vector) -> float:
     """The steepest direction, a unit vector, in which the rows met do not change; returns how steep it is.
 
@@ -243,7 +243,7 @@ def _length(vector: Vector) -> float:
     return float(np.sqrt(total))
 
 
-@compiled_no_refcount
+@compiled_within
 def _residuals(rows: Matrix, torque: Vector, point: Vector, residual: Vector) -> None:
     for i in range(torque.size):
         value = torque[i]
@@ -252,7 +252,7 @@ def _residuals(rows: Matrix, torque: Vector, point: Vector, residual: Vector) ->
         residual[i] = value
 
 
-@compiled_no_refcount
+@compiled_within
 def _project(rows: Matrix, direction: Vector, along: Vector) -> None:
     for i in range(along.size):
         value = 0.0
@@ -261,7 +261,7 @@ def _project(rows: Matrix, direction: Vector, along: Vector) -> None:
         along[i] = value
 
 
-@compiled_no_refcount
+@compiled_within
 def _gradient(rows: Matrix, residual: Vector, pull: Vector, downhill: Vector) -> None:
     """The direction of descent: the sum of rows by the sign of their residual, and the pull."""
     for k in range(pull.size):
@@ -273,7 +273,7 @@ def _gradient(rows: Matrix, residual: Vector, pull: Vector, downhill: Vector) ->
             downhill[k] += sign * rows[i, k]
 
 
-@compiled_no_refcount
+@compiled_within
 def lowest_crossing(room: Room, slope: float) -> tuple[int, float]:
     """Where on the ray the sum is lowest: the row that changes sign there, and how far it is; (-1, 0) if nowhere.
 
@@ -281,8 +281,7 @@ def lowest_crossing(room: Room, slope: float) -> tuple[int, float]:
     flattens by 2 |along| at each row's change of sign, so the place is a weighted median: quickselect, O(n).
     """
     residual, along, row, place, weight = room.residual, room.along, room.row, room.place, room.weight
-    count = 0
-    first: int = np.int64(0)  # type: ignore[assignment]  # for a plain 0 `_partition` is compiled once more
+    count = first = 0
     for i in range(residual.size):
         if (residual[i] >= 0.0 and along[i] > _FLAT) or (residual[i] < 0.0 and along[i] < -_FLAT):
             row[count], place[count], weight[count] = i, residual[i] / along[i], abs(along[i])
@@ -300,7 +299,7 @@ def lowest_crossing(room: Room, slope: float) -> tuple[int, float]:
     return (row[first], place[first]) if count else (-1, 0.0)
 
 
-@compiled_no_refcount
+@compiled_within
 def _partition(room: Room, first: int, last: int) -> tuple[int, int, float, float]:
     """Sort the places from first to last into those less than, equal to and more than the median of three of them.
 
