@@ -93,7 +93,7 @@ def run_trials(
     `progress` is called in this thread, several times a second, with the part done, 0 to 1.
 
     Ctrl-C ends the run within some tenths of a second with KeyboardInterrupt. Where `stop` is given it is asked as
-    often; once it says True, or at Ctrl-C, what has been found so far is returned, marked as interrupted.
+    often; once it returns True, or at Ctrl-C, the result so far is returned, marked as interrupted.
 
     checkpoint: a file that keeps the state, written `every` so many seconds and at the end, whatever ends the run. If
     it is there already, the search goes on from it and ends in the same bits as if it had not been cut short.
@@ -112,7 +112,7 @@ def run_trials(
         belonging(columns, torque, bounds=bounds, settings=settings, seed=seed, trials=trials) if checkpoint else {}
     )
     state = load(checkpoint, belongs) if checkpoint and checkpoint.exists() else None
-    running = _begun(run, engine, start, seed, trials) if state is None else _gone_on_with(state)
+    running = _begun(run, engine, start, seed, trials) if state is None else _resumed(state)
     before = 0 if state is None else sum(trial.population.evaluations for trial in running)
 
     def keep() -> None:
@@ -184,7 +184,7 @@ def _begun(run: _Run, engine: Engine, start: Start | None, seed: int, trials: in
     return running
 
 
-def _gone_on_with(state: SearchState) -> list[_Trial]:
+def _resumed(state: SearchState) -> list[_Trial]:
     return [
         _Trial(population, record, (population.copied(), record.copy()))
         for population, record in zip(state.populations, state.records, strict=True)
@@ -200,13 +200,13 @@ def _grid(generations: int) -> NDArray[np.int64]:
 
 
 def _all(run: _Run, engine: Engine, running: list[_Trial], workers: int, watch: _Watch) -> None:
-    """Take all trials to their end, or until they are to stop: by threads, or in this one where it is alone."""
+    """Run all trials until they end or must stop, in threads, or in this thread if there is one worker."""
     if workers == 1:  # to start a thread takes longer than a search of the `default` preset
         for trial in running:
             for _ in _chunks(run, engine, trial):
                 if watch.is_over(running):
                     return
-        watch.tell(running)
+        watch.report(running)
         return
     run.engines.put(engine)
     for _ in range(workers - 1):
@@ -229,7 +229,7 @@ def _search(run: _Run, trial: _Trial) -> None:
 
 
 def _chunks(run: _Run, engine: Engine, trial: _Trial) -> Iterator[None]:
-    """Take the trial to its end, with a pause some times a second, before each of which all of it is kept."""
+    """Run the trial to its end. Yield some times a second, each time with a whole copy of its state kept."""
     population = trial.population
     record = Record(np.append(run.grid, -1), trial.record)
     children = 1 if run.settings.scheme == "steady-state" else 5 * run.bounds.low.size
@@ -256,22 +256,22 @@ class _Watch:
     kept: float = field(default_factory=time.monotonic)
 
     def wait_for(self, futures: list[Future[None]], running: list[_Trial]) -> None:
-        """Wait for the trials, or until they are to stop. What went wrong in one is raised here."""
+        """Wait until the trials end or must stop. Raises the error of a trial that failed."""
         pending: set[Future[None]] = set(futures)
         while pending:
             done, pending = wait(pending, timeout=_POLL)
             for future in done:
                 future.result()
             if not pending:
-                self.tell(running)
+                self.report(running)
             elif self.is_over(running):
                 return
 
     def is_over(self, running: list[_Trial]) -> bool:
-        """Tell, ask and keep, if it is time to; returns whether the trials are to stop."""
+        """Report progress, ask to stop, and save, if it is time; return whether the trials must stop."""
         if time.monotonic() - self.asked < _POLL:
             return False
-        self.tell(running)
+        self.report(running)
         if self.stop is not None and self.stop():
             return True
         if time.monotonic() - self.kept >= self.every:
@@ -280,7 +280,7 @@ class _Watch:
         self.asked = time.monotonic()
         return False
 
-    def tell(self, running: list[_Trial]) -> None:
+    def report(self, running: list[_Trial]) -> None:
         if self.progress is not None:
             parts = [1.0 if t.finished else t.population.generation / self.settings.generations for t in running]
             self.progress(sum(parts) / len(parts))

@@ -1,4 +1,4 @@
-"""Identifiability: what is doubtful about a result, and why a recording does not identify a parameter."""
+"""Identifiability: the doubts about a result, and the reasons why a recording does not identify a parameter."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
 
 
 def other_stiffness(values: Mapping[str, float], *, spans: str = "") -> list[Diagnostic]:
-    """Return what is to know of each second stiffness beside Kc that a model with these values, SI, by name, has.
+    """Return a diagnostic for each second stiffness of a model with these values (SI, by name of the parameter).
 
-    spans: what Kc depends on where its interval spans both stiffnesses, because nobody asked for one of them.
+    spans: what Kc depends on ("amplitude", "direction") if the interval of Kc spans both stiffnesses.
     """
     found = []
     if (before := sliding(values)) is not None:
@@ -104,7 +104,7 @@ def other_stiffness(values: Mapping[str, float], *, spans: str = "") -> list[Dia
 
 
 def _unloaded(evidence: Evidence) -> list[Diagnostic]:
-    """Say that the place is unknown where a curving spring has its Kc; an error where Kc could be nearly anything."""
+    """Return the diagnostic for a spring that curves and an unknown unloaded place; an error if Kc is too uncertain."""
     if evidence.span is None or evidence.span[2] != UNLOADED_PLACE:
         return []
     least, most, _ = evidence.span
@@ -121,7 +121,7 @@ def _unloaded(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _inertia(evidence: Evidence) -> list[Diagnostic]:
-    """A warning of an inertia in a torque that is said to be the joint's, or of one that one speed would hide."""
+    """Return the warning of an inertia in the joint's torque, or of a motion at one frequency, which hides one."""
     motion = evidence.signals.motion
     if "J" in evidence.names and evidence.signals.torque_from != "motor":
         inertia = float(evidence.values[evidence.names.index("J")])
@@ -145,7 +145,7 @@ def _inertia(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _little_load(evidence: Evidence) -> list[Diagnostic]:
-    """A warning of a torque that friction takes most of, or of a joint that hardly leaves its play."""
+    """Return the warning if friction takes most of the torque, or play most of the motion."""
     values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     torque, angle = (_middle_of(one) for one in (evidence.signals.coupling_torque, evidence.signals.motion.dtheta))
     friction = max((abs(values[name]) for name in _FRICTION if name in values), default=0.0)
@@ -166,13 +166,13 @@ def _little_load(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _middle_of(values: Array) -> float:
-    """Half the range of values (n,), without the outermost."""
+    """Return half the range of values (n,) without the outermost, which may be outliers."""
     low, high = np.quantile(values, [_OUTERMOST, 1.0 - _OUTERMOST])
     return float(0.5 * (high - low))
 
 
 def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
-    """A warning of a skew that is longer than the readings of one recorder are apart, or of a filter."""
+    """Return the warning of a skew that is too long for one recorder, or of a filter."""
     if "window" in evidence.names:
         return [_filtered(evidence)]
     if "skew" not in evidence.names:
@@ -191,7 +191,7 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _filtered(evidence: Evidence) -> Diagnostic:
-    """Return what is said of a torque that a filter averages: an error, unless the user names the mean.
+    """Return the diagnostic for a torque that a filter averages: an error, unless the user names the mean.
 
     Another filter of the same delay fits nearly as well and has another Bc (a Butterworth of 30 Hz: 8 % more).
     """
@@ -231,7 +231,7 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
         found.append(Diagnostic("not-identifiable", _why_not(evidence, at), name, is_error=is_error))
     elif evidence.parameters[at].positive and evidence.values[at] < 0.0:
         text = (
-            f"{name} is {evidence.values[at]:.3g} {evidence.parameters[at].unit}, but it cannot be negative. "
+            f"{name} is {evidence.values[at]:.3g} {_unit(evidence, at)}, but it cannot be negative. "
             f"{_IMPLAUSIBLE.get(name, 'Bc is wrong by the same torque. Leave the term out, or try --model auto')}"
         )
         found.append(Diagnostic("implausible", text, name if is_error else "Bc", is_error=True))
@@ -269,7 +269,7 @@ def _why_not(evidence: Evidence, at: int) -> str:
 
 
 def _alike(evidence: Evidence, at: int) -> str:
-    """Return which other parameter the recording confuses this one with, and what would separate them."""
+    """Return the parameter that this one cannot be distinguished from, and the remedy."""
     name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
     constant = float(evidence.values[evidence.names.index("tau1")]) if "tau1" in evidence.names else 0.0
     if name in {"Kc", "K1"} and constant > 1.0 / (2.0 * np.pi * low):
@@ -291,8 +291,8 @@ def _alike(evidence: Evidence, at: int) -> str:
 
 
 def _too_wide(evidence: Evidence, at: int) -> str:
-    """Return why the parameter's interval is as wide as its value, and what would narrow it."""
-    name, unit, scatter = evidence.names[at], evidence.parameters[at].unit, evidence.scattered[at]
+    """Return why the interval of the parameter is too wide, and the remedy."""
+    name, unit, scatter = evidence.names[at], _unit(evidence, at), evidence.scattered[at]
     if scatter is not None and scatter.between > BETWEEN * scatter.within:
         return (
             f"{name} is not identifiable: it differs between the recordings by {scatter.between:.2g} {unit} (standard "
@@ -309,8 +309,8 @@ def _too_wide(evidence: Evidence, at: int) -> str:
 
 
 def _by_the_choice(evidence: Evidence, at: int) -> str:
-    """Return which value the selected model alone gives a parameter that other models give another value."""
-    name, unit = evidence.names[at], evidence.parameters[at].unit
+    """Return the value by the selected model alone, for a parameter on which likely models disagree, and the remedy."""
+    name, unit = evidence.names[at], _unit(evidence, at)
     value, half = (float(of[at]) for of in evidence.exact)
     if {"skew", "lag", "window"} & set(evidence.names):
         cause = "A late torque reading looks like a viscoelastic coupling that relaxes fast. Drive faster (--band)"
@@ -325,8 +325,12 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
     )
 
 
+def _unit(evidence: Evidence, at: int) -> str:
+    return evidence.parameters[at].unit.replace("*", " ")
+
+
 def _corner(evidence: Evidence) -> str:
-    """Return how fast damping shows: near and above the corner Kc/(2 pi Bc). Empty where the joint moved as fast."""
+    """Return the corner Kc/(2 pi Bc), from which on damping shows; "" if the joint moved so fast."""
     if "Kc" not in evidence.names:
         return ""
     kc, bc, high = evidence.names.index("Kc"), evidence.names.index("Bc"), evidence.signals.band[1]

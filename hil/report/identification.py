@@ -286,7 +286,7 @@ def identification_lines(found: Identification) -> list[str]:
 
 
 def summary_lines(found: Identification) -> list[str]:
-    """Return a line each on the model and its other parameters, the fit, and the work; more for several recordings."""
+    """Return the lines below the answer: the model, the fit, corrections of Kc and Bc if there are any, the work."""
     factor, unit = people_unit("N*m", milli=milli(found))
     others = [_verdict(found, estimate) for estimate in found.estimates[2:]]
     chosen = f", selected from {len(found.steps)} candidates" if found.steps else ""
@@ -296,7 +296,7 @@ def summary_lines(found: Identification) -> list[str]:
         f"r.m.s. error {found.validation.nrmse:.2%} of the torque on held-out data; "
         f"optimiser gap {found.optimiser_gap:.1e}",
         *_component_lines(found),
-        *deflection_lines(found.deflection),
+        *(deflection_lines(found.deflection) if found.deflection and found.deflection.method != "none" else []),
         *_fixture_lines(found),
         f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s; more with --verbose",

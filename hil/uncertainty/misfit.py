@@ -1,4 +1,4 @@
-"""What the tests of a fit found: in which respects it is rejected, which effects look so, whether it matters."""
+"""The result of the tests of a fit: how it is rejected, the effects that look like it, and whether it matters."""
 
 from __future__ import annotations
 
@@ -60,15 +60,16 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
-    """What the tests found. share: of the residuals' power, predicted in blocks that were not seen; predicted: N m,
-    r.m.s., of that. unexplained: the same, of the torque's standard deviation. of_noise: whether noise of the
-    deflection predicts it, which stands in the residuals too.
+    """The result of the tests.
 
-    Kc, Bc: the size of the misfit, relative: the largest change by a suspect, or half the difference between parts;
-    without either, the change that would make as much torque as is predicted. outside: whether that leaves the interval
-    of Kc or Bc.
-    lags (l,) s and correlation (l, 2): of the residuals with the deflection and rate of `lags` before. plane: mean
-    residual, N m, in cells of equal counts of deflection (rows, rising) and rate (columns, rising), NaN where none is.
+    share: part of the residuals' power that is predicted in unseen blocks; predicted: its size, N m r.m.s.;
+    unexplained: the same, relative to the torque's standard deviation. of_noise: whether noise of the deflection
+    explains the prediction.
+    Kc, Bc: the size of the misfit, relative. It is the largest change by a suspect or half the difference between
+    parts; without either, the change that would make the torque that is predicted. outside: whether that leaves the
+    interval of Kc or Bc.
+    correlation (l, 2): of the residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual, N m, in
+    cells of deflection (rows, rising) and rate (columns, rising) with equal counts; NaN in empty cells.
     """
 
     respects: tuple[Respect, ...]
@@ -86,11 +87,11 @@ class LackOfFit:
     of_noise: bool = False
 
     def beside_noise(self, added: Array) -> LackOfFit:
-        """Return what is left of it, given what as many errors again of the motion add to what is predicted, (N m)^2.
+        """Return the result with `of_noise` set, by how the prediction grows when the errors of the motion double.
 
-        added (k,): by standing in the residuals, beside regressors that have both. A wrong model leaves the same, and
-        errors leave more (Cook and Stefanski 1994), counts of a motion that rests or repeats now more, now less. That
-        is allowed for unless Kc or Bc would be wrong by much, for then the errors must explain it by themselves.
+        added (k,): the growth of the predicted power, (N m)^2, in k simulations. With a wrong model the prediction
+        does not grow; with errors it does (Cook and Stefanski 1994). The growth scatters where the motion rests or
+        repeats. The scatter is allowed for unless Kc or Bc would be wrong by much.
         """
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
@@ -100,20 +101,20 @@ class LackOfFit:
 
     @property
     def affected(self) -> str | None:
-        """The one of Kc and Bc that is wrong by more than matters; None where both are, or neither."""
+        """The parameter, Kc or Bc, that alone is wrong by an amount that matters; None if both are, or neither."""
         return self._grave[0] if len(self._grave) == 1 and not self.explains_too_little else None
 
     @property
     def is_grave(self) -> bool:
         """Whether Kc or Bc would leave its interval by an amount that matters: 0.5 % of Kc or 3 % of Bc.
 
-        Or whether so much of the torque is left that no interval of this model means anything.
+        Also if the model leaves so much of the torque that its intervals mean nothing.
         """
         return self.explains_too_little or (self.outside and bool(self._grave))
 
     @property
     def explains_too_little(self) -> bool:
-        """Whether a large part of the torque follows from the motion, whatever of, and not from the model."""
+        """Whether a large part of the torque follows from the motion but not from the model."""
         return self.unexplained > _UNEXPLAINED
 
     @property
@@ -130,7 +131,7 @@ class LackOfFit:
     def misfit(self) -> bool:
         """Whether the model is rejected, and by an amount that matters.
 
-        Or whether so much of the torque follows from the motion but not from the model that no test has to say so.
+        Also if a large part of the torque follows from the motion but not from the model, whatever the tests say.
         """
         if self.explains_too_little:
             return True
@@ -147,15 +148,15 @@ class LackOfFit:
 
     @property
     def in_intervals(self) -> tuple[float, float]:
-        """By how much the intervals of Kc and Bc are wider for what the model lacks, relative."""
+        """The amounts, relative, by which the intervals of Kc and Bc grow because of the misfit."""
         return (self.Kc, self.Bc) if self.misfit or self._is_small else (0.0, 0.0)
 
     @property
     def _is_small(self) -> bool:
-        """Whether it is less than readings of torque and angle are ever right to: in Kc and Bc, or in the torque."""
+        """Whether it is below the accuracy of real sensors, in Kc and Bc or in the torque."""
         return (self.Kc <= _SMALL[0] and self.Bc <= _SMALL[1]) or self.unexplained <= _ACCURATE
 
     @property
     def _is_harmless(self) -> bool:
-        """Whether it is noise in the deflection that moves neither Kc nor Bc by what matters."""
+        """Whether it is noise in the deflection that changes neither Kc nor Bc by an amount that matters."""
         return bool(self.suspects) and self.suspects[0].effect.in_deflection and not self._grave

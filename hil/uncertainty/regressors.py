@@ -25,7 +25,7 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
         "amplitude": "between small and large deflection",
         "direction": "between loading and unloading",
         "half": "between the first and the second half",
-        "memory": "the torque depends on the motion of before",
+        "memory": "the torque depends on the earlier motion",
         "shape": "the torque is not in proportion to deflection and rate",
         "angle": "the torque repeats with the angle",
         "time": "the torque changes with time",

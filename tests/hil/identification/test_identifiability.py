@@ -84,7 +84,7 @@ def test_a_friction_that_comes_out_negative_makes_the_damping_untrustworthy(make
     assert found["Fc"].ci95[1] < 0.0
     assert (found.trusted("Kc"), found.trusted("Bc")) == (True, False)
     (said,) = [one for one in found.diagnostics if one.code == "implausible"]
-    assert "Fc is -0.000999 N*m, but it cannot be negative" in said.message
+    assert "Fc is -0.000999 N m, but it cannot be negative" in said.message
 
 
 def test_model_selection_never_includes_a_negative_friction(make_recording: Maker) -> None:
