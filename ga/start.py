@@ -1,4 +1,4 @@
-"""Where a search may begin: a cube around the least-squares solution that all but surely holds the optimum.
+"""The start of a search: a cube around the least-squares solution that almost surely holds the optimum.
 
 The least-squares solution of the data, moved towards the least absolute error by two steps of iterated weights
 (Schlossmacher 1973), is its centre. Its half-width is four standard errors of the estimator that is sought, and as much

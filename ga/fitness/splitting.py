@@ -82,7 +82,7 @@ def add_carrying(total: float, carry: float, term: float) -> tuple[float, float]
 
 @compiled_inline
 def _code(tree: Tree, node: int) -> int:
-    """Which of the parent's parts the place is in."""
+    """Return the number of the parent's part that holds the place."""
     shift = tree.nodes[node, SHIFT] - _STEP
     code = 0
     for k in range(tree.at.size):
@@ -241,7 +241,7 @@ def _mean_at(tree: Tree, group: int) -> float:
 
 @compiled_inline
 def _spread_at(tree: Tree, group: int) -> float:
-    """How far the residual of any of a group's rows can be from their mean there, N m."""
+    """Return the largest distance, N m, of a row's residual from the mean of its group there."""
     p = tree.at.size
     spread = tree.groups[group, p + 1]
     for k in range(p):

@@ -112,7 +112,7 @@ def _subsample(blocks: Blocks, rows: int) -> tuple[Matrix, Matrix, Vector, float
 
 
 def _radius(columns: Matrix, torque: Vector, genes: Vector) -> float:
-    """How far the optimum of the whole may be from that of the subsample, in whitened coordinates.
+    """Return how far the optimum of all rows may be from that of the subsample, in whitened coordinates.
 
     The variance of a median's estimate is 1/(4 f(0)^2 m) in each (Koenker 2005, section 4.2); rows were drawn at
     random, so that what follows what in the recording does not matter.

@@ -255,7 +255,7 @@ class CouplingModel:
         return _Seen(motion, near, self._regressors(whole, shown, nonlinear, lag))
 
     def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
-        """What a torque (m,) or columns (m, p) of it become behind the torque cell, at the samples of the motion (n,).
+        """Return a torque (m,) or columns (m, p) as the torque cell reads them, at the samples of the motion (n,).
 
         Where there is a cell, they are of all samples.
         """
@@ -296,7 +296,7 @@ class CouplingModel:
                 yield term, bends, valued.get(term.name, np.empty(0))
 
     def _pushed(self, regressors: Regressors, nonlinear: Array | None, genes: Array, moved: Array) -> Array:
-        """How the torque, N m, changes where the deflection changes by `moved` (n,) rad, for genes (p,)."""
+        """Return the change of the torque, N m, for a change of the deflection by `moved` (n,) rad and genes (p,)."""
         parts, at = [], 0
         for term, _, own in self._present(nonlinear):
             count = sum(not parameter.nonlinear for parameter in term.parameters)

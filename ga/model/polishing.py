@@ -1,4 +1,4 @@
-"""The last part of a fit of nonlinear parameters: along the troughs in which descents in all of them end early."""
+"""The last part of a fit of nonlinear parameters: along the directions in which descents end too early."""
 
 from __future__ import annotations
 

@@ -220,7 +220,7 @@ def _other_starts(problem: Problem, best: Fit, starts: list[Fit]) -> list[Fit]:
 
 
 def _is_possible(problem: Problem, found: Fit) -> bool:
-    """Whether no parameter is negative that nature has no negative one of."""
+    """Return whether no parameter is negative that physics does not allow to be."""
     values = zip(problem.model.linear, found.optimum.genes, strict=True)
     return all(value >= 0.0 for parameter, value in values if parameter.positive)
 

@@ -65,7 +65,7 @@ class Motion:
 
     @property
     def passes(self) -> int:
-        """How often the joint went from the lower quarter of its range to the upper one, or back."""
+        """The number of times that the joint went from the lower quarter of its range to the upper one, or back."""
         import numpy as np
 
         centred = self.dtheta - 0.5 * (self.dtheta.min() + self.dtheta.max())
@@ -128,7 +128,7 @@ class Motion:
         return self._evaluated(delay, self._curves)
 
     def changing(self, delay: float) -> Motion:
-        """How fast each part changes, per second, at `delay` seconds before each time."""
+        """Return the derivative of each part, per second, `delay` seconds before each time."""
         return self._evaluated(delay, self._changes)
 
     def lagged(self, values: Array, constant: float) -> Array:
@@ -173,7 +173,7 @@ class Motion:
         return np.concatenate([law(self.time[a:b], self.dtheta_dot[a:b], length) for a, b in self._stretches()])
 
     def fading(self, clock: Array, constant: float) -> Array:
-        """What is left (n,), 1 to 0, of the state at the beginning of each stretch, as a clock (n,) goes on.
+        """Return the part (n,), 1 to 0, that is left of the state at the start of each stretch, by a clock (n,).
 
         constant: in the clock's unit, after which 1/e is left; 0: one sample.
         """
@@ -187,7 +187,7 @@ class Motion:
 
     @cached_property
     def travelled(self) -> Array:
-        """The way (n,) rad of the joint since the first sample, back and forth."""
+        """The distance (n,), rad, that the joint travelled since the first sample, back and forth."""
         moved = np.diff(self.time) * 0.5 * np.abs(self.dtheta_dot[:-1] + self.dtheta_dot[1:])
         return np.concatenate([[0.0], np.cumsum(moved)])
 
@@ -206,7 +206,7 @@ class Motion:
 
     @cached_property
     def _filters(self) -> tuple[Callable[[Array], Array], ...]:
-        """What makes of the values in each stretch what is behind the filter."""
+        """The filter of the values in each stretch, as a function."""
         stretches = self._stretches()
         return tuple(self.behind.passing(self.time[a:b]) if self.behind else np.asarray for a, b in stretches)
 

@@ -1,4 +1,4 @@
-"""The state of a long run of trials on disk, so that it can go on where it was cut short.
+"""The state of a long run of trials on disk, from which the run can be resumed.
 
 One NumPy archive (.npz, no pickles), replaced as a whole: a reader sees the old state or the new one. Beside the
 populations it holds what they belong to, and a run with other data, bounds, settings, seed or number of trials is

@@ -85,7 +85,7 @@ def search_nonlinear(
 
 
 def _polish(finished: list[_Trial], problem: Problem) -> None:
-    """Go on from the best trial's local minimum, or that of a grid where it is lower, to the lowest place nearby."""
+    """Descend from the best trial's local minimum, or a grid's if it is lower, to the lowest place nearby."""
     if finished:
         best = min(finished, key=lambda trial: trial.fit.fitness if trial.fit else np.inf)
         found = [compass_search(problem, best.fit)] if best.fit else []

@@ -1,4 +1,4 @@
-"""What many independent searches of the same data say together (the paper's Table 1)."""
+"""The outcome of many independent searches of the same data (the paper's Table 1)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Trials:
 
     @property
     def interrupted(self) -> bool:
-        """Whether any was cut short."""
+        """Whether any trial was stopped before its end."""
         return not self.finished.all()
 
     @property

@@ -106,7 +106,7 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
 
 
 def _explained(found: Identification) -> list[Diagnostic]:
-    """The diagnostics without a misfit of the kind that two springs and dampers in series are, which is corrected."""
+    """Return the diagnostics without a misfit that the fixture, in series with the joint, explains."""
     test = found.lack_of_fit
     series = test is not None and "viscoelastic" in {one.effect.code for one in test.suspects}
     return [one for one in found.diagnostics if not (series and one.code == "misfit")]

@@ -1,6 +1,4 @@
-"""Faults of an angle's reading: a zero far away, jumps by a turn, single wrong readings, one that stopped while the
-torque went on.
-"""
+"""Faults of an angle's reading: a far zero, jumps by a turn, single wrong readings, an angle that stands still."""
 
 from __future__ import annotations
 

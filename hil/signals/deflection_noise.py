@@ -24,7 +24,7 @@ _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averag
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """What was read: torque (n,) N m, deflection (n,) rad, its rate and acceleration (n,), s between two readings."""
+    """The readings: torque (n,) N m, deflection (n,) rad, its rate and acceleration (n,), s between two readings."""
 
     torque: Array
     dtheta: Array
@@ -47,7 +47,7 @@ def disturbs(read: Read, noise: float, rate_noise: float) -> bool:
 
 
 def _drawn(read: Read, noise: float) -> float:
-    """By how much a false skew would change Bc, relative."""
+    """Return the relative change of Bc by a false skew."""
     columns = np.stack([np.ones_like(read.rate), read.dtheta, read.rate, read.acceleration], axis=1)
     _, stiffness, damping, _inertia = np.linalg.lstsq(columns, read.torque, rcond=None)[0].tolist()
     # what of the torque's slope no Kc and Bc can make

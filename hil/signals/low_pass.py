@@ -137,13 +137,13 @@ def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
 
 
 def _stretches(time: Array, step: float) -> list[slice]:
-    """Samples between which so little is lost that it can be interpolated."""
+    """Return the stretches of samples whose gaps are short enough to interpolate."""
     breaks = np.flatnonzero(np.diff(time) > _BRIDGED * step) + 1
     return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
 
 
 def _passed(time: Array, values: Array, low_pass: LowPass) -> Array:
-    """The same of a stretch without gaps, (3, n)."""
+    """Return the same for a stretch without gaps, (3, n)."""
     if _is_even(time, low_pass):
         return _filtered(values, low_pass, _SIGNALS)
     if len(time) < 2 * low_pass.near + 1:
@@ -157,7 +157,7 @@ def _passed(time: Array, values: Array, low_pass: LowPass) -> Array:
 
 
 def _passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
-    """What makes the first row of `_passed`, at stamps that are asked for again."""
+    """Return the function for the first row of `_passed`, for stamps that are used many times."""
     if _is_even(time, low_pass):
         return lambda values: np.asarray(_filtered(values, low_pass, 1)[0])
     if not 2 * low_pass.near < len(time) < _KEPT:

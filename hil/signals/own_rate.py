@@ -33,7 +33,7 @@ class OwnRate:
     size: float
 
     def diagnostic(self) -> Diagnostic:
-        """Return what is said of it."""
+        """Return the warning about it."""
         late = "late" if self.lag >= 0.0 else "early"
         text = (
             f"the recorded rate is {1e3 * abs(self.lag):.3g} ms {late} and {self.size:.3g} times the derivative of the "

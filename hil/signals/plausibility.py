@@ -1,4 +1,4 @@
-"""Torque and deflection held against what a stand can do: a unit that was mistaken shows in their size."""
+"""Compare torque and deflection with the limits of the stand: a wrong unit shows in their size."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Swing(NamedTuple):
 
     @property
     def half(self) -> float:
-        """Half of what lies between the two: an offset of the sensor is no swing."""
+        """Half the range, without the offset of the sensor."""
         return (self.largest - self.least) / 2.0
 
     @classmethod

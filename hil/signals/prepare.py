@@ -199,7 +199,7 @@ class LongRecording:
         self._columns, self._window = columns.seeing(first)
 
     def glimpse(self, parts: int = 16, rows: int = 1 << 14) -> list[Signals]:
-        """Return some stretches, evenly spread."""
+        """Return some stretches, spread evenly over the recording."""
         length = len(self._recording)
         parts = max(1, min(parts, length // rows))  # samples that were seen twice would count as more evidence
         starts = np.linspace(0, max(0, length - rows), parts).astype(int).tolist()
@@ -344,7 +344,7 @@ def _at_joint(torque: Array, columns: _Columns) -> Array:
 
 
 def _motor_share(rate: Array, acceleration: Array, columns: _Columns) -> Array:
-    """Return what of the torque reading (n,) N m at the joint is the motor's own."""
+    """Return the motor's own part (n,), N m, of the torque reading at the joint."""
     if not columns.motor_side or columns.stand is None:
         return np.zeros_like(rate)
     return Transmission.of(columns.stand).motor_share(rate, acceleration)

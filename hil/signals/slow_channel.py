@@ -167,7 +167,7 @@ def _held(time: Array, values: Array) -> Readings:
 
 
 def _converted(before: Array, shown: Array) -> tuple[Array, float]:
-    """When readings were converted (m,), s, between these moments (m,), and the range that all may be off by."""
+    """Return when readings were converted (m,), s, between these moments (m,), and the range of their common error."""
     middle = 0.5 * (before + shown)
     whole = _numbered(np.diff(middle))
     for size in (len(middle), _LOCAL):
@@ -207,14 +207,14 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float]:
 
 
 def _bends(time: Array, values: Array) -> Array:
-    """How far the line through each sample (n,) and the one before misses the next; infinite at both ends."""
+    """Return the distance (n,) of the next sample from the line through it and the last; infinite at both ends."""
     steps = np.diff(time)
     bends = np.abs(np.diff(np.diff(values) / steps)) * np.minimum(steps[1:], steps[:-1])
     return np.concatenate([[np.inf], bends, [np.inf]])
 
 
 def _tolerance(values: Array, count: float) -> float:
-    """By how much three samples on a line may be off it."""
+    """Return the distance from a line up to which three samples count as on it."""
     return max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
 
 

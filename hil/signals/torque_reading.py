@@ -1,4 +1,4 @@
-"""What stands between the torque and its readings, seen from the readings alone: a filter, a resampling, a delay.
+"""Recognise a filter, a resampling or a delay of the torque from its readings alone.
 
 Such a reading is no torque of the coupling, and no model of the coupling describes it. The part of the torque that no
 linear filter of the deflection makes is noise, which passes what the torque passes: a moving mean takes out the
@@ -36,7 +36,7 @@ _FINE: Final = 40.0  # delays that are tried in the shortest period
 
 
 def seen_in_torque(signals: Signals, longest: float) -> str:
-    """Return what the torque's readings went through and what to do, as a sentence; "" where nothing is seen.
+    """Return a sentence on the filter, resampling or delay of the torque and the remedy; "" if none is seen.
 
     longest: s, up to which the models of the coupling know a delay.
     """
@@ -62,7 +62,7 @@ def seen_in_torque(signals: Signals, longest: float) -> str:
 
 
 def _seen_in_noise(signals: Signals, step: float) -> str:
-    """What the noise of the torque shows of a resampling or a moving mean."""
+    """Return the sentence on a resampling or a moving mean that the noise of the torque shows; "" if none."""
     length = min(_SEGMENT, len(signals) // _SEGMENTS)
     frequency, power = _noise_spectrum(signals.as_read, signals.motion.dtheta, length, step)
     looked = (frequency > _BEYOND * signals.band[1]) & (frequency < _WHOLE / step)
@@ -96,7 +96,7 @@ def _noise_spectrum(torque: Array, angle: Array, length: int, step: float) -> tu
 
 
 def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
-    """Where the noise ends, Hz: an octave above there is next to none. None where it does not end."""
+    """Return the frequency, Hz, above which the torque has no noise; None if there is noise everywhere."""
     usual = float(np.median(power[frequency < _BEYOND * highest]))
     gone = np.flatnonzero((power < usual / _EDGE) & (frequency > highest))
     for first in frequency[gone[:1]].tolist():
@@ -111,7 +111,7 @@ def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
 
 
 def _mean_of(frequency: Array, power: Array, step: float) -> int | None:
-    """How many readings a reading is the mean of, by the gaps in the noise; None where there are none."""
+    """Return the length of a moving mean, in readings, from the gaps in the noise; None if there are none."""
     decades = np.log10(np.maximum(power, 1e-300))
     found, lobes = None, np.zeros(1)
     for count in range(3, _LONGEST_MEAN):
@@ -126,7 +126,7 @@ def _mean_of(frequency: Array, power: Array, step: float) -> int | None:
 
 
 def _delay(signals: Signals, step: float) -> float:
-    """By how much the torque is late, s, where spring and damper then explain it much better; else 0."""
+    """Return the delay of the torque, s, if spring and damper explain it much better with it; else 0."""
     motion, torque = signals.motion, signals.torque
     columns = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
     pace = max(step, 1.0 / (_FINE * signals.band[1]))

@@ -161,7 +161,7 @@ def _spectra(recorded: Recorded, instrument: Array, band: tuple[float, float]) -
 
 
 def _edges(frequency: Array, band: tuple[float, float]) -> NDArray[np.int64]:
-    """Where bands begin and end, in lines: of equal ratio, each with room for a main lobe."""
+    """Return the edges of the bands, in lines of the spectrum: in equal ratios, each wider than a main lobe."""
     low, high = np.searchsorted(frequency, band)
     first = max(1, int(low) - 2)
     last = max(int(high) + 2, first + _LINES)

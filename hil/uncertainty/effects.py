@@ -144,7 +144,7 @@ class Effect:
     in_deflection: bool = False
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
-        """Return what another process finds the effect by: its signature may be a function without a name."""
+        """Pickle the effect as its code: its signature may be a lambda."""
         return effect_of, (self.code,)
 
 

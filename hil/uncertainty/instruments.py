@@ -1,4 +1,4 @@
-"""Errors of the deflection in the parameters: taken off by instruments, or as far as a simulation of them says.
+"""Correct the parameters for errors of the deflection: by instrumental variables, or by a simulation of the errors.
 
 Noise and counts of the deflection stand in the regressors, so that a fit makes Kc and Bc too small (errors in
 variables: Soderstrom 2007). What as many errors again do to the parameters is simulated (Cook and Stefanski 1994).
@@ -80,12 +80,12 @@ class Fitted:
         return columns, left
 
     def matters(self, change: Array) -> bool:
-        """Return whether a change (p + q,) is one that must be made."""
+        """Return whether a change (p + q,) is large enough beside the intervals to be made."""
         at = list(self.decisive)
         return bool((np.abs(change[at]) > _MATTERS * self.half_width[at]).any())
 
     def shows(self, change: _Change) -> bool:
-        """Return whether a change is one that must be made, and beyond its own error (Hausman 1978)."""
+        """Return whether a change is large enough to be made and larger than its own error (Hausman 1978)."""
         return self.matters(np.where(np.abs(change.values) > _SURE * change.half_width, change.values, 0.0))
 
 
@@ -164,7 +164,7 @@ def _disturbed(part: Fitted) -> bool:
 
 
 def _simulated(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, Array]:
-    """The change that takes off what the errors added, by adding as many again; and 1.96 times what they scatter.
+    """Return the correction, found by adding as many errors again, and 1.96 times its standard deviation.
 
     The interval has that scatter already, unless it is of a rounding in step with the motion.
     """
@@ -185,7 +185,7 @@ def _simulated(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, Array]:
 
 
 def _more(motion: Motion, window: Window, errors: Array) -> Motion:
-    """The motion with more errors (n,) rad in its readings."""
+    """Return the motion with more errors (n,) rad in its readings."""
     more = np.array(_behind(window, motion, errors))
     if window.low_pass is None:
         for part in _stretches(motion):  # near its ends a local polynomial has many times the noise
@@ -243,7 +243,7 @@ def _moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
 
 
 def _by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, float] | None:
-    """The change that the instruments make, and their strength; None without a command."""
+    """Return the correction by the instruments, and their strength; None without a command."""
     if not is_instrument(part.command):
         return None
     motion = followed(part.motion, part.window, part.command, sound)
@@ -293,7 +293,7 @@ def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
 
 
 def _smoothed_away(motion: Motion, window: Window) -> Array:
-    """What the window takes off the rate (n,), rad/s, by how the rate changes with two that are wider, each alike.
+    """Return the part of the rate (n,), rad/s, that the window smooths away, from the rates of two wider windows.
 
     The changes grow by one factor, as a geometric series, of which the window's own error is all that comes before.
     """
@@ -314,7 +314,7 @@ def _smoothed_away(motion: Motion, window: Window) -> Array:
 
 
 def _solved(columns: Array, instruments: Array, left: Array) -> Array:
-    """By how much the parameters (p + q,) change until the residuals (n,) have nothing of the instruments."""
+    """Return the change of the parameters (p + q,) that makes the residuals (n,) orthogonal to the instruments."""
     sizes = np.linalg.norm(columns, axis=0)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     gram = (instruments / sizes).T @ (columns / sizes)
@@ -323,7 +323,7 @@ def _solved(columns: Array, instruments: Array, left: Array) -> Array:
 
 
 def _clipped(left: Array) -> Array:
-    """Residuals (n,) N m of Huber's (1964) estimate, of a size that a step by them is as long as by all."""
+    """Return residuals (n,) N m clipped as in Huber's (1964) estimate, scaled so that a step has full length."""
     limit = _CLIPPED * 1.4826 * float(np.median(np.abs(left)))
     inside = float(np.mean(np.abs(left) < limit))
     return np.asarray(np.clip(left, -limit, limit) / max(0.5, inside))

@@ -57,7 +57,7 @@ class Fitted:
 
 
 def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
-    """Test a fit; None where the recording is too short for it, or the fit leaves nothing.
+    """Test a fit. Return None if the recording is too short, or if the residuals are only rounding.
 
     Raises ValueError where the arrays differ in length.
     """
@@ -72,14 +72,14 @@ def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
 
 
 def predicted(recorded: Recorded, *fits: Fitted) -> Array:
-    """Return what of the residuals of each fit (k,) the regressors of the first predict in unseen blocks, N m r.m.s."""
+    """Return the predicted part of the residuals of each fit (k,), N m r.m.s., by the regressors of the first."""
     tests = [_Tests(*_fewer(recorded, _blanked(one))) for one in fits]
     features = np.concatenate(list(tests[0].features().values()), axis=1)
     return np.array([one.predicted(features)[1] for one in tests])
 
 
 class _Tests:
-    """One recording with its residuals' scores, and what is worked out from them."""
+    """One recording with the scores of its residuals, and the tests on them."""
 
     def __init__(self, recorded: Recorded, fitted: Fitted) -> None:
         self._recorded, self._fitted = recorded, fitted
@@ -92,7 +92,7 @@ class _Tests:
         self._coupling = own - own.mean(axis=0)  # where an encoder has its zero says nothing
 
     def features(self) -> dict[str, Array]:
-        """The regressors (n, k) of each respect, as far as the model cannot make them."""
+        """The regressors (n, k) of each respect, without the part that the model can make."""
         return {name: self._tested.new(values) for name, values in regressors(self._recorded, self._model).items()}
 
     def predicted(self, features: Array) -> tuple[float, float]:
@@ -129,13 +129,13 @@ class _Tests:
         )
 
     def _of_torque(self, share: float, predicted: float) -> float:
-        """What is predicted, N m r.m.s., of the torque's deviation; outliers make neither larger than the residuals."""
+        """Return a predicted size, N m r.m.s., relative to the torque's standard deviation, robust to outliers."""
         kept = self._kept[:, 0]
         residuals, torque = (float(np.std(one[kept])) for one in (self._fitted.residuals, self._recorded.torque))
         return min(predicted, float(np.sqrt(share)) * residuals) / torque if torque > 0.0 else 0.0
 
     def _compared(self, code: str, weights: Array | float) -> Respect | None:
-        """Compare Kc and Bc of the samples that weights (n,) mark, or of the band below so many Hz, with the rest."""
+        """Compare Kc and Bc of one part, marked by weights (n,) or as the band below so many Hz, with the rest."""
         own = self._coupling
         if isinstance(weights, float):
             part = np.stack([self._recorded.smoothed(column, weights) for column in own.T], axis=1)
@@ -149,7 +149,7 @@ class _Tests:
         return Respect(code, NAMES[code], self._tested.chance(left / scale), *self._relative(np.asarray(differences)))
 
     def _suspects(self, share: float) -> tuple[Suspect, ...]:
-        """The effects that explain most of what can be predicted, the best first."""
+        """Return the effects that explain most of the predicted part, the best first."""
         lacking = [effect for effect in EFFECTS if effect.code not in self._fitted.included]
         found = [one for effect in lacking if (one := self._suspect(effect)) is not None and self._is_possible(one)]
         most = max((one.share for one in found), default=0.0)
@@ -159,7 +159,7 @@ class _Tests:
         return tuple(one for at, one in enumerate(ranked) if at == 0 or not one.effect.in_deflection)[:3]
 
     def _is_possible(self, one: Suspect) -> bool:
-        """Whether noise of the deflection, if the effect is that, is large enough for what it explains."""
+        """Return whether noise of the deflection is large enough to explain its share; True for other effects."""
         if not one.effect.in_deflection:
             return True
         noise = self._fitted.values[0] ** 2 * float(np.var(reading_noise(self._recorded))) / NOISE_GAIN
@@ -180,7 +180,7 @@ class _Tests:
         return best
 
     def _moved(self, effect: Effect, torque: Array) -> tuple[float, float]:
-        """By how much Kc and Bc change, relative, once a torque (n,) is no longer theirs to make."""
+        """Return the relative change of Kc and Bc if a torque (n,) is removed from the fit."""
         if self._fitted.coupling is None:
             return 0.0, 0.0
         moved = -np.linalg.lstsq(self._fitted.columns, torque, rcond=None)[0][list(self._fitted.coupling)]
@@ -189,7 +189,7 @@ class _Tests:
         return self._relative(np.asarray(moved))
 
     def _moved_by_noise(self) -> Array:
-        """How far noise in the deflection moves Kc and Bc (2,), SI.
+        """Return the change of Kc and Bc (2,), SI, by noise in the deflection.
 
         It makes Kc too low. A delay by a part of the time between two readings averages the noise, by up to a half
         midway, so that a skew is drawn there as far as its own residuals let it; Bc follows the skew by Kc.
@@ -207,7 +207,7 @@ class _Tests:
         return np.array([attenuated, stiffness * min(longest, drawn)])
 
     def _relative(self, changes: Array) -> tuple[float, float]:
-        """Changes (2,) of Kc and Bc, relative; infinite ones count as none."""
+        """Return changes (2,) of Kc and Bc relative to them; infinite ones count as zero."""
         values = np.abs(self._fitted.values)
         first, second = np.divide(changes, values, out=np.zeros(2), where=values > 0.0).tolist()
         return first, second
@@ -215,7 +215,7 @@ class _Tests:
     def _sizes(
         self, respects: tuple[Respect, ...], suspects: tuple[Suspect, ...], torque: float, *, explained: bool
     ) -> Array:
-        """The size of the misfit in Kc and Bc (2,), relative, not negative; torque: N m r.m.s. that is predicted.
+        """Return the size of the misfit in Kc and Bc (2,), relative, not negative. torque: N m r.m.s., predicted.
 
         explained: whether the likeliest effect explains nearly all of that.
         """
@@ -250,7 +250,7 @@ class _Tests:
 
 
 def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
-    """At most about `_LIMIT` samples: first less densely, then stretches spread over the recording."""
+    """Return at most about `_LIMIT` samples: every n-th one, then stretches spread over the recording."""
     if len(recorded) <= _LIMIT:
         return recorded, fitted
     speed = np.sqrt(np.mean(recorded.rate**2) / np.var(recorded.deflection))  # rad/s, of a sine that moves alike
@@ -269,7 +269,7 @@ def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
 
 
 def _apart(coupling: Array) -> Array:
-    """What each of two columns (n, 2) has that the other has not."""
+    """Return the part of each of two columns (n, 2) that the other cannot make."""
     first, second = coupling.T
     product = float(first @ second)
     return np.stack(
@@ -282,7 +282,7 @@ def _apart(coupling: Array) -> Array:
 
 
 def _blanked(fitted: Fitted) -> Fitted:
-    """The fit with zeros where the model describes nothing: those samples then add to no sum."""
+    """Return the fit with zeros at the samples that the model does not describe, so that they add to no sum."""
     if fitted.kept is None:
         return fitted
     residuals = np.where(fitted.kept, fitted.residuals, 0.0)
@@ -290,7 +290,7 @@ def _blanked(fitted: Fitted) -> Fitted:
 
 
 def _corrected(respects: list[Respect]) -> tuple[Respect, ...]:
-    """Holm's correction for the number of tests."""
+    """Return the respects with Holm's correction for the number of tests."""
     order, worst = sorted(range(len(respects)), key=lambda at: respects[at].p), 0.0
     found = list(respects)
     for rank, at in enumerate(order):

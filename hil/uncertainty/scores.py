@@ -25,7 +25,7 @@ _DEPENDENT: Final = 1e-6  # of a feature's power, that must be new, for it to be
 
 
 class Scores:
-    """The residuals of a fit, as features are held against them.
+    """The residuals of a fit, against which features are tested.
 
     scores: (n,) N m, the residuals with outliers clipped; residuals: (n,) N m, with gross outliers clipped only, for
     the sizes of effects. Both are orthogonal to the model's columns, and zero where the model describes nothing.
@@ -108,7 +108,7 @@ def _clipped(residuals: Array, basis: Array, kept: NDArray[np.bool_], clipped_at
 
 
 def _blocks(scores: Array) -> NDArray[np.int64]:
-    """Where blocks begin that are long beside the time over which the residuals follow each other."""
+    """Return the first rows of blocks much longer than the autocorrelation of the residuals."""
     count = len(scores)
     spectrum = np.abs(np.fft.rfft(scores, 2 * count)) ** 2
     alike = np.fft.irfft(spectrum)[:count]

@@ -1,4 +1,4 @@
-"""What errors of the deflection did to Kc and Bc, for the result: the change, its summary and its diagnostics."""
+"""The correction of Kc and Bc for errors of the deflection: the change, its summary and its diagnostics."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _REMEDY = "use a larger amplitude or a finer encoder"
 
 
 def read_with_errors(data: Dataset, values: Array, half_width: Array) -> DeflectionErrors | None:
-    """Return what errors of the deflection did to the exact optimum; None where the rate was recorded beside it.
+    """Return the effect of errors of the deflection on the exact optimum; None if the rate was recorded too.
 
     values (p + q,): of the exact optimum, half_width (p + q,): of its intervals, SI.
     """
@@ -105,7 +105,7 @@ def _cause(found: DeflectionErrors) -> str:
 
 
 def _relative(evidence: Evidence, change: Array) -> dict[str, float]:
-    """A change (p + q,) of Kc and Bc, relative to what they are with it."""
+    """Return a change (p + q,) of Kc and Bc, relative to the corrected values."""
     found: dict[str, float] = {}
     for name in COUPLING:
         if name in evidence.names:

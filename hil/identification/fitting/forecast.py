@@ -1,4 +1,4 @@
-"""How long a search will take, said before it begins."""
+"""Predict the time that a search will take."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def forecast(
     workers: int,
     progress: Progress,
 ) -> None:
-    """Say how long a search that makes a child a generation will take, where that is long: by the rate of a short one.
+    """Report the predicted time of a long steady-state search, from the rate of a short one.
 
-    Of a search that is resumed, the part that is done already is counted too.
+    For a search that is resumed, the part that is done counts too.
     """
     if settings.generations < _LONG_SEARCH:
         return

@@ -1,4 +1,4 @@
-"""Where the joint is unloaded: the place at which Kc of a spring that curves is its stiffness.
+"""Find the deflection at which the joint is unloaded, where Kc of a spring that curves is its stiffness.
 
 Three witnesses know that place, and none of them need be right: the encoder's zero, if it was set there; the zero of
 the torque, if its reading has no offset; and the symmetry of the spring, if it is alike in both directions. Two that
@@ -68,7 +68,7 @@ Rest = Callable[[Signals], Unloaded]
 
 
 def rest_for(model: Coupling | None) -> Rest:
-    """Return what finds where the joint is unloaded, for a model that is named, or None for one to be selected.
+    """Return the function that finds the unloaded place, for a named model, or None if it is to be selected.
 
     It is at the encoder's zero where a parameter counts from it, as a user's own may and those of gap and slack do. A
     model that is named without an offset of the torque says that its reading has none.

@@ -64,7 +64,7 @@ class Selection:
 
     @cached_property
     def residuals(self) -> Array:
-        """Of its fit, (n,) N m."""
+        """The residuals of its fit, (n,) N m."""
         return self.chosen.problem.residuals(self.chosen.fit)
 
     @cached_property
@@ -79,7 +79,7 @@ class Selection:
 
     @property
     def delay(self) -> float:
-        """How much older the torque reading is, s; 0 where no term of the model says."""
+        """The age of the torque reading beside that of the angle, s; 0 without a term for it."""
         return self.model.delay(self.chosen.fit.nonlinear)
 
     @cached_property
