@@ -164,7 +164,7 @@ def misfit_diagnostics(
 
 def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
     """Return the warning that the recording is too short for the tests, or that they can decide nothing by it."""
-    seen = f", but the motion predicts {found.share:.0%} of its residuals" if found else ""
+    seen = f", but the motion predicts {100.0 * found.share:.0f} % of its residuals" if found else ""
     return Diagnostic(
         "misfit-untested",
         f"the recording is too short to test model {model}{seen}. Kc and Bc may include effects that the model leaves "
@@ -179,13 +179,14 @@ def _respects(model: str, found: LackOfFit) -> str:
     respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
     said = "".join(f"{one}; " for one in respects[:_RESPECTS])
     return (
-        f"model {model} does not describe this recording: {said}the motion predicts {found.share:.0%} of the residuals"
+        f"model {model} does not describe this recording: {said}the motion predicts {100.0 * found.share:.0f} % of the "
+        "residuals"
     )
 
 
 def _consequence(found: LackOfFit) -> str:
     if found.explains_too_little:
-        return f"It leaves out {found.unexplained:.0%} of the torque, so Kc and Bc mean nothing"
+        return f"It leaves out {100.0 * found.unexplained:.0f} % of the torque, so Kc and Bc mean nothing"
     return f"Kc may be wrong by {_percent(found.Kc)} and Bc by {_percent(found.Bc)}" + (
         "; their intervals include this" if found.outside else ""
     )
@@ -200,7 +201,9 @@ def _remedy(found: LackOfFit) -> str:
     """What the residuals look like, with the model or experiment to try."""
     if not found.suspects:
         return "No known effect explains the residuals. Look at them with --report, and at K'(f) with --verbose"
-    looks = [f"{one.effect.name} (with it Kc {one.Kc:+.1%}, Bc {one.Bc:+.0%})" for one in found.suspects]
+    looks = [
+        f"{one.effect.name} (with it Kc {100.0 * one.Kc:+.1f} %, Bc {100.0 * one.Bc:+.0f} %)" for one in found.suspects
+    ]
     return f"The residuals look like {' or '.join(looks)}: {found.suspects[0].effect.advice}"
 
 

@@ -37,7 +37,8 @@ def same_stand_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
         found.append(
             Diagnostic(
                 "stand-unknown",
-                f"{', '.join(unknown)} name(s) no stand, unlike {stands[0][0]}: make sure that it is the same one",
+                f"{', '.join(unknown)}: no stand is named, but {stands[0][0]} names one. Make sure that all are of the "
+                "same stand",
             )
         )
     return found
@@ -70,10 +71,13 @@ def _compared(first: Path, known: dict[str, Any], path: Path, facts: dict[str, A
             f"{path} is of the stand {facts['name']!r} and {first} of {known['name']!r}: take recordings of one stand"
         )
     changed = [
-        f"{key} {facts.get(key, 'not set')} instead of {known.get(key, 'not set')}"
+        f"{key} {facts.get(key, 'not set')} (not {known.get(key, 'not set')})"
         for key in sorted(facts.keys() | known.keys())
         if facts.get(key) != known.get(key)
     ]
     if not changed:
         return []
-    return [Diagnostic("stand-changed", f"{path} was made with {', '.join(changed)} in {first}: is it the same stand?")]
+    text = (
+        f"the stand of {path} differs from that of {first}: {', '.join(changed)}. Make sure that it is the same stand"
+    )
+    return [Diagnostic("stand-changed", text)]

@@ -177,8 +177,8 @@ def test_a_stand_that_was_changed_between_two_recordings_is_said(make_recording:
     second, third = stamped(make_recording("b.h5"), stand=changed), stamped(make_recording("c.h5"))
     found = check_together([first, second, third])
     assert [diagnostic.code for diagnostic in found] == ["stand-changed", "stand-unknown"]
-    assert "gear_ratio 5.0 instead of 4.0, limits.torque 0.05 instead of 0.03" in found[0].message
-    assert "c.h5 name(s) no stand" in found[1].message
+    assert "gear_ratio 5.0 (not 4.0), limits.torque 0.05 (not 0.03)" in found[0].message
+    assert "c.h5: no stand is named" in found[1].message
 
 
 def test_recordings_of_one_stand_or_of_none_have_nothing_said_of_them(make_recording: Maker) -> None:
