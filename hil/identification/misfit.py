@@ -11,6 +11,7 @@ from ga.model.coupling import parse
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
+from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.signals.torque_reading import seen_in_torque
 from hil.signals.windows import is_smooth
@@ -38,6 +39,8 @@ _TERMS = {  # parameters of terms that leave nothing of these effects: a Maxwell
 }
 _FOLLOWED = 0.02  # of the power of the deflection, which a motion that follows from the command may lack
 _CHANGES = 0.03  # of K' over the band, from which it is said
+_ROUNDED = 0.01  # of the residuals' power, which rounding to counts must be for the tests to see it
+_OFF_GRID = 0.2  # counts, by which a reading in counts is off their grid at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +112,7 @@ def _held_against(described: Described, motion: Motion) -> tuple[Recorded, Fitte
     skew = names.index("skew") if "skew" in names else None
     if described.averaged:
         columns = np.concatenate([columns, *_of_every_bench(described, recorded, residuals)], axis=1)
+    columns = np.concatenate([columns, *_of_rounding(described.signals, residuals)], axis=1)
     seen = described.signals.motion  # the same samples, whatever errors are added
     kept = described.kept & is_smooth(seen)
     included = frozenset(code for name, code in _TERMS.items() if name in names)
@@ -134,6 +138,27 @@ def _of_every_bench(described: Described, recorded: Recorded, residuals: Array) 
     model, lacking = recorded.torque - residuals, set(_OF_EVERY_BENCH).difference(described.names)
     codes = {code for name, code in _OF_EVERY_BENCH.items() if name in lacking}
     return [column for one in EFFECTS if one.code in codes for column in one.signature(recorded, model)]
+
+
+def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:
+    """What rounding the torque to counts adds (n, 5), N m, none where it is small beside residuals (n,).
+
+    It is a sawtooth of the model, of which noise leaves the first waves only.
+    """
+    count = smallest_step(signals.as_read)
+    if count**2 / 12.0 < _ROUNDED * float(np.var(residuals)):
+        return []
+    levels = np.unique(signals.as_read)
+    number = np.round((levels - levels[0]) / count)
+    count, first = np.polyfit(number, levels, 1).tolist()
+    if float(np.abs(first + count * number - levels).max()) > _OFF_GRID * count:
+        return []
+    place = (signals.torque - residuals - first) / count
+    waves = [wave(2.0 * np.pi * turns * place) for turns in (1.0, 2.0) for wave in (np.sin, np.cos)]
+    found = count * np.stack([np.round(place) - place, *waves], axis=1)
+    if signals.unfiltered is None or signals.window is None:
+        return [found]
+    return [np.stack([signals.window.alike(signals.motion.time, one) for one in found.T], axis=1)]
 
 
 def without_model(described: Described) -> DynamicStiffness | None:

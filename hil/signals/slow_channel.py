@@ -15,16 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.signals.deflection_noise import smallest_step
 
 Array = NDArray[np.float64]
 Kind = Literal["held", "joined"]
 
-_FEWEST: Final = 30  # readings, from which a sensor is judged
+FEWEST_READINGS: Final = 30
+"""Readings, from which a sensor is judged."""
+
+COUNTS_A_TICK: Final = 2.0
+"""The speed at which a fast sensor does not show the same count again."""
+
 _REPEATS: Final = 0.2  # part of the samples on the move that repeat, from which readings are held
 _UNEVEN: Final = 0.35  # of a pace, by which it varies at most
 _ODD: Final = 0.1  # ticks squared, by which chance varies it
-_MOVING: Final = 2.0  # counts a tick, at which a fast sensor would not show the same count again
-_ROUNDING: Final = 1e-9  # of a range, below which a difference is rounding
 _OFF_PACE: Final = 0.6  # of the time between two ticks, by which a reading may be off an even pace
 _ON_PACE: Final = 0.98  # part of the readings that keep it
 _LOCAL: Final = 40  # readings over which a pace is even, where that of a whole recording drifts
@@ -79,13 +83,13 @@ class Slower:
 
 def kind_of(time: Array, values: Array) -> Kind | None:
     """Return how a channel (n,), logged at time (n,) s, shows a sensor that is slower; None where it is not."""
-    if len(values) < _FEWEST or np.ptp(values) == 0.0:
+    if len(values) < FEWEST_READINGS or np.ptp(values) == 0.0:
         return None
-    count = _count(values)
+    count = smallest_step(values)
     if _is_held(values, count):
         return "held"
     # a clock that rounds bends a smooth motion here and there
-    return "joined" if _is_joined(time, values, count) and len(_corners(time, values).row) >= _FEWEST else None
+    return "joined" if _is_joined(time, values, count) and len(_corners(time, values).row) >= FEWEST_READINGS else None
 
 
 def slower(
@@ -111,6 +115,11 @@ def stamped(time: Array, values: Array) -> Readings:
     return Readings(row, time[row], values[row])
 
 
+def makes_lines(count: float, bends: Array) -> bool:
+    """Return whether a count is so coarse, beside bends (n,) in its unit, that it makes straight lines too."""
+    return count > _SMALL_COUNT * float(np.quantile(bends, _BENT))
+
+
 def repaced(time: Array, motion: Motion, torque: Array, unsure: float) -> Array:
     """Return the moments (m,), s, of readings at a pace that is also that of the motion (n,) they belong to.
 
@@ -127,24 +136,17 @@ def repaced(time: Array, motion: Motion, torque: Array, unsure: float) -> Array:
     return np.asarray(time + float(np.clip(drift, -most, most)) * (time - middle))
 
 
-def _count(values: Array) -> float:
-    """The least difference between two values that is more than rounding."""
-    steps = np.diff(np.unique(values))
-    steps = steps[steps > _ROUNDING * np.ptp(values)]
-    return float(steps.min()) if steps.size else 0.0
-
-
 def _is_held(values: Array, count: float) -> bool:
     """Whether values repeat where they move by counts a tick: those of a fast sensor repeat only where they rest."""
     changes = np.flatnonzero(np.diff(values)) + 1
-    if len(changes) < _FEWEST:
+    if len(changes) < FEWEST_READINGS:
         return False
     reach = max(2, 2 * int(np.median(np.diff(changes))))
     if len(values) <= 2 * reach:
         return False
     moved = np.abs(values[2 * reach :] - values[: -2 * reach]) / (2.0 * reach)
-    repeats = (values[reach:-reach] == values[reach - 1 : -reach - 1])[moved > _MOVING * count]
-    return len(repeats) >= _FEWEST and bool(np.mean(repeats) > _REPEATS) and _is_paced(np.diff(changes))
+    repeats = (values[reach:-reach] == values[reach - 1 : -reach - 1])[moved > COUNTS_A_TICK * count]
+    return len(repeats) >= FEWEST_READINGS and bool(np.mean(repeats) > _REPEATS) and _is_paced(np.diff(changes))
 
 
 def _is_paced(ticks: NDArray[np.int64]) -> bool:
@@ -224,15 +226,15 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
         return False
     bends, tolerance = _bends(time, values), _tolerance(values, count)
     most = float(np.quantile(bends[1:-1], _BENT))
-    if count > _SMALL_COUNT * most:
-        return False  # counts make straight lines too
+    if makes_lines(count, bends[1:-1]):
+        return False
     by_chance = _AT_ZERO * tolerance / most if most > 0.0 else 0.0
     # where it comes to rest by a few counts a tick, any motion is a line
     fast = np.abs(np.diff(values)) > max(tolerance, _CLEAR * count)
     moves = np.concatenate([[False], fast[1:] & fast[:-1], [False]])
     on = (bends <= tolerance) & moves
     runs = _runs(on)
-    if len(runs) < _FEWEST:
+    if len(runs) < FEWEST_READINGS:
         return False
     usual = int(np.median(runs[:, 1] - runs[:, 0]))
     # between lines of four samples there is but a corner; a smooth motion is straight where it turns the other way
@@ -272,7 +274,7 @@ def _with_short_ones(lines: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _corners(time: Array, values: Array) -> Readings:
-    count = _count(values)
+    count = smallest_step(values)
     first, last = _with_short_ones(_runs(_bends(time, values) <= _tolerance(values, count))).T
     slope = (values[last] - values[first]) / (time[last] - time[first])
     bend = np.diff(slope)

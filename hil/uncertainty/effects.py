@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.memory import slide_along
+from hil.signals.deflection_noise import smallest_step
+from hil.signals.slow_channel import COUNTS_A_TICK, FEWEST_READINGS, makes_lines
 
 Array = NDArray[np.float64]
 
@@ -30,7 +32,7 @@ NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
 
 _SMOOTH: Final = 0.05  # periods a sample, above which a reading is noise
 _STRAIGHT: Final = 1e-6  # of the usual step between two torque readings, below which three lie on a line
-_MOSTLY_FRESH: Final = 0.7  # part of the torque readings that differ from the one before
+_SOME: Final = 0.3  # part of the torque readings, from which on their repeating, or being on lines, is no chance
 _LAG: Final = 1e-3  # s: a lag or delay this short looks like any other short one
 
 
@@ -212,9 +214,10 @@ def reading_noise(recorded: Recorded) -> Array:
 
 
 def _held(recorded: Recorded, model: Array) -> list[Array]:
-    """The torque that a reading lacks by its age, where readings repeat."""
+    """The torque that a reading lacks by its age, where readings repeat, though counts would not."""
     fresh = np.diff(recorded.torque, prepend=np.nan) != 0.0
-    if np.mean(fresh) > _MOSTLY_FRESH:
+    moves = np.abs(np.diff(model)) > COUNTS_A_TICK * smallest_step(recorded.torque)
+    if np.count_nonzero(moves) < FEWEST_READINGS or np.mean(~fresh[1:][moves]) < _SOME:
         return []
     return [_columns(_since(recorded, fresh) * recorded.slope(_smooth(recorded, model)))]
 
@@ -222,10 +225,11 @@ def _held(recorded: Recorded, model: Array) -> list[Array]:
 def _joined(recorded: Recorded, model: Array) -> list[Array]:
     """The torque that a reading lacks where lines join the readings of a slower cell: the chord of a parabola."""
     steps = np.diff(recorded.torque)
-    bends = np.abs(np.diff(steps)) > _STRAIGHT * float(np.median(np.abs(steps)))
-    if np.mean(bends) > _MOSTLY_FRESH:
+    bends = np.abs(np.diff(steps))
+    bent = bends > _STRAIGHT * float(np.median(np.abs(steps)))
+    if np.mean(~bent) < _SOME or makes_lines(smallest_step(recorded.torque), bends):
         return []
-    corners = np.concatenate([[True], bends, [True]])
+    corners = np.concatenate([[True], bent, [True]])
     before, after = _since(recorded, corners), -_since(recorded, corners, backwards=True)
     return [_columns(0.5 * before * after * recorded.slope(recorded.slope(_smooth(recorded, model))))]
 

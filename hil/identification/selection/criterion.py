@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ga.model.terms import RARER, TERMS, is_addable, with_another
 from hil.identification.selection.fits import FOLDS, Candidate, Fits, own
+from hil.signals.deflection_noise import smallest_step
 from hil.signals.windows import is_smooth
 from hil.uncertainty.residual_spectrum import measure
 
@@ -146,6 +147,7 @@ def criterion_of(
     richest = _richest(fits, considered, start)
     residuals = fits.residuals(richest)
     near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
+    near = max(near, 0.5 * smallest_step(fits.torque))  # a joint at rest repeats one count, and one residual
     inside = np.count_nonzero(np.abs(residuals) <= near)
     motion = fits.motion
     return Criterion(

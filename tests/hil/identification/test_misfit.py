@@ -24,10 +24,11 @@ def multisine(time: Array) -> tuple[Array, Array]:
     return waves.real.sum(axis=1), -(waves.imag @ speeds)
 
 
-def recording(path: Path, torque: Array, samples: int = 5000, seed: int = 0) -> Path:
+def recording(path: Path, torque: Array, samples: int = 5000, seed: int = 0, count: float = 1e-9) -> Path:
     noise = 5e-4 * np.random.default_rng(seed).standard_normal(samples)
     deflection = multisine(TIME[:samples])[0]
-    channels = {"time": TIME[:samples], "torque": torque[:samples] + noise, "dtheta": deflection}
+    read = count * np.round((torque[:samples] + noise) / count)
+    channels = {"time": TIME[:samples], "torque": read, "dtheta": deflection}
     write(path, Header(profile={"kind": "prescribed"}, stand_toml=""), channels | {"command": deflection})
     return path
 
@@ -52,6 +53,15 @@ def test_a_joint_that_the_model_describes_has_no_misfit(tmp_path: Path, capfd: p
 
     assert status == 0
     assert not found["lack_of_fit"]["misfit"]
+
+
+def test_a_torque_in_few_counts_is_no_misfit(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stiff = KC * multisine(TIME)[0]  # its rounding repeats with the angle
+    path = recording(tmp_path / "a.h5", stiff, count=float(np.ptp(stiff)) / 12.0)
+
+    _, found = identified(capfd, path, "--model", "linear+offset")
+
+    assert found["lack_of_fit"]["predicted_share"] < 0.05
 
 
 def test_the_stiffness_without_a_model_is_in_the_json(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -260,6 +260,15 @@ def test_where_something_is_not_described_a_term_is_judged_by_as_few_samples_as_
     assert doubted.correlation(fitted, "skew") == usual.correlation(fitted, "offset")
 
 
+def test_a_joint_at_rest_whose_reading_repeats_one_count_is_not_without_noise() -> None:
+    moved, count = chirp(TIME), 5e-3
+    still = np.heaviside(TIME - 0.5 * TIME[-1], 1.0)
+    dtheta, rate, acceleration = still * np.stack([moved.dtheta, moved.rate, moved.acceleration])
+    motion = Motion(TIME, dtheta, rate, acceleration, np.zeros(SAMPLES))
+    fits = Fits(motion, count * np.round(still * linear(moved) / count), HIGHEST)
+    assert criterion.criterion_of(fits, (), ("linear",)).density <= 1.0 / count
+
+
 def test_the_noise_is_that_of_models_fitted_once_whatever_the_order_of_their_terms(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

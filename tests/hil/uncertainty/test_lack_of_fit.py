@@ -226,6 +226,15 @@ def test_a_torque_cell_slower_than_the_angle_is_named(effect: str, joined: bool)
     assert found.suspects[0].effect.code == effect
 
 
+def test_readings_that_repeat_as_counts_do_are_those_of_no_slower_cell() -> None:
+    count = 6e-3
+
+    found = judged(count * np.round((PLAIN + 0.1 * noise(1)) / count))
+
+    assert next(one.p for one in found.respects if one.code == "readings") > 0.1
+    assert "slow-cell" not in [one.effect.code for one in found.suspects]
+
+
 def test_outliers_do_not_hide_a_misfit() -> None:
     hit = np.random.default_rng(0).random(len(TIME)) < 0.01
 
