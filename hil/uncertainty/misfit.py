@@ -139,6 +139,8 @@ class LackOfFit:
             return False
         if self._is_small:
             return self.share >= _PLAIN and self.unexplained > _ACCURATE and not self._is_harmless
+        if self._is_vague:
+            return False
         return self.outside or (self.share >= _SHARE and not self._is_harmless)
 
     @property
@@ -149,12 +151,21 @@ class LackOfFit:
     @property
     def in_intervals(self) -> tuple[float, float]:
         """The amounts, relative, by which the intervals of Kc and Bc grow because of the misfit."""
-        return (self.Kc, self.Bc) if self.misfit or self._is_small else (0.0, 0.0)
+        return (self.Kc, self.Bc) if self.misfit or self._is_small or self._is_vague else (0.0, 0.0)
 
     @property
     def _is_small(self) -> bool:
         """Whether it is below the accuracy of real sensors, in Kc and Bc or in the torque."""
         return (self.Kc <= _SMALL[0] and self.Bc <= _SMALL[1]) or self.unexplained <= _ACCURATE
+
+    @property
+    def _is_vague(self) -> bool:
+        """Whether next to nothing is predicted, and no effect and no two parts say that it moves Kc or Bc.
+
+        Their change is then the most that so much torque could make, and a part of the intervals, not a warning.
+        """
+        vague = not self.suspects and all(one.Kc is None for one in self.failed)
+        return bool(self.failed) and not self.of_noise and self.share < _SHARE and vague and not self._grave
 
     @property
     def _is_harmless(self) -> bool:

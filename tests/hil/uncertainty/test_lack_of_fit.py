@@ -141,6 +141,20 @@ def test_a_misfit_below_what_the_torque_is_ever_right_to_widens_the_interval_by_
     assert found.in_intervals[1] == found.Bc > 5e-3
 
 
+def test_a_trace_that_no_effect_and_no_part_confirms_is_in_the_intervals_and_no_misfit() -> None:
+    found = replace(judged(WRONG["capstan"] + noise(1)), share=0.004, Kc=2e-3, Bc=8e-3, outside=True)
+    unnamed = tuple(one for one in found.respects if one.Kc is None)
+
+    trace = replace(found, suspects=(), respects=unnamed)
+
+    assert not trace.misfit
+    assert trace.in_intervals == (2e-3, 8e-3)
+    assert replace(trace, suspects=found.suspects).misfit
+    assert replace(trace, respects=found.respects).misfit
+    assert replace(trace, Kc=0.02).misfit
+    assert replace(trace, share=0.04).misfit
+
+
 def test_what_grows_with_the_errors_of_the_deflection_as_they_do_is_no_misfit() -> None:
     found = judged(relaxed(0.2, 0.03) + PLAIN + noise(0))
     of_errors, of_a_tenth = (part * found.predicted**2 * np.array([1.4, 1.5, 1.5, 1.6]) for part in (1.0, 0.1))
