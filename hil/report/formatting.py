@@ -15,7 +15,9 @@ _PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
 
 
 def people_unit(unit: str, *, milli: bool) -> tuple[float, str]:
-    """Return the factor to the printed unit of a parameter, and that unit: mN m where `milli`, as in the paper."""
+    """Return the factor to the printed unit of a parameter, and that unit: ms; mN m if `milli`, as in the paper."""
+    if unit == "s":
+        return 1e3, "ms"
     if milli and unit.startswith("N*m"):
         return 1e3, ("mN m" + unit.removeprefix("N*m")).replace("*", " ")
     return 1.0, unit.replace("*", " ")

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hil.report.formatting import engineering, rounded
+from hil.report.formatting import engineering, people_unit, rounded
 
 
 @pytest.mark.parametrize(
@@ -40,3 +40,7 @@ def test_a_value_is_rounded_to_the_first_digit_of_its_uncertainty(
     half: float, value: float, printed: list[str]
 ) -> None:
     assert rounded(half, value) == printed
+
+
+def test_delays_are_printed_in_milliseconds_on_any_joint() -> None:
+    assert people_unit("s", milli=False) == people_unit("s", milli=True) == (1e3, "ms")
