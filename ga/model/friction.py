@@ -1,4 +1,4 @@
-"""The terms that lose the coupling's energy, beside Bc, and inertia."""
+"""The terms that lose the coupling's energy at once, beside Bc, and inertia."""
 
 from __future__ import annotations
 
@@ -17,12 +17,9 @@ if TYPE_CHECKING:
 MOST_FRICTION: Final = 0.9
 """Part of the torque that a tendon may lose in its sheath."""
 
-REACHES: Final = (0.002, 0.8)
-"""Deflection over which friction builds up, as a part of the whole, at least and at most."""
-
-
-FALLS: Final = (0.03, 1.5)
-"""Rate over which friction falls from its value at rest, as a part of the r.m.s. rate, at least and at most."""
+FALLS: Final = (0.02, 1.5)
+"""Rate over which friction falls from its value at rest, as a part of the rate of which damping is felt, at least and
+at most."""
 
 STUCK: Final = 0.075
 """Part of the samples, the slowest, in which friction may hold the joint and its sign is not known."""
@@ -138,45 +135,22 @@ def _capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float
     return (0.0, MOST_FRICTION), (least, most)
 
 
-def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    span = float(motion.dtheta.max() - motion.dtheta.min())
-    return ((REACHES[0] * span, REACHES[1] * span),)
+def felt(rate: Array) -> float:
+    """Return the rate, rad/s, of which damping is felt: the r.m.s. of rates (n,), weighed by their squares."""
+    return float(((rate**4).sum() / (rate**2).sum()) ** 0.5) if rate.any() else 0.0
 
 
-def _building_up(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
-    import numpy as np
-
-    (level,), reach = _presliding(regressors), float(regressors.own[0])
-    rate = regressors.motion.dtheta_dot
-    return ((rate - np.abs(rate) * level) / reach,)
-
-
-def _presliding(regressors: Regressors) -> tuple[Array, ...]:
-    return (regressors.motion.presliding(float(regressors.own[0])),)
-
-
-def _yielding(regressors: Regressors) -> tuple[Array, ...]:
-    return (regressors.motion.yielding(float(regressors.own[0])),)
-
-
-def _yielding_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
-    import numpy as np
-
-    (load,), length = _yielding(regressors), float(regressors.own[0])
-    rate = regressors.motion.dtheta_dot
-    return (rate * (1.0 - np.where(rate * load > 0.0, np.abs(load), 0.0)) / length,)
-
-
-def _stribeck_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    usual = float((motion.dtheta_dot @ motion.dtheta_dot / len(motion)) ** 0.5)
+def stribeck_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    """Return the least and the largest rate, rad/s, over which friction falls."""
+    usual = felt(motion.dtheta_dot)
     return ((FALLS[0] * usual, FALLS[1] * usual),)
 
 
 def _falling(regressors: Regressors) -> tuple[Array, ...]:
-    import numpy as np
+    from ga.model.memory import falls
 
     (sign,) = _sign(regressors)
-    return (sign * np.exp(-((regressors.motion.dtheta_dot / regressors.own[0]) ** 2)),)
+    return (sign * falls(regressors.motion.dtheta_dot, regressors.own[0]),)
 
 
 def _falling_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
@@ -193,6 +167,17 @@ COULOMB: Final = Term(
     sticks=True,
 )
 
+FALLING: Final = Parameter(
+    "vst",
+    "rad/s",
+    "rate over which it falls",
+    scales=False,
+    absent=None,
+    positive=True,
+    nonlinear=True,
+    starts=(0.02, 0.1, 0.25, 0.5),
+)
+
 STRIBECK: Final = Term(
     "stribeck",
     "dry friction that is higher at low rates",
@@ -205,78 +190,12 @@ STRIBECK: Final = Term(
             friction=True,
             positive=True,
         ),
-        Parameter(
-            "vst",
-            "rad/s",
-            "rate over which it falls",
-            scales=False,
-            absent=None,
-            positive=True,
-            nonlinear=True,
-            starts=(0.02, 0.1, 0.25, 0.5),
-        ),
+        FALLING,
     ),
     columns=_falling,
     rates=_falling_on,
-    bounds=_stribeck_bounds,
+    bounds=stribeck_bounds,
     needs="coulomb",
-    selection="misfit",
-)
-
-DAHL: Final = Term(
-    "dahl",
-    "dry friction that builds up over a deflection",
-    (
-        Parameter("Fd", "N*m", "friction long after a reversal", presence=True, friction=True, positive=True),
-        Parameter(
-            "reach",
-            "rad",
-            "deflection after a reversal over which the friction builds up",
-            scales=False,
-            absent=None,
-            positive=True,
-            nonlinear=True,
-            starts=(0.005, 0.02, 0.06, 0.2, 0.6),
-        ),
-    ),
-    columns=_presliding,
-    rates=_building_up,
-    bounds=_dahl_bounds,
-    forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
-    excludes=("coulomb",),
-    reason="coulomb is dahl without the build-up",
-    selection="misfit",
-)
-
-BOUC_WEN: Final = Term(
-    "boucwen",
-    "a spring beside Kc that yields, as in hysteresis",
-    (
-        Parameter(
-            "Fy",
-            "N*m",
-            "torque of the spring that yields, long after a reversal",
-            presence=True,
-            friction=True,
-            positive=True,
-        ),
-        Parameter(
-            "yield",
-            "rad",
-            "deflection over which the spring yields",
-            scales=False,
-            absent=None,
-            positive=True,
-            nonlinear=True,
-            starts=(0.005, 0.02, 0.06, 0.2, 0.6),
-        ),
-    ),
-    columns=_yielding,
-    rates=_yielding_on,
-    bounds=_dahl_bounds,
-    forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
-    excludes=("coulomb", "dahl"),
-    reason="coulomb is boucwen without the build-up, and dahl another law of it",
     selection="misfit",
 )
 

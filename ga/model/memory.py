@@ -63,6 +63,27 @@ def presliding(time: Array, rate: Array, length: float) -> Array:
     return found
 
 
+def bristles(time: Array, rate: Array, length: float, rise: float, over: float) -> Array:
+    """Return LuGre's friction (n,), 1 at speed, of a rate (n,) rad/s: dz/dx = (1 - z sign(rate)/g)/length, 0 at first.
+
+    What it settles to, g = 1 + rise exp(-(rate/over)^2), is taken as linear in the way between two samples (Canudas de
+    Wit and others 1995).
+    """
+    moves = np.diff(time) * 0.5 * (rate[:-1] + rate[1:])
+    settled = 1.0 + rise * falls(rate, over)
+    ways = np.maximum(np.abs(moves) * 2.0 / (length * (settled[:-1] + settled[1:])), _SAME)
+    keep = np.exp(-ways)
+    added = settled[1:] - keep * settled[:-1] - np.diff(settled) * (1.0 - keep) / ways
+    found = np.zeros(len(time))
+    slide_along(keep, added * np.sign(moves), found)
+    return found
+
+
+def falls(rate: Array, over: float) -> Array:
+    """Return what is left (n,) of what friction at rest has more than at speed: a Gaussian over a rate, rad/s."""
+    return np.asarray(np.exp(-((rate / over) ** 2)))
+
+
 def yielding(time: Array, rate: Array, length: float) -> Array:
     """Return Bouc and Wen's friction (n,), -1 to 1, of a rate (n,) rad/s, zero at first.
 

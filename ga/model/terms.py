@@ -7,7 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from ga.model import friction, sensors, springs
+from ga.model import friction, hysteresis, sensors, springs
 from ga.model.record import Parameter, Term
 
 if TYPE_CHECKING:
@@ -19,8 +19,9 @@ _RECORDS: Final = (
     sensors.DRIFT,
     friction.COULOMB,
     friction.STRIBECK,
-    friction.DAHL,
-    friction.BOUC_WEN,
+    hysteresis.DAHL,
+    hysteresis.LUGRE,
+    hysteresis.BOUC_WEN,
     friction.QUADRATIC,
     springs.CUBIC,
     springs.QUINTIC,

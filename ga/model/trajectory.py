@@ -163,14 +163,20 @@ class Motion:
 
         return self._frictional(memory.presliding, length)
 
+    def bristles(self, length: float, rise: float, over: float) -> Array:
+        """LuGre's friction (n,), 1 at speed and 1 + rise at rest, which falls over a rate, rad/s, and builds up."""
+        from ga.model import memory
+
+        return self._frictional(memory.bristles, length, rise, over)
+
     def yielding(self, length: float) -> Array:
         """The friction of Bouc and Wen, (n,) -1 to 1, that builds up over `length` rad."""
         from ga.model import memory
 
         return self._frictional(memory.yielding, length)
 
-    def _frictional(self, law: Callable[[Array, Array, float], Array], length: float) -> Array:
-        return np.concatenate([law(self.time[a:b], self.dtheta_dot[a:b], length) for a, b in self._stretches()])
+    def _frictional(self, law: Callable[..., Array], *own: float) -> Array:
+        return np.concatenate([law(self.time[a:b], self.dtheta_dot[a:b], *own) for a, b in self._stretches()])
 
     def fading(self, clock: Array, constant: float) -> Array:
         """Return the part (n,), 1 to 0, that is left of the state at the start of each stretch, by a clock (n,).

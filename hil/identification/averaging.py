@@ -11,12 +11,18 @@ stiff as the coupling, so that it builds up over some Fc/Kc (Dahl 1976), which s
 A spring that curves is selected with the curve that fits best, and no spring follows one of these curves exactly: the
 stiffness at zero deflection depends on which.
 
+Friction may fall with the rate, as that of grease and of soft bristles does (Stribeck 1902; Canudas de Wit and others
+1995): it then takes from the torque what damping adds. Over which rate it falls is not known, nor by how much, up to as
+much as it is at speed: models in which it does, over each of a few of the rates driven, weigh as one with a parameter
+more. Where the recording hardly shows the fall, its size is limited by that alone.
+
 A reading that is late is known by how it stiffens fast motion, and so does a viscoelastic branch that relaxes faster
 than the joint moved. Any part of what looks late may be that, in one joint of ten, and is then not missing from Bc.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +31,8 @@ from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
+from ga.model.friction import felt
+from ga.model.memory import falls
 from ga.model.separable import Problem
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, is_addable
 from ga.model.trajectory import Motion
@@ -35,13 +43,17 @@ from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
 from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, TICK_SHARE
-from hil.uncertainty.model_average import AKAIKE, average
+from hil.uncertainty.model_average import AKAIKE, average, without_positive
 
 Array = NDArray[np.float64]
 
 _ALWAYS = ("offset", "skew")
 _NORMAL = 1.96  # half a 95 % interval in standard errors
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
+_FALLS_OVER = (0.25, 0.35, 0.5, 0.7, 1.0)  # of the rate of which damping is felt: over much less, a fall is no damping
+_FALLING = ("Fs", "rise")  # parameters of a model that has it
+_RISE = 0.5  # of friction at speed, by which it is higher at rest: a standard deviation
+_SMALL = 0.1  # of the same: what is in proportion to it
 _RELAXING = (1.0 / 11.0 / 3.0) ** 0.5  # one joint in ten: any part of what looks late, a standard deviation
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
 _BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
@@ -73,11 +85,10 @@ def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinea
     found, criteria = [], []
     for one in (selected, *choice.alternatives):
         around = _around(one, doubtful, kept)
-        if around:
-            found.append(around)
-            criteria.append(one.criterion)
-        elif one is selected:
+        if not around and one is selected:
             return {}
+        found += [values for values, _ in around]
+        criteria += [one.criterion + more for _, more in around]
     weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     weights /= weights.sum()
     mixed = {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}
@@ -99,28 +110,33 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
     return Averaged(value, float(np.sqrt(weights @ (errors**2 + (_NORMAL * (values - value)) ** 2))))
 
 
-def _around(model: Alternative, doubtful: Mapping[str, float], data: Signals) -> dict[str, Averaged]:
-    """Kc and Bc averaged over one model with and without the effects that every bench has; {} where none can be.
+def _around(
+    model: Alternative, doubtful: Mapping[str, float], data: Signals
+) -> list[tuple[dict[str, Averaged], float]]:
+    """Kc and Bc averaged over one model with and without the effects that every bench has; [] where none can be.
 
-    doubtful: the terms that the data do not decide on, and the cost of each.
+    Then those of models with friction that falls, each with Akaike's criterion less that of the first. doubtful: the
+    terms that the data do not decide on, and the cost of each.
     """
     largest = _largest(model, tuple(doubtful), data)
     if largest is None or not _contains(largest, model, data):
-        return {}
-    added, names, sampling = largest.added, largest.names, largest.sampling
-    likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
-    if "skew" in added:
-        likely[1, names.index("skew")] = TICK_SHARE * float(np.median(np.diff(data.motion.time)))
-    if _PRESLIDING in names:
-        likely[:, names.index(_PRESLIDING)] = 1.0
-    costs = {name: cost for term, cost in _costs(added, doubtful).items() for name in _own(term)}
+        return []
+    found = [(largest, 0.0), *_falling(largest, data.motion)]
+    means = [(_mean(one, doubtful), criterion) for one, criterion in found]
+    return [one for one in means if one[0]] if means[0][0] else []
+
+
+def _mean(largest: _Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged]:
+    """Kc and Bc averaged over all models in the largest; {} where none is possible."""
+    names, sampling = largest.names, largest.sampling
+    costs = {name: cost for term, cost in _costs(largest.added, doubtful).items() for name in _own(term)}
     found = average(
         largest.values,
         sampling.matrix,
         {at: costs[name] for at, name in enumerate(names) if name in costs},
         # the model's own terms were found possible without what is added: a skew beside an inertia takes it over
         [at for at, name in enumerate(names) if name in {*costs, *COUPLING} and PARAMETERS[name].positive],
-        likely,
+        largest.likely,
     )
     if found is None:
         return {}
@@ -143,12 +159,18 @@ def _costs(added: Sequence[str], doubtful: Mapping[str, float]) -> dict[str, flo
 
 @dataclass(frozen=True, eq=False)
 class _Largest:
-    """The fit of the model that contains all others: values (p,) of the parameters `names`, and the terms added."""
+    """The fit of the model that contains all others: values (p,) of the parameters `names`, and the terms added.
+
+    columns (n, p) and target (n,), N m: of the linear problem around it. likely (2, p): as of `average`.
+    """
 
     added: tuple[str, ...]
     names: list[str]
+    columns: Array
+    target: Array
     values: Array
     sampling: Covariance
+    likely: Array
 
 
 def _largest(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> _Largest | None:
@@ -181,8 +203,64 @@ def _largest(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> _L
         sampling = covariance(Blocks.of(columns, target), values)
         alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in _own(term))]
         if not alike:
-            return _Largest(tuple(added), names, values, sampling)
+            return _Largest(tuple(added), names, columns, target, values, sampling, _likely(added, names, data.motion))
         added.remove(alike[-1])
+
+
+def _likely(added: Sequence[str], names: Sequence[str], motion: Motion) -> Array:
+    """What each parameter is likely to be, and a standard deviation of that, (2, p)."""
+    likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
+    if "skew" in added:
+        likely[1, names.index("skew")] = TICK_SHARE * float(np.median(np.diff(motion.time)))
+    if _PRESLIDING in names:
+        likely[:, names.index(_PRESLIDING)] = 1.0
+    return likely
+
+
+def _falling(largest: _Largest, motion: Motion) -> list[tuple[_Largest, float]]:
+    """The fits with friction that falls over some rate, and Akaike's criterion of each less that without.
+
+    [] where the model selected has no friction, or some that falls.
+    """
+    values = dict(zip(largest.names, largest.values.tolist(), strict=True))
+    rubs = [name for name in values if PARAMETERS.get(name, PARAMETERS["Kc"]).friction]
+    if not set(rubs).difference(_own("coulomb") if "coulomb" in largest.added else ()) or set(rubs) & set(_FALLING):
+        return []
+    found = []
+    whole, rows = motion.whole
+    seen = whole.delayed(values.get("skew", 0.0))
+    friction = sum(values[name] * largest.columns[:, largest.names.index(name)] for name in rubs)
+    for over in (part * felt(motion.dtheta_dot) for part in _FALLS_OVER):
+        if "reach" in values:
+            more = seen.bristles(values["reach"], _SMALL, over) - seen.presliding(values["reach"])
+            column = values["Fd"] / _SMALL * more[rows]
+        else:
+            column = friction * falls(seen.dtheta_dot, over)[rows]
+        found += _fallen(largest, column)
+    return found
+
+
+def _fallen(largest: _Largest, column: Array) -> list[tuple[_Largest, float]]:
+    """The fit with friction that falls, and Akaike's criterion of it; [] where it cannot be distinguished from others.
+
+    column (n,): the torque, N m, by which friction at rest is higher if that is as much as at speed.
+    """
+    columns = np.column_stack([largest.columns, column])
+    try:
+        values = least_absolute_deviations(columns, largest.target, np.append(largest.values, 0.0)).genes
+    except RuntimeError:
+        return []
+    sampling = covariance(Blocks.of(columns, largest.target), values)
+    if not sampling.distinct.all():
+        return []
+    fewer, matrix, criterion = without_positive(
+        values, sampling.matrix, np.column_stack([largest.likely, [0.0, _RISE]])
+    )
+    sampling = replace(sampling, matrix=matrix, quantile=sampling.quantile[:-1], distinct=sampling.distinct[:-1])
+    known = np.stack([np.zeros(len(fewer)), np.full(len(fewer), np.inf)])  # used already
+    return [
+        (replace(largest, values=fewer, sampling=sampling, likely=known), criterion + 2.0 * math.log(len(_FALLS_OVER)))
+    ]
 
 
 def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:

@@ -75,7 +75,7 @@ def other_stiffness(values: Mapping[str, float], *, spans: str = "") -> list[Dia
             f"Kc depends on the amplitude: it is {kc:.3g} N m/rad in large motion, where the friction slides, and "
             f"{kc + more:.3g} N m/rad in motion of less than {reach:.2g} rad. "
         )
-        model = "boucwen" if "Fy" in values else "dahl"
+        model = "boucwen" if "Fy" in values else "lugre" if "rise" in values else "dahl"
         remedy = f"The interval of Kc spans both. For the Kc of large motion, name --model linear+offset+{model}"
         use = "The Kc here is that of large motion. For motion between, use K'(f) of --verbose"
         text += remedy if spans == "amplitude" else use

@@ -12,6 +12,7 @@ must hold what it changes: the variance is about that value, with the weights of
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -24,6 +25,9 @@ Array = NDArray[np.float64]
 
 AKAIKE: Final = 2.0
 """The cost of a parameter in Akaike's criterion: that of one which is as a rule there."""
+
+_FAR: Final = -20.0
+"""Standard deviations below zero, from which the positive part of a normal distribution is a tail."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +75,35 @@ def average(
     spread = _weights(falls, left, dict.fromkeys(costs, AKAIKE))
     variance = spread @ (np.array([one[2] for one in found]) + (each - mean) ** 2)
     return Average(mean * size, np.sqrt(variance) * size, left, weights)
+
+
+def without_positive(values: Array, covariance: Array, likely: Array) -> tuple[Array, Array, float]:
+    """Return values (p - 1,) and covariance (p - 1, p - 1) of all parameters but the last, whatever that one is.
+
+    likely (2, p): as of `average`; the last parameter has one, around zero, and is not negative: its own distribution
+    is the positive part of a normal one, here by its mean and variance. Then Akaike's criterion with it less that
+    without, where it counts as far as the data and not its likely size say what it is.
+    """
+    size = np.sqrt(np.diag(covariance))
+    values, covariance = _penalised(
+        values / size, covariance / np.outer(size, size), likely[0] / size, size / likely[1]
+    )
+    error = float(np.sqrt(covariance[-1, -1]))
+    centre = float(values[-1]) / error
+    mean, spread = _positive_part(centre)
+    gain = covariance[:, -1] / error
+    moved = (values + gain * (mean - centre)) * size
+    changed = (covariance + np.outer(gain, gain) * (spread**2 - 1.0)) * np.outer(size, size)
+    seen = 1.0 - (error * size[-1] / likely[1, -1]) ** 2
+    return moved[:-1], changed[:-1, :-1], float(AKAIKE * seen - max(centre, 0.0) ** 2)
+
+
+def _positive_part(centre: float) -> tuple[float, float]:
+    """The mean and the standard deviation of the positive part of a normal distribution of standard deviation one."""
+    if centre < _FAR:  # the tail of an exponential distribution, by its first term
+        return -1.0 / centre, -1.0 / centre
+    ratio = math.exp(-0.5 * centre**2) / (math.sqrt(0.5 * math.pi) * math.erfc(-centre / math.sqrt(2.0)))
+    return centre + ratio, math.sqrt(1.0 - ratio * (ratio + centre))
 
 
 def _weights(falls: Array, left_out: Sequence[Sequence[int]], costs: Mapping[int, float]) -> Array:

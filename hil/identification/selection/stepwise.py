@@ -19,7 +19,7 @@ from ga.model.separable import Fit
 from ga.model.terms import CONSIDERED, TERMS, is_addable, with_another
 from ga.model.trajectory import Motion
 from hil.identification.selection.criterion import Criterion, criterion_of
-from hil.identification.selection.fits import Candidate, Fits
+from hil.identification.selection.fits import Candidate, Fits, own
 from hil.identification.selection.late import Alternative, LateReading
 
 Array = NDArray[np.float64]
@@ -226,12 +226,17 @@ def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """The terms that lower the fitness most, in any of the models, within their bounds."""
+    """The terms that lower the fitness most, in any of the models, within their bounds; with those that contain one.
+
+    A term never fits worse than one that it contains, and would take the place of another kind.
+    """
     lowest = {}
-    for term in terms:
+    containing = {term: [other for other in terms if set(own(other)) < set(own(term))] for term in terms}
+    for term in (term for term in terms if not containing[term]):
         larger = [more for less in models if is_addable(term, (more := with_another(less, term))[:-1])]
         lowest[term] = min((fits.fitness(more) for more in larger if not fits.is_rejected(more)), default=np.inf)
-    return tuple(sorted((term for term in terms if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY])
+    likely = sorted((term for term in lowest if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY]
+    return (*likely, *(term for term in terms if set(containing[term]).intersection(likely)))
 
 
 def _step(fitted: Candidate, weighed: tuple[float, float], *, included: bool) -> Step:

@@ -89,7 +89,15 @@ def test_a_lag_begins_anew_in_every_stretch() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["linear+offset+lag", "linear+offset+skew+lag", "linear+maxwell", "linear+dahl", "linear+boucwen"]
+    "name",
+    [
+        "linear+offset+lag",
+        "linear+offset+skew+lag",
+        "linear+maxwell",
+        "linear+dahl",
+        "linear+lugre",
+        "linear+boucwen",
+    ],
 )
 def test_some_rows_remember_the_samples_between_them(name: str) -> None:
     model = parse(name).anchored(MOTION)
@@ -154,22 +162,26 @@ def test_quadratic_damping_comes_back() -> None:
     assert identified("linear+quadratic", torque) == pytest.approx({"Kc": KC, "Bc": BC, "B2": 1e-3}, rel=0.03)
 
 
-def test_friction_that_builds_up_is_that_of_an_integrator() -> None:
-    """Dahl's equation dz/dt = (v - |v| z)/reach."""
+@pytest.mark.parametrize(("rise", "over"), [(0.0, 1.0), (1.0, 0.3), (0.5, 3.0)])
+def test_friction_that_builds_up_is_that_of_an_integrator(rise: float, over: float) -> None:
+    """Dahl's equation dz/dt = (v - |v| z)/reach, and LuGre's, in which z/(1 + rise exp(-(v/over)^2)) stands for z."""
     reach, rate = 0.02, CubicSpline(MOTION.time, MOTION.dtheta_dot)
+
+    def building(t: float, z: Array) -> Array:
+        v = float(rate(t))
+        return np.asarray((v - abs(v) * z / (1.0 + rise * np.exp(-((v / over) ** 2)))) / reach)
+
     turns = [float(MOTION.time[0]), *rate.roots(extrapolate=False).tolist(), float(MOTION.time[-1])]
     state, found = 0.0, []
     for start, stop in pairwise(turns):
         times = MOTION.time[(MOTION.time >= start) & (MOTION.time < stop)]
-        solved = solve_ivp(
-            lambda t, z: (rate(t) - abs(rate(t)) * z) / reach, (start, stop), [state], "LSODA", [*times, stop],
-            rtol=1e-9, atol=1e-10,
-        )  # fmt: skip
+        solved = solve_ivp(building, (start, stop), [state], "LSODA", [*times, stop], rtol=1e-9, atol=1e-10)
         found += solved.y[0, :-1].tolist()
         state = float(solved.y[0, -1])
-    errors = np.abs(MOTION.presliding(reach)[:-1] - found)  # most where the joint turns between two samples
-    assert errors.mean() < 2e-3
-    assert errors.max() < 0.03
+    errors = np.abs(MOTION.bristles(reach, rise, over)[:-1] - found)  # most where it turns between two samples
+    assert errors.mean() < 2e-3 * (1.0 + rise)
+    assert errors.max() < 0.03 * (1.0 + rise)
+    assert MOTION.bristles(reach, 0.0, over) == pytest.approx(MOTION.presliding(reach), abs=1e-8)
 
 
 def test_a_spring_that_yields_is_that_of_an_integrator() -> None:
@@ -195,6 +207,14 @@ def test_friction_that_builds_up_comes_back() -> None:
     torque = spring_and_damper() + 0.005 * MOTION.presliding(0.02) + NOISES
     expected = {"Kc": KC, "Bc": BC, "Fd": 0.005, "reach": 0.02}
     assert identified("linear+dahl", torque) == pytest.approx(expected, rel=0.04)
+
+
+def test_friction_that_builds_up_and_falls_with_the_rate_comes_back_and_leaves_bc_alone() -> None:
+    torque = spring_and_damper() + 0.005 * MOTION.bristles(0.02, 0.6, 2.0) + NOISES
+    found = identified("linear+lugre", torque)
+    assert [found[name] for name in ("Kc", "Bc", "Fd", "reach")] == pytest.approx([KC, BC, 0.005, 0.02], rel=0.04)
+    assert [found[name] for name in ("rise", "vst")] == pytest.approx([0.6, 2.0], rel=0.15)
+    assert identified("linear+dahl", torque)["Bc"] < 0.95 * BC
 
 
 def test_friction_in_proportion_to_the_torque_comes_back() -> None:

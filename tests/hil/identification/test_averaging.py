@@ -7,9 +7,14 @@ import pytest
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
+from ga.model.separable import Problem, fit
+from hil.identification import averaging
 from hil.identification.identify import Search, identify
-from hil.recording.reader import Array
+from hil.identification.model_choice import Choice
+from hil.identification.selection.stepwise import Step
+from hil.recording.reader import Array, Recording
 from hil.report.identification import as_json
+from hil.signals.prepare import prepare
 
 from ..conftest import Maker
 
@@ -142,3 +147,40 @@ def test_the_interval_of_a_spring_that_curves_holds_that_its_curve_is_no_cubic(m
     (low, high), (least, most) = found.ci95, found.conditional.ci95
     assert low < 0.02 < high
     assert high - low > 1.05 * (most - least)
+
+
+def with_friction(make_recording: Maker, rise: float, seed: int, form: str) -> tuple[float, float]:
+    """The error of Bc and half its interval, parts of Bc, of a model with friction that does not fall.
+
+    rise: part of the friction at speed by which it is higher at rest, over half of the highest rate.
+    """
+
+    def rubs(channels: dict[str, Array]) -> None:
+        sweep(channels, 0.0, seed)
+        angle, rate = channels["dtheta"], channels["dtheta_dot"]
+        higher = 1.0 + rise * np.exp(-((rate / (0.5 * np.abs(rate).max())) ** 2))
+        loaded = np.abs(KC * angle + BC * rate) if form == "capstan" else 8e-3
+        friction = 0.1 * loaded * higher * np.sign(rate)
+        channels["torque"] = 0.5 * channels["torque"] + 0.5 * (KC * angle + BC * rate) + friction  # half of its noise
+
+    with Recording(make_recording(f"{form}{rise}{seed}.h5", samples=2000, rate=250.0, change=rubs)) as recording:
+        signals = prepare(recording, None)
+    model = parse(f"linear+offset+{form}").anchored(signals.motion)
+    used = model.described(signals.motion)
+    found = fit(Problem(model, signals.motion, signals.torque, *model.bounds(signals.motion, 9.0)).of(used))
+    step = Step(model.name, "linear", 0.0, 0.0, np.nan, KC, BC, included=True, cost=0.0)
+    bc = averaging.averaged(Choice(model, (step,), sticking=True), signals, used, found.nonlinear)["Bc"]
+    return bc.value / BC - 1.0, bc.half_width / BC
+
+
+@pytest.mark.parametrize("form", ["coulomb", "capstan"])
+def test_the_interval_of_the_damping_holds_what_friction_that_falls_hides(
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch, form: str
+) -> None:
+    """Models without such friction are sure of a damping that is too low by three times their interval."""
+    found = [with_friction(make_recording, rise, 1, form) for rise in (0.0, 0.6)]
+    monkeypatch.setattr(averaging, "_FALLS_OVER", ())
+    plain = [with_friction(make_recording, rise, 1, form) for rise in (0.0, 0.6)]
+    assert all(abs(error) < half_width for error, half_width in found)
+    assert abs(plain[0][0]) < plain[0][1]
+    assert abs(plain[1][0]) > 3.0 * plain[1][1]

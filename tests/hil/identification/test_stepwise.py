@@ -234,6 +234,16 @@ def test_friction_that_builds_up_takes_the_place_of_dry_friction_beside_a_gap() 
     assert found.values[0] == pytest.approx(KC, rel=0.02)
 
 
+@pytest.mark.parametrize(("rise", "expected"), [(0.0, "dahl"), (0.6, "lugre")])
+def test_friction_that_builds_up_falls_with_the_rate_only_where_it_does(rise: float, expected: str) -> None:
+    moved, motion = slow()
+    torque = KC * moved.dtheta + BC * moved.rate + 2e-3 * motion.bristles(0.02, rise, 0.3)
+    torque += 2e-5 * np.random.default_rng(2).standard_normal(len(torque))
+    found = select(motion, torque, 0.5, ("skew",), rarer=("dahl", "lugre"), describes=lambda *_: False)
+    assert found.model.name == f"linear+{expected}"
+    assert found.values[0] == pytest.approx(KC, rel=0.01)
+
+
 def test_friction_that_falls_with_speed_pays_though_the_damping_comes_out_negative() -> None:
     moved, motion = slow()
     torque = KC * moved.dtheta + sheathed(moved, 0.02) - BC * moved.rate

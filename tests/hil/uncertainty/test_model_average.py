@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from hil.uncertainty.model_average import AKAIKE, Array, average
+from hil.uncertainty.model_average import AKAIKE, Array, average, without_positive
 
 NOISE = 0.3
 AS_RULE = {2: AKAIKE, 3: AKAIKE}
@@ -67,6 +67,24 @@ def test_a_model_with_a_negative_parameter_is_not_among_them() -> None:
     assert found is not None
     assert all(2 in left_out for left_out in found.left_out)
     assert average(values, covariance, {3: AKAIKE}, [2], NOTHING) is None
+
+
+@pytest.mark.parametrize("last", [-0.5, 0.0, 0.7])
+def test_what_a_parameter_hides_that_is_positive_and_limited_is_that_of_draws(last: float) -> None:
+    """Bayes' theorem by importance sampling: a flat prior of the others, half a normal one of the last."""
+    columns, torque = regression(4, (2.0, 1.0, 0.0, 0.0))
+    columns[:, 3] *= 0.05  # hardly seen: its standard error is about its likely size
+    values, covariance = fitted(columns, torque)
+    values += covariance[:, 3] / covariance[3, 3] * (last - values[3])
+    found, matrix, criterion = without_positive(values, covariance, np.column_stack([NOTHING[:, :3], [0.0, 0.4]]))
+    draws = np.random.default_rng(1).multivariate_normal(values, covariance, 400_000)
+    weights = np.where(draws[:, 3] > 0.0, np.exp(-0.5 * (draws[:, 3] / 0.4) ** 2), 0.0)
+    mean = weights @ draws[:, :3] / weights.sum()
+    spread = (draws[:, :3] - mean).T @ ((draws[:, :3] - mean) * weights[:, None]) / weights.sum()
+    size, known = np.sqrt(np.diag(matrix)), 0.4**2 / (0.4**2 + covariance[3, 3])
+    assert (found - mean) / size == pytest.approx(np.zeros(3), abs=0.03)
+    assert np.sqrt(np.diag(spread)) == pytest.approx(size, rel=0.03)
+    assert criterion == pytest.approx(2.0 * known - known * max(last, 0.0) ** 2 / covariance[3, 3])
 
 
 @pytest.mark.parametrize("costs", [AS_RULE, SELDOM])

@@ -1,0 +1,153 @@
+"""The terms of friction that builds up over a deflection: a part of the torque that remembers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from ga.model.friction import FALLING, stribeck_bounds
+from ga.model.record import Parameter, Regressors, Term
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ga.model.trajectory import Motion
+
+    Array = NDArray[np.float64]
+
+REACHES: Final = (0.002, 0.8)
+"""Deflection over which friction builds up, as a part of the whole, at least and at most."""
+
+MOST_RISE: Final = 2.0
+"""Part of the friction at speed by which it may be higher at rest."""
+
+
+def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    span = float(motion.dtheta.max() - motion.dtheta.min())
+    return ((REACHES[0] * span, REACHES[1] * span),)
+
+
+def _building_up(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
+
+    (level,), reach = _presliding(regressors), float(regressors.own[0])
+    rate = regressors.motion.dtheta_dot
+    return ((rate - np.abs(rate) * level) / reach,)
+
+
+def _presliding(regressors: Regressors) -> tuple[Array, ...]:
+    return (regressors.motion.presliding(float(regressors.own[0])),)
+
+
+def _yielding(regressors: Regressors) -> tuple[Array, ...]:
+    return (regressors.motion.yielding(float(regressors.own[0])),)
+
+
+def _yielding_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
+
+    (load,), length = _yielding(regressors), float(regressors.own[0])
+    rate = regressors.motion.dtheta_dot
+    return (rate * (1.0 - np.where(rate * load > 0.0, np.abs(load), 0.0)) / length,)
+
+
+def _bristles(regressors: Regressors) -> tuple[Array, ...]:
+    reach, rise, over = (float(value) for value in regressors.own)
+    return (regressors.motion.bristles(reach, rise, over),)
+
+
+def _bristles_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
+    import numpy as np
+
+    from ga.model.memory import falls
+
+    (load,), rate = _bristles(regressors), regressors.motion.dtheta_dot
+    reach, rise, over = (float(value) for value in regressors.own)
+    return ((rate - np.abs(rate) * load / (1.0 + rise * falls(rate, over))) / reach,)
+
+
+_DAHL: Final = (
+    Parameter("Fd", "N*m", "friction long after a reversal", presence=True, friction=True, positive=True),
+    Parameter(
+        "reach",
+        "rad",
+        "deflection after a reversal over which the friction builds up",
+        scales=False,
+        absent=None,
+        positive=True,
+        nonlinear=True,
+        starts=(0.005, 0.02, 0.06, 0.2, 0.6),
+    ),
+)
+
+DAHL: Final = Term(
+    "dahl",
+    "dry friction that builds up over a deflection",
+    _DAHL,
+    columns=_presliding,
+    rates=_building_up,
+    bounds=_dahl_bounds,
+    forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
+    excludes=("coulomb",),
+    reason="coulomb is dahl without the build-up",
+    selection="misfit",
+)
+
+LUGRE: Final = Term(
+    "lugre",
+    "dry friction that builds up over a deflection and is higher at low rates",
+    (
+        *_DAHL,
+        Parameter(
+            "rise",
+            "1",
+            "part of the friction at speed by which it is higher at rest",
+            scales=False,
+            presence=True,
+            friction=True,
+            positive=True,
+            nonlinear=True,
+            starts=(0.1, 0.4),
+        ),
+        FALLING,
+    ),
+    columns=_bristles,
+    rates=_bristles_on,
+    bounds=lambda m, highest: (*_dahl_bounds(m, highest), (0.0, MOST_RISE), *stribeck_bounds(m, highest)),
+    forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
+    excludes=("coulomb", "dahl"),
+    reason="coulomb and dahl are lugre without its fall or its build-up",
+    selection="misfit",
+)
+
+BOUC_WEN: Final = Term(
+    "boucwen",
+    "a spring beside Kc that yields, as in hysteresis",
+    (
+        Parameter(
+            "Fy",
+            "N*m",
+            "torque of the spring that yields, long after a reversal",
+            presence=True,
+            friction=True,
+            positive=True,
+        ),
+        Parameter(
+            "yield",
+            "rad",
+            "deflection over which the spring yields",
+            scales=False,
+            absent=None,
+            positive=True,
+            nonlinear=True,
+            starts=(0.005, 0.02, 0.06, 0.2, 0.6),
+        ),
+    ),
+    columns=_yielding,
+    rates=_yielding_on,
+    bounds=_dahl_bounds,
+    forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
+    excludes=("coulomb", "dahl", "lugre"),
+    reason="coulomb is boucwen without the build-up, and dahl and lugre are other laws of it",
+    selection="misfit",
+)
