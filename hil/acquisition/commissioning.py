@@ -99,9 +99,9 @@ def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, l
     accepted = stand.stand.torque_stays_on_if_host_dies
     if found is not None and not (found.releases or accepted):
         raise WrongUse(
-            "this drive kept its torque when its commands stayed away (hil doctor --commission, valid until "
-            f"{found.until}): if this computer stops, the motor pulls on until its power is cut. Nothing was driven: "
-            "mend its watchdog and commission it again, or accept this with torque_stays_on_if_host_dies = true in "
+            "this drive kept its torque when no command arrived (hil doctor --commission, valid until "
+            f"{found.until}). If this computer stops, the motor pulls until its power is cut. Nothing was driven: "
+            "correct its watchdog and commission it again, or accept this with torque_stays_on_if_host_dies = true in "
             "[stand], and keep a switch for its power at hand"
         )
     if found is not None and found.stops_ours:

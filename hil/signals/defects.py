@@ -90,9 +90,11 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
         raise Untrustworthy(f"{name} holds {len(time)} usable sample(s) of {len(recording)}: record at least {FEWEST}")
     backwards = np.flatnonzero(np.diff(time) < 0.0)
     if backwards.size:
-        raise Untrustworthy(f"{name}: time goes backwards after usable row {int(backwards[0])}: mend the stamps first")
+        raise Untrustworthy(
+            f"{name}: time goes backwards after usable row {int(backwards[0])}: correct the time stamps"
+        )
     if np.ptp(time) == 0.0:
-        raise Untrustworthy(f"{name}: every sample has the same time: mend the stamps first")
+        raise Untrustworthy(f"{name}: every sample has the same time: correct the time stamps")
     if (step := float(np.ptp(time)) / len(time)) < _FINEST:
         raise Untrustworthy(f"{name}: the samples are {step:.2g} s apart, which no recorder does: check --time-unit")
     if np.ptp(torque) < _STILL_TORQUE:
