@@ -36,7 +36,7 @@ def rounded(half: float, *values: float) -> list[str]:
     if not (math.isfinite(half) and half > 0.0):
         return [f"{value:.5g}" for value in (*values, half)]
     decimals = -math.floor(math.log10(float(f"{half:.0e}")))
-    return [f"{round(value, decimals):.{max(decimals, 0)}f}" for value in (*values, half)]
+    return [f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}" for value in (*values, half)]  # without "-0"
 
 
 def json_number(value: float) -> float | None:

@@ -33,6 +33,7 @@ def test_a_value_has_an_engineering_prefix(value: float, unit: str, printed: str
         (230.0, 17775.0, ["17800", "200"]),
         (0.0, 1 / 3, ["0.33333", "0"]),
         (math.inf, 1 / 3, ["0.33333", "inf"]),
+        (0.1, -0.02, ["0.0", "0.1"]),
         (2.0, math.nan, ["nan", "2"]),
     ],
 )
