@@ -154,7 +154,9 @@ def _to_disk(
 def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> Block:
     """Columns (m, p) and torque (m,) of the samples that are used; nonlinear parameters are left at zero."""
     model, motion = choice.model, signals.motion
-    return model.columns(motion)[used], model.target(motion, signals.torque)[used]
+    columns, target = model.columns(motion), model.target(motion, signals.torque)
+    kept = slice(None) if used.all() else used  # mostly all are: nothing need be copied
+    return np.ascontiguousarray(columns[kept]), target[kept]
 
 
 def _diagnostics(source: Source, stretches: list[Signals], defects: Defects) -> list[Diagnostic]:

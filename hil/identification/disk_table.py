@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import tempfile
 import threading
 from collections.abc import Iterable, Iterator
@@ -27,9 +29,10 @@ class DiskTable:
     """
 
     def __init__(self, beside: Path, rows: int, width: int, progress: Progress | None = None) -> None:
-        self._width = width + 1
+        self._width = width
+        self._torque = rows * width  # where it begins: behind the columns, so that a block of either is read as it is
         self._progress = progress
-        check_space(beside, rows * self._width * 8)
+        check_space(beside, rows * (width + 1) * 8)
         with writing(beside):
             self._file = tempfile.TemporaryFile(dir=beside.parent, buffering=0)  # noqa: SIM115 - closed by __exit__
         self._one_reader = threading.Lock()
@@ -43,10 +46,15 @@ class DiskTable:
 
     def extend(self, columns: Array, torque: Array) -> None:
         """Add rows: columns (m, p), torque (m,) N m. Raises WrongUse where the disk is full."""
-        table = np.column_stack([columns, torque])
         with writing(Path(str(self._file.name))):
-            self._file.write(table.data)
-        self.rows += len(table)
+            self._write(columns, self.rows * self._width)
+            self._write(torque, self._torque + self.rows)
+        self.rows += len(torque)
+
+    def _write(self, values: Array, at: int) -> None:
+        self._file.seek(8 * at)
+        if self._file.write(np.ascontiguousarray(values).data) != values.nbytes:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     @property
     def blocks(self) -> Blocks:
@@ -64,8 +72,12 @@ class DiskTable:
     def _stored(self) -> Iterator[Block]:
         for start in range(0, self.rows, _ROWS):
             count = min(_ROWS, self.rows - start)
+            columns, torque = np.empty((count, self._width)), np.empty(count)
             with self._one_reader:
-                self._file.seek(start * self._width * 8)
-                data = self._file.read(count * self._width * 8)
-            table = np.frombuffer(data, dtype=np.float64).reshape(count, self._width)
-            yield np.ascontiguousarray(table[:, :-1]), np.ascontiguousarray(table[:, -1])
+                self._fill(columns, start * self._width)
+                self._fill(torque, self._torque + start)
+            yield columns, torque
+
+    def _fill(self, values: Array, at: int) -> None:
+        self._file.seek(8 * at)
+        self._file.readinto(values.data)

@@ -251,21 +251,23 @@ def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _
     for column in (time, torque, dtheta, rate):
         good &= np.abs(column) < LARGEST  # false for NaN too
     stuck, odd = np.zeros((2, len(time)), dtype=bool)
-    stuck[good] = frozen(time[good], dtheta[good], torque[good])
-    odd[good] = spikes(dtheta[good])
+    finite = slice(None) if good.all() else good  # mostly all are: nothing need be copied
+    stuck[finite] = frozen(time[finite], dtheta[finite], torque[finite])
+    odd[finite] = spikes(dtheta[finite])
     lost, not_numbers = np.flatnonzero(~answered), np.flatnonzero(answered & ~good)
     good &= ~stuck & ~odd
+    kept = slice(None) if good.all() else good
     return _Usable(
         row=np.flatnonzero(good) + start,
-        time=time[good],
-        torque=torque[good],
-        dtheta=dtheta[good],
-        reported_rate=rate[good],
-        torque_time=(channel("joint_time") if columns.own_time else time)[good],
+        time=time[kept],
+        torque=torque[kept],
+        dtheta=dtheta[kept],
+        reported_rate=rate[kept],
+        torque_time=(channel("joint_time") if columns.own_time else time)[kept],
         lost=lost + start,
         not_numbers=not_numbers + start,
         frozen=np.flatnonzero(stuck) + start,
-        clipped=clipped(dtheta[good], torque[good]),
+        clipped=clipped(dtheta[kept], torque[kept]),
         spikes=np.flatnonzero(odd) + start,
     )
 

@@ -65,7 +65,7 @@ class Covariance:
 
 
 def confidence_intervals(blocks: Blocks, genes: Array) -> ConfidenceIntervals:
-    """Return the intervals around the exact optimum `genes` (p,) of the data in `blocks`, which are read three times.
+    """Return the intervals around the exact optimum `genes` (p,) of the data in `blocks`, which are read twice.
 
     A parameter that the columns, or their rows near zero residual, cannot distinguish from others has an infinite
     half-width and inflation; the others keep theirs.
@@ -120,17 +120,14 @@ class _Sums:
 
 
 def _first_pass(blocks: Blocks, genes: Array) -> _Sums:
-    count, power = 0, 0.0
-    gram = np.zeros((len(genes), len(genes)))
+    count, power, every = 0, 0.0, max(1, blocks.rows // _QUANTILES)
+    gram, kept = np.zeros((len(genes), len(genes))), []
     for columns, torque in blocks():
+        first = -count % every
+        kept.append(torque[first::every] - columns[first::every] @ genes)
         count += len(torque)
         power += float(torque @ torque)
         gram += columns.T @ columns
-    every, seen, kept = max(1, count // _QUANTILES), 0, []
-    for columns, torque in blocks():
-        first = -seen % every
-        kept.append(torque[first::every] - columns[first::every] @ genes)
-        seen += len(torque)
     rounding = 1e-12 * float(np.sqrt(power / count)) + float(np.finfo(float).tiny)
     return _Sums(count, gram, np.concatenate(kept), rounding)
 
