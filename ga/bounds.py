@@ -61,15 +61,21 @@ PAPER_BOUNDS: Final = Bounds(np.array([0.5e-3, 1e-5]), np.array([0.2, 1e-2]), ("
 """The paper, "Problem Encoding": Kc 0.5 to 200 mN m/rad, Bc 0.01 to 10 mN m s/rad."""
 
 
-def bounds_from_data(columns: NDArray[np.float64], torque: NDArray[np.float64], names: tuple[str, ...] = ()) -> Bounds:
+def bounds_from_data(
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    names: tuple[str, ...] = (),
+    positive: tuple[int, ...] = (),
+) -> Bounds:
     """A box that holds a chromosome of least mean absolute error, from columns (n, p) and torque (n,), N m.
 
-    It is centred on the least-squares solution g0. For the optimum g, with v = columns (g - g0), the triangle
-    inequality gives |v|_1 <= 2 n fitness(g0), and the largest leverage h (the largest diagonal element of the hat
-    matrix) gives |v|_2 <= sqrt(h) |v|_1; hence |g - g0|_k <= 2 n fitness(g0) sqrt(h C_kk), C = (columns^T columns)^-1.
-    The box is never narrower than g0 +- mean|torque|/mean|column|, what the parameter would be if it alone made the
-    torque, lest good data make the search trivial. It moves with the units of columns and torque. Where columns are
-    collinear or zero, the box holds one of the many optima.
+    positive: genes of which it holds no negative value. It is centred on the least-squares solution, with zero in place
+    of a negative one of these, g0. For the optimum g, with v = columns (g - g0), the triangle inequality gives |v|_1 <=
+    2 n fitness(g0), and the largest leverage h (the largest diagonal element of the hat matrix) gives |v|_2 <= sqrt(h)
+    |v|_1; hence |g - g0|_k <= 2 n fitness(g0) sqrt(h C_kk), C = (columns^T columns)^-1. The box is never narrower than
+    g0 +- mean|torque|/mean|column|, what the parameter would be if it alone made the torque, lest good data make the
+    search trivial. It moves with the units of columns and torque. Where columns are collinear or zero, the box holds
+    one of the many optima.
     Raises ValueError where the data are not finite, not of equal length or empty.
     """
     check(columns, torque)
@@ -79,6 +85,7 @@ def bounds_from_data(columns: NDArray[np.float64], torque: NDArray[np.float64], 
     known = singular > singular[0] * 1e-10
     left, singular, right = left[:, known], singular[known], right[known]
     centre = right.T @ (left.T @ torque / singular)
+    centre[list(positive)] = np.maximum(centre[list(positive)], 0.0)
     misfit = float(np.sum(np.abs(torque - columns @ (centre / scale))))
     leverage = float(np.max(np.sum(left**2, axis=1), initial=0.0))
     proven = 2.0 * misfit * np.sqrt(leverage) * np.sqrt(np.sum((right.T / singular) ** 2, axis=1))
@@ -86,4 +93,6 @@ def bounds_from_data(columns: NDArray[np.float64], torque: NDArray[np.float64], 
     alone = float(np.mean(np.abs(torque))) / np.where(size > 0.0, size, 1.0)
     reach = np.maximum(proven, alone)
     reach[reach == 0.0] = 1.0  # no torque and no misfit: any box will do
-    return Bounds((centre - reach) / scale, (centre + reach) / scale, names)
+    low, high = (centre - reach) / scale, (centre + reach) / scale
+    low[list(positive)] = np.maximum(low[list(positive)], 0.0)
+    return Bounds(low, high, names)

@@ -5,7 +5,7 @@ The search is judged by it: the gap between the two is the optimiser's error, wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -91,6 +91,49 @@ def least_absolute_deviations(
     if best is None:
         raise RuntimeError("no optimal vertex was found: the columns are too nearly collinear")
     return best
+
+
+def not_negative(
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    positive: tuple[int, ...],
+    near: NDArray[np.float64] | None = None,
+) -> Optimum:
+    """The chromosome of least mean absolute error of which the genes `positive` are zero or more.
+
+    The error is convex, so that it only falls on the way from the best of these to the chromosome that is best without
+    bounds: where that one breaks some, one of the genes that it has below zero is zero in the bounded one. Each of
+    them is left out in turn, until none is below zero. unique and certificate: given the genes that are zero. Arguments
+    and errors otherwise as of `least_absolute_deviations`.
+    """
+    found = least_absolute_deviations(columns, torque, near)
+    if not any(found.genes[k] < 0.0 for k in positive):
+        return found
+    best, left, seen = None, [(frozenset[int](), found)], set[frozenset[int]]()
+    while left:
+        zero, found = left.pop()
+        below = [k for k in positive if found.genes[k] < 0.0]
+        if best is not None and found.fitness >= best.fitness:
+            continue
+        best = best if below else found
+        for more in (zero | {k} for k in below):
+            if more not in seen:
+                seen.add(more)
+                left.append((more, _without(columns, torque, sorted(more), found.genes)))
+    return best or found  # the last to be left out are all of them, and then none is below zero
+
+
+def _without(
+    columns: NDArray[np.float64], torque: NDArray[np.float64], zero: list[int], near: NDArray[np.float64]
+) -> Optimum:
+    """The optimum of the chromosomes in which some genes are zero."""
+    kept = np.setdiff1d(np.arange(columns.shape[1]), zero)
+    genes = np.zeros(columns.shape[1])
+    if not kept.size:
+        return Optimum(genes, fitness_of(columns, torque, genes), 0.0, True, resolution(torque))
+    found = least_absolute_deviations(np.ascontiguousarray(columns[:, kept]), torque, near[kept])
+    genes[kept] = found.genes
+    return replace(found, genes=genes)
 
 
 def fitness_of(columns: NDArray[np.float64], torque: NDArray[np.float64], genes: NDArray[np.float64]) -> float:

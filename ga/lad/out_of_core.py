@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import compiled_no_refcount
-from ga.lad.exact import Optimum, fitness_of, least_absolute_deviations
+from ga.lad.exact import Optimum, fitness_of, not_negative
 from ga.start import Start
 
 Vector = NDArray[np.float64]
@@ -68,23 +68,24 @@ class Reduced:
         return optimum, optimum.relative_gap(fitness)
 
 
-def reduce(blocks: Blocks, rows: int) -> Reduced:
+def reduce(blocks: Blocks, rows: int, positive: tuple[int, ...] = ()) -> Reduced:
     """Collapse `rows` rows in `blocks` around their least-absolute-deviations optimum, which is exact.
 
-    The data are gone through twice, and once more for every time the ball was too small. Raises ValueError as
-    `least_absolute_deviations`, RuntimeError where no ball held the optimum.
+    positive: genes that are zero or more, in the optimum as in `not_negative`. The data are gone through twice, and
+    once more for every time the ball was too small. Raises ValueError as `least_absolute_deviations`, RuntimeError
+    where no ball held the optimum.
     """
     if rows <= _SUBSAMPLE:
         parts = list(blocks())
         columns, torque = np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
-        return Reduced(columns, torque, rows, least_absolute_deviations(columns, torque))
+        return Reduced(columns, torque, rows, not_negative(columns, torque, positive))
     whitening, columns, torque, floor = _subsample(blocks, rows)
-    genes = least_absolute_deviations(columns, torque).genes
+    genes = not_negative(columns, torque, positive).genes
     radius = _radius(columns, torque, genes)
     start = _start(genes, whitening, radius)
     for _ in range(_ATTEMPTS):
         columns, torque = _collapse(blocks, genes, whitening, radius)
-        optimum = least_absolute_deviations(columns, torque)
+        optimum = not_negative(columns, torque, positive)
         moved = float(np.linalg.norm(np.linalg.pinv(whitening) @ (optimum.genes - genes)))
         if moved < radius:
             share = len(torque) / rows

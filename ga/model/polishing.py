@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.lad.exact import least_absolute_deviations
+from ga.lad.exact import not_negative
 from ga.model.separable import descend
 
 if TYPE_CHECKING:
@@ -103,6 +103,7 @@ def _floor(problem: Problem, nonlinear: Array, near: Fit, across: Array) -> Fit:
     linear, jacobian = columns[:, : -len(nonlinear)], columns[:, -len(nonlinear) :]
     known = np.concatenate([best.optimum.genes, np.zeros(len(across))])
     table = np.concatenate([linear, jacobian @ across.T], axis=1)
-    step = least_absolute_deviations(table, target - jacobian @ best.nonlinear, known).genes[-len(across) :] @ across
+    target = target - jacobian @ best.nonlinear
+    step = not_negative(table, target, problem.positive, known).genes[-len(across) :] @ across
     tried = problem.solve(np.clip(best.nonlinear + step, problem.low, problem.high), best)
     return min(best, tried, key=lambda fit: fit.fitness)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     import numpy as np
     from numpy.typing import NDArray
@@ -54,6 +54,11 @@ class Parameter:
     open_ended: bool = False
     about: str = ""
     place: bool = False
+
+
+def positive_among(parameters: Iterable[Parameter]) -> tuple[int, ...]:
+    """Return the places of the parameters that physics allows no negative value of."""
+    return tuple(at for at, parameter in enumerate(parameters) if parameter.positive)
 
 
 @dataclass(frozen=True, slots=True)

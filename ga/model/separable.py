@@ -9,13 +9,15 @@ the local minimum next to any point (Gauss-Newton with the exact solver as its s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from ga.lad.exact import Optimum, least_absolute_deviations
+from ga.lad.exact import Optimum, not_negative
+from ga.model.record import positive_among
 from ga.samples import resolution
 
 if TYPE_CHECKING:
@@ -35,9 +37,6 @@ ENOUGH: Final = 2500
 _AGREEMENTS: Final = 8
 _AGREED: Final = 1e-3
 """How often, at most, and to what part the lag of flanks is found again from the fit that it led to."""
-
-_AS_GOOD: Final = 1.25
-"""Times the fitness of a fit with a negative damping, up to which one without is taken for it."""
 
 _STEPS: Final = 20
 _HALVINGS: Final = 4
@@ -98,9 +97,15 @@ class Problem:
     low: Array
     high: Array
 
-    def solve(self, nonlinear: Array, near: Fit | None = None, agreements: int = _AGREEMENTS) -> Fit:
-        """Return the exact minimum for nonlinear parameters (q,). Raises RuntimeError where no optimum can be proven.
+    @cached_property
+    def positive(self) -> tuple[int, ...]:
+        """The linear parameters that physics allows no negative value of."""
+        return positive_among(self.model.linear)
 
+    def solve(self, nonlinear: Array, near: Fit | None = None, agreements: int = _AGREEMENTS) -> Fit:
+        """Return the exact minimum for nonlinear parameters (q,), with no gene negative that cannot be.
+
+        Raises RuntimeError where no optimum can be proven.
         near: the fit for values close by, to begin with. When flanks part depends on Bc/Kc, which the minimum gives:
         both are repeated until they agree, `agreements` times at most.
         """
@@ -110,9 +115,8 @@ class Problem:
                 nonlinear, Optimum(np.empty(0), float(np.mean(np.abs(target))), 0.0, True, resolution(self.torque))
             )
         genes = near.optimum.genes if near else None
-        best = Fit(
-            nonlinear, least_absolute_deviations(self.model.columns(self.motion, nonlinear, lag), target, genes), lag
-        )
+        columns = self.model.columns(self.motion, nonlinear, lag)
+        best = Fit(nonlinear, not_negative(columns, target, self.positive, genes), lag)
         for _ in range(agreements if self.model.needs_ratio else 0):
             genes = best.optimum.genes
             next_lag = max(0.0, genes[1] / genes[0]) if genes[0] > 0.0 else 0.0
@@ -120,7 +124,7 @@ class Problem:
                 break
             lag = next_lag
             columns = self.model.columns(self.motion, nonlinear, lag)
-            best = Fit(nonlinear, least_absolute_deviations(columns, target, genes), lag)
+            best = Fit(nonlinear, not_negative(columns, target, self.positive, genes), lag)
         return best
 
     def of(self, rows: NDArray[np.bool_] | slice) -> Problem:
@@ -204,25 +208,25 @@ def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({}
     found.sort(key=_fitness)
     best = descend(problem, found[0].nonlinear)
     for other in _other_starts(problem, best, found):
-        # a delay and a damping can stand for each other to the second order, one of the two negative
-        seen = descend(problem, other.nonlinear)
-        likelier = _is_possible(problem, seen) and not _is_possible(problem, best)
-        best = seen if seen.fitness < (_AS_GOOD if likelier else 1.0) * best.fitness else best
+        best = min(best, descend(problem, other.nonlinear), key=_fitness)
     return best
 
 
 def _other_starts(problem: Problem, best: Fit, starts: list[Fit]) -> list[Fit]:
-    """The second start where the descent from the best, the first of them, ended at once; and the best possible one."""
+    """The second start where the descent from the best, the first of them, ended at once; and the best one inside.
+
+    A delay and a damping can stand for each other to the second order, one of the two negative: where a descent ends at
+    a bound, the optimum may be one that none keeps from it.
+    """
     is_stuck = bool(np.array_equal(best.nonlinear, starts[0].nonlinear))
     others = starts[1:2] if is_stuck else []
-    possible = [one for one in starts[1:] if _is_possible(problem, one)]
-    return others if _is_possible(problem, best) or possible[:1] == others else others + possible[:1]
+    inside = [one for one in starts[1:] if _is_inside(problem, one)]
+    return others if _is_inside(problem, best) or inside[:1] == others else others + inside[:1]
 
 
-def _is_possible(problem: Problem, found: Fit) -> bool:
-    """Return whether no parameter is negative that physics does not allow to be."""
-    values = zip(problem.model.linear, found.optimum.genes, strict=True)
-    return all(value >= 0.0 for parameter, value in values if parameter.positive)
+def _is_inside(problem: Problem, found: Fit) -> bool:
+    """Return whether no linear parameter is at its bound."""
+    return all(found.optimum.genes[at] > 0.0 for at in problem.positive)
 
 
 def _fitness(found: Fit) -> float:
@@ -246,7 +250,9 @@ def descend(problem: Problem, start: Array) -> Fit:
     count = problem.low.size
     for _ in range(_STEPS if count else 0):
         try:
-            step = least_absolute_deviations(*problem.linearised(best), best.values).genes[-count:] - best.nonlinear
+            step = (
+                not_negative(*problem.linearised(best), problem.positive, best.values).genes[-count:] - best.nonlinear
+            )
         except RuntimeError:  # the Jacobian is a combination of the columns: no direction of descent
             break
         arrived = bool(np.all(np.abs(step) <= _CONVERGED * (problem.high - problem.low)))

@@ -12,6 +12,7 @@ import numpy as np
 
 from hil.campaign.journal import Journal, kept_result
 from hil.campaign.plan import Plan, Run
+from hil.identification.result import interval
 from hil.recording.reader import Recording
 from hil.uncertainty.random_effects import Drift, between, drift
 
@@ -34,7 +35,7 @@ class Value:
     @property
     def error(self) -> float:
         """Half of the interval in standard errors, never zero."""
-        return max(0.5 * (self.ci95[1] - self.ci95[0]) / _NORMAL, 1e-9 * abs(self.value), math.ulp(0.0))
+        return max((self.ci95[1] - self.value) / _NORMAL, 1e-9 * abs(self.value), math.ulp(0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +137,8 @@ def _line(key: tuple[str, str, str], measured: Sequence[Measured]) -> Line:
             values[name] = known[0]
         elif known:
             pooled = between(np.array([one.value for one in known]), np.array([one.error for one in known]))
-            values[name] = Value(pooled.value, pooled.ci95, known[0].unit)
+            half = pooled.ci95[1] - pooled.value
+            values[name] = Value(pooled.value, interval(pooled.value, half, positive=True), known[0].unit)
             repeats[name] = pooled.p_alike >= _CHANCE
     return Line(*key, tuple(measured), values, repeats)
 

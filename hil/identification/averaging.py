@@ -135,8 +135,9 @@ def _mean(largest: _Largest, doubtful: Mapping[str, float]) -> dict[str, Average
         sampling.matrix,
         {at: costs[name] for at, name in enumerate(names) if name in costs},
         # the model's own terms were found possible without what is added: a skew beside an inertia takes it over
-        [at for at, name in enumerate(names) if name in {*costs, *COUPLING} and PARAMETERS[name].positive],
+        [at for at, name in enumerate(names) if name in costs and PARAMETERS[name].positive],
         largest.likely,
+        bounded=[names.index(name) for name in COUPLING],
     )
     if found is None:
         return {}

@@ -15,7 +15,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.each import Result, Task, identify_each
 from hil.identification.identify import Search
 from hil.identification.model_choice import Coupling
-from hil.identification.result import Estimate, Identification, standard_error
+from hil.identification.result import Estimate, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.recording.ahead import Progress
 from hil.signals.source import Source, open_sources
@@ -206,7 +206,7 @@ def _with_scale(pooled: Pooled, uncertainty: float) -> Pooled:
     scale = uncertainty * abs(pooled.value)
     half = math.hypot(0.5 * (pooled.ci95[1] - pooled.ci95[0]), _SCALE_NORMAL * scale)
     error = math.hypot(pooled.standard_error, scale)
-    return replace(pooled, standard_error=error, ci95=(pooled.value - half, pooled.value + half))
+    return replace(pooled, standard_error=error, ci95=interval(pooled.value, half, positive=True))
 
 
 def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:

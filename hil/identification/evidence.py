@@ -12,7 +12,7 @@ from ga.model.record import Parameter
 from ga.model.trajectory import Motion
 from ga.trials.outcome import Trials
 from hil.identification.model_choice import Coupling
-from hil.identification.result import Conditional, Estimate, Repeatability, Validation
+from hil.identification.result import Conditional, Estimate, Repeatability, Validation, interval
 from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
 from hil.uncertainty.criteria import COUPLING, DIFFERENT, LIKE_FRICTION, distinguishable, friction_likeness, narrow
@@ -39,8 +39,9 @@ class Evidence:
     reference: rad, the encoder's reading that the deflections of the signals count from. columns: (m, p + q), of the
     signals. values, low, high: (p + q,), SI, of all parameters. exact: the values and half the intervals given the
     model, where `values` and `errors` are averaged over models. scattered: the variance components of pooled
-    recordings. gap: of the optimiser, relative. deflection: what its errors do to the values, None where the rate was
-    recorded too. unmoved: why nothing moved, "" where it did.
+    recordings. unbounded: the values without signs, and half of their intervals, None where they are the same. gap: of
+    the optimiser, relative. deflection: what its errors do to the values, None where the rate was recorded too.
+    unmoved: why nothing moved, "" where it did.
     selected: whether the model was selected, and not named. span: of Kc, where a model was selected that has no single
     one and the motion met all of it, or where it is not known where the joint is unloaded.
     """
@@ -58,6 +59,7 @@ class Evidence:
     gap: float
     holdout: Validation
     exact: tuple[Array, Array]
+    unbounded: tuple[Array, Array] | None = None
     deflection: DeflectionErrors | None = None
     unmoved: str = ""
     selected: bool = False
@@ -102,6 +104,17 @@ class Evidence:
         0 for a user's own model, which may have friction by any name.
         """
         return 0.0 if self.has_friction or not self.model.linear else friction_likeness(self.signals.motion.dtheta_dot)
+
+    def is_zero(self, at: int) -> bool:
+        """Return whether the bounds of the parameter end at zero, which physics allows nothing below of."""
+        return self.parameters[at].positive and bool(self.low[at] <= 0.0)
+
+    def contradicted(self, at: int) -> float | None:
+        """Return the negative value that the data give a parameter which has none; None where they allow zero."""
+        if self.unbounded is None or not self.parameters[at].positive:
+            return None
+        value, half = (float(of[at]) for of in self.unbounded)
+        return value if value + half < 0.0 else None
 
     def at_bound(self, at: int) -> str | None:
         """Return which end of its bounds the exact optimum lies at or beyond, None for neither."""
@@ -175,14 +188,17 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
                 name=parameter.name,
                 unit=parameter.unit,
                 value=value,
-                ci95=(value - half, value + half),
+                ci95=interval(value, half, positive=parameter.positive),
                 optimiser=Repeatability(zero + best, zero + mean, std),
                 identifiable=evidence.identifiable(at),
                 at_bound=evidence.at_bound(at),
                 bounds=(zero + float(evidence.low[at]), zero + float(evidence.high[at])),
                 components=evidence.scattered[at],
-                conditional=Conditional(exact, (exact - own, exact + own)) if is_average else None,
+                conditional=Conditional(exact, interval(exact, own, positive=parameter.positive))
+                if is_average
+                else None,
                 depends_on=(span[2] or None) if span and parameter.name == "Kc" else None,
+                positive=parameter.positive,
             )
         )
     return tuple(found)
@@ -199,6 +215,6 @@ def _wider(one: Estimate, lack: float) -> Estimate:
 
     Pooled recordings that differ fail the tests of the fit by that, and their interval holds it: the larger counts.
     """
-    low, high = one.ci95
-    more = lack if one.components is None else max(0.0, lack - 0.5 * (high - low))
-    return replace(one, ci95=(low - more, high + more))
+    half = one.half_width
+    more = lack if one.components is None else max(0.0, lack - half)
+    return replace(one, ci95=interval(one.value, half + more, positive=one.positive)) if more else one

@@ -11,7 +11,7 @@ from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification.identify import Search, identify_sources
 from hil.identification.model_choice import Coupling
-from hil.identification.result import Estimate, Fixture, Identification, standard_error
+from hil.identification.result import Estimate, Fixture, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.recording.ahead import Progress
 from hil.recording.reader import Recording
@@ -146,7 +146,7 @@ def _corrected(estimate: Estimate, value: float, error: float, common: float) ->
     return replace(
         estimate,
         value=value,
-        ci95=(value - half, value + half),
+        ci95=interval(value, half, positive=estimate.positive),
         conditional=None,
         optimiser=replace(trials, best=trials.best + shift, mean=trials.mean + shift),
         identifiable=estimate.identifiable and narrow(half, value),

@@ -50,7 +50,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
                 is_error=True,
             )
         )
-    # the exact optimum knows no bounds: at one, the gap is the bound's and not the search's
+    # the exact optimum knows no bounds but zero: at one, the gap is the bound's and not the search's
     at_bounds = any(evidence.at_bound(at) for at in range(len(evidence.names)))
     if evidence.gap > OPTIMISER_GAP and not at_bounds and not evidence.trials.interrupted:
         found.append(
@@ -223,15 +223,15 @@ def _interruption(trials: Trials) -> list[Diagnostic]:
 
 def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
     found, is_error = [], name in COUPLING
-    end = evidence.at_bound(at)
-    if end is not None:
+    end, negative = evidence.at_bound(at), evidence.contradicted(at)
+    if end is not None and not (end == "low" and evidence.is_zero(at)):  # which is physics' bound, not the search's
         text = f"{name} is at the {end} end of its bounds, and its true value may lie beyond. Widen the bounds: "
         found.append(Diagnostic("at-bound", f"{text}--bounds {name}=LOW:HIGH", name, is_error=is_error))
-    if not evidence.identifiable(at):
+    if negative is None and not evidence.identifiable(at):
         found.append(Diagnostic("not-identifiable", _why_not(evidence, at), name, is_error=is_error))
-    elif evidence.parameters[at].positive and evidence.values[at] < 0.0:
+    elif negative is not None:
         text = (
-            f"{name} is {evidence.values[at]:.3g} {_unit(evidence, at)}, but it cannot be negative. "
+            f"{name} would be {negative:.3g} {_unit(evidence, at)}, but it cannot be negative. "
             f"{_IMPLAUSIBLE.get(name, 'Bc is wrong by the same torque. Leave the term out, or try --model auto')}"
         )
         found.append(Diagnostic("implausible", text, name if is_error else "Bc", is_error=True))

@@ -17,7 +17,7 @@ from ga.bounds import Bounds
 from ga.evolution.evolution import PRESETS, Settings
 from ga.lad.exact import Optimum
 from ga.lad.out_of_core import Reduced
-from ga.model.record import Parameter
+from ga.model.record import Parameter, positive_among
 from ga.model.separable import Problem, descend
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_nonlinear
@@ -31,7 +31,7 @@ from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
-from hil.identification.fitting.exact import solved, unproven
+from hil.identification.fitting.exact import solved, unproven, without_signs
 from hil.identification.fitting.forecast import forecast
 from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
@@ -108,10 +108,7 @@ def identify(
 def identify_sources(
     sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
-    """Do what `identify` does with recordings that are open already.
-
-    The linear algebra runs on one core: on several, the last digit would be the computer's.
-    """
+    """Do what `identify` does with open recordings, on one core: on several, the last digit would be the computer's."""
     with ThreadpoolController().limit(limits=1, user_api="blas"):
         return _identified(sources, model, search, progress)
 
@@ -187,6 +184,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     deflection = read_with_errors(data, solution.values, sampling.half_width)
     if deflection:
         values, chosen = values + deflection.change, np.hypot(chosen, deflection.half_width)
+    values = np.where([one.positive for one in parameters], np.maximum(values, 0.0), values)
     exact = pooled.with_scale_uncertainty(_of_scale(data, parameters), solution.values)
     own = np.hypot(exact.half_width, deflection.half_width) if deflection else exact.half_width
     return Evidence(
@@ -198,6 +196,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
         errors=exact.with_choice(chosen, sampling.half_width),
         exact=(solution.values, own),
         scattered=components,
+        unbounded=without_signs(solution.blocks, solution.values, positive_among(parameters)),
         trials=solution.trials,
         low=solution.low,
         high=solution.high,
@@ -266,7 +265,7 @@ def _linear(data: Dataset, search: Search, progress: Progress | None) -> _Soluti
     """The solution of a model that is linear in its parameters: all of them are searched."""
     columns, torque = data.in_memory
     bounds = bounds_for(data.choice.model, search.bounds, columns, torque, papers=search.preset == "paper")
-    reduced = solved(data.blocks)
+    reduced = solved(data.blocks, positive_among(data.choice.model.linear))
     began = time.perf_counter()
     trials = _search(data, reduced, bounds, search, progress)
     seconds = time.perf_counter() - began
@@ -282,7 +281,7 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Sol
         raise WrongUse(f"--checkpoint: the search for {names} takes seconds and is not saved: leave the option out")
     unbounded, p = np.full(len(model.linear), np.nan), len(model.linear)
     low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
-    low, high = narrowed(low, high, search.bounds, _names((*model.linear, *model.nonlinear)), model.name)
+    low, high = narrowed(low, high, search.bounds, (*model.linear, *model.nonlinear), model.name)
     _check_population(search, len(model.nonlinear))
     problem = Problem(model, motion, data.signals.torque, low[p:], high[p:]).of(data.used)
     began = time.perf_counter()

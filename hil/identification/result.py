@@ -53,6 +53,7 @@ class Estimate:
     bounds: NaN where the parameter was solved for and not searched. components: within and between pooled recordings,
     None for a single recording and where fewer than two can estimate the parameter. depends_on: what the parameter
     changes with, "amplitude", where it has no single value: ci95 then spans what it may be, and value is its middle.
+    positive: whether physics allows no value below zero.
     """
 
     name: str
@@ -66,6 +67,12 @@ class Estimate:
     components: VarianceComponents | None = None
     conditional: Conditional | None = None
     depends_on: str | None = None
+    positive: bool = False
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval as it is where zero does not cut it."""
+        return max(self.ci95[1] - self.value, self.value - self.ci95[0])
 
     @property
     def exact(self) -> float:
@@ -176,8 +183,15 @@ class Identification:
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
 
+def interval(value: float, half: float, *, positive: bool) -> tuple[float, float]:
+    """Return the interval around a value of half a width, cut at zero where physics allows nothing below.
+
+    So the normal distribution is truncated: a true value from zero on is in it as often as without the cut.
+    """
+    return max(value - half, 0.0) if positive and math.isfinite(half) else value - half, value + half
+
+
 def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
     """An estimate's own standard error, in its unit, from its 95 % interval without the torque's uncertainty."""
-    half = 0.5 * (estimate.ci95[1] - estimate.ci95[0])
-    half = math.sqrt(max(half**2 - (_SCALE_NORMAL * uncertainty * estimate.value) ** 2, 0.0))
+    half = math.sqrt(max(estimate.half_width**2 - (_SCALE_NORMAL * uncertainty * estimate.value) ** 2, 0.0))
     return float(max(half / _NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))

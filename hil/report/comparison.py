@@ -123,7 +123,7 @@ def _cell(found: Comparison, one: Measured, name: str) -> str:
         return "left out"
     estimate = one.estimates[name]
     factor = _scale(found, estimate.unit)[0]
-    half = 0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor
+    half = estimate.half_width * factor
     if name not in one.identifiable or not math.isfinite(half):
         return f"{estimate.value * factor:.3g} (not identifiable)"
     return " ± ".join(rounded(half, estimate.value * factor))
@@ -154,7 +154,7 @@ def figure(found: Comparison) -> Figure:
             for index, one in enumerate(found.recordings)
             if parameter.name in one.identifiable
         ]
-        halves = [0.5 * (estimate.ci95[1] - estimate.ci95[0]) * factor for _, estimate in shown]
+        halves = [estimate.half_width * factor for _, estimate in shown]
         values = [estimate.value * factor for _, estimate in shown]
         panel.errorbar([index for index, _ in shown], values, halves, fmt="o", capsize=4)
         if parameter.pooled is not None:

@@ -217,7 +217,7 @@ def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None,
     low, high = (end * factor for end in estimate.ci95)
     if not math.isfinite(low):
         return f"{estimate.value * factor:.5g}", None, "not identifiable", unit
-    value, half = rounded(0.5 * (high - low), estimate.value * factor)
+    value, half = rounded(estimate.half_width * factor, estimate.value * factor)
     first, last, _ = rounded(0.05 * (high - low), low, high)
     return value, half, f"{first} to {last}", unit
 

@@ -90,8 +90,7 @@ def _units(entries: Sequence[Entry]) -> tuple[float, tuple[str, str]]:
 def _cell(estimate: Estimate | None, factor: float) -> str:
     if estimate is None:
         return "no result"
-    low, high = estimate.ci95
-    return " ± ".join(rounded(0.5 * (high - low) * factor, estimate.value * factor))
+    return " ± ".join(rounded(estimate.half_width * factor, estimate.value * factor))
 
 
 def _state(entry: Entry) -> str:
@@ -130,7 +129,7 @@ def _figure(entries: Sequence[Entry]) -> Figure:
     for axes, name, unit in zip(drawn.subplots(2, 1, sharex=True), PARAMETERS, units, strict=True):
         shown = [(at, one) for at, entry in enumerate(entries) if (one := entry.estimate(name)) is not None]
         places, values = [at for at, _ in shown], [one.value * factor for _, one in shown]
-        halves = [0.5 * (one.ci95[1] - one.ci95[0]) * factor for _, one in shown]
+        halves = [one.half_width * factor for _, one in shown]
         axes.errorbar(places, values, yerr=halves, fmt="o", capsize=3)
         axes.set_ylabel(f"{name} [{unit}]")
         axes.grid(visible=True, lw=0.3)

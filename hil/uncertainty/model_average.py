@@ -45,7 +45,13 @@ class Average:
 
 
 def average(
-    values: Array, covariance: Array, costs: Mapping[int, float], positive: Sequence[int], likely: Array
+    values: Array,
+    covariance: Array,
+    costs: Mapping[int, float],
+    positive: Sequence[int],
+    likely: Array,
+    *,
+    bounded: Sequence[int] = (),
 ) -> Average | None:
     """Return the average over all models with and without the doubtful parameters; None where none is possible.
 
@@ -53,7 +59,8 @@ def average(
     how far it must raise twice the log likelihood for a model with it to be as likely as one without. positive:
     parameters of which a negative estimate makes a model impossible. likely (2, p): what a parameter is likely to be,
     and one standard deviation of that, infinite where nothing is known: where the data say less, this does (ridge
-    regression).
+    regression). bounded: parameters of every model that are zero where their estimate would be negative, with the
+    variance that they have without that bound.
     """
     size = np.sqrt(np.diag(covariance))
     if not (np.isfinite(size).all() and (size > 0.0).all()):
@@ -64,7 +71,7 @@ def average(
     found = []
     for count in range(len(costs) + 1):
         for left_out in combinations(costs, count):
-            estimates, variances, fall = _without(values, covariance, list(left_out))
+            estimates, variances, fall = _bounded(values, covariance, list(left_out), bounded)
             if all(estimates[at] >= 0.0 for at in positive if at not in left_out):
                 found.append((left_out, estimates, variances, fall))
     if not found:
@@ -121,6 +128,19 @@ def _penalised(values: Array, covariance: Array, centres: Array, precision: Arra
     prior = np.diag(precision[known] ** -2.0)
     gain = np.linalg.solve(covariance[np.ix_(known, known)] + prior, covariance[known]).T
     return values - gain @ (values[known] - centres[known]), covariance - gain @ covariance[known]
+
+
+def _bounded(
+    values: Array, covariance: Array, left_out: list[int], bounded: Sequence[int]
+) -> tuple[Array, Array, float]:
+    """Return `_without` some parameters, with those that are bounded at zero where they would be negative."""
+    estimates, variances, fall = _without(values, covariance, left_out)
+    at_zero = list(left_out)
+    while below := [at for at in bounded if estimates[at] < 0.0 and at not in at_zero]:
+        at_zero += below
+        estimates, _, fall = _without(values, covariance, at_zero)
+        estimates[at_zero] = 0.0  # but for rounding
+    return estimates, variances, fall
 
 
 def _without(values: Array, covariance: Array, left_out: list[int]) -> tuple[Array, Array, float]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
+from ga.model.record import Parameter, positive_among
 from hil.errors import WrongUse, meant
 from hil.identification.model_choice import Coupling
 
@@ -19,24 +20,30 @@ Given = Mapping[str, tuple[float, float]]
 def bounds_for(model: Coupling, given: Given, columns: Array, torque: Array, *, papers: bool) -> Bounds:
     """Return the bounds of the linear parameters: the given ranges, else the paper's if asked for, else the data's.
 
-    Raises WrongUse as `narrowed`.
+    None is below zero where physics allows no negative value. Raises WrongUse as `narrowed`.
     """
-    found = bounds_from_data(columns, torque)
+    found = bounds_from_data(columns, torque, positive=positive_among(model.linear))
     low, high = found.low.copy(), found.high.copy()
     if papers:
         low[:2], high[:2] = PAPER_BOUNDS.low, PAPER_BOUNDS.high
-    names = tuple(parameter.name for parameter in model.linear)
-    return Bounds(*narrowed(low, high, given, names, model.name), names)
+    low, high = narrowed(low, high, given, model.linear, model.name)
+    return Bounds(low, high, tuple(parameter.name for parameter in model.linear))
 
 
-def narrowed(low: Array, high: Array, given: Given, names: tuple[str, ...], model: str) -> tuple[Array, Array]:
-    """Return the bounds (p,) with the given ranges. Raises WrongUse for an unknown parameter or an empty range."""
-    low, high = low.copy(), high.copy()
+def narrowed(low: Array, high: Array, given: Given, parameters: Sequence[Parameter], model: str) -> tuple[Array, Array]:
+    """Return the bounds (p,) with the given ranges, as far as physics allows them.
+
+    Raises WrongUse for an unknown parameter, or a range that is empty or all negative where nothing is.
+    """
+    low, high, names = low.copy(), high.copy(), [parameter.name for parameter in parameters]
     for name, (lowest, highest) in given.items():
         if name not in names:
             near = meant(name, names)
             raise WrongUse(f"--bounds {name}: model {model!r} has no such parameter; {near}it has {', '.join(names)}")
         if not (np.isfinite(lowest) and np.isfinite(highest) and lowest < highest):
             raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: write the lower one first, both as numbers in SI")
-        low[names.index(name)], high[names.index(name)] = lowest, highest
+        at = names.index(name)
+        if parameters[at].positive and highest <= 0.0:
+            raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: {name} is not negative; give a range above zero")
+        low[at], high[at] = max(lowest, 0.0) if parameters[at].positive else lowest, highest
     return low, high

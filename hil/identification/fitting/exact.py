@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ga.lad.out_of_core import Reduced, reduce
 from hil.errors import Untrustworthy
 from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import confidence_intervals
+
+Array = NDArray[np.float64]
 
 
-def solved(blocks: Blocks) -> Reduced:
-    """Return the exact optimum of the blocks. Raises Untrustworthy where none could be proven."""
+def solved(blocks: Blocks, positive: tuple[int, ...] = ()) -> Reduced:
+    """Return the exact optimum of the blocks; positive: the places of the parameters that are not negative in it.
+
+    Raises Untrustworthy where none could be proven.
+    """
     try:
-        return reduce(blocks, blocks.rows)
+        return reduce(blocks, blocks.rows, positive)
     except RuntimeError as error:
         raise unproven(error) from error
+
+
+def without_signs(blocks: Blocks, values: Array, positive: tuple[int, ...]) -> tuple[Array, Array] | None:
+    """Return the optimum (p,) without signs, and half of its intervals; None where none of the values (p,) is at zero.
+
+    positive: the places of those that are not negative. Raises Untrustworthy as `solved`.
+    """
+    if not any(values[at] <= 0.0 for at in positive):
+        return None
+    found = solved(blocks).optimum.genes
+    return found, confidence_intervals(blocks, found).half_width
 
 
 def unproven(error: RuntimeError) -> Untrustworthy:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.record import positive_among
 from hil.identification.dataset import Dataset
 from hil.identification.fitting.exact import solved
 from hil.identification.result import Validation
@@ -31,7 +32,10 @@ def validated(data: Dataset, blocks: Blocks, values: Array, distinct: NDArray[np
         return ~is_out(number)
 
     fitted = blocks if distinct.all() else blocks.searching(distinct, values)
-    genes = solved(fitted.where(is_in)).optimum.genes
+    positive = positive_among(
+        [one for one, searched in zip(data.choice.model.linear, distinct, strict=False) if searched]
+    )
+    genes = solved(fitted.where(is_in), positive).optimum.genes
     count, absolute, square = 0, 0.0, 0.0
     for columns, target in fitted.where(is_out)():
         residuals = target - columns @ genes

@@ -62,8 +62,6 @@ class Criterion:
             return False
         if larger.is_impossible(term):
             return False
-        if larger.damping < 0.0 <= smaller.damping:  # what only a negative damping makes of the term is not its own
-            larger = larger.undamped()
         better = smaller.held_out - larger.held_out
         breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable) or term in RARER
         least, gain = (_BETTER, STRONG) if breaks else (-_WORSE, 0.0)

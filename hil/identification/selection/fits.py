@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
 from ga.model.terms import TERMS
@@ -60,15 +59,6 @@ class Candidate:
         part = self.problem.of(rows)
         return replace(self, problem=part, fit=part.solve(self.fit.nonlinear, self.fit))
 
-    def undamped(self) -> Candidate:
-        """Return the fit with Bc at its bound, zero, and the nonlinear parameters that it has with Bc free."""
-        problem, found = self.problem, self.fit
-        target = problem.model.target(problem.motion, problem.torque, found.nonlinear)
-        columns = problem.model.columns(problem.motion, found.nonlinear, found.lag)
-        optimum = least_absolute_deviations(np.delete(columns, 1, axis=1), target)
-        optimum = replace(optimum, genes=np.insert(optimum.genes, 1, 0.0))
-        return replace(self, fit=replace(found, optimum=optimum))
-
     def own_columns(self, *terms: str) -> Iterator[tuple[Array, Array]]:
         """For each parameter of the terms: its column (n,), and the part of it orthogonal to all other columns."""
         columns = self.problem.linearised(self.fit)[0]
@@ -87,8 +77,8 @@ class Candidate:
             yield column, column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
 
     def is_possible(self, *terms: str) -> bool:
-        """Return whether the damping and these terms are possible, and the data do not reject one of the terms."""
-        return self.damping >= 0.0 and not any(self.is_at_end(term) or self.is_impossible(term) for term in terms)
+        """Return whether these terms are possible, and the data do not reject one of them."""
+        return not any(self.is_at_end(term) or self.is_impossible(term) for term in terms)
 
     def is_at_end(self, term: str) -> bool:
         """Return whether a parameter of the term came to an end of its bounds: the data reject it."""
@@ -99,13 +89,13 @@ class Candidate:
         return any(end and p.name in own(term) for end, p in zip(ends, self.model.nonlinear, strict=True))
 
     def is_impossible(self, term: str) -> bool:
-        """Return whether a parameter of the term is negative that nature has no negative one of, as a friction.
+        """Return whether a parameter of the term is at its bound, zero, as a friction that would be negative.
 
         A skew may be negative, but not to undo a part of the lag beside it.
         """
         values = self.values
-        negative = any(parameter.positive and values[parameter.name] < 0.0 for parameter in TERMS[term].parameters)
-        return negative or (term in LATE and "lag" in values and values.get("skew", 0.0) < 0.0)
+        at_zero = any(parameter.positive and values[parameter.name] <= 0.0 for parameter in TERMS[term].parameters)
+        return at_zero or (term in LATE and "lag" in values and values.get("skew", 0.0) < 0.0)
 
 
 @dataclass(frozen=True, eq=False)

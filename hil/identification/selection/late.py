@@ -132,7 +132,7 @@ class LateReading:
         return found if likely and found.is_possible("maxwell") else None
 
     def _with(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate | None:
-        """The model of these terms, where its skew and lag are within their bounds and no damping is negative."""
+        """The model of these terms, where its skew and lag are within their bounds."""
         if self.fits.fitness(terms) == np.inf:
             return None
         found = self.fits.candidate(terms, beside)

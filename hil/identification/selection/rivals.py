@@ -28,10 +28,16 @@ def _rivals(undecided: list[Step], estimate: Estimate) -> list[Diagnostic]:
         Diagnostic(
             "model-dependent",
             f"the data cannot decide whether {term} is present ({TERMS[term].meaning}). With it, {estimate.name} "
-            f"changes by {value / estimate.value - 1.0:+.2%}, which is outside its interval. Record over a wider band "
-            "or with a larger amplitude",
+            f"{_change(value, estimate)}, which is outside its interval. Record over a wider band or with a larger "
+            "amplitude",
             estimate.name,
             is_error=is_wide and value > 0.0,
         )
         for term, value in outside.items()
     ]
+
+
+def _change(value: float, estimate: Estimate) -> str:
+    if not estimate.value:
+        return f"would be {value:.3g} {estimate.unit.replace('*', ' ')}"
+    return f"changes by {value / estimate.value - 1.0:+.2%}"

@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from ga.lad import exact
-from ga.lad.exact import least_absolute_deviations
+from ga.lad.exact import fitness_of, least_absolute_deviations, not_negative
 from ga.lad.few import solve_few
 from ga.lad.simplex import lowest_crossing, room_for
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-def highs(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> float:
-    """The least mean absolute error by an independent solver: HiGHS on the linear programme."""
+def highs(columns: NDArray[np.float64], torque: NDArray[np.float64], positive: tuple[int, ...] = ()) -> float:
+    """The least mean absolute error by an independent solver: HiGHS on the linear programme, some genes bounded."""
     n, p = columns.shape
     scale = np.abs(columns).max(axis=0)
     scale[scale == 0.0] = 1.0
     size = float(np.abs(torque).max()) or 1.0
     constraints = sparse.hstack([sparse.csr_matrix(columns / scale), sparse.eye(n), -sparse.eye(n)])
     cost = np.concatenate([np.zeros(p), np.full(2 * n, 1.0 / n)])
-    bounds = [(None, None)] * p + [(0.0, None)] * (2 * n)
+    bounds = [(0.0 if k in positive else None, None) for k in range(p)] + [(0.0, None)] * (2 * n)
     result = linprog(cost, A_eq=constraints, b_eq=torque / size, bounds=bounds, method="highs")
     assert result.status == 0
     genes = result.x[:p] * size / scale
@@ -204,3 +204,44 @@ def test_rows_that_are_not_too_many_take_the_short_way_to_the_optimum_of_the_lon
 def test_few_rows_that_are_tied_or_dependent_go_the_long_way() -> None:
     for kind in ("collinear", "a zero column", "counts"):
         assert solve_few(*recording(kind, 300, 3, np.random.default_rng(0)), None) is None
+
+
+@settings(max_examples=80)
+@given(kind=st.sampled_from(KINDS), n=st.integers(1, 120), p=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))
+def test_with_signs_it_is_the_optimum_of_the_linear_programme_with_bounds(kind: str, n: int, p: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    columns, torque = recording(kind, n, p, rng)
+    positive = tuple(np.flatnonzero(rng.random(p) < 0.7).tolist())
+    found = not_negative(columns, torque, positive)
+    assert all(found.genes[k] >= 0.0 for k in positive)
+    least = highs(columns, torque, positive)
+    assert found.fitness == pytest.approx(fitness_of(columns, torque, found.genes), rel=1e-12)
+    assert found.fitness <= least * (1.0 + 1e-7) + 1e-9 * float(np.abs(torque).max())
+    assert found.fitness >= least * (1.0 - 1e-7) - 1e-9 * float(np.abs(torque).max())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_at_a_bound_the_error_falls_only_towards_what_is_not_allowed(seed: int) -> None:
+    """The conditions of Karush, Kuhn and Tucker, with the signs of the residuals as the subgradient."""
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(400, 4)) @ (np.eye(4) + 0.4)
+    torque = columns @ np.array([1.0, -0.2, 0.01, -0.01]) + 0.3 * rng.normal(size=400)
+    found = not_negative(columns, torque, (0, 1, 2, 3))
+    zero = found.genes == 0.0
+    left = torque - columns @ found.genes
+    met = np.abs(left) < 1e-12
+    slope = np.linalg.lstsq(
+        columns[np.ix_(met, ~zero)].T, -columns[~met][:, ~zero].T @ np.sign(left[~met]), rcond=None
+    )[0]
+    assert np.abs(slope).max() <= 1.0
+    assert zero[1]
+    assert (columns[~met][:, zero].T @ np.sign(left[~met]) + columns[np.ix_(met, zero)].T @ slope <= 0.0).all()
+
+
+def test_where_no_bound_is_broken_it_is_the_free_optimum_after_one_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    columns, torque = recording("normal", 200, 3, np.random.default_rng(0))
+    free, solutions = least_absolute_deviations(columns, torque), iter([least_absolute_deviations(columns, torque)])
+    monkeypatch.setattr(exact, "least_absolute_deviations", lambda *_: next(solutions))
+    above = tuple(k for k in range(3) if free.genes[k] > 0.0)
+    assert above
+    np.testing.assert_array_equal(not_negative(columns, torque, above).genes, free.genes)

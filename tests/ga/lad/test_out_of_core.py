@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ga.bounds import bounds_from_data
 from ga.evolution.evolution import PRESETS
 from ga.lad import out_of_core
-from ga.lad.exact import fitness_of, least_absolute_deviations
+from ga.lad.exact import fitness_of, least_absolute_deviations, not_negative
 from ga.lad.out_of_core import Blocks, Reduced, reduce
 from ga.trials.trials import run_trials
 
@@ -53,6 +53,18 @@ def test_the_optimum_is_the_one_of_all_the_data_in_memory(p: int, tail: float) -
     assert found.optimum.floor == pytest.approx(whole.floor, rel=1e-9)
     assert found.optimum.certificate < 1e-9
     assert found.length == len(torque)
+
+
+def test_with_signs_it_is_that_of_all_the_data_too_and_the_rest_is_refitted() -> None:
+    columns, torque = data(3, seed=3)
+    free = least_absolute_deviations(columns, torque).genes
+    signs = np.where(free > 0.0, -1.0, 1.0) * np.array([1.0, -1.0, -1.0])  # only the first is below zero then
+    columns = columns * signs
+    found = reduce(in_blocks(columns, torque), len(torque), (0, 1, 2)).optimum
+    whole = not_negative(columns, torque, (0, 1, 2))
+    assert found.genes[0] == 0.0
+    np.testing.assert_allclose(found.genes, whole.genes, rtol=1e-9)
+    assert found.fitness == pytest.approx(whole.fitness, rel=1e-12)
 
 
 def test_most_rows_are_collapsed() -> None:

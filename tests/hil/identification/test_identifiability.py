@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -18,6 +21,7 @@ from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.selection.rivals import rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array
+from hil.report.identification import as_json
 from hil.signals.inspection import inspect
 
 from ..conftest import Maker
@@ -60,6 +64,15 @@ def test_a_term_that_moves_nothing_or_has_strong_evidence_against_it_is_not() ->
     assert not rivals((CHOSEN, step("skew", 2.005e-4), step("slack", 3e-4, gain=-7.0)), FOUND)
 
 
+def test_a_term_beside_a_parameter_of_zero_is_named_with_its_value() -> None:
+    found = (
+        FOUND[0],
+        Estimate("Bc", "N*m*s/rad", 0.0, (0.0, 1e-6), Repeatability(0.0, 0.0, 0.0), False, "low", (0.0, 1.0)),
+    )
+    (diagnostic,) = rivals((CHOSEN, step("skew", 2.1e-4)), found)
+    assert "Bc would be 0.00021 N m s/rad, which is outside its interval" in diagnostic.message
+
+
 def sine(channels: dict[str, Array], frequency: float) -> None:
     """0.2 rad at one frequency, with 1 mN m of dry friction beside the paper's coupling."""
     phase = 2.0 * np.pi * frequency * channels["time"]
@@ -78,13 +91,34 @@ def driven_backwards(channels: dict[str, Array]) -> None:
     channels["torque"] += 1e-4 * np.random.default_rng(1).standard_normal(len(time))
 
 
-def test_a_friction_that_comes_out_negative_makes_the_damping_untrustworthy(make_recording: Maker) -> None:
+def test_a_friction_that_would_be_negative_is_zero_and_makes_the_damping_untrustworthy(make_recording: Maker) -> None:
     path = make_recording(change=driven_backwards)
     found = identify([path], parse("linear+coulomb"), SEARCH)
-    assert found["Fc"].ci95[1] < 0.0
+    assert found["Fc"].value == found["Fc"].exact == found["Fc"].ci95[0] == 0.0
     assert (found.trusted("Kc"), found.trusted("Bc")) == (True, False)
     (said,) = [one for one in found.diagnostics if one.code == "implausible"]
-    assert "Fc is -0.000999 N m, but it cannot be negative" in said.message
+    assert "Fc would be -0.001 N m, but it cannot be negative" in said.message
+
+
+def numbers_in(table: Any) -> Iterator[float]:
+    """The values, ends of intervals and bounds of the parameters in a result's JSON."""
+    for one in table["parameters"].values():
+        yield from (one["value"], one["conditional"]["value"], one["optimiser_repeatability"]["best"])
+        yield from (end for ends in (one["ci95"], one["conditional"]["ci95"], one["bounds"]) for end in ends)
+
+
+def inverted(channels: dict[str, Array]) -> None:
+    channels["torque"] *= -1.0
+
+
+def test_a_wrong_sign_is_named_by_what_kc_would_be_and_no_number_is_negative(make_recording: Maker) -> None:
+    found = identify([make_recording(change=inverted)], parse("linear"), SEARCH)
+    assert all(number >= 0.0 for number in numbers_in(as_json(found)) if number is not None)
+    (said,) = [one for one in found.diagnostics if one.code == "implausible" and one.parameter == "Kc"]
+    assert "Kc would be -0.02 N m/rad" in said.message
+    assert "A sign is wrong" in said.message
+    assert not found.trusted("Kc")
+    assert found.optimiser_gap < 1e-3
 
 
 def test_model_selection_never_includes_a_negative_friction(make_recording: Maker) -> None:

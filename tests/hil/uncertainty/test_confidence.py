@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ga.lad.exact import least_absolute_deviations
+from ga.lad.exact import least_absolute_deviations, not_negative
+from hil.identification.result import interval
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
 
@@ -92,3 +93,22 @@ def test_data_in_blocks_give_the_interval_of_data_in_one() -> None:
     )
     np.testing.assert_allclose(parts.half_width, whole.half_width, rtol=1e-9)
     np.testing.assert_allclose(parts.inflation, whole.inflation, rtol=1e-9)
+
+
+@pytest.mark.parametrize("true", [0.0, 0.3, 1.0, 3.0])
+def test_the_interval_that_is_cut_at_zero_holds_a_damping_of_zero_or_just_above(true: float) -> None:
+    """true: in standard errors of the damping. The value is never negative, and always in its interval."""
+    time = np.arange(1000) / 500.0
+    angle, rate = 0.2 * np.sin(9.0 * time) + 0.1 * np.sin(31.0 * time), 1.8 * np.cos(9.0 * time)
+    rate += 3.1 * np.cos(31.0 * time)
+    columns = np.stack([angle, rate, np.ones(1000)], axis=1)
+    damping = true * np.sqrt(0.5 * np.pi) / np.linalg.norm(rate)  # noise of 1: the median's error
+    held = np.zeros(200, dtype=bool)
+    for seed in range(len(held)):
+        torque = columns @ np.array([50.0, damping, 0.0]) + np.random.default_rng([seed, 7]).standard_normal(1000)
+        values = not_negative(columns, torque, (0, 1)).genes
+        half = confidence_intervals(Blocks.of(columns, torque), values).half_width
+        low, high = interval(float(values[1]), float(half[1]), positive=True)
+        assert 0.0 <= low <= values[1] <= high
+        held[seed] = low <= damping <= high
+    assert 0.92 <= held.mean() <= 1.0

@@ -87,6 +87,20 @@ def test_what_a_parameter_hides_that_is_positive_and_limited_is_that_of_draws(la
     assert criterion == pytest.approx(2.0 * known - known * max(last, 0.0) ** 2 / covariance[3, 3])
 
 
+def test_a_bounded_parameter_is_refitted_without_its_column_where_it_would_be_negative() -> None:
+    columns, torque = regression(3, (2.0, -0.1, 0.02, 0.0))
+    values, covariance = fitted(columns, torque)
+    found = average(values, covariance, AS_RULE, [], NOTHING, bounded=[0, 1])
+    free = average(values, covariance, AS_RULE, [], NOTHING)
+    assert found is not None
+    assert free is not None
+    assert free.values[1] < 0.0 == found.values[1]
+    assert found.errors[1] > 0.5 * free.errors[1]
+    both = average(*fitted(columns[:, [0, 2, 3]], torque), {1: AKAIKE, 2: AKAIKE}, [], NOTHING[:, :3])
+    assert both is not None
+    np.testing.assert_allclose(found.values[[0, 2, 3]], both.values, rtol=1e-9)
+
+
 @pytest.mark.parametrize("costs", [AS_RULE, SELDOM])
 @pytest.mark.parametrize("small", [0.0, 0.02, 0.05, 0.1])
 def test_the_interval_holds_a_parameter_beside_a_small_effect_that_selection_leaves_out(
