@@ -110,7 +110,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     # nobody says that a given torque is the joint's and not the motor's
     late = EARLIER if signals.torque_from == "given" else LATE
     accounts = tuple(term for term in late if term in (*terms, *rarer))
-    highest, seen = signals.band[1], signals.rate_known
+    highest, seen, window = signals.band[1], signals.rate_known, signals.window
     motion, torque = _seen(signals.motion, seen), signals.torque[seen]
     found = stepwise.select(
         motion,
@@ -120,6 +120,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         rarer=rarer,
         accounts=accounts,
         describes=lambda found, averaged: _describes(found, signals, seen, averaged=averaged),
+        errors=(window.of_deflection, window.noise) if window else (0.0, 0.0),
     )
     sticking = _is_sticking(found.model, motion, found.delay, found.residuals)
     if sticking:

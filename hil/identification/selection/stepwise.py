@@ -6,6 +6,7 @@ Each step includes the term that predicts held-out blocks best, of those that pa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 
 _RIVAL = 1.1  # a term that makes the fitness worse than by this factor is none
 _LIKELY = 3  # rarer terms that are considered, of those that lower the fitness most
+_STIFFER = 2.0  # times Kc, with which errors of the deflection show in the torque beside a branch or friction
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,12 +104,13 @@ def select(
     rarer: tuple[str, ...] = (),
     accounts: tuple[str, ...] = (),
     describes: Callable[[Selection, bool], bool] = lambda _selection, _averaged: True,
+    errors: tuple[float, float] = (0.0, 0.0),
 ) -> Selection:
     """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
 
     describes: whether a model describes the recording, the second argument: but for small effects that every bench has;
     where it does not, rarer terms are considered too. accounts: terms by which the torque may be read late, or seem to
-    be.
+    be. errors: rad and rad/s, the standard deviations of those of deflection and rate.
     Raises RuntimeError where not even the smallest model can be fitted.
     """
     fits, smallest = Fits(motion, torque, highest), _smallest(terms)
@@ -121,7 +124,7 @@ def select(
     rare = _likeliest(fits, rarer, (smallest, usual.terms))
     more = (*terms, *rare)
     noise = criterion_of(fits, more, steps.criterion.richest, doubted=True)
-    steps = _Steps(fits, noise, more, _LIKELY, rare, lambda one: describes(one, False))
+    steps = _Steps(fits, noise, more, _LIKELY, rare, lambda one: describes(one, False), errors)
     richer = steps.forward(fits.candidate(smallest))
     chosen = richer if set(rarer).intersection(richer.terms) else usual
     late = LateReading(fits, steps.criterion, accounts)
@@ -133,8 +136,8 @@ class _Steps:
     """The steps among the terms considered; compared: how many terms that pay the best is taken from.
 
     rare: those of them that are considered because a model without them does not describe the recording. is_enough:
-    whether a model with one does, as it stands: further terms would be made of the errors of the deflection, which a
-    filter or a delay takes out.
+    whether a model with one does, as it stands. Further terms may then be made of the errors of the deflection, rad,
+    and rate, rad/s, which a filter or a delay takes out; the tests of the fit leave samples out that may show others.
     """
 
     fits: Fits
@@ -143,6 +146,7 @@ class _Steps:
     compared: int = 1
     rare: tuple[str, ...] = ()
     is_enough: Callable[[Selection], bool] = lambda _selection: False
+    errors: tuple[float, float] = (0.0, 0.0)
 
     def forward(self, chosen: Candidate) -> Candidate:
         """Return the model after the steps from one chosen, each with the term that pays most, without those idle."""
@@ -169,11 +173,10 @@ class _Steps:
 
     def _larger(self, smaller: Candidate) -> Candidate | None:
         """The model with one more term that pays, the one that predicts held-out blocks best; None if none."""
+        beyond = self._beyond(smaller.terms)
         if set(self.rare).intersection(smaller.terms) and self.is_enough(Selection(smaller)):
-            return None
-        errors = {
-            terms: self.fits.held_out(terms, found).mean() for terms, found in self._beyond(smaller.terms).items()
-        }
+            beyond = {terms: found for terms, found in beyond.items() if self._is_no_error(smaller, terms)}
+        errors = {terms: self.fits.held_out(terms, found).mean() for terms, found in beyond.items()}
         paying: list[Candidate] = []
         for terms in sorted(errors, key=lambda terms: errors[terms]):
             larger = self.fits.candidate(terms, beside=smaller)
@@ -197,6 +200,15 @@ class _Steps:
             if less is not None and more is not None and more.fitness < less.fitness:
                 found[larger] = more
         return found
+
+    def _is_no_error(self, smaller: Candidate, terms: tuple[str, ...]) -> bool:
+        """Whether a usual term, the last of these, takes out more than all errors of deflection and rate amount to."""
+        if terms[-1] in self.rare or not set(smaller.terms) < set(terms):
+            return False
+        larger = self.fits.candidate(terms, beside=smaller)
+        of_deflection, of_rate = self.errors
+        errors = (_STIFFER * smaller.stiffness * of_deflection) ** 2 + (smaller.damping * of_rate) ** 2
+        return 0.5 * math.pi * (smaller.fit.fitness**2 - larger.fit.fitness**2) > errors
 
     def _predicting(self, smaller: Candidate) -> Candidate:
         """The model, or where rarer terms are considered, with one more that predicts held-out blocks clearly better.

@@ -177,15 +177,22 @@ def test_a_rarer_term_is_included_where_the_usual_ones_do_not_describe_the_recor
     assert term not in kept.model.name
 
 
-def test_the_steps_end_at_a_rarer_model_that_describes_the_recording() -> None:
-    """A skew that errors of the deflection may make, beside damping that rises with the rate."""
+def test_the_steps_end_at_a_rarer_model_that_describes_the_recording_but_for_errors_of_the_deflection() -> None:
+    """A skew that errors of 10 mrad may make and errors of 0.1 mrad cannot, beside damping that rises with the rate."""
     moved, late = chirp(TIME), chirp(TIME - 5e-4)
     motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
     torque = CASES["linear+coulomb"](late) + 2e-5 * late.rate * np.abs(late.rate)
     noisy = torque + 5e-5 * np.random.default_rng(4).standard_normal(SAMPLES)
     found = [
-        select(motion, noisy, HIGHEST, rarer=("quadratic",), describes=describes).model.name
-        for describes in (lambda *_: False, lambda one, _: "coulomb+quadratic" in one.model.name)
+        select(
+            motion,
+            noisy,
+            HIGHEST,
+            rarer=("quadratic",),
+            describes=lambda one, _: "coulomb+quadratic" in one.model.name,
+            errors=(error, 0.0),
+        ).model.name
+        for error in (1e-4, 1e-2)
     ]
     assert found == ["linear+coulomb+quadratic+skew", "linear+coulomb+quadratic"]
 
