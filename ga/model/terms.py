@@ -120,6 +120,12 @@ def with_another(terms: Collection[str], term: str, *, complete: bool = False) -
     return (*others, needed, term) if complete and needed and is_addable(needed, others) else (*others, term)
 
 
+def compatible_model(term: str, terms: Collection[str]) -> str:
+    """Return the name of the model of the term and of those of the terms that it can stand beside."""
+    needed = ("linear", TERMS[term].needs or "linear")
+    return "+".join((*(other for other in terms if is_addable(term, (*needed, other))), term))
+
+
 def _refuse_unknown(term: str) -> None:
     if term not in TERMS:
         near = difflib.get_close_matches(term, TERMS, n=1)

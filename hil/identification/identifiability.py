@@ -34,7 +34,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     """Return the warnings and errors of the result."""
     found = _interruption(evidence.trials)
     exact = dict(zip(evidence.names, (evidence.exact[0] + evidence.zeros).tolist(), strict=True))
-    stiffnesses = other_stiffness(exact, spans=evidence.span[2] if evidence.span else "")
+    stiffnesses = other_stiffness(exact, model=evidence.model.name, spans=evidence.span[2] if evidence.span else "")
     stiffnesses += _unloaded(evidence)
     for at, name in enumerate(evidence.names):
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
@@ -63,10 +63,10 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     return found
 
 
-def other_stiffness(values: Mapping[str, float], *, spans: str = "") -> list[Diagnostic]:
+def other_stiffness(values: Mapping[str, float], *, model: str = "", spans: str = "") -> list[Diagnostic]:
     """Return a diagnostic for each second stiffness of a model with these values (SI, by name of the parameter).
 
-    spans: what Kc depends on ("amplitude", "direction") if the interval of Kc spans both stiffnesses.
+    model: its name. spans: what Kc depends on ("amplitude", "direction") if the interval of Kc spans both stiffnesses.
     """
     found = []
     if (before := sliding(values)) is not None:
@@ -75,8 +75,7 @@ def other_stiffness(values: Mapping[str, float], *, spans: str = "") -> list[Dia
             f"Kc depends on the amplitude: it is {kc:.3g} N m/rad in large motion, where the friction slides, and "
             f"{kc + more:.3g} N m/rad in motion of less than {reach:.2g} rad. "
         )
-        model = "boucwen" if "Fy" in values else "lugre" if "rise" in values else "dahl"
-        remedy = f"The interval of Kc spans both. For the Kc of large motion, name --model linear+offset+{model}"
+        remedy = f"The interval of Kc spans both. For the Kc of large motion, name --model {model}"
         use = "The Kc here is that of large motion. For motion between, use K'(f) of --verbose"
         text += remedy if spans == "amplitude" else use
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "amplitude"))
@@ -184,8 +183,8 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
     text = (
         f"the torque reading seems {1e3 * abs(skew):.3g} ms {'older' if skew > 0.0 else 'newer'} than the angle "
         f"reading, {ticks:.3g} ticks. One recorder reads both within one tick, so the cause may be a filter of the "
-        "torque cell, a slow cell or an inertia. Bc is wrong then. Try --model linear+offset+lag, or compare the "
-        "filters of the two sensors"
+        "torque cell, a slow cell or an inertia. Bc is wrong then. "
+        f"Try --model {evidence.model.name.replace('skew', 'lag')}, or compare the filters of the two sensors"
     )
     return [Diagnostic("skew-implausible", text, "Bc")]
 

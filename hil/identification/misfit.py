@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.coupling import parse
+from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
@@ -181,7 +181,12 @@ def misfit_diagnostics(
     signals = described.signals
     longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
     seen = seen_in_torque(signals, longest)
-    parts = [_respects(model, found), _consequence(found), "" if seen else _remedy(found), _frequencies(dynamic)]
+    parts = [
+        _respects(model, found),
+        _consequence(found),
+        "" if seen else _remedy(described.model, found),
+        _frequencies(dynamic),
+    ]
     message = ". ".join(part for part in parts if part)
     misfit = Diagnostic("misfit", message, found.affected, is_error=found.is_grave)
     return [Diagnostic("torque-reading", seen, found.affected, is_error=found.is_grave), misfit] if seen else [misfit]
@@ -222,14 +227,15 @@ def _percent(size: float | None) -> str:
     return "more than 100 %" if size > 1.0 else f"{100.0 * size:.2g} %"
 
 
-def _remedy(found: LackOfFit) -> str:
+def _remedy(model: SeparableModel, found: LackOfFit) -> str:
     """What the residuals look like, with the model or experiment to try."""
     if not found.suspects:
         return "No known effect explains the residuals. Look at them with --report, and at K'(f) with --verbose"
+    terms = [model.name.split("+")] if isinstance(model, CouplingModel) else []
     looks = [
         f"{one.effect.name} (with it Kc {100.0 * one.Kc:+.1f} %, Bc {100.0 * one.Bc:+.0f} %)" for one in found.suspects
     ]
-    return f"The residuals look like {' or '.join(looks)}: {found.suspects[0].effect.advice}"
+    return f"The residuals look like {' or '.join(looks)}: {found.suspects[0].effect.remedy(*terms)}"
 
 
 def _frequencies(dynamic: DynamicStiffness | None) -> str:

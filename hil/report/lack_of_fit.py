@@ -29,7 +29,7 @@ def lack_of_fit_json(found: LackOfFit | None) -> dict[str, Any] | None:
         ],
         "effects": [
             {"code": one.effect.code, "name": one.effect.name, "share": one.share, "Kc": one.Kc, "Bc": one.Bc}
-            | {"advice": one.effect.advice}
+            | {"advice": one.effect.remedy()}
             for one in found.suspects
         ],
     }

@@ -7,7 +7,7 @@ each of a few values.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.memory import slide_along
+from ga.model.terms import TERMS, compatible_model
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.slow_channel import COUNTS_A_TICK, FEWEST_READINGS, makes_lines
 
@@ -134,7 +135,7 @@ Signature = Callable[[Recorded, Array], list[Array]]
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """An effect that residuals may look like. name: for people; advice: the model or experiment to try.
+    """An effect that residuals may look like. name: for people; advice: what to try, a model by its term in braces.
 
     in_deflection: whether it lies in the reading of the deflection, so that it moves Bc by way of a false skew.
     """
@@ -144,6 +145,10 @@ class Effect:
     advice: str
     signature: Signature
     in_deflection: bool = False
+
+    def remedy(self, terms: Sequence[str] = ("linear", "offset")) -> str:
+        """Return the advice for a model of these terms, each term in braces beside those that it can stand beside."""
+        return self.advice.format_map({name: compatible_model(name, terms) for name in TERMS})
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
         """Pickle the effect as its code: its signature may be a lambda."""
@@ -252,13 +257,13 @@ def _reading_noise(recorded: Recorded, _model: Array) -> list[Array]:
 
 
 EFFECTS: Final = (
-    Effect("offset", "an offset of the torque", "try --model linear+offset", lambda r, _m: [_columns(np.ones(len(r)))]),
-    Effect("drift", "a drift of the torque", "try --model linear+offset+drift", lambda r, _m: [_columns(r.elapsed())]),
-    Effect("skew", "a time shift between torque and angle", "try --model linear+skew", _delay),
+    Effect("offset", "an offset of the torque", "try --model {offset}", lambda r, _m: [_columns(np.ones(len(r)))]),
+    Effect("drift", "a drift of the torque", "try --model {drift}", lambda r, _m: [_columns(r.elapsed())]),
+    Effect("skew", "a time shift between torque and angle", "try --model {skew}", _delay),
     Effect(
         "sensor-lag",
         "a torque cell with a low bandwidth",
-        "try --model linear+offset+lag, or use a faster cell or switch its filter off",
+        "try --model {lag}, or use a faster cell or switch its filter off",
         _sensor_lag,
     ),
     Effect(
@@ -276,50 +281,46 @@ EFFECTS: Final = (
     Effect(
         "viscoelastic",
         "a viscoelastic coupling, whose stiffness rises with frequency",
-        "try --model linear+offset+maxwell, read K'(f) and B'(f) with --verbose, or record the band that matters",
+        "try --model {maxwell}, read K'(f) and B'(f) with --verbose, or record the band that matters",
         _relaxing,
     ),
-    Effect(
-        "inertia", "an inertia in the torque", "try --model linear+inertia, or set motor_inertia in the stand", _inertia
-    ),
-    Effect("coulomb", "dry friction", "try --model linear+offset+coulomb", lambda r, _m: [_columns(r.sign())]),
+    Effect("inertia", "an inertia in the torque", "try --model {inertia}, or set motor_inertia in the stand", _inertia),
+    Effect("coulomb", "dry friction", "try --model {coulomb}", lambda r, _m: [_columns(r.sign())]),
     Effect(
         "hysteresis",
         "friction that builds up over a distance (LuGre, Bouc-Wen)",
-        "try --model linear+offset+dahl or +boucwen, and record two amplitudes: Kc then falls with the larger one",
+        "try --model {dahl} or {boucwen}, and record two amplitudes: Kc then falls with the larger one",
         _hysteresis,
     ),
     Effect(
         "capstan",
         "friction in proportion to the torque, as of a tendon in its sheath",
-        "try --model linear+offset+capstan, and record at several amplitudes and pre-loads",
+        "try --model {capstan}, and record at several amplitudes and pre-loads",
         lambda r, m: [_columns(np.abs(m - np.median(m)) * r.sign())],
     ),
     Effect(
         "quadratic-damping",
         "damping that rises with the rate",
-        "try --model linear+offset+quadratic, and record at several amplitudes: Bc then rises with them",
+        "try --model {quadratic}, and record at several amplitudes: Bc then rises with them",
         lambda r, _m: [_columns(r.rate * np.abs(r.rate))],
     ),
-    Effect(
-        "cubic", "a spring that stiffens", "try --model linear+offset+cubic", lambda r, _m: [_columns(r.centred() ** 3)]
-    ),
+    Effect("cubic", "a spring that stiffens", "try --model {cubic}", lambda r, _m: [_columns(r.centred() ** 3)]),
     Effect(
         "backlash",
         "a gap or dead band",
-        "try --model linear+offset+backlash, or +deadband where the damper acts in the gap too",
+        "try --model {backlash}, or {deadband} where the damper acts in the gap too",
         _gap,
     ),
     Effect(
         "asymmetry",
         "a stiffness that differs between the two directions",
-        "try --model linear+offset+asymmetric or +progressive; for a single tendon linear+offset+slack",
+        "try --model {asymmetric} or {progressive}; for a single tendon {slack}",
         lambda r, _m: [_columns(np.abs(r.centred())), _columns(r.centred() ** 2)],
     ),
     Effect(
         "stiffness-drift",
         "a stiffness that changes during the recording",
-        "try --model linear+offset+softening, or record for longer at one temperature",
+        "try --model {softening}, or record for longer at one temperature",
         lambda r, _m: [_columns(r.elapsed() * r.centred())],
     ),
     Effect(

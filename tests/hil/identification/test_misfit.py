@@ -81,7 +81,7 @@ def test_a_misfit_ends_with_status_1_and_names_the_effect(tmp_path: Path, capfd:
     assert "Kc may be wrong by" in message
 
 
-def test_the_advice_names_the_model_that_explains_the_residuals(
+def test_the_advice_adds_the_term_that_explains_the_residuals_to_the_model(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A gap whose middle is not that of the motion, and damping that grows with the rate."""
@@ -91,9 +91,9 @@ def test_the_advice_names_the_model_that_explains_the_residuals(
         (plain() + KC * (beyond - angle), "+backlash"),
         (plain() + 0.3 * BC / np.abs(rate).max() * rate * np.abs(rate), "+quadratic"),
     ):
-        _, found = identified(capfd, recording(tmp_path / f"{term}.h5", torque), "--model", "linear+offset")
+        _, found = identified(capfd, recording(tmp_path / f"{term}.h5", torque), "--model", "linear+drift")
         message = next(one["message"] for one in found["errors"] + found["warnings"] if one["code"] == "misfit")
-        assert f"try --model linear+offset{term}" in message
+        assert f"try --model linear+drift{term}" in message
 
 
 def test_a_users_own_model_is_tested_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
