@@ -295,7 +295,8 @@ def _contains(largest: _Largest, smaller: Alternative, data: Signals) -> bool:
     gain = np.linalg.lstsq(matrix[np.ix_(added, added)], matrix[added], rcond=None)[0]  # (added, p)
     restricted = largest.values - largest.values[added] @ gain
     variance = matrix.diagonal() - np.einsum("ap,ap->p", matrix[added], gain)
-    reach = largest.sampling.quantile * np.sqrt(np.maximum(variance, 0.0))
+    with np.errstate(invalid="ignore"):  # one that is not distinct has no reach, as beside a factor of zero
+        reach = largest.sampling.quantile * np.sqrt(np.maximum(variance, 0.0))
     return all(abs(restricted[names.index(name)] - own[name]) <= reach[names.index(name)] for name in COUPLING)
 
 
