@@ -18,6 +18,9 @@ more. Where the recording hardly shows the fall, its size is limited by that alo
 
 A reading that is late is known by how it stiffens fast motion, and so does a viscoelastic branch that relaxes faster
 than the joint moved. Any part of what looks late may be that, in one joint of ten, and is then not missing from Bc.
+
+In slow motion a late reading is less damping and shows in nothing else. Where none is selected, each likely time by
+which it may be late stands beside the model, with its likelihood.
 """
 
 from __future__ import annotations
@@ -28,6 +31,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
@@ -89,6 +94,11 @@ def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinea
             return {}
         found += [values for values, _ in around]
         criteria += [one.criterion + more for _, more in around]
+    for late in choice.lateness:
+        stiff, damped = (found[0][name].half_width for name in COUPLING)
+        damped = float(np.hypot(damped, _NORMAL * late.spread))
+        found.append({"Kc": Averaged(late.Kc, stiff), "Bc": Averaged(late.Bc, damped)})
+        criteria.append(late.criterion)
     weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     weights /= weights.sum()
     mixed = {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}
@@ -104,10 +114,18 @@ def _late(model: CouplingModel, nonlinear: Array) -> float:
 
 
 def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
-    """The mixture of estimates with weights (m,) of sum one."""
+    """The middle 95 % of a mixture of normal estimates with weights (m,) of sum one.
+
+    Its standard deviation would not do: a model that is as likely as one in ten, and far away, is as far outside.
+    """
     values, errors = (np.array(of) for of in zip(*((one.value, one.half_width) for one in found), strict=True))
-    value = float(weights @ values)
-    return Averaged(value, float(np.sqrt(weights @ (errors**2 + (_NORMAL * (values - value)) ** 2))))
+    ends = float(np.min(values - 2.0 * errors)), float(np.max(values + 2.0 * errors))
+
+    def beyond(share: float) -> float:
+        return float(brentq(lambda x: weights @ ndtr(_NORMAL * (x - values) / errors) - share, *ends))
+
+    low, high = beyond(0.025), beyond(0.975)
+    return Averaged(0.5 * (low + high), 0.5 * (high - low))
 
 
 def _around(

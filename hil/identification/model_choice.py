@@ -15,7 +15,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.misfit import Described, tested
 from hil.identification.selection import stepwise
 from hil.identification.selection.fits import LATE
-from hil.identification.selection.late import EARLIER, Alternative
+from hil.identification.selection.late import EARLIER, Alternative, Lateness
 from hil.identification.selection.stepwise import Selection, Step
 from hil.signals.prepare import Signals
 
@@ -50,6 +50,7 @@ class Choice:
     sticking: bool = False
     delay: float = 0.0
     alternatives: tuple[Alternative, ...] = ()
+    lateness: tuple[Lateness, ...] = ()
 
     def moving(self, motion: Motion) -> NDArray[np.bool_]:
         """Return in which samples (n,) friction does not hold the joint."""
@@ -129,7 +130,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         again = stepwise.select(motion.of(described), torque[described], highest, (*terms, *rarer), accounts=accounts)
         found = again if again.model.sticks else found
     model = found.model.anchored(signals.motion)
-    return Choice(model, found.steps, sticking, found.delay, found.alternatives)
+    return Choice(model, found.steps, sticking, found.delay, found.alternatives, found.lateness)
 
 
 def _seen(motion: Motion, rows: NDArray[np.bool_]) -> Motion:

@@ -43,6 +43,9 @@ TICK_SHARE: Final = 0.1
 LONGEST_SKEW: Final = 1.5
 """Ticks between two readings of one recorder, from which a skew is more likely something else."""
 
+CELLS: Final = (15.0, 480.0)
+"""The bandwidths of torque cells, Hz: a slower one shows, and a faster one is late by a small part of a tick."""
+
 BETWEEN: Final = 3.0
 """Standard deviation between recordings over that within, from which the recordings differ and not their noise."""
 

@@ -144,6 +144,16 @@ class Fits:
             self._fitted[terms] = Candidate(terms, _model(terms), problem, found, _held_out(problem, found))
         return self._fitted[terms]
 
+    def with_value(self, terms: tuple[str, ...], smaller: Candidate, value: float) -> Candidate:
+        """Return the fit with a value, SI, of the last term's own parameter, a nonlinear one; nothing is held out.
+
+        smaller: the fit without that term, whose nonlinear parameters it has. Raises RuntimeError as `Problem.solve`.
+        """
+        problem = self._problem(terms)
+        nonlinear = _named(smaller.model, smaller.fit) | {own(terms[-1])[0]: value}
+        found = problem.solve(np.array([nonlinear[one.name] for one in problem.model.nonlinear]))
+        return Candidate(terms, _model(terms), problem, found, np.empty(0))
+
     def held_out(self, terms: tuple[str, ...], found: Fit) -> Array:
         """Return the errors (FOLDS,), N m, of held-out blocks with the nonlinear parameters of a fit."""
         return _held_out(self._problem(terms), found)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from ga.model.coupling import CouplingModel
 from ga.model.polishing import polished
@@ -15,6 +17,7 @@ from ga.model.separable import descend
 from ga.model.terms import is_addable
 from hil.identification.selection.criterion import STRONG, Criterion
 from hil.identification.selection.fits import LATE, Candidate, Fits
+from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
 
 Array = NDArray[np.float64]
 
@@ -22,6 +25,8 @@ EARLIER: Final = (*LATE, "inertia")
 """Why a torque reading may be late, or may seem to be early."""
 
 _STIFFEST, _FELT = 2.0, 0.1  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
+_DELAYS, _LAGS, _SKEWS = 3, 11, 5  # every half tick of each sign, every half octave, and of a normal distribution
+_UNLIKELY = 30.0  # twice the logarithm of the odds against a time, from which longer ones weigh nothing
 _RARE = 2.0 * math.log(10.0)  # in Akaike's criterion: one joint in ten relaxes faster than it moves, or is read late
 
 
@@ -33,6 +38,20 @@ class Alternative:
 
     model: CouplingModel
     nonlinear: Array
+    criterion: float
+
+
+@dataclass(frozen=True, slots=True)
+class Lateness:
+    """Kc and Bc, SI, with a torque reading that is late by one time.
+
+    spread: of Bc, SI, one standard deviation over the times that this one stands for. criterion: twice the logarithm of
+    the odds against it.
+    """
+
+    Kc: float
+    Bc: float
+    spread: float
     criterion: float
 
 
@@ -83,6 +102,55 @@ class LateReading:
             if set(one.terms) != set(chosen.terms)
         )
 
+    def lateness(self, chosen: Candidate) -> tuple[Lateness, ...]:
+        """Return Kc and Bc for each likely delay and lag where a model has neither; else nothing.
+
+        Where the motion is slow the data hardly decide on the time: the one that fits best may be far from the right
+        one, early, or at a bound. Every likely time is therefore fitted, and weighs by its likelihood. One bench in ten
+        has a delay, of up to `LONGEST_SKEW` ticks, and one in ten a cell whose bandwidth is one of `CELLS`, each octave
+        of which is as likely.
+        """
+        if {*LATE, "mean"}.intersection(chosen.terms):
+            return ()
+        longest = LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
+        delays = longest * np.arange(1, _DELAYS + 1) / _DELAYS
+        lags = 0.5 / math.pi / np.geomspace(CELLS[1], CELLS[0], _LAGS)
+        likely = (("skew", delays, 2 * _DELAYS), ("skew", -delays, 2 * _DELAYS), ("lag", lags, _LAGS))
+        possible = [one for one in likely if one[0] in self.accounts and is_addable(one[0], chosen.terms)]
+        try:
+            usual = _RARE + self._with_usual_skew(chosen) if possible else 0.0
+            return tuple(
+                late
+                for term, times, many in possible
+                for late in self._late_by(chosen, term, times, usual + 2.0 * math.log(many))
+            )
+        except RuntimeError:  # no optimum can be proven
+            return ()
+
+    def _with_usual_skew(self, chosen: Candidate) -> float:
+        """Twice the logarithm of how much likelier the skew that every recorder has makes the model."""
+        tick, terms = float(np.median(np.diff(self.fits.motion.time))), (*chosen.terms, "skew")
+        if "skew" not in self.accounts or not is_addable("skew", chosen.terms):
+            return 0.0
+        places, weights = np.polynomial.hermite_e.hermegauss(_SKEWS)
+        found = [self.fits.with_value(terms, chosen, TICK_SHARE * tick * place) for place in places.tolist()]
+        blurred = self.criterion.blurred(found[-1], "skew")
+        ratios = np.array([self.criterion.ratio(chosen, one) / blurred for one in found])
+        return float(2.0 * logsumexp(0.5 * ratios, b=weights / weights.sum()))
+
+    def _late_by(self, chosen: Candidate, term: str, times: Array, rare: float) -> Iterator[Lateness]:
+        """Kc and Bc for each of the times (m,), s, the shortest first, up to one that is impossible or too unlikely."""
+        blurred, before = 0.0, chosen.damping
+        for time in times.tolist():
+            late = self.fits.with_value((*chosen.terms, term), chosen, time)
+            blurred = blurred or self.criterion.blurred(late, term)
+            criterion = rare - self.criterion.ratio(chosen, late) / blurred
+            if not math.isfinite(criterion) or criterion > _UNLIKELY or late.damping <= 0.0:
+                return
+            spread = abs(late.damping - before) / 12.0**0.5  # times between this one and the one before are as likely
+            yield Lateness(late.stiffness, late.damping, spread, criterion)
+            before = late.damping
+
     def _independent(self, chosen: Candidate, other: Candidate, one: str) -> float:
         """The likelihood ratio of the other model, divided by the factor by which it is less certain."""
         return float(self.criterion.ratio(chosen, other) / self.criterion.blurred(other, one))
@@ -90,13 +158,14 @@ class LateReading:
     def _others(self, chosen: Candidate) -> list[Candidate]:
         """The models with any account of a late torque reading, that of the model chosen among them."""
         others = tuple(term for term in chosen.terms if term not in self.accounts)
-        accounts = [(*others, term) for term in self.accounts]
+        seen = len(others) < len(chosen.terms)  # else each likely time counts, and not the best one
+        accounts = [(*others, term) for term in self.accounts if seen or term not in LATE]
         if "maxwell" in others:
             stiff = tuple(term for term in others if term != "maxwell")
             accounts += [(*stiff, term) for term in self.accounts]
             accounts += [(*stiff, *LATE)] if set(LATE) <= set(self.accounts) else []
         found = [one for terms in accounts if (one := self._with(terms)) is not None]
-        if len(others) < len(chosen.terms):
+        if seen:
             nearest = min(
                 (one for one in found if one.terms[-1] in LATE), key=lambda one: one.fit.fitness, default=chosen
             )

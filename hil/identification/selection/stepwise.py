@@ -21,7 +21,7 @@ from ga.model.terms import CONSIDERED, TERMS, is_addable, with_another
 from ga.model.trajectory import Motion
 from hil.identification.selection.criterion import Criterion, criterion_of
 from hil.identification.selection.fits import Candidate, Fits, own
-from hil.identification.selection.late import Alternative, LateReading
+from hil.identification.selection.late import Alternative, Lateness, LateReading
 
 Array = NDArray[np.float64]
 
@@ -93,6 +93,11 @@ class Selection:
     def alternatives(self) -> tuple[Alternative, ...]:
         """The models with another account of why the torque reading is late."""
         return self.late.alternatives(self.chosen) if self.late else ()
+
+    @cached_property
+    def lateness(self) -> tuple[Lateness, ...]:
+        """Kc and Bc with a torque reading that is late by each likely time, where the model has none."""
+        return self.late.lateness(self.chosen) if self.late else ()
 
 
 def select(

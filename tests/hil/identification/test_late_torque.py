@@ -85,6 +85,27 @@ def test_a_lag_in_slow_motion_takes_the_trust_from_bc_and_not_from_kc(make_recor
     assert found["Bc"].ci95[0] < BC < found["Bc"].ci95[1]
 
 
+@pytest.mark.parametrize("late", ["lag", "delay"])
+def test_a_late_reading_that_does_not_show_is_in_the_interval_of_bc(make_recording: Maker, late: str) -> None:
+    """A lag of 2 ms leaves a fifth of Bc out, a delay of 0.8 ticks a sixth."""
+    omega = 2.0 * np.pi * np.arange(0.25, 1.6, 0.25)
+    response = 1.0 / (1.0 + 2e-3j * omega) if late == "lag" else np.exp(-1.6e-3j * omega)
+    found = identified(make_recording, response, omega=omega)
+    bc = found["Bc"]
+    assert found.model.name == "linear"
+    assert bc.conditional is not None
+    assert bc.conditional.ci95[1] < BC
+    assert bc.ci95[0] < BC < bc.ci95[1]
+    assert found["Kc"].ci95[0] < KC < found["Kc"].ci95[1]
+
+
+def test_a_fast_motion_decides_on_a_late_reading_and_its_chance_costs_nothing(make_recording: Maker) -> None:
+    found = identified(make_recording, np.ones(len(OMEGA), dtype=complex), damping=8e-3)
+    assert found.model.name == "linear"
+    named = identified(make_recording, np.ones(len(OMEGA), dtype=complex), "linear", damping=8e-3)["Bc"]
+    assert np.diff(found["Bc"].ci95) < 2.0 * np.diff(named.ci95)
+
+
 def test_a_branch_that_relaxes_more_slowly_than_the_joint_moved_leaves_bc_and_asks_for_a_load(
     make_recording: Maker,
 ) -> None:

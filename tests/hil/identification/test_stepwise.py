@@ -207,6 +207,20 @@ def test_a_lag_that_a_skew_hides_is_an_alternative() -> None:
     assert alternatives[found.model.name.replace("skew", "lag")] > 0.0  # the skew is there
 
 
+@pytest.mark.parametrize(("high", "times"), [(0.4, 17), (HIGHEST, 0)])
+def test_each_likely_time_by_which_a_reading_is_late_moves_bc_by_kc_times_it(high: float, times: int) -> None:
+    """All 6 delays and 11 lags are possible in slow motion, and none in fast motion."""
+    moved = chirp(TIME, high=high)
+    motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
+    torque = KC * moved.dtheta + 4.0 * BC * moved.rate + 2e-4 * np.random.default_rng(4).standard_normal(SAMPLES)
+    found = select(motion, torque, high, rarer=("lag",), accounts=LATE)
+    assert found.model.name == "linear"
+    assert len(found.lateness) == times
+    ticks, octaves = np.array([0.5, 1.0, 1.5, -0.5, -1.0, -1.5]), 2.0 ** (0.5 * np.arange(11))
+    expected = KC * np.concatenate([ticks / RATE, octaves / (2.0 * np.pi * 480.0)])
+    assert [one.Bc - found.values[1] for one in found.lateness] == pytest.approx(expected[:times], rel=0.05)
+
+
 def test_a_branch_beside_a_mean_is_not_replaced_by_a_lag_which_excludes_it() -> None:
     motion = Motion(TIME, chirp(TIME).dtheta, chirp(TIME).rate, chirp(TIME).acceleration, np.zeros(SAMPLES))
     fits = Fits(motion, linear(chirp(TIME)), HIGHEST)
