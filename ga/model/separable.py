@@ -38,6 +38,8 @@ _AGREEMENTS: Final = 8
 _AGREED: Final = 1e-3
 """How often, at most, and to what part the lag of flanks is found again from the fit that it led to."""
 
+_ALIKE: Final = 1.0 - 1e-6  # of a fitness: what differs by less has the same columns
+
 _STEPS: Final = 20
 _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-7
@@ -213,13 +215,14 @@ def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({}
 
 
 def _other_starts(problem: Problem, best: Fit, starts: list[Fit]) -> list[Fit]:
-    """The second start where the descent from the best, the first of them, ended at once; and the best one inside.
+    """The next start where the descent from the best, the first of them, gained nothing; and the best one inside.
 
-    A delay and a damping can stand for each other to the second order, one of the two negative: where a descent ends at
-    a bound, the optimum may be one that none keeps from it.
+    Starts alike, as those of a gap of zero wherever its middle is, are one. A delay and a damping can stand for each
+    other to the second order, one of the two negative: where a descent ends at a bound, the optimum may be one that
+    none keeps from it.
     """
-    is_stuck = bool(np.array_equal(best.nonlinear, starts[0].nonlinear))
-    others = starts[1:2] if is_stuck else []
+    is_stuck = best.fitness > _ALIKE * problem.solve(starts[0].nonlinear, best).fitness
+    others = [one for one in starts if _ALIKE * one.fitness > starts[0].fitness][:1] if is_stuck else []
     inside = [one for one in starts[1:] if _is_inside(problem, one)]
     return others if _is_inside(problem, best) or inside[:1] == others else others + inside[:1]
 

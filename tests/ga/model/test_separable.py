@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
-from ga.model.separable import Problem, descend, fit, local_minimum
+from ga.model.separable import Problem, _other_starts, descend, fit, local_minimum
 from ga.model.trajectory import Motion
 from ga.trials.nonlinear import search_nonlinear
 
@@ -61,6 +61,18 @@ def with_play(gap: float, centre: float) -> Array:
 def problem(name: str, torque: Array) -> Problem:
     model = parse(name).anchored(MOTION)
     return Problem(model, MOTION, torque, *model.bounds(MOTION, highest=12.0))
+
+
+def test_starts_without_a_gap_are_one_wherever_its_middle_is() -> None:
+    """A descent from one of them that gained nothing is followed by one from a start with a gap."""
+    asked = problem("linear+offset+deadband", with_play(0.1, 0.02))
+    places = [one.name for one in asked.model.nonlinear]
+    closed, alike, moved, gaping = (
+        asked.solve(np.array([{"gap": gap, "centre": centre}[name] for name in places]))
+        for gap, centre in ((0.0, 0.0), (0.0, 0.05), (0.0, -0.05), (0.3, -0.1))
+    )
+    assert pytest.approx(closed.fitness, rel=1e-9) == alike.fitness < gaping.fitness
+    assert gaping in _other_starts(asked, moved, [closed, alike, gaping])
 
 
 @pytest.mark.parametrize("skew", [-3e-3, 2e-3])
