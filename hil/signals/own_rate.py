@@ -1,8 +1,9 @@
-"""A rate that was recorded beside the deflection: whether it is the deflection's derivative, or late by a filter.
+"""A rate that was recorded beside the deflection: the deflection's derivative, late by a filter, or noisy.
 
 Drives filter the velocity that they report. Beside a deflection that is not filtered such a rate is late, and Kc takes
 up Bc times the lag times the frequency squared. The lag and the size of the rate are those at which it is most like the
-derivative of the deflection.
+derivative of the deflection. Drives also report it in coarse steps or with noise, which lowers Bc; that shows in the
+torque, which then follows the derivative better.
 """
 
 from __future__ import annotations
@@ -22,18 +23,30 @@ _PHASE: Final = 5e-3  # rad at the upper end of the band, and of the rate's size
 _SURE: Final = 4.0  # standard errors, from which a lag or a size is no chance
 _LONGEST: Final = 0.5  # of the shortest period, that a lag is looked for
 _FINE: Final = 16  # lags a side that are tried first
+_NOISIER: Final = 0.02  # of the residuals' power, from which the tests of the fit see it
 _EFFECTIVE: Final = 2.0  # samples a period of the band's upper end, that count as independent
 
 
 @dataclass(frozen=True, slots=True)
 class OwnRate:
-    """A rate that is not the deflection's derivative. lag: s, by which it is late; size: times the derivative."""
+    """A rate that is not the deflection's derivative. lag: s, by which it is late; size: times the derivative.
+
+    noise: the part of the residuals' power that it adds to those of the derivative.
+    """
 
     lag: float
     size: float
+    noise: float = 0.0
 
     def diagnostic(self) -> Diagnostic:
         """Return the warning about it."""
+        if self.noise:
+            text = (
+                f"the recorded rate has noise or coarse steps: residuals have {100.0 * self.noise:.2g} % more power "
+                "with it than with the derivative of the deflection. The derivative is used in its place, so Kc and Bc "
+                "are not affected. Leave the column out"
+            )
+            return Diagnostic("noisy-rate", text)
         late = "late" if self.lag >= 0.0 else "early"
         text = (
             f"the recorded rate is {1e3 * abs(self.lag):.3g} ms {late} and {self.size:.3g} times the derivative of the "
@@ -41,6 +54,16 @@ class OwnRate:
             "Leave the column out"
         )
         return Diagnostic("filtered-rate", text)
+
+
+def refused_rate(
+    time: Array, torque: Array, dtheta: Array, given: Array, derived: Array, *, highest: float
+) -> OwnRate | None:
+    """Return why a recorded rate (n,) rad/s is not used: a filter, else noise; None where it is.
+
+    torque (n,) N m and dtheta (n,) rad at time (n,) s; derived and highest as of `own_rate`.
+    """
+    return own_rate(time, given, derived, highest) or _noisy(torque, dtheta, given, derived)
 
 
 def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRate | None:
@@ -73,3 +96,17 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
     late = abs(lag) > max(_PHASE / (2.0 * np.pi * highest), _SURE * error / float(np.sqrt(np.mean(turning**2))))
     other = abs(size - 1.0) > max(_PHASE, _SURE * error / float(np.sqrt(power / len(time))))
     return OwnRate(lag, size) if late or other else None
+
+
+def _noisy(torque: Array, dtheta: Array, given: Array, derived: Array) -> OwnRate | None:
+    """Return how a recorded rate is noisier than the derivative: the torque follows the better one of them."""
+    good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
+    target = torque[good]
+
+    def left(rate: Array) -> float:
+        columns = np.stack([np.ones(len(good)), dtheta[good], rate[good]], axis=1)
+        return float(np.sum((target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]) ** 2))
+
+    by_given, by_derived = left(given), left(derived)
+    more = by_given / by_derived - 1.0 if by_derived > 0.0 else 0.0
+    return OwnRate(0.0, 1.0, more) if more > _NOISIER else None

@@ -26,7 +26,7 @@ from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import frozen, spikes, unwrapped
 from hil.signals.defects import FEWEST, Defects, clipped, refuse_hopeless
-from hil.signals.own_rate import OwnRate, own_rate
+from hil.signals.own_rate import OwnRate, refused_rate
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Kind, Readings, Slower
 from hil.signals.stamps import spread_stamps, starts_within, stretches, within
@@ -131,7 +131,9 @@ class _Columns:
             return columns, window
         time = usable.stamps[0]
         derived = np.where(window.sound(time), window.moved(time, usable.dtheta)[1], np.nan)
-        refused = own_rate(time, usable.reported_rate, derived, window.band[1])
+        refused = refused_rate(
+            time, usable.torque, usable.dtheta, usable.reported_rate, derived, highest=window.band[1]
+        )
         return replace(columns, rate_given=refused is None, refused=refused), window
 
     def _slower(self, usable: _Usable) -> _Columns:

@@ -73,3 +73,22 @@ def test_a_rate_that_is_the_derivative_is_used(tmp_path: Path) -> None:
     found = identified(tmp_path / "a.h5", RATE)
     assert not any(one.code == "filtered-rate" for one in found.diagnostics)
     assert found.signals.rate_window == 0.0
+
+
+@pytest.mark.parametrize(("noise", "step"), [(0.1, 0.0), (0.0, 0.4)])
+def test_a_rate_with_noise_or_coarse_steps_gives_way_to_the_derivative(
+    tmp_path: Path, noise: float, step: float
+) -> None:
+    """Noise in the rate lowers Bc by its share of the rate's power."""
+    given = RATE + noise * NOISE[1]
+    found = identified(tmp_path / "a.h5", step * np.round(given / step) if step else given)
+    (said,) = [one.message for one in found.diagnostics if one.code == "noisy-rate"]
+    assert "% more power" in said
+    assert found.signals.rate_window > 0.0
+    assert found["Bc"].value == pytest.approx(BC, rel=0.01)
+
+
+def test_noise_of_a_rate_that_the_torque_does_not_show_is_no_reason_to_leave_it(tmp_path: Path) -> None:
+    found = identified(tmp_path / "a.h5", RATE + 1e-2 * NOISE[1])
+    assert not any(one.code == "noisy-rate" for one in found.diagnostics)
+    assert found.signals.rate_window == 0.0
