@@ -50,9 +50,11 @@ def in_a_copy(
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of threads: the copy uses none of theirs
+            blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # until the copy ends by itself
             child = os.fork()
         if child == 0:
             _run(work, out.fileno(), err.fileno(), (processor, memory), encoding, closed_pipe=closed_pipe)
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         status, used, interrupted = _wait(child, patience)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)  # what it has left behind
@@ -96,6 +98,7 @@ def _run(
         sys.stdout = open(1, "w", encoding=encoding, errors="strict", closefd=False)  # noqa: SIM115
         sys.stderr = open(2, "w", encoding=encoding, errors="backslashreplace", closefd=False)  # noqa: SIM115
         _limit(*limits)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         status = work()
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(BrokenPipeError):

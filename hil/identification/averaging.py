@@ -114,9 +114,10 @@ def _late(model: CouplingModel, nonlinear: Array) -> float:
 
 
 def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
-    """The middle 95 % of a mixture of normal estimates with weights (m,) of sum one.
+    """The median of a mixture of normal estimates with weights (m,) of sum one, and how far its middle 95 % reaches.
 
-    Its standard deviation would not do: a model that is as likely as one in ten, and far away, is as far outside.
+    Its standard deviation would not do: a model that is as likely as one in ten, and far away, is as far outside. Its
+    mean, and the middle of that interval, would follow such a model where nothing speaks for it.
     """
     values, errors = (np.array(of) for of in zip(*((one.value, one.half_width) for one in found), strict=True))
     ends = float(np.min(values - 2.0 * errors)), float(np.max(values + 2.0 * errors))
@@ -124,8 +125,8 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
     def beyond(share: float) -> float:
         return float(brentq(lambda x: weights @ ndtr(_NORMAL * (x - values) / errors) - share, *ends))
 
-    low, high = beyond(0.025), beyond(0.975)
-    return Averaged(0.5 * (low + high), 0.5 * (high - low))
+    low, value, high = beyond(0.025), beyond(0.5), beyond(0.975)
+    return Averaged(value, max(high - value, value - low))
 
 
 def _around(

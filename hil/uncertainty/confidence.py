@@ -45,7 +45,9 @@ class ConfidenceIntervals:
 
     def with_choice(self, chosen: Array, sampling: Array) -> ConfidenceIntervals:
         """Return the intervals with half the widths of averages over models (p,) in place of those of sampling (p,)."""
-        other = np.sqrt(np.maximum(self.half_width**2 - sampling**2, 0.0))
+        known = np.isfinite(sampling)
+        squares = np.subtract(self.half_width**2, sampling**2, out=np.zeros_like(sampling), where=known)
+        other = np.sqrt(np.maximum(squares, 0.0))
         return ConfidenceIntervals(
             np.where(chosen == sampling, self.half_width, np.hypot(chosen, other)), self.inflation
         )

@@ -53,7 +53,7 @@ def test_a_copy_that_hangs_gets_ctrl_c(walk: Any) -> None:
             return 130
         return 0
 
-    ended = walk.in_a_copy(work, patience=0.05)
+    ended = walk.in_a_copy(work, patience=1.0)
     assert (ended.status, ended.interrupted) == (130, True)
     assert walk.breach(step(walk, "inspect"), ended) == "HANGS"
 

@@ -21,6 +21,7 @@ LATE = ("skew", "lag")
 FOLDS = 10
 """Blocks in time, two of which at a time are held out."""
 
+_STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
 _MARGIN = 1e-4  # of a range, within which a value is at its end
 
 
@@ -95,7 +96,14 @@ class Candidate:
         """
         values = self.values
         at_zero = any(parameter.positive and values[parameter.name] <= 0.0 for parameter in TERMS[term].parameters)
-        return at_zero or (term in LATE and "lag" in values and values.get("skew", 0.0) < 0.0)
+        return at_zero or self.is_stop(term) or (term in LATE and "lag" in values and values.get("skew", 0.0) < 0.0)
+
+    def is_stop(self, term: str) -> bool:
+        """Return whether the term makes the spring many times as stiff in one direction: that is a stop."""
+        if term != "asymmetric":
+            return False
+        stiffness, half = self.values["Kc"], abs(self.values["Ka"])
+        return stiffness + half > _STOP * (stiffness - half)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +136,12 @@ class Fits:
         return seen.fitness if seen else np.inf
 
     def is_rejected(self, terms: tuple[str, ...]) -> bool:
-        """Return whether some of the samples alone bring the last of the terms to an end of its bounds."""
+        """Return whether some of the samples alone bring the last of the terms to an end of its bounds or a stop."""
         problem, seen = self._problem(terms), self.preview(terms)
-        return seen is None or Candidate(terms, _model(terms), problem, seen, np.empty(0)).is_at_end(terms[-1])
+        if seen is None:
+            return True
+        found = Candidate(terms, _model(terms), problem, seen, np.empty(0))
+        return found.is_at_end(terms[-1]) or found.is_stop(terms[-1])
 
     def candidate(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate:
         """Return the model of these terms, fitted to all samples; beside: a fit with similar nonlinear parameters.

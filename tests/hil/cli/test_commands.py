@@ -178,7 +178,9 @@ def test_a_real_locked_output_is_imported_and_identified(hil: Hil, locked_output
     assert hil("import", source, *LOCKED, "--where", "test_nr==100", "-o", "a.h5").status == 0
     found = hil("identify", "a.h5", "--model", "auto", "--trials", "2", "--json").json
     assert set(found["model"].split("+")) == {"linear", "offset", "backlash", "dahl"}
-    assert 190.0 < found["parameters"]["Kc"]["value"] < 225.0
+    stiffness = found["parameters"]["Kc"]
+    assert 190.0 < stiffness["conditional"]["value"] < 225.0
+    assert stiffness["ci95"][0] < stiffness["conditional"]["value"] < stiffness["ci95"][1]
     assert found["parameters"]["Fd"]["value"] > 0.0
     assert "coarse-clock" in {warning["code"] for warning in found["warnings"]}
     assert not found["parameters"]["Bc"]["identifiable"]

@@ -379,13 +379,13 @@ STAND = "[stand]\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n"
             "torque",
             "TAU",
             "N*m",
-            r"torque swings by \+/- 10 N m, 333 times .* 0.03 N m: .*likely in mN\*m.*--torque-unit mN",
+            r"torque swings by \+/- 10 N m, 333 times .* 0.03 N m\..*likely in mN\*m.*--torque-unit mN",
         ),
         (
             "dtheta",
             "TAU",
             "rad",
-            r"deflection swings by \+/- 10 rad, 10 times .* 1 rad: .*likely in deg.*--dtheta-unit deg",
+            r"deflection swings by \+/- 10 rad, 10 times .* 1 rad\..*likely in deg.*--dtheta-unit deg",
         ),
     ],
 )

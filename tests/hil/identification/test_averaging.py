@@ -184,3 +184,11 @@ def test_the_interval_of_the_damping_holds_what_friction_that_falls_hides(
     assert all(abs(error) < half_width for error, half_width in found)
     assert abs(plain[0][0]) < plain[0][1]
     assert abs(plain[1][0]) > 3.0 * plain[1][1]
+
+
+def test_a_value_follows_no_unlikely_model_but_its_interval_reaches_it() -> None:
+    """One chance in ten of an estimate that is ten half widths away."""
+    near, far = averaging.Averaged(1.0, 0.1), averaging.Averaged(2.0, 0.1)
+    found = averaging._mixed(np.array([0.9, 0.1]), [near, far])
+    assert found.value == pytest.approx(1.0, abs=0.01)
+    assert found.value + found.half_width == pytest.approx(2.0, abs=0.05)

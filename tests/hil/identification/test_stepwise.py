@@ -316,3 +316,13 @@ def test_the_noise_is_that_of_models_fitted_once_whatever_the_order_of_their_ter
     assert len(richest) > 2
     criterion.criterion_of(fits, (*usual, "quadratic"), richest, doubted=True)
     assert len(fitted) == len(set(fitted)) > len(richest)
+
+
+@pytest.mark.parametrize(("times", "stops"), [(3.0, False), (300.0, True)])
+def test_a_spring_that_is_hundreds_of_times_as_stiff_in_one_direction_is_a_stop(times: float, stops: bool) -> None:
+    """With such a spring as the richest model, its few samples beyond the stop would say how quiet all are."""
+    moved = chirp(TIME)
+    beyond = np.maximum(moved.dtheta - 0.25, 0.0)
+    torque = linear(moved) + (times - 1.0) * KC * beyond + 1e-5 * np.random.default_rng(0).standard_normal(SAMPLES)
+    motion = Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
+    assert Fits(motion, torque, HIGHEST).is_rejected(("linear", "offset", "asymmetric")) is stops
