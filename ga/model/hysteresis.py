@@ -66,18 +66,15 @@ def _bristles_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]
     return ((rate - np.abs(rate) * load / (1.0 + rise * falls(rate, over))) / reach,)
 
 
+def _over(name: str, about: str) -> Parameter:
+    """The deflection, rad, over which a torque builds up after a reversal."""
+    starts = (0.005, 0.02, 0.06, 0.2, 0.6)
+    return Parameter(name, "rad", about, scales=False, absent=None, positive=True, nonlinear=True, starts=starts)
+
+
 _DAHL: Final = (
     Parameter("Fd", "N*m", "friction long after a reversal", presence=True, friction=True, positive=True),
-    Parameter(
-        "reach",
-        "rad",
-        "deflection after a reversal over which the friction builds up",
-        scales=False,
-        absent=None,
-        positive=True,
-        nonlinear=True,
-        starts=(0.005, 0.02, 0.06, 0.2, 0.6),
-    ),
+    _over("reach", "deflection after a reversal over which the friction builds up"),
 )
 
 DAHL: Final = Term(
@@ -132,16 +129,7 @@ BOUC_WEN: Final = Term(
             friction=True,
             positive=True,
         ),
-        Parameter(
-            "yield",
-            "rad",
-            "deflection over which the spring yields",
-            scales=False,
-            absent=None,
-            positive=True,
-            nonlinear=True,
-            starts=(0.005, 0.02, 0.06, 0.2, 0.6),
-        ),
+        _over("yield", "deflection over which the spring yields"),
     ),
     columns=_yielding,
     rates=_yielding_on,
