@@ -54,6 +54,24 @@ def averaged(time: Array, values: Array, width: float) -> Array:
     return np.asarray(((integral(after) - integral(before)) / (after - before)).T.reshape(values.shape))
 
 
+def with_turns(time: Array, rate: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Return times (m,) s and rates rad/s with a sample more at each turn, and which of them the given (n,) are.
+
+    A turn is where the rate, linear between two samples, is zero. Friction that builds up over a deflection depends on
+    the way there and back: over what remains of the two, it would be as if the joint had hardly moved.
+    """
+    turning = rate[:-1] * rate[1:] < 0.0
+    turns, rows = np.flatnonzero(turning), np.arange(len(time))
+    if not len(turns):
+        return time, rate, rows
+    rows[1:] += np.cumsum(turning)
+    shares = rate[turns] / (rate[turns] - rate[turns + 1])
+    times, rates = np.zeros((2, len(time) + len(turns)))
+    times[rows], rates[rows] = time, rate
+    times[rows[turns] + 1] = time[turns] + shares * (time[turns + 1] - time[turns])
+    return times, rates, rows
+
+
 def presliding(time: Array, rate: Array, length: float) -> Array:
     """Return Dahl's friction (n,), -1 to 1, of a rate (n,) rad/s: dz/dx = (1 - z sign(rate))/length, zero at first."""
     moves = np.diff(time) * 0.5 * (rate[:-1] + rate[1:])

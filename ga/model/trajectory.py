@@ -176,7 +176,7 @@ class Motion:
         return self._frictional(memory.yielding, length)
 
     def _frictional(self, law: Callable[..., Array], *own: float) -> Array:
-        return np.concatenate([law(self.time[a:b], self.dtheta_dot[a:b], *own) for a, b in self._stretches()])
+        return np.concatenate([law(time, rate, *own)[rows] for time, rate, rows in self._turning])
 
     def fading(self, clock: Array, constant: float) -> Array:
         """Return the part (n,), 1 to 0, that is left of the state at the start of each stretch, by a clock (n,).
@@ -193,9 +193,10 @@ class Motion:
 
     @cached_property
     def travelled(self) -> Array:
-        """The distance (n,), rad, that the joint travelled since the first sample, back and forth."""
-        moved = np.diff(self.time) * 0.5 * np.abs(self.dtheta_dot[:-1] + self.dtheta_dot[1:])
-        return np.concatenate([[0.0], np.cumsum(moved)])
+        """The distance (n,), rad, that the joint travelled since its stretch began, back and forth."""
+        moved = (np.diff(time) * 0.5 * np.abs(rate[:-1] + rate[1:]) for time, rate, _ in self._turning)
+        ways = (np.concatenate([[0.0], np.cumsum(way)]) for way in moved)
+        return np.concatenate([way[rows] for way, (_, _, rows) in zip(ways, self._turning, strict=True)])
 
     @cached_property
     def stretch(self) -> NDArray[np.int64]:
@@ -209,6 +210,13 @@ class Motion:
 
     def _stretches(self) -> list[tuple[int, int]]:
         return list(zip(self.starts, [*self.starts[1:], len(self)], strict=True))
+
+    @cached_property
+    def _turning(self) -> tuple[tuple[Array, Array, NDArray[np.int64]], ...]:
+        """Of each stretch, times s and rates rad/s with a sample more at each turn, and which are its samples."""
+        from ga.model.memory import with_turns
+
+        return tuple(with_turns(self.time[a:b], self.dtheta_dot[a:b]) for a, b in self._stretches())
 
     @cached_property
     def _filters(self) -> tuple[Callable[[Array], Array], ...]:

@@ -184,6 +184,29 @@ def test_friction_that_builds_up_is_that_of_an_integrator(rise: float, over: flo
     assert MOTION.bristles(reach, 0.0, over) == pytest.approx(MOTION.presliding(reach), abs=1e-8)
 
 
+@pytest.mark.parametrize("law", [("presliding",), ("bristles", 0.5, 3.0), ("yielding",)])
+@pytest.mark.parametrize("part", [0.1, 0.3, 1.0])
+def test_friction_that_builds_up_within_a_sample_is_that_of_one_sampled_50_times_finer(
+    law: tuple[str, *tuple[float, ...]], part: float
+) -> None:
+    """Samples 4 ms apart, and a reach of a part of what the joint moves from one to the next (r.m.s.)."""
+    fine = moving(np.linspace(0.0, 8.0, 100_001))
+    motion = moving(fine.time[::50])
+    reach = part * float(np.sqrt(np.mean(np.diff(motion.dtheta) ** 2)))
+    exact, found = (getattr(one, law[0])(reach, *law[1:]) for one in (fine, motion))
+    errors = np.abs(found - exact[::50])
+    assert errors.mean() < 4e-3
+    assert errors.max() < 0.12
+
+
+def test_friction_forgets_how_it_began_over_the_way_there_and_back() -> None:
+    """Samples so far apart that the joint turns between many of them. The second motion begins without friction."""
+    motion = moving(np.linspace(0.0, 10.0, 401))
+    later = moving(motion.time[150:])
+    differ = motion.presliding(0.04)[150:] - later.presliding(0.04)
+    assert differ == pytest.approx(differ[0] * later.fading(later.travelled, 0.04), abs=1e-9)
+
+
 def test_a_spring_that_yields_is_that_of_an_integrator() -> None:
     """Bouc and Wen's dz/dx = (1 - (1/2 + sign(z dx)/2) |z|)/length, in steps 50 times finer."""
     length, last = 0.02, len(MOTION) - 1
