@@ -1,21 +1,29 @@
-"""Rows of a recording that identification does not use, and why."""
+"""Rows of a recording that identification uses, and those that it does not, and why."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.servo import Status
 from hil.errors import Untrustworthy
+from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
+from hil.signals import slow_channel
+from hil.signals.angle import frozen, spikes
+from hil.signals.slow_channel import Kind, Readings
+from hil.signals.stamps import spread_stamps, within
 
 Array = NDArray[np.float64]
 
 FEWEST: Final = 16
 """Samples, below which nothing is concluded."""
 
+_LEFT_OUT = ("lost", "not_numbers", "frozen", "spikes")  # rows
 _EPISODES = 3  # times that a torque reached the end of its range, from which that end is believed
 _TOP_HEAVY = 3.0  # times as many readings as any level below has: a peak has fewer than its flanks
 _BELOW = 6  # levels that are compared
@@ -33,6 +41,7 @@ class Defects:
     two ends of the recording are not counted. frozen: rows in which the angle stood still while the torque changed.
     clipped: rows in which the torque, or a neighbour, stood at the end of the sensor's range while the joint moved on.
     spikes: rows in which the angle alone is wrong. wraps: jumps of the angle by a turn, which were taken back.
+    jerked: rows beside a jump of the acceleration, whose rate is not known.
     """
 
     lost: int = 0
@@ -43,6 +52,7 @@ class Defects:
     clipped: int = 0
     spikes: int = 0
     wraps: int = 0
+    jerked: int = 0
 
     def __add__(self, other: Defects) -> Defects:
         return Defects(
@@ -54,7 +64,90 @@ class Defects:
             self.clipped + other.clipped,
             self.spikes + other.spikes,
             self.wraps + other.wraps,
+            self.jerked + other.jerked,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class UsableRows:
+    """The rows (n,) that hold a reply and only finite numbers: their place in the file and the raw readings.
+
+    torque_time: s, when the torque was read, NaN where that is not known: `time` unless another device read it.
+    The places of the rows left out: lost, without a reply; not_numbers, with a NaN; frozen and spikes, with an angle
+    that stood still or is wrong. wraps: jumps of the angle taken back. clipped (n,): whether the torque was at its end.
+    """
+
+    row: NDArray[np.int64]
+    time: Array
+    torque: Array
+    dtheta: Array
+    reported_rate: Array
+    torque_time: Array
+    lost: NDArray[np.int64]
+    not_numbers: NDArray[np.int64]
+    frozen: NDArray[np.int64]
+    spikes: NDArray[np.int64]
+    clipped: NDArray[np.bool_]
+    wraps: int = 0
+
+    @cached_property
+    def stamps(self) -> tuple[Array, bool]:
+        """The stamps (n,) s with repeats and bursts spread, and whether they are many."""
+        return spread_stamps(self.time)
+
+    def readings(self, values: Array, kind: Kind | None) -> Readings:
+        """Return which of the values (n,) are readings: all, or of a sensor that is slower, as its kind says."""
+        time, _ = self.stamps
+        every = Readings(np.arange(len(time)), time, values)
+        return every if kind is None else slow_channel.readings(time, values, kind)
+
+    def defects(self, rows: tuple[int, int]) -> Defects:
+        """Return how many rows within `rows` of the file are not used; those that a window shows are not among them."""
+        places = {name: getattr(self, name) for name in _LEFT_OUT} | {"clipped": self.row[self.clipped]}
+        counts = {name: int(np.count_nonzero(within(place, rows))) for name, place in places.items()}
+        return Defects(**counts, coarse_clock=self.stamps[1], wraps=self.wraps)
+
+
+def usable_rows(
+    recording: Recording, start: int, stop: int, torque_channel: str, *, rate: bool, own_time: bool
+) -> UsableRows:
+    """Return the usable rows from `start` to `stop` with one of the torque channels.
+
+    rate: whether the recorded rate is read. own_time: whether another device read the torque, at times of its own.
+    """
+
+    def channel(name: str) -> Array:
+        return recording.channel(name, start, stop)
+
+    answered = (channel("status").astype(np.int64) & int(Status.NO_REPLY | Status.BAD_REPLY)) == 0
+    read = channel("read_time")
+    time = np.where(np.isfinite(read), read, channel("time"))
+    torque = channel(torque_channel)
+    dtheta = channel("dtheta")
+    reported_rate = channel("dtheta_dot") if rate else np.zeros_like(dtheta)
+    good = answered.copy()
+    for column in (time, torque, dtheta, reported_rate):
+        good &= np.abs(column) < LARGEST  # false for NaN too
+    stuck, odd = np.zeros((2, len(time)), dtype=bool)
+    finite = slice(None) if good.all() else good  # mostly all are: nothing need be copied
+    stuck[finite] = frozen(time[finite], dtheta[finite], torque[finite])
+    odd[finite] = spikes(dtheta[finite])
+    lost, not_numbers = np.flatnonzero(~answered), np.flatnonzero(answered & ~good)
+    good &= ~stuck & ~odd
+    kept = slice(None) if good.all() else good
+    return UsableRows(
+        row=np.flatnonzero(good) + start,
+        time=time[kept],
+        torque=torque[kept],
+        dtheta=dtheta[kept],
+        reported_rate=reported_rate[kept],
+        torque_time=(channel("joint_time") if own_time else time)[kept],
+        lost=lost + start,
+        not_numbers=not_numbers + start,
+        frozen=np.flatnonzero(stuck) + start,
+        clipped=clipped(dtheta[kept], torque[kept]),
+        spikes=np.flatnonzero(odd) + start,
+    )
 
 
 def clipped(dtheta: Array, torque: Array) -> NDArray[np.bool_]:

@@ -11,25 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.servo import Status
 from ga.model.trajectory import Motion
 from ga.model.trajectory import joined as one_after_the_other
 from hil.errors import Untrustworthy
 from hil.recording.ahead import ahead
-from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
-from hil.signals.angle import frozen, spikes, unwrapped
-from hil.signals.defects import FEWEST, Defects, clipped, refuse_hopeless
+from hil.signals.angle import unwrapped
+from hil.signals.defects import FEWEST, Defects, UsableRows, refuse_hopeless, usable_rows
 from hil.signals.own_rate import OwnRate, refused_rate
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Kind, Readings, Slower
-from hil.signals.stamps import spread_stamps, starts_within, stretches, within
+from hil.signals.stamps import starts_within, stretches, within
 from hil.signals.windows import Window, window_for
 from hil.stand.file import StandTable
 from hil.stand.transmission import Transmission
@@ -38,7 +35,6 @@ Array = NDArray[np.float64]
 
 _PROBE = 1 << 20  # rows from which the columns to read and the windows are chosen
 _MARGIN = 256  # rows beyond the windows of a block, to replace those that were lost
-_LEFT_OUT = ("lost", "not_numbers", "frozen", "spikes")  # rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +119,12 @@ class _Columns:
     dtheta: Kind | None = None
     refused: OwnRate | None = None
 
-    def seeing(self, usable: _Usable) -> tuple[_Columns, Window]:
+    def rows_of(self, recording: Recording, start: int, stop: int) -> UsableRows:
+        """Return the usable rows from `start` to `stop`."""
+        torque = "motor_torque" if self.motor_side else "torque"
+        return usable_rows(recording, start, stop, torque, rate=self.rate_given, own_time=self.own_time)
+
+    def seeing(self, usable: UsableRows) -> tuple[_Columns, Window]:
         """Return the columns with how the usable rows show slower sensors and another rate, and the windows."""
         columns = self._slower(usable)
         window = _window(usable, columns)
@@ -136,44 +137,10 @@ class _Columns:
         )
         return replace(columns, rate_given=refused is None, refused=refused), window
 
-    def _slower(self, usable: _Usable) -> _Columns:
+    def _slower(self, usable: UsableRows) -> _Columns:
         torque = None if self.own_time else slow_channel.kind_of(usable.stamps[0], usable.torque)
         dtheta = slow_channel.kind_of(usable.stamps[0], usable.dtheta)
         return replace(self, torque=torque, dtheta=dtheta, rate_given=self.rate_given and dtheta is None)
-
-
-@dataclass(frozen=True, eq=False)
-class _Usable:
-    """The rows (n,) that hold a reply and only finite numbers: their place in the file and the raw readings.
-
-    torque_time: s, when the torque was read, NaN where that is not known: `time` unless another device read it.
-    The places of the rows left out: lost, without a reply; not_numbers, with a NaN; frozen and spikes, with an angle
-    that stood still or is wrong. wraps: jumps of the angle taken back. clipped (n,): whether the torque was at its end.
-    """
-
-    row: NDArray[np.int64]
-    time: Array
-    torque: Array
-    dtheta: Array
-    reported_rate: Array
-    torque_time: Array
-    lost: NDArray[np.int64]
-    not_numbers: NDArray[np.int64]
-    frozen: NDArray[np.int64]
-    spikes: NDArray[np.int64]
-    clipped: NDArray[np.bool_]
-    wraps: int = 0
-
-    @cached_property
-    def stamps(self) -> tuple[Array, bool]:
-        """The stamps (n,) s with repeats and bursts spread, and whether they are many."""
-        return spread_stamps(self.time)
-
-    def readings(self, values: Array, kind: Kind | None) -> Readings:
-        """Return which of the values (n,) are readings: all, or of a sensor that is slower, as its kind says."""
-        time, _ = self.stamps
-        every = Readings(np.arange(len(time)), time, values)
-        return every if kind is None else slow_channel.readings(time, values, kind)
 
 
 def prepare(recording: Recording, stand: StandTable | None) -> Signals:
@@ -182,7 +149,7 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     Raises Untrustworthy for too few rows, a constant deflection, and time stamps that decrease or never change.
     """
     columns = _columns_of(recording, stand)
-    usable = _usable(recording, columns, 0, len(recording))
+    usable = columns.rows_of(recording, 0, len(recording))
     refuse_hopeless(recording, usable.time, usable.torque, usable.dtheta)
     # of a part of a recording it would not be known by how many turns it is off
     dtheta, wraps = unwrapped(usable.dtheta, usable.torque)
@@ -195,7 +162,7 @@ class LongRecording:
 
     def __init__(self, recording: Recording, stand: StandTable | None) -> None:
         columns = _columns_of(recording, stand)
-        first = _usable(recording, columns, 0, min(_PROBE, len(recording)))
+        first = columns.rows_of(recording, 0, min(_PROBE, len(recording)))
         refuse_hopeless(recording, first.time, first.torque, first.dtheta)
         self._recording = recording
         self._columns, self._window = columns.seeing(first)
@@ -205,7 +172,7 @@ class LongRecording:
         length = len(self._recording)
         parts = max(1, min(parts, length // rows))  # samples that were seen twice would count as more evidence
         starts = np.linspace(0, max(0, length - rows), parts).astype(int).tolist()
-        stretches = (_usable(self._recording, self._columns, start, start + rows) for start in starts)
+        stretches = (self._columns.rows_of(self._recording, start, start + rows) for start in starts)
         return [_signals(usable, self._columns, self._window, (0, length)) for usable in stretches]
 
     def stream(self, block: int = 1 << 18) -> Iterator[Signals]:
@@ -213,17 +180,17 @@ class LongRecording:
         margin = 2 * self._window.widest + _MARGIN  # lost rows take room too
         starts = range(0, len(self._recording), block)
         around = ((max(0, start - margin), start + block + margin) for start in starts)
-        read = ahead(_usable(self._recording, self._columns, *rows) for rows in around)
+        read = ahead(self._columns.rows_of(self._recording, *rows) for rows in around)
         for start, usable in zip(starts, read, strict=True):
             yield _signals(usable, self._columns, self._window, (start, start + block))
 
 
-def _window(usable: _Usable, columns: _Columns) -> Window:
+def _window(usable: UsableRows, columns: _Columns) -> Window:
     angle = usable.readings(usable.dtheta, columns.dtheta)
     return window_for(angle.time, angle.value, usable.torque[angle.row])
 
 
-def _own_readings(usable: _Usable, columns: _Columns) -> Readings | None:
+def _own_readings(usable: UsableRows, columns: _Columns) -> Readings | None:
     """The torque's own readings, N m, where they were not taken at the ticks."""
     if columns.own_time:
         return slow_channel.stamped(usable.torque_time, usable.torque)
@@ -239,44 +206,9 @@ def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
     return _Columns(stand, from_motor, rate_given, own_time=not from_motor and present("joint_time"))
 
 
-def _usable(recording: Recording, columns: _Columns, start: int, stop: int) -> _Usable:
-    def channel(name: str) -> Array:
-        return recording.channel(name, start, stop)
-
-    answered = (channel("status").astype(np.int64) & int(Status.NO_REPLY | Status.BAD_REPLY)) == 0
-    read = channel("read_time")
-    time = np.where(np.isfinite(read), read, channel("time"))
-    torque = channel("motor_torque" if columns.motor_side else "torque")
-    dtheta = channel("dtheta")
-    rate = channel("dtheta_dot") if columns.rate_given else np.zeros_like(dtheta)
-    good = answered.copy()
-    for column in (time, torque, dtheta, rate):
-        good &= np.abs(column) < LARGEST  # false for NaN too
-    stuck, odd = np.zeros((2, len(time)), dtype=bool)
-    finite = slice(None) if good.all() else good  # mostly all are: nothing need be copied
-    stuck[finite] = frozen(time[finite], dtheta[finite], torque[finite])
-    odd[finite] = spikes(dtheta[finite])
-    lost, not_numbers = np.flatnonzero(~answered), np.flatnonzero(answered & ~good)
-    good &= ~stuck & ~odd
-    kept = slice(None) if good.all() else good
-    return _Usable(
-        row=np.flatnonzero(good) + start,
-        time=time[kept],
-        torque=torque[kept],
-        dtheta=dtheta[kept],
-        reported_rate=rate[kept],
-        torque_time=(channel("joint_time") if columns.own_time else time)[kept],
-        lost=lost + start,
-        not_numbers=not_numbers + start,
-        frozen=np.flatnonzero(stuck) + start,
-        clipped=clipped(dtheta[kept], torque[kept]),
-        spikes=np.flatnonzero(odd) + start,
-    )
-
-
-def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
+def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
     """Return the signals of the usable rows within `rows` of the file; the other rows only fill their windows."""
-    (stamps, coarse), angle = usable.stamps, usable.readings(usable.dtheta, columns.dtheta)
+    (stamps, _), angle = usable.stamps, usable.readings(usable.dtheta, columns.dtheta)
     time, dtheta = angle.time, angle.value
     if columns.rate_given:
         rate = usable.reported_rate
@@ -290,6 +222,7 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
     starts, long_enough = stretches(time, sound & ~over if own is None else sound, window.step)
     kept = long_enough & (inside if own is None else True)
     is_filtered, jerks = (own is None and not columns.rate_given and one for one in (window.low_pass, window.jerks))
+    jerked = window.jerked(time, dtheta, rate)[kept] if jerks else None
     motion = Motion(
         time[kept],
         dtheta[kept],
@@ -307,12 +240,10 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
     return Signals(
         motion=motion,
         torque=_at_joint(torque, columns),
-        defects=Defects(
-            **{name: int(np.count_nonzero(within(getattr(usable, name), rows))) for name in _LEFT_OUT},
+        defects=replace(
+            usable.defects(rows),
             near_gaps=int(np.count_nonzero((inside & ~long_enough & ~over)[window.widest : len(time) - window.widest])),
-            coarse_clock=coarse,
-            clipped=int(np.count_nonzero(within(usable.row[usable.clipped], rows))),
-            wraps=usable.wraps,
+            jerked=0 if jerked is None else int(np.count_nonzero(jerked)),
         ),
         band=window.band,
         rate_window=0.0 if columns.rate_given else (2 * window.slope + 1) * window.step,
@@ -320,7 +251,7 @@ def _signals(usable: _Usable, columns: _Columns, window: Window, rows: tuple[int
         torque_from="motor" if columns.motor_side else ("given" if columns.stand is None else "joint"),
         slower=slow_channel.slower(columns.torque, own, columns.dtheta, angle, stamps),
         refused_rate=columns.refused,
-        jerked=window.jerked(time, dtheta, rate)[kept] if jerks else None,
+        jerked=jerked,
         unfiltered=_at_joint(usable.torque[kept], columns) if is_filtered else None,
     )
 

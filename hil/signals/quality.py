@@ -27,6 +27,7 @@ _FEW_COUNTS = 20.0  # counts of deflection, below which quantisation shapes the 
 _POOR_SNR = 20.0  # dB
 _MANY_LOST = 0.02
 _MANY_SATURATED = 0.01
+_MANY_JERKED = 0.05
 _GAIN_ERROR = 5e-3
 _SPARSE = 0.2  # periods of the motion between two readings, above which it cannot be followed
 _UNSURE = 0.1  # of a tick, from which the age of readings is uncertain
@@ -150,6 +151,12 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
     if defects.near_gaps:
         gaps = f"{defects.near_gaps} rows beside a gap have no rate and are left out: record without a pause"
         found.append(Diagnostic("near-gaps", gaps))
+    if defects.jerked > _MANY_JERKED * rows:
+        text = (
+            f"the acceleration jumps beside {defects.jerked} of {rows} rows, so their rate is not known. These rows "
+            "are left out; Kc and Bc come from the other rows. Use --profile multisine or chirp, or a higher --rate"
+        )
+        found.append(Diagnostic("acceleration-jumps", text))
     if defects.coarse_clock:
         found.append(
             Diagnostic(

@@ -56,3 +56,12 @@ def test_steps_at_the_ticks_leave_bc_in_its_interval(stepped: Path) -> None:
         low, high = found[name].ci95
         assert low < truth < high
         assert high - low < 0.04 * truth
+
+
+def test_samples_beside_steps_that_are_left_out_are_counted_in_a_warning(stepped: Path, make_recording: Maker) -> None:
+    found = identify([stepped], parse("linear"), SEARCH)
+    (warning,) = (one for one in found.diagnostics if one.code == "acceleration-jumps")
+    assert not warning.is_error
+    assert f" {np.count_nonzero(~found.fitted)} of {SAMPLES} rows" in warning.message
+    smooth = identify([make_recording(samples=SAMPLES)], parse("linear"), SEARCH)
+    assert all(one.code != "acceleration-jumps" for one in smooth.diagnostics)
