@@ -55,6 +55,22 @@ def test_a_joint_that_the_model_describes_has_no_misfit(tmp_path: Path, capfd: p
     assert not found["lack_of_fit"]["misfit"]
 
 
+def test_an_inertia_is_no_skew_that_takes_all_the_damping(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    speeds = 2.0 * np.pi * np.geomspace(0.4, 4.0, 20)
+    waves = 0.02 * np.exp(1j * (np.outer(TIME, speeds) + np.arange(20) ** 2))
+    deflection, rate, acceleration = waves.real.sum(axis=1), -(waves.imag @ speeds), -(waves.real @ speeds**2)
+    noise = 5e-4 * np.random.default_rng(3).standard_normal(len(TIME))
+    torque = KC * deflection + BC * rate + 4e-5 * acceleration + noise
+    read = {"time": TIME, "torque": torque, "dtheta": deflection, "command": deflection}
+    write(tmp_path / "a.h5", Header(profile={"kind": "prescribed"}, stand_toml=""), read)
+
+    _, found = identified(capfd, tmp_path / "a.h5")
+
+    low, high = found["parameters"]["Kc"]["ci95"]
+    assert found["model"] == "linear+inertia"
+    assert low < KC < high
+
+
 def test_a_torque_in_few_counts_is_no_misfit(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     stiff = KC * multisine(TIME)[0]  # its rounding repeats with the angle
     path = recording(tmp_path / "a.h5", stiff, count=float(np.ptp(stiff)) / 12.0)
