@@ -11,6 +11,7 @@ _FAR = 1.5  # times the range of the angle
 _TURN = 2.0 * np.pi  # rad
 _NEAR = 0.1  # of a jump, by which one may differ from another, and that any other step may be
 _RARE = 0.05  # of the steps may be jumps
+_SMALL = 0.25  # of a turn, up to which a joint may move between two readings
 _SEVERAL = 3  # jumps, from which a range that is no turn is certain
 _USUAL = 5.0  # times the usual step of the torque, up to which it goes on at a jump
 _LONGEST = 0.5  # s without any change, from which on a reading may be frozen
@@ -26,11 +27,15 @@ _SLOWER = 10.0  # times the usual time between two changes of the reading
 def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
     """Return the angle (n,) rad without jumps by the range of its encoder, and how many there were.
 
-    torque (n,) N m. A step counts as a jump only where all that are more than a tenth of the largest are alike, and
-    certain is it only for a turn, or half of one, or where several jumps go from one end of the readings to the other
-    and the torque goes on: behind a gear an encoder's range may be any.
+    torque (n,) N m. Readings within a turn pass its end where every step is small once whole turns are taken off,
+    however many do so. Elsewhere a step counts as a jump only where all that are more than a tenth of the largest are
+    alike, and certain is it only for a turn, or half of one, or where several jumps go from one end of the readings to
+    the other and the torque goes on: behind a gear an encoder's range may be any.
     """
     steps = np.diff(angle)
+    whole = np.round(steps / _TURN)
+    if whole.any() and np.ptp(angle) <= _TURN and np.abs(steps - _TURN * whole).max() <= _SMALL * _TURN:
+        return np.unwrap(angle, period=_TURN), int(np.count_nonzero(whole))
     jumps = np.abs(steps) > _NEAR * np.abs(steps).max(initial=0.0)
     size = _range_of(steps, jumps)
     turns = [turn for turn in (_TURN, 0.5 * _TURN) if abs(size - turn) < _NEAR * turn]

@@ -27,6 +27,23 @@ def test_an_angle_that_passes_a_whole_turn_is_unwrapped() -> None:
     np.testing.assert_allclose(np.diff(found), np.diff(ANGLE), atol=1e-12)
 
 
+def test_an_angle_that_passes_a_whole_turn_every_few_readings_is_unwrapped() -> None:
+    fast = 0.3 * np.sin(2.0 * np.pi * 25.0 * TIME + 0.1)
+
+    found, jumps = unwrapped(np.mod(fast, 2.0 * np.pi), TORQUE)
+
+    assert jumps > 0.09 * len(fast)
+    np.testing.assert_allclose(np.diff(found), np.diff(fast), atol=1e-12)
+
+
+def test_an_angle_with_gaps_that_passes_a_whole_turn_is_unwrapped() -> None:
+    left = np.delete(ANGLE, np.r_[100:200, 2030:2150])  # steps in the gaps are more than a tenth of a turn's jump
+
+    found, _ = unwrapped(np.mod(4.0 * left, 2.0 * np.pi), TORQUE)
+
+    assert np.ptp(found) == pytest.approx(np.ptp(4.0 * left))
+
+
 @pytest.mark.parametrize("turn", [np.pi, 2.0 * np.pi / 4.0, 2.0 * np.pi / 9.0, 2.0])
 def test_an_angle_that_passes_the_end_of_its_encoder_is_unwrapped(turn: float) -> None:
     found, jumps = unwrapped(2e-4 * np.round(np.mod(ANGLE + 0.1, turn) / 2e-4), TORQUE)
