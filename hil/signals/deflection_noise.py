@@ -19,6 +19,10 @@ FEW_COUNTS: Final = 40.0
 
 _MATTERS: Final = 5e-4  # of Kc or Bc
 _CONFUSED: Final = 1000.0  # variance inflation from which model selection includes no skew
+_HALF: Final = 32  # samples: half of a window of the spectra, which says how much two readings share
+_ENOUGH: Final = 16  # windows for that
+_CHANCE: Final = 1.4  # windows' worth of power, that two readings share by chance: half of one is in the next
+_CLEARLY: Final = 0.9  # of a noise, below which less of it is certain: of white noise it is 0.97 to 1.03
 _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
 
 
@@ -38,6 +42,33 @@ def smallest_step(dtheta: Array) -> float:
     steps = np.diff(np.unique(dtheta))
     steps = steps[steps > 1e-9 * float(np.ptp(dtheta))]
     return float(steps.min()) if steps.size else 0.0
+
+
+def own_noise(noise: float, values: Array, other: Array) -> float:
+    """Return a reading's noise, which its fast motion may pass for: at most what the other reading does not share.
+
+    noise: standard deviation of white noise in values (n,), whose unit it has. Noise of one reading is not in the
+    other (n,) of the same rows; motion is in both, however fast.
+    """
+    most = _unshared(values, other)
+    return most if most < _CLEARLY * noise else noise
+
+
+def _unshared(values: Array, other: Array) -> float:
+    """The standard deviation of white noise in values (n,) that the other reading (n,) does not share.
+
+    It is taken from the upper half of the spectrum; infinite for too few rows.
+    """
+    count = len(values) // _HALF - 1
+    if count < _ENOUGH:
+        return np.inf
+    taper = np.hanning(2 * _HALF + 1)[:-1]
+    starts = _HALF * np.arange(count)[:, None] + np.arange(2 * _HALF)
+    own, others = (np.fft.rfft((read - read.mean())[starts] * taper)[:, _HALF // 2 : -1] for read in (values, other))
+    power, beside = (np.sum(np.abs(part) ** 2, axis=0) for part in (own, others))
+    shared = np.abs(np.sum(own * others.conj(), axis=0)) ** 2 / np.maximum(beside, 1e-300)
+    left = np.maximum(power - shared, 0.0) / (count - _CHANCE)
+    return float(np.sqrt(np.median(left) / np.sum(taper**2)))
 
 
 def disturbs(read: Read, noise: float, rate_noise: float) -> bool:

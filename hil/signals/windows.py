@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.signals.deflection_noise import Read, disturbs, smallest_step
+from hil.signals.deflection_noise import Read, disturbs, own_noise, smallest_step
 from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.savitzky_golay import LEAST, kernel, local_polynomial, widest
 
@@ -124,7 +124,7 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     rate, left = rate[known], left[known]
     fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))
-    of_deflection = max(min(noise, floor), rounding)
+    of_deflection = max(own_noise(min(noise, floor), read.dtheta, read.torque), rounding)
     slope = max(
         narrowed(slope, step, noise, hides_in_rate(rate)),
         narrowed(slope, step, fastest, hides_in_rate(rate[fast])),
@@ -211,7 +211,8 @@ def _hidden(time: Array, dtheta: Array, torque: Array, rate: Array) -> float:
     """
     columns = np.stack([np.ones_like(rate), dtheta, rate], axis=1)
     damping = float(np.linalg.lstsq(columns, torque, rcond=None)[0][2])
-    own = max(float(np.nanmedian(_noise_of(time, torque))), _KNOWN * float(np.std(torque)))
+    own = own_noise(float(np.nanmedian(_noise_of(time, torque))), torque, dtheta)
+    own = max(own, _KNOWN * float(np.std(torque)))
     return _HIDDEN * own / abs(damping) if damping else np.inf
 
 

@@ -72,3 +72,19 @@ def test_the_lines_that_counts_make_of_a_steady_motion_are_no_motion_beyond_its_
     found = window_for(time, count * np.round(motion / count), 0.3 * motion)
     assert found.band[1] < 20.0
     assert found.band[1] == pytest.approx(window_for(time, motion, 0.3 * motion).band[1], rel=0.2)
+
+
+def test_fast_motion_that_the_torque_shows_too_is_no_noise_of_the_deflection() -> None:
+    """Its spectrum falls as that of noise behind a low-pass of second order at 30 Hz, nearly to half the rate."""
+    time, rng = np.arange(6000) / 500.0, np.random.default_rng(2)
+    speeds = 2.0 * np.pi * np.arange(1.0, 240.0, 0.5)
+    waves = np.exp(1j * (np.outer(time, speeds) + rng.uniform(0.0, 6.3, len(speeds)))) / (1.0 + (speeds / 190.0) ** 2)
+    angle, rate = waves.real.sum(axis=1), -waves.imag @ speeds
+    torque = angle + 0.005 * rate
+    torque += 0.002 * np.std(torque) * rng.standard_normal(len(time))
+    noise = 0.03 * np.std(angle)
+    found = window_for(time, angle, torque)
+    assert found.of_deflection < 0.1 * noise
+    assert found.low_pass is not None
+    noisy = window_for(time, angle + noise * rng.standard_normal(len(time)), torque)
+    assert noisy.of_deflection == pytest.approx(noise, rel=0.1)
