@@ -280,7 +280,10 @@ def _give(channel: str) -> str:
 def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
-        raise WrongUse(f"{source}, row {rows[bad[0]]}: the time is not a number")
+        raise WrongUse(
+            f"{source}, row {rows[bad[0]]}: the time is not a number, in {bad.size} of {len(time)} rows: delete these "
+            "rows, or fill in their times; a gap does no harm"
+        )
     backwards = np.flatnonzero(np.diff(time) < 0.0)
     if backwards.size:
         raise WrongUse(

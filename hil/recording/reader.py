@@ -282,7 +282,9 @@ class Recording:
     def _group(self, name: str) -> h5py.Group:
         group = self._file.get(name)
         if not isinstance(group, h5py.Group):
-            raise WrongUse(f"{self.path} has no group /{name}: it is not a complete recording")
+            raise WrongUse(
+                f"{self.path} has no group /{name}: it is no recording of hil. Make one from other data with hil import"
+            )
         return group
 
     def _renamed(self) -> Mapping[str, str]:

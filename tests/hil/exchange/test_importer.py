@@ -189,7 +189,7 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
         (TABLE.replace("20", "OL"), (), "'OL' is not a number: empty the cell where nothing was read"),
         (TABLE.replace("TAU", "TAUS"), (), "did you mean 'TAUS'"),
         (TABLE.replace("0.7", "0.1"), (), "row 4: the time goes backwards"),
-        (TABLE.replace("0.7", ""), (), "row 4: the time is not a number"),
+        (TABLE.replace("0.7", ""), (), "row 4: the time is not a number, in 1 of 3 rows: delete these rows"),
         (TABLE, ("run==9",), "no row passes run==9"),
         (TABLE, ("speed==9",), "no column 'speed'"),
         (TABLE, ("run=1",), "write a column, one of"),
