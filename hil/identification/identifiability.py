@@ -39,7 +39,8 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     for at, name in enumerate(evidence.names):
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
             found += _of_parameter(evidence, at, name)
-    found += _inertia(evidence) + _implausible_skew(evidence) + _little_load(evidence) + stiffnesses
+    found += _inertia(evidence) + _one_frequency(evidence) + _implausible_skew(evidence) + _little_load(evidence)
+    found += stiffnesses
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
             Diagnostic(
@@ -120,27 +121,37 @@ def _unloaded(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _inertia(evidence: Evidence) -> list[Diagnostic]:
-    """Return the warning of an inertia in the joint's torque, or of a motion at one frequency, which hides one."""
-    motion = evidence.signals.motion
-    if "J" in evidence.names and evidence.signals.torque_from != "motor":
-        inertia = float(evidence.values[evidence.names.index("J")])
-        text = (
-            f"the torque includes an inertia of {inertia:.2g} kg m^2, so it is likely the motor's torque and not the "
-            "joint's. The model has a term for the inertia, so Kc is not affected. Import the torque with "
-            "--motor-torque, and set motor_inertia in the stand file"
-        )
-        return [Diagnostic("inertia-in-torque", text, "Kc")]
-    if "J" in evidence.names or evidence.signals.torque_from != "given":
+    """Return the warning of an inertia in the joint's torque."""
+    if "J" not in evidence.names or evidence.signals.torque_from == "motor":
+        return []
+    inertia = float(evidence.values[evidence.names.index("J")])
+    text = (
+        f"the torque includes an inertia of {inertia:.2g} kg m^2, so it is likely the motor's torque and not the "
+        "joint's. The model has a term for the inertia, so Kc is not affected. Import the torque with "
+        "--motor-torque, and set motor_inertia in the stand file"
+    )
+    return [Diagnostic("inertia-in-torque", text, "Kc")]
+
+
+def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
+    """Return the diagnostic for a motion at one frequency, where more than one coupling has the same torque.
+
+    Beside a part that relaxes, or an inertia, a spring and a damper fit as well. Nobody can select one of these models.
+    """
+    motion, selected = evidence.signals.motion, evidence.selected
+    if not selected and ("J" in evidence.names or evidence.signals.torque_from != "given"):
         return []
     coupling = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
     left = motion.dtheta_ddot - coupling @ np.linalg.lstsq(coupling, motion.dtheta_ddot, rcond=None)[0]
     if float(np.var(left)) * INFLATION > float(np.var(motion.dtheta_ddot)):
         return []
     text = (
-        "the joint moved at one frequency, where an inertia looks like less stiffness. If the torque is the motor's, "
-        f"Kc is too low by the motor's inertia times (2 pi f)^2. {_SEVERAL_SPEEDS}"
+        "the joint moved at one frequency. There, a part of the stiffness that relaxes looks like more stiffness and "
+        "damping, and an inertia (if the torque is the motor's) like less stiffness. Kc and Bc are those at this "
+        f"frequency. {_SEVERAL_SPEEDS}"
     )
-    return [Diagnostic("one-frequency", text, "Kc")]
+    known = f". If you know that the joint has neither, name --model {evidence.model.name}" if selected else ""
+    return [Diagnostic("one-frequency", text + known, None if selected else "Kc", is_error=selected)]
 
 
 def _little_load(evidence: Evidence) -> list[Diagnostic]:

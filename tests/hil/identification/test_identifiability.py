@@ -158,6 +158,26 @@ def test_a_sine_is_said_to_have_little_but_one_speed(make_recording: Maker) -> N
     assert not of_damping(identify([path], parse("linear+coulomb"), SEARCH))
 
 
+def relaxing(channels: dict[str, Array]) -> None:
+    """A sine of 3 Hz on a coupling of which a part of 30 % relaxes in 0.1 s, in the form that this torque has then."""
+    phase = 6.0 * np.pi * channels["time"]
+    rate, part = 1.2 * np.pi * np.cos(phase), (0.6 * np.pi) ** 2
+    channels["dtheta"], channels["dtheta_dot"] = 0.2 * np.sin(phase), rate
+    stiffness, damping = 0.02 + 0.006 * part / (1.0 + part), 2e-4 + 6e-4 / (1.0 + part)
+    channels["torque"] = stiffness * channels["dtheta"] + damping * rate
+    channels["torque"] += 1e-4 * np.random.default_rng(1).standard_normal(len(phase))
+
+
+@pytest.mark.parametrize(("model", "trusted"), [(None, False), ("linear", True)])
+def test_one_frequency_identifies_no_coupling_unless_its_model_is_known(
+    make_recording: Maker, model: str | None, *, trusted: bool
+) -> None:
+    found = identify([make_recording(change=relaxing)], parse(model) if model else None, SEARCH)
+    said = [one.is_error for one in found.diagnostics if one.code == "one-frequency"]
+    assert said == [not trusted]
+    assert [found.trusted(name) for name in ("Kc", "Bc")] == [trusted, trusted]
+
+
 def test_several_speeds_have_nothing_said_of_them(make_recording: Maker) -> None:
     assert not of_damping(identify([make_recording(noise=1e-4)], parse("linear"), SEARCH))
 
