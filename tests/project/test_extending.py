@@ -203,3 +203,20 @@ def test_the_term_of_the_page_is_identified_in_a_table_that_was_made_with_it(
     assert values["Kc"] == pytest.approx(0.02, rel=0.01)
     assert values["Bc"] == pytest.approx(2e-4, rel=0.03)
     assert values["K7"] == pytest.approx(0.15, rel=0.02)
+
+
+def test_the_model_of_the_page_is_identified_from_its_file(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file, table, path = tmp_path / "my_model.py", tmp_path / "a.csv", tmp_path / "a.h5"
+    file.write_text(block("model"), encoding="utf-8")
+    time = np.arange(0.0, 4.0, 0.004)
+    angle = 0.4 * np.sin(2.0 * np.pi * 0.7 * time) + 0.2 * np.sin(2.0 * np.pi * 2.9 * time)
+    torque = 0.02 * np.sign(angle) * np.abs(angle) ** 1.3 + 2e-4 * np.gradient(angle, time)
+    rows = np.column_stack([time, torque + np.random.default_rng(1).normal(0.0, 2e-5, time.size), angle])
+    np.savetxt(table, rows, "%.9g", ",", header="t [s],tau [Nm],q [rad]", comments="")
+    columns = ["--time", "t", "--torque", "tau", "--dtheta", "q"]
+    assert run(["import", str(table), *columns, "-o", str(path)]) == 0
+
+    capfd.readouterr()
+    assert run(["identify", str(path), "--model", f"{file}:creeping", "--trials", "1", "--json"]) == 0
+    values = {name: one["value"] for name, one in json.loads(capfd.readouterr().out)["parameters"].items()}
+    assert values == pytest.approx({"Kc": 0.02, "Bc": 2e-4, "n": 1.3}, rel=0.03)
