@@ -259,7 +259,7 @@ _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
 _SEVERAL_SPEEDS = "Drive at several speeds (--profile chirp or multisine over two octaves)"
 _IMPLAUSIBLE = {
     "Kc": "A sign is wrong: check that a positive torque makes a positive deflection",
-    "Bc": "The torque is read later or earlier than the angle, or the joint has friction. Try --model auto",
+    "Bc": "Torque and angle are exchanged or not read together, or there is friction. Check this, or try --model auto",
 }
 
 
