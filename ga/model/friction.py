@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 MOST_FRICTION: Final = 0.9
 """Part of the torque that a tendon may lose in its sheath."""
 
+PRETENSION: Final = 2.0
+"""Times the range of the motion, by which a tendon under tension may be pulled beyond where it carries no torque."""
+
 FALLS: Final = (0.02, 1.5)
 """Rate over which friction falls from its value at rest, as a part of the rate of which damping is felt, at least and
 at most."""
@@ -132,7 +135,8 @@ def _loaded(angle: Array, rate: Array, lag: float, smoothing: float, values: Arr
 
 def _capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
     least, most = float(motion.dtheta.min()), float(motion.dtheta.max())
-    return (0.0, MOST_FRICTION), (least, most)
+    beyond = PRETENSION * (most - least)
+    return (0.0, MOST_FRICTION), (least - beyond, most + beyond)
 
 
 def felt(rate: Array) -> float:
@@ -221,7 +225,7 @@ CAPSTAN: Final = Term(
             scales=False,
             absent=None,
             nonlinear=True,
-            starts=(0.3, 0.5, 0.7),
+            starts=(0.2, 0.45, 0.5, 0.55, 0.8),
             place=True,
         ),
     ),

@@ -240,12 +240,13 @@ def test_friction_that_builds_up_and_falls_with_the_rate_comes_back_and_leaves_b
     assert identified("linear+dahl", torque)["Bc"] < 0.95 * BC
 
 
-def test_friction_in_proportion_to_the_torque_comes_back() -> None:
-    """The torque carried is T = Kc (x - rest) + Bc v, and what is read T + mu |T| sign(v)."""
-    carried = KC * (MOTION.dtheta - 0.02) + BC * MOTION.dtheta_dot
+@pytest.mark.parametrize("rest", [0.02, 1.5 * float(MOTION.dtheta.min())])
+def test_friction_in_proportion_to_the_torque_comes_back(rest: float) -> None:
+    """The torque carried is T = Kc (x - rest) + Bc v, and what is read T + mu |T| sign(v); never 0 under pretension."""
+    carried = KC * (MOTION.dtheta - rest) + BC * MOTION.dtheta_dot
     torque = carried + 0.15 * np.abs(carried) * np.sign(MOTION.dtheta_dot) + 0.01 + NOISES
     found = identified("linear+offset+capstan", torque)
-    expected = {"Kc": KC, "Bc": BC, "mu": 0.15, "rest": 0.02, "tau0": 0.01}
+    expected = {"Kc": KC, "Bc": BC, "mu": 0.15, "rest": rest, "tau0": 0.01}
     assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
 
 
