@@ -20,12 +20,16 @@ from ga.model.terms import RARER, TERMS, is_addable, with_another
 from hil.identification.selection.fits import FOLDS, Candidate, Fits, own
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.windows import is_smooth
+from hil.uncertainty.model_average import AKAIKE
 from hil.uncertainty.residual_spectrum import measure
 
 Array = NDArray[np.float64]
 
 STRONG = 10.0
 """The gain of a term with a break, whose chance is not known to be that of others."""
+
+PLAINEST_FIRST = (*(term for term in TERMS if term not in RARER), *RARER)
+"""All terms, a usual one before a rarer one, and then as in the table."""
 
 _WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, and better
 _CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
@@ -52,23 +56,23 @@ class Criterion:
     def pays(self, smaller: Candidate, larger: Candidate, term: str, *, nearly: bool = False) -> bool:
         """Return whether the term pays that the larger model has and the smaller has not.
 
-        nearly: a gain by which the likelihood cannot rank the two is enough, where held-out blocks can.
+        nearly: Akaike's criterion is enough where held-out blocks are predicted clearly better. These follow it (Stone
+        1977): where they do not, their difference is small, or chance.
         """
         if smaller.fit.fitness < _EXPLAINED * self.size:
             return False
-        if larger.is_at_end(term) or not _is_distinct(larger, term):
+        if larger.is_at_end(term) or larger.is_impossible(term) or not _is_distinct(larger, term):
             return False
         if larger.stiffness <= 0.0 < smaller.stiffness:  # no coupling pushes: the term stands in for it
             return False
-        if larger.is_impossible(term):
-            return False
-        better = smaller.held_out - larger.held_out
         breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable) or term in RARER
-        least, gain = (_BETTER, STRONG) if breaks else (-_WORSE, 0.0)
-        least, gain = (_WORSE, -STRONG) if nearly else (least, gain)
-        if better.mean() < least * better.std(ddof=1) / np.sqrt(FOLDS):
+        least, enough = (_BETTER, STRONG) if breaks else (-_WORSE, 0.0)
+        if _predicts_better(larger, smaller) < (_WORSE if nearly else least):
             return False
-        return self.gain(smaller, larger, term) > gain and (nearly or self._pays_where_smooth(smaller, larger, term))
+        gain, cost = self.weighed(smaller, larger, term)
+        if nearly:
+            return gain + cost > AKAIKE * len(own(term))
+        return gain > enough and self._pays_where_smooth(smaller, larger, term)
 
     def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
         """Return the gain beyond chance of the term that the larger model has and the smaller has not."""
@@ -109,14 +113,24 @@ class Criterion:
         """Return the plainest of some larger models, the last term of each paying, that the data cannot rank.
 
         By Schwarz's criterion for as many samples as count, within what is strong for terms whose law is not known. A
-        usual term is plainer than a rarer one, and an earlier one in the table plainer than a later one.
+        usual term is plainer than a rarer one, and an earlier one in the table plainer than a later one; of usual ones
+        held-out blocks may rank two that the likelihood cannot.
         """
         alike = max(self.correlation(one, one.terms[-1]) for one in paying)
         count = max(len(self.signs) / alike, math.e)
         found = [len(one.model.parameters) * math.log(count) - self.ratio(smaller, one) / alike for one in paying]
         near = [one for one, value in zip(paying, found, strict=True) if value <= min(found) + STRONG]
-        order = [*(term for term in TERMS if term not in RARER), *RARER]
-        return min(near, key=lambda one: order.index(one.terms[-1]))
+        plainest, *others = sorted(near, key=lambda one: PLAINEST_FIRST.index(one.terms[-1]))
+        for one in (one for one in others if one.terms[-1] not in RARER):
+            plainest = one if _predicts_better(one, plainest) >= _WORSE else plainest
+        return plainest
+
+    def is_as_likely(self, plainer: Candidate, other: Candidate) -> bool:
+        """Return whether the data cannot rank a plainer model below another one, by the same criterion."""
+        alike = max(self.correlation(one, one.terms[-1]) for one in (plainer, other))
+        count = max(len(self.signs) / alike, math.e)
+        more = len(plainer.model.parameters) - len(other.model.parameters)
+        return more * math.log(count) + self.ratio(plainer, other) / alike <= STRONG and plainer.stiffness > 0.0
 
     def _gain(self, ratio: float, count: float, alike: float, term: str) -> float:
         """The gain of a term by the likelihood ratio of so many samples, alike: their factor of correlation."""
@@ -157,6 +171,13 @@ def criterion_of(
         choices=len(considered),
         doubted=doubted,
     )
+
+
+def _predicts_better(one: Candidate, other: Candidate) -> float:
+    """By how many standard errors over the blocks one model predicts held-out blocks better than another."""
+    better = other.held_out - one.held_out
+    mean, error = float(better.mean()), float(better.std(ddof=1)) / math.sqrt(FOLDS)
+    return mean / error if error > 0.0 else math.copysign(math.inf, mean)
 
 
 def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) -> tuple[str, ...]:

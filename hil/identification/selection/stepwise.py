@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -19,7 +19,7 @@ from ga.model.coupling import CouplingModel
 from ga.model.separable import Fit
 from ga.model.terms import CONSIDERED, TERMS, is_addable, with_another
 from ga.model.trajectory import Motion
-from hil.identification.selection.criterion import Criterion, criterion_of
+from hil.identification.selection.criterion import PLAINEST_FIRST, Criterion, criterion_of
 from hil.identification.selection.fits import Candidate, Fits, own
 from hil.identification.selection.late import Alternative, Lateness, LateReading
 
@@ -126,11 +126,11 @@ def select(
         return Selection(usual, steps, late)
     if describes(Selection(usual), True):
         return Selection(late.instead_of_skew(usual), steps, late)
-    rare = _likeliest(fits, rarer, (smallest, usual.terms))
+    rare = _likeliest(fits, rarer, tuple(dict.fromkeys(steps.passed)))
     more = (*terms, *rare)
     noise = criterion_of(fits, more, steps.criterion.richest, doubted=True)
     steps = _Steps(fits, noise, more, _LIKELY, rare, lambda one: describes(one, False), errors)
-    richer = steps.forward(fits.candidate(smallest))
+    richer = steps.plainest(steps.forward(fits.candidate(smallest)))
     chosen = richer if set(rarer).intersection(richer.terms) else usual
     late = LateReading(fits, steps.criterion, accounts)
     return Selection(late.instead_of_branch(chosen), steps, late)
@@ -143,6 +143,7 @@ class _Steps:
     rare: those of them that are considered because a model without them does not describe the recording. is_enough:
     whether a model with one does, as it stands. Further terms may then be made of the errors of the deflection, rad,
     and rate, rad/s, which a filter or a delay takes out; the tests of the fit leave samples out that may show others.
+    passed: the models that the steps came by.
     """
 
     fits: Fits
@@ -152,17 +153,40 @@ class _Steps:
     rare: tuple[str, ...] = ()
     is_enough: Callable[[Selection], bool] = lambda _selection: False
     errors: tuple[float, float] = (0.0, 0.0)
+    passed: list[tuple[str, ...]] = field(default_factory=list, init=False)
 
     def forward(self, chosen: Candidate) -> Candidate:
         """Return the model after the steps from one chosen, each with the term that pays most, without those idle."""
         seen: set[frozenset[str]] = set()
+        self.passed.append(chosen.terms)
         while (larger := self._larger(chosen)) is not None:
             seen.add(frozenset(chosen.terms))
             larger = self._pruned(larger)
             if frozenset(larger.terms) in seen:
                 break  # the new term replaced one that it needs: this would repeat for ever
             chosen = larger
-        return self._predicting(self._pruned(chosen))
+            self.passed.append(chosen.terms)
+        chosen = self._predicting(self._pruned(chosen))
+        self.passed.append(chosen.terms)
+        return chosen
+
+    def plainest(self, chosen: Candidate) -> Candidate:
+        """Return the model, with a plainer law of the same effect for a rarer one where the data cannot rank the two.
+
+        The steps take the law that a smaller model asks for, and beside the terms that follow another may do as well.
+        """
+        for term in (term for term in chosen.terms if term in self.rare):
+            for law in PLAINEST_FIRST[: PLAINEST_FIRST.index(term)]:
+                terms = tuple(law if other == term else other for other in chosen.terms)
+                if self._is_law_beside(term, law) and self.fits.fitness(terms) < np.inf:
+                    plainer = self.fits.candidate(terms, beside=chosen)
+                    if plainer.is_possible(*terms[1:]) and self.criterion.is_as_likely(plainer, chosen):
+                        return self.plainest(plainer)
+        return chosen
+
+    def _is_law_beside(self, term: str, law: str) -> bool:
+        """Whether two terms considered exclude each other, as laws of one effect do."""
+        return law in self.considered and (law in TERMS[term].excludes or term in TERMS[law].excludes)
 
     def to(self, chosen: Candidate) -> tuple[Step, ...]:
         """Return the steps up to the chosen model, then one with each rejected term on top of it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 from ga.model.coupling import CouplingModel
 from ga.model.separable import Fit, Problem, best_start
 from ga.model.trajectory import Motion
-from hil.identification.selection import criterion
+from hil.identification.selection import criterion, stepwise
 from hil.identification.selection import fits as fits_module
-from hil.identification.selection.fits import LATE, Fits
+from hil.identification.selection.fits import LATE, Candidate, Fits
 from hil.identification.selection.late import LateReading
 from hil.identification.selection.stepwise import Selection, select
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
@@ -287,6 +288,71 @@ def test_where_something_is_not_described_a_term_is_judged_by_as_few_samples_as_
     )
     assert usual.correlation(fitted, "skew") < 0.1 * usual.correlation(fitted, "offset")
     assert doubted.correlation(fitted, "skew") == usual.correlation(fitted, "offset")
+
+
+def test_rarer_terms_are_compared_beside_each_model_that_the_steps_came_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside the last of them alone, a term may be at its bound that halves the residuals of another."""
+    compared: list[tuple[tuple[str, ...], ...]] = []
+    likeliest = stepwise._likeliest
+
+    def seen(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+        compared.append(models)
+        return likeliest(fits, terms, models)
+
+    monkeypatch.setattr(stepwise, "_likeliest", seen)
+    moved, motion = slow()
+    torque = with_play(moved) + sheathed(moved, 0.02)
+    torque += 1e-3 + 5e-5 * np.random.default_rng(1).standard_normal(len(torque))
+    select(motion, torque, 0.5, rarer=("dahl",), describes=lambda *_: False)
+    assert len(set(compared[0])) == len(compared[0]) > 2
+
+
+@pytest.mark.parametrize("law", ["dahl", "boucwen"])
+def test_a_law_of_friction_gives_way_to_a_plainer_one_unless_the_data_rank_them(
+    law: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moved, motion = slow()
+    torque = KC * moved.dtheta + (sheathed(moved, 0.05) if law == "dahl" else 2e-3 * motion.yielding(0.1))
+    torque += 1e-3 + 5e-5 * np.random.default_rng(1).standard_normal(len(torque))
+    forward = stepwise._Steps.forward
+
+    def to_bouc_wen(steps: stepwise._Steps, chosen: Candidate) -> Candidate:
+        return steps.fits.candidate(("linear", "offset", "boucwen")) if steps.rare else forward(steps, chosen)
+
+    monkeypatch.setattr(stepwise._Steps, "forward", to_bouc_wen)
+    found = select(motion, torque, 0.5, rarer=("dahl", "boucwen"), describes=lambda *_: False)
+    assert found.model.name == f"linear+offset+{law}"
+
+
+def stiffening() -> tuple[criterion.Criterion, Candidate, Candidate, Candidate]:
+    """A criterion for which no likelihood ranks two models, and fits without a stiffening, with a cubic and a gap."""
+    moved, motion = slow()
+    torque = KC * np.sign(moved.dtheta) * np.maximum(np.abs(moved.dtheta) - 0.1, 0.0)
+    fits = Fits(motion, torque + 1e-4 * np.random.default_rng(1).standard_normal(len(torque)), 0.5)
+    noise = replace(criterion.criterion_of(fits, ("cubic", "backlash"), ("linear", "offset")), density=1e-3)
+    names = (), ("cubic",), ("backlash",)
+    plain, cubic, gap = (fits.candidate(("linear", "offset", *one)) for one in names)
+    return noise, plain, cubic, gap
+
+
+@pytest.mark.parametrize(("scatter", "expected"), [(0.1, "backlash"), (3.0, "cubic")])
+def test_of_usual_terms_that_the_likelihood_cannot_rank_one_is_taken_that_clearly_predicts_better(
+    scatter: float, expected: str
+) -> None:
+    noise, plain, cubic, gap = stiffening()
+    ahead = 1e-4 * (1.0 + scatter * np.resize([1.0, -1.0], len(gap.held_out)))
+    gap = replace(gap, held_out=cubic.held_out - ahead)
+    assert noise.likeliest(plain, [gap, cubic]).terms[-1] == expected
+
+
+@pytest.mark.parametrize(("ratio", "pays"), [(1.0, False), (5.0, True)])
+def test_held_out_blocks_include_no_term_that_akaikes_criterion_is_against(ratio: float, pays: bool) -> None:
+    noise, plain, cubic, _ = stiffening()
+    cubic = replace(cubic, held_out=0.99 * plain.held_out)
+    found = noise.ratio(plain, cubic) / noise.correlation(cubic, "cubic")
+    noise = replace(noise, density=ratio * noise.density / found)
+    assert not noise.pays(plain, cubic, "cubic")
+    assert noise.pays(plain, cubic, "cubic", nearly=True) == pays
 
 
 def test_a_joint_at_rest_whose_reading_repeats_one_count_is_not_without_noise() -> None:
