@@ -87,12 +87,10 @@ def covariance(blocks: Blocks, genes: Array) -> Covariance:
     quantile, inflation = np.full(len(genes), np.inf), np.full(len(genes), np.inf)
     if not distinct.any():
         return Covariance(np.zeros_like(gram), quantile, distinct, inflation)
-    density, spectrum = _second_pass(blocks, genes, sums, gram)
-    bread, near = _inverse(density.kernel)
+    kernel, spectrum = _second_pass(blocks, genes, sums)
+    bread, near = _inverse(kernel)
     distinct &= near
-    # the variance is as uncertain as the spectrum and twice as much as the density are
-    freedom = 1.0 / (1.0 / spectrum.freedom(bread)[distinct] + 2.0 * density.variance[distinct])
-    quantile[distinct] = stdtrit(np.maximum(1.0, freedom), 0.975)
+    quantile[distinct] = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[distinct]), 0.975)
     inflation[distinct] = (np.diag(gram) * np.diag(sums.gram) / sums.count)[distinct]
     matrix = np.where(np.outer(distinct, distinct), bread @ spectrum.covariance @ bread, 0.0)
     return Covariance(matrix, quantile, distinct, inflation)
@@ -136,46 +134,19 @@ def _first_pass(blocks: Blocks, genes: Array) -> _Sums:
     return _Sums(count, gram, np.concatenate(kept), rounding)
 
 
-@dataclass(frozen=True, slots=True)
-class _Density:
-    """kernel: Powell's estimate of twice the sum of f(0) x x' (p, p). variance: relative, of its density, (p,)."""
-
-    kernel: Array
-    variance: Array
-
-
-def _second_pass(blocks: Blocks, genes: Array, sums: _Sums, gram: Array) -> tuple[_Density, ResidualSpectrum]:
-    """The residuals' density at zero, and the spectrum of their signs; gram (p, p): the inverse of the columns'."""
+def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, ResidualSpectrum]:
+    """Powell's estimate of twice the sum of f(0) x x' (p, p), and the spectrum of the residuals' signs."""
     width, kernel = _kernel_width(sums), np.zeros_like(sums.gram)
-    powers = np.zeros((2, len(genes)))
 
     def signed() -> Iterator[tuple[Array, Array]]:
         for columns, torque in blocks():
             residuals = torque - columns @ genes
             inside = columns[np.abs(residuals) <= width]
             kernel[:] += inside.T @ inside / width
-            parts = (inside @ gram) ** 2  # what each row says of each parameter
-            powers[:] += [parts.sum(axis=0), (parts**2).sum(axis=0)]
             # the optimum passes through p rows
             yield columns, np.where(np.abs(residuals) > sums.rounding, np.sign(residuals), 0.0)
 
-    spectrum = measure(signed()).beside_fit()
-    first, second = powers
-    rows = np.divide(first**2, second, out=np.full(len(genes), np.inf), where=second > 0.0)
-    return _Density(kernel, _clustering(np.abs(sums.residuals) <= width) / rows), spectrum
-
-
-def _clustering(inside: NDArray[np.bool_]) -> float:
-    """The variance of the number of rows (n,) that are inside, over that of as many that are so by chance alone.
-
-    Where residuals last, small ones come together: so many rows say less of their density.
-    """
-    share = float(inside.mean())
-    if not 0.0 < share < 1.0:
-        return 0.0
-    scores = (inside - share) / np.sqrt(share * (1.0 - share))
-    together = measure([(np.ones((len(inside), 1)), scores)]).beside_fit()
-    return (1.0 - share) * float(together.covariance[0, 0]) / len(inside)
+    return kernel, measure(signed())
 
 
 def _kernel_width(sums: _Sums) -> float:

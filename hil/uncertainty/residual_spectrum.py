@@ -9,7 +9,7 @@ way, are too few where a column is large in few of them, as a skew's is at the f
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,19 +41,6 @@ class ResidualSpectrum:
     @property
     def _counted(self) -> Array:
         return np.maximum(self.power, 1.0)
-
-    def beside_fit(self) -> ResidualSpectrum:
-        """Return the spectrum of the errors where the signs are those of residuals of a fit with these columns.
-
-        Of the real and imaginary parts of its lines, a band has lost as many to the fit as the columns have dimensions
-        there: in a slow band of eight lines an offset alone takes one in fifteen. They were as strong as the others. Of
-        uncorrelated errors nothing is missing, since less than one counts as one.
-        """
-        parts = 2.0 * self.lines
-        lost = np.einsum("pq,bqp->b", np.linalg.pinv(self.crossed.sum(axis=0), hermitian=True), self.crossed)
-        left = np.maximum(parts - lost, 1.0)
-        above = np.maximum(self.power - 1.0, 0.0) * (parts / left - 1.0)
-        return replace(self, power=self.power + above)
 
     def freedom(self, bread: Array) -> Array:
         """Return the degrees of freedom (p,) of the variances bread . covariance . bread (Satterthwaite 1946)."""

@@ -6,13 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
-from scipy.special import stdtrit
 
 from ga.lad.exact import least_absolute_deviations, not_negative
 from hil.identification.result import interval
 from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import confidence_intervals, covariance
+from hil.uncertainty.confidence import confidence_intervals
 
 RUNS = 300
 
@@ -44,20 +42,6 @@ def test_the_interval_holds_the_truth_as_often_as_it_says(correlation: float) ->
     share, ratio = coverage(correlation, seed=1)
     assert 0.92 <= share <= 0.98
     assert 0.85 <= ratio <= 1.25
-
-
-def test_a_standard_error_from_few_independent_residuals_has_the_quantile_of_its_own_scatter() -> None:
-    """2500 samples, of which some 60 are independent: they say little of the residuals' density at zero."""
-    time, rng = np.arange(2500) / 500.0, np.random.default_rng(4)
-    columns = np.stack([np.sin(9.0 * time) + np.sin(40.0 * time), np.cos(40.0 * time), np.ones(2500)], axis=1)
-    errors, quantiles = [], []
-    for _ in range(150):
-        noise = np.asarray(lfilter([1.0], [1.0, -np.exp(-1.0 / 20.0)], rng.standard_normal(2500)))
-        found = covariance(Blocks.of(columns, noise), least_absolute_deviations(columns, noise).genes)
-        errors.append(np.sqrt(np.diag(found.matrix)))
-        quantiles.append(found.quantile)
-    scatter = np.std(errors, axis=0) / np.mean(errors, axis=0)
-    assert np.mean(quantiles, axis=0) == pytest.approx(stdtrit(0.5 / scatter**2, 0.975), rel=0.04)
 
 
 def test_a_column_of_zeros_has_an_infinite_interval() -> None:
