@@ -37,6 +37,11 @@ FROM_REST: Final = 0.01
 """Of what a low-pass makes of a sample, the part that comes from samples in which friction may hold the joint: from
 which on the joint rests there, and up to which their friction does not matter."""
 
+OFTEN: Final = 0.1
+FROM_ONE_SIDE: Final = 0.8
+"""Part of the samples in which a joint rests, and the correlation of the place with the direction that it came from,
+from which on the friction that holds it there has the torque of a spring."""
+
 NOISY: Final = 0.5
 FINEST: Final = 0.001
 SMOOTHEST: Final = 0.05
@@ -90,6 +95,21 @@ def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
     run = np.cumsum(np.diff(still, prepend=0.0) != 0.0)
     resting = still * np.isin(run, run[whole.filtered(still) > AT_REST])
     return np.asarray(np.abs(whole.filtered(resting)) > FROM_REST)[rows]
+
+
+def looks_like_spring(motion: Motion) -> bool:
+    """Return whether friction that holds the joint where it rests would have the torque of a spring there.
+
+    So it has where the joint comes to one place from one side and to another from the other, as in a binary sequence.
+    """
+    import numpy as np
+
+    resting = np.abs(motion.dtheta_dot) < max(slowest(motion), QUIET * _usual(motion))
+    if resting.mean() < OFTEN:
+        return False
+    last = np.maximum.accumulate(np.where(resting, 0, np.arange(len(motion))))  # the sample that moved before
+    side, place = np.sign(motion.dtheta_dot)[last][resting], motion.dtheta[resting]
+    return bool(side.std() > 0.0 and place.std() > 0.0 and np.corrcoef(side, place)[0, 1] > FROM_ONE_SIDE)
 
 
 def _usual(motion: Motion) -> float:

@@ -27,6 +27,9 @@ class Filter(Protocol):
 _FORGOTTEN: Final = 30.0
 """Times its constant, after which nothing is left of a state to all digits that matter."""
 
+_APART: Final = 300.0
+"""Variance of the acceleration over what deflection and rate leave of it, from which the motion is one sine."""
+
 _AGAIN: Final = 4
 """Passes, below which what seems to change in time may as well differ between the directions."""
 
@@ -76,6 +79,13 @@ class Motion:
     def repeats(self) -> bool:
         """Whether it passes its range so often that what changes in time differs from what changes with direction."""
         return self.passes >= _AGAIN
+
+    @property
+    def has_one_frequency(self) -> bool:
+        """Whether its acceleration follows from deflection and rate, as that of one sine does."""
+        coupling = np.stack([self.dtheta, self.dtheta_dot, np.ones(len(self))], axis=1)
+        left = self.dtheta_ddot - coupling @ np.linalg.lstsq(coupling, self.dtheta_ddot, rcond=None)[0]
+        return float(np.var(left)) * _APART <= float(np.var(self.dtheta_ddot))
 
     @property
     def whole(self) -> tuple[Motion, NDArray[np.int64] | slice]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.friction import looks_like_spring
 from ga.model.terms import PARAMETERS
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
@@ -15,13 +16,13 @@ from hil.uncertainty.criteria import (
     BETWEEN,
     COUPLING,
     FRICTION,
-    INFLATION,
     LIKE_FRICTION,
     LITTLE_FRICTION,
     LONGEST_SKEW,
     ONE_SPEED,
     OPTIMISER_GAP,
     PLAY,
+    TICK_SHARE,
     UNEXPLAINED,
     distinguishable,
     narrow,
@@ -39,8 +40,8 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     for at, name in enumerate(evidence.names):
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
             found += _of_parameter(evidence, at, name)
-    found += _inertia(evidence) + _one_frequency(evidence) + _implausible_skew(evidence) + _little_load(evidence)
-    found += stiffnesses
+    found += _inertia(evidence) + _one_frequency(evidence) + _friction_at_rest(evidence)
+    found += _implausible_skew(evidence) + _little_load(evidence) + stiffnesses
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
             Diagnostic(
@@ -141,9 +142,7 @@ def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
     motion, selected = evidence.signals.motion, evidence.selected
     if not selected and ("J" in evidence.names or evidence.signals.torque_from != "given"):
         return []
-    coupling = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
-    left = motion.dtheta_ddot - coupling @ np.linalg.lstsq(coupling, motion.dtheta_ddot, rcond=None)[0]
-    if float(np.var(left)) * INFLATION > float(np.var(motion.dtheta_ddot)):
+    if not motion.has_one_frequency:
         return []
     text = (
         "the joint moved at one frequency. There, a part of the stiffness that relaxes looks like more stiffness and "
@@ -152,6 +151,27 @@ def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
     )
     known = f". If you know that the joint has neither, name --model {evidence.model.name}" if selected else ""
     return [Diagnostic("one-frequency", text + known, None if selected else "Kc", is_error=selected)]
+
+
+def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
+    """Return the error of a term that was selected where friction at rest makes one.
+
+    After a step of the set-point of a motion of second order, friction's torque is a sum of those of deflection, rate
+    and acceleration: more stiffness and damping, read too early. After another motion it is nearly that of a curve.
+    """
+    motion, values = evidence.signals.motion, dict(zip(evidence.names, evidence.values.tolist(), strict=True))
+    terms = set(evidence.model.name.split("+"))
+    early = -values.get("skew", 0.0) > 2.0 * TICK_SHARE * float(np.median(np.diff(motion.time)))
+    made = evidence.selected and not terms & _RUBS and (terms & _CURVED or early)
+    if not made or not looks_like_spring(motion):
+        return []
+    other = "a spring that curves" if terms & _CURVED else "a torque that is read before the angle"
+    text = (
+        "the joint rests at one place after each move up, and at another after each move down. Dry friction that holds "
+        f"it there has the torque of more stiffness, and {other} fits as well. Kc and Bc may be wrong. Use --profile "
+        f"multisine or chirp. If you know that there is no friction, name --model {evidence.model.name}"
+    )
+    return [Diagnostic("friction-at-rest", text, is_error=True)]
 
 
 def _little_load(evidence: Evidence) -> list[Diagnostic]:
@@ -256,6 +276,8 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
 
 _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
 _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
+_CURVED = {"cubic", "quintic", "progressive", "asymmetric"}  # the terms of a spring that curves or bends
+_RUBS = {"coulomb", "dahl", "lugre", "boucwen", "capstan"}  # and those of friction
 _SEVERAL_SPEEDS = "Drive at several speeds (--profile chirp or multisine over two octaves)"
 _IMPLAUSIBLE = {
     "Kc": "A sign is wrong: check that a positive torque makes a positive deflection",

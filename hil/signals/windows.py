@@ -28,7 +28,7 @@ _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the
 _OTHERS = (9, 12)  # samples on each side of windows, beside which another shows where the rate is wrong
 _NARROW = (LEAST, LEAST + 1)  # the same of windows that are no wider than needed: few samples are lost to a jump
 _UNSURE, _BEYOND_NOISE = 0.005, 8.0  # of the r.m.s. rate, and times the usual difference, from which it is
-_SMOOTH = 0.5  # of the samples, that must be left where those beside a jerk are left out
+_SMOOTH = 0.6  # of the rate's power, that must be left where the samples beside a jerk are left out
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
 _LOOKED = 1 << 18  # samples that the noise of the deflection is held against the torque of
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
@@ -141,7 +141,10 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
         narrow = local_polynomial(*first, slope, 1)
         jerky = replace(found, jerk=_jerk(_differing(*first, narrow, _NARROW), narrow))
         smooth = ~jerky.jerked(*first, narrow)
-        if smooth.mean() >= _SMOOTH and smoothed_away(slope, *first, of_deflection, smooth) <= _UNSEEN * hidden:
+        if (
+            _power(narrow, smooth) >= _SMOOTH * _power(narrow)
+            and smoothed_away(slope, *first, of_deflection, smooth) <= _UNSEEN * hidden
+        ):
             return jerky
     highest = spectrum.above(of_deflection)
     if not noisy:  # what goes on beyond is taken from torque and deflection alike, also where sampling has folded it
@@ -197,6 +200,11 @@ def smoothed_away(slope: int, time: Array, dtheta: Array, noise: float, seen: ND
     of_noise = noise**2 * (_amplified(LEAST, step) ** 2 - _amplified(slope, step) ** 2)
     power = float(np.mean(more**2))
     return float(np.sqrt(power - of_noise)) if power > 2.0 * of_noise else 0.0
+
+
+def _power(rate: Array, rows: NDArray[np.bool_] | None = None) -> float:
+    """The sum of squares of the known rates (n,) rad/s, or of some rows of them: between two rests few rows move."""
+    return float(np.nansum(np.square(rate) if rows is None else np.square(rate[rows])))
 
 
 def hides_in_rate(rate: Array) -> float:

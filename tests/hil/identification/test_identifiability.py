@@ -178,6 +178,26 @@ def test_one_frequency_identifies_no_coupling_unless_its_model_is_known(
     assert [found.trusted(name) for name in ("Kc", "Bc")] == [trusted, trusted]
 
 
+def sequence(channels: dict[str, Array]) -> None:
+    """A joint with dry friction that is moved between two places, and rests at each."""
+    tick, omega, state, level = 1.0 / 500.0, 60.0, np.zeros(2), np.random.default_rng(5).choice([-0.2, 0.2], 2000)
+    for at in range(len(channels["dtheta"])):
+        state += tick * np.array([state[1], omega**2 * (level[at // 50] - state[0]) - 2.0 * omega * state[1]])
+        channels["dtheta"][at], rate = state
+        channels["torque"][at] = 0.3 * state[0] + 3e-3 * rate + 4e-3 * np.sign(rate)
+    channels["torque"] += 3e-4 * np.random.default_rng(6).standard_normal(len(channels["torque"]))
+
+
+@pytest.mark.parametrize(("model", "trusted"), [(None, False), ("linear+skew", True)])
+def test_friction_at_rest_between_two_places_is_not_trusted_as_stiffness(
+    make_recording: Maker, model: str | None, *, trusted: bool
+) -> None:
+    """Kc is 0.32 +- 0.0001 N m/rad, and the residuals are nothing but noise."""
+    found = identify([make_recording(samples=5000, change=sequence)], parse(model) if model else None, SEARCH)
+    assert found.trusted("Kc") == trusted
+    assert ("friction-at-rest" in {one.code for one in found.diagnostics}) != trusted
+
+
 def test_several_speeds_have_nothing_said_of_them(make_recording: Maker) -> None:
     assert not of_damping(identify([make_recording(noise=1e-4)], parse("linear"), SEARCH))
 
