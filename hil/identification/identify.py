@@ -28,6 +28,7 @@ from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging import averaged
 from hil.identification.dataset import Dataset, open_dataset
+from hil.identification.doubts.identifiability import judge
 from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
@@ -35,7 +36,6 @@ from hil.identification.fitting.exact import solved, unproven, without_signs
 from hil.identification.fitting.forecast import forecast
 from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
-from hil.identification.identifiability import judge
 from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification

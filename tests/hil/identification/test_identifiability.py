@@ -14,8 +14,8 @@ from ga.model.coupling import parse
 from ga.model.memory import yielding
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
+from hil.identification.doubts.identifiability import other_stiffness
 from hil.identification.evidence import span_met
-from hil.identification.identifiability import other_stiffness
 from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.selection.rivals import rivals

@@ -1,0 +1,147 @@
+"""What passes for something else in this recording: an inertia, friction, a filter or a late reading."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.friction import looks_like_spring
+from hil.diagnostics import Diagnostic
+from hil.identification.evidence import Evidence
+from hil.uncertainty.criteria import FRICTION, LITTLE_FRICTION, LONGEST_SKEW, PLAY, TICK_SHARE
+
+Array = NDArray[np.float64]
+
+SEVERAL_SPEEDS = "Drive at several speeds (--profile chirp or multisine over two octaves)"
+"""The remedy where one speed hides an effect."""
+
+_OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
+_FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
+_CURVED = {"cubic", "quintic", "progressive", "asymmetric"}  # the terms of a spring that curves or bends
+_RUBS = {"coulomb", "dahl", "lugre", "boucwen", "capstan"}  # and those of friction
+
+
+def confounded(evidence: Evidence) -> list[Diagnostic]:
+    """Return the warnings and errors of effects that the recording cannot distinguish from Kc and Bc."""
+    found = _inertia(evidence) + _one_frequency(evidence) + _friction_at_rest(evidence)
+    return found + _implausible_skew(evidence) + _little_load(evidence)
+
+
+def _inertia(evidence: Evidence) -> list[Diagnostic]:
+    """Return the warning of an inertia in the joint's torque."""
+    if "J" not in evidence.names or evidence.signals.torque_from == "motor":
+        return []
+    inertia = float(evidence.values[evidence.names.index("J")])
+    text = (
+        f"the torque includes an inertia of {inertia:.2g} kg m^2, so it is likely the motor's torque and not the "
+        "joint's. The model has a term for the inertia, so Kc is not affected. Import the torque with "
+        "--motor-torque, and set motor_inertia in the stand file"
+    )
+    return [Diagnostic("inertia-in-torque", text, "Kc")]
+
+
+def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
+    """Return the diagnostic for a motion at one frequency, where more than one coupling has the same torque.
+
+    Beside a part that relaxes, or an inertia, a spring and a damper fit as well. Nobody can select one of these models.
+    """
+    motion, selected = evidence.signals.motion, evidence.selected
+    if not selected and ("J" in evidence.names or evidence.signals.torque_from != "given"):
+        return []
+    if not motion.has_one_frequency:
+        return []
+    text = (
+        "the joint moved at one frequency. There, a part of the stiffness that relaxes looks like more stiffness and "
+        "damping, and an inertia (if the torque is the motor's) like less stiffness. Kc and Bc are those at this "
+        f"frequency. {SEVERAL_SPEEDS}"
+    )
+    known = f". If you know that the joint has neither, name --model {evidence.model.name}" if selected else ""
+    return [Diagnostic("one-frequency", text + known, None if selected else "Kc", is_error=selected)]
+
+
+def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
+    """Return the error of a term that was selected where friction at rest makes one.
+
+    After a step of the set-point of a motion of second order, friction's torque is a sum of those of deflection, rate
+    and acceleration: more stiffness and damping, read too early. After another motion it is nearly that of a curve.
+    """
+    motion, values = evidence.signals.motion, dict(zip(evidence.names, evidence.values.tolist(), strict=True))
+    terms = set(evidence.model.name.split("+"))
+    early = -values.get("skew", 0.0) > 2.0 * TICK_SHARE * float(np.median(np.diff(motion.time)))
+    made = evidence.selected and not terms & _RUBS and (terms & _CURVED or early)
+    if not made or not looks_like_spring(motion):
+        return []
+    other = "a spring that curves" if terms & _CURVED else "a torque that is read before the angle"
+    text = (
+        "the joint rests at one place after each move up, and at another after each move down. Dry friction that holds "
+        f"it there has the torque of more stiffness, and {other} fits as well. Kc and Bc may be wrong. Use --profile "
+        f"multisine or chirp. If you know that there is no friction, name --model {evidence.model.name}"
+    )
+    return [Diagnostic("friction-at-rest", text, is_error=True)]
+
+
+def _little_load(evidence: Evidence) -> list[Diagnostic]:
+    """Return the warning if friction takes most of the torque, or play most of the motion."""
+    values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
+    torque, angle = (_middle_of(one) for one in (evidence.signals.coupling_torque, evidence.signals.motion.dtheta))
+    friction = max((abs(values[name]) for name in _FRICTION if name in values), default=0.0)
+    gap, causes, times = values.get("gap", 0.0), [], 1.0
+    if friction > FRICTION * torque:
+        causes.append(f"friction takes {friction:.2g} N m of the {torque:.2g} N m of torque")
+        times = friction / (LITTLE_FRICTION * torque)
+    if 0.5 * gap > PLAY * angle:
+        beyond = max(0.0, angle - 0.5 * gap)
+        causes.append(f"the joint has {gap:.2g} rad of play and moves only {beyond:.2g} rad beyond it on each side")
+    if not causes:
+        return []
+    text = (
+        f"{', and '.join(causes)}. Kc then depends on the model of that effect. Drive with "
+        f"{f'at least {np.ceil(times):.0f}' if times > 2.0 else 'several'} times the torque"
+    )
+    return [Diagnostic("little-load", text, "Kc")]
+
+
+def _middle_of(values: Array) -> float:
+    """Return half the range of values (n,) without the outermost, which may be outliers."""
+    low, high = np.quantile(values, [_OUTERMOST, 1.0 - _OUTERMOST])
+    return float(0.5 * (high - low))
+
+
+def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
+    """Return the warning of a skew that is too long for one recorder, or of a filter."""
+    if "window" in evidence.names:
+        return [_filtered(evidence)]
+    if "skew" not in evidence.names:
+        return []
+    skew = float(evidence.values[evidence.names.index("skew")])
+    ticks = abs(skew) / float(np.median(np.diff(evidence.signals.motion.time)))
+    if ticks <= LONGEST_SKEW:
+        return []
+    text = (
+        f"the torque reading seems {1e3 * abs(skew):.3g} ms {'older' if skew > 0.0 else 'newer'} than the angle "
+        f"reading, {ticks:.3g} ticks. One recorder reads both within one tick, so the cause may be a filter of the "
+        "torque cell, a slow cell or an inertia. Bc is wrong then. "
+        f"Try --model {evidence.model.name.replace('skew', 'lag')}, or compare the filters of the two sensors"
+    )
+    return [Diagnostic("skew-implausible", text, "Bc")]
+
+
+def _filtered(evidence: Evidence) -> Diagnostic:
+    """Return the diagnostic for a torque that a filter averages: an error, unless the user names the mean.
+
+    Another filter of the same delay fits nearly as well and has another Bc (a Butterworth of 30 Hz: 8 % more).
+    """
+    window, late = (
+        float(evidence.values[evidence.names.index(name)]) if name in evidence.names else 0.0
+        for name in ("window", "skew")
+    )
+    step = float(np.median(np.diff(evidence.signals.motion.whole[0].time)))
+    known = f". If you know that it is a mean, name --model {evidence.model.name}" if evidence.selected else ""
+    return Diagnostic(
+        "filtered-torque",
+        f"a filter acts on the torque: it is {1e3 * late:.3g} ms late and looks like a mean over {1e3 * window:.3g} ms "
+        f"({window / step:.3g} ticks). Bc is wrong if the filter is not a mean. Switch the filter off, or pass the "
+        f"angle through the same filter{known}",
+        "Bc",
+        is_error=evidence.selected,
+    )
