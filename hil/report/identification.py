@@ -200,7 +200,7 @@ def verdicts(found: Identification) -> list[str]:
 def _verdict(found: Identification, estimate: Estimate) -> str:
     value, half, interval, unit = printed(found, estimate)
     codes = [code for code in found.doubts(estimate.name) if code != "two-stiffnesses" or not estimate.depends_on]
-    doubts = f" (not to be trusted: {', '.join(codes)})" if codes else ""
+    doubts = f" (not to be trusted: {', '.join(dict.fromkeys(codes))})" if codes else ""
     if estimate.depends_on is not None:
         return f"{estimate.name} = {interval} {unit} (depends on the {estimate.depends_on}){doubts}"
     if not estimate.identifiable or half is None:

@@ -12,7 +12,7 @@ from hil.uncertainty.criteria import EVIDENCE_AGAINST, narrow
 def rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> list[Diagnostic]:
     """Return what is to know of each undecided term with which Kc or Bc would be outside its interval.
 
-    Errors where the models that the data cannot decide between differ as much as an interval may be wide.
+    Errors where an interval that holds these values too would be wider than one may be.
     """
     undecided = [step for step in steps if not step.included and step.gain > EVIDENCE_AGAINST]
     return [diagnostic for estimate in found[:2] for diagnostic in _rivals(undecided, estimate)]
@@ -22,7 +22,7 @@ def _rivals(undecided: list[Step], estimate: Estimate) -> list[Diagnostic]:
     low, high = estimate.ci95
     values = {step.term: {"Kc": step.Kc, "Bc": step.Bc}[estimate.name] for step in undecided}
     outside = {term: value for term, value in values.items() if not low <= value <= high}
-    possible = [estimate.value, *(value for value in outside.values() if value > 0.0)]
+    possible = [low, high, *(value for value in outside.values() if value > 0.0)]
     is_wide = not narrow(0.5 * (max(possible) - min(possible)), estimate.value)
     return [
         Diagnostic(

@@ -196,7 +196,7 @@ def test_a_real_drive_that_hardly_leaves_its_play_has_a_gap_and_no_stiffness(hil
     assert hil("import", source, *LOCKED, "--where", "test_nr==2", "-o", "a.h5").status == 0
     selected = hil("identify", "a.h5", "--trials", "2", "--json")
     assert selected.status == 1
-    assert not selected.json["parameters"]["Kc"]["identifiable"]
+    assert not selected.json["parameters"]["Kc"]["trusted"]
     named = hil("identify", "a.h5", "--model", "linear+offset+coulomb+backlash", "--trials", "2", "--json").json
     assert 0.02 < named["parameters"]["gap"]["value"] < 0.04
     assert named["parameters"]["gap"]["identifiable"]
