@@ -40,6 +40,7 @@ _TERMS = {  # parameters of terms that leave nothing of these effects: a Maxwell
 _FOLLOWED = 0.02  # of the power of the deflection, which a motion that follows from the command may lack
 _CHANGES = 0.03  # of K' over the band, from which it is said
 _ROUNDED = 0.01  # of the residuals' power, which rounding to counts must be for the tests to see it
+_MOST = 0.5  # of Kc and Bc, which a small effect leaves
 _ROWS = 20_000  # samples, of which it is seen how much of an effect there is
 _OFF_GRID = 0.2  # counts, by which a reading in counts is off their grid at most
 
@@ -139,19 +140,19 @@ def _of_every_bench(described: Described, recorded: Recorded, residuals: Array, 
     model, lacking = recorded.torque - residuals, set(_OF_EVERY_BENCH).difference(described.names)
     codes = {code for name, code in _OF_EVERY_BENCH.items() if name in lacking}
     found = [column for one in EFFECTS if one.code in codes for column in one.signature(recorded, model)]
-    return [one for one in found if _is_possible(described, residuals, columns, one)]
+    return [one for one in found if _is_small(described, residuals, columns, one)]
 
 
-def _is_possible(described: Described, residuals: Array, columns: Array, effect: Array) -> bool:
-    """Whether the residuals ask for so much of an effect (n, 1) only that Kc and Bc stay positive beside it.
+def _is_small(described: Described, residuals: Array, columns: Array, effect: Array) -> bool:
+    """Whether the residuals ask for so little of an effect (n, 1) that it leaves the most of Kc and Bc.
 
-    Averages over models do not contain another one: a skew that takes all the damping would stand for an inertia.
+    Averages over models contain no other one: a skew that takes the damping would stand for an inertia.
     """
     rows = slice(None, None, max(1, len(residuals) // _ROWS))
     both = np.concatenate([columns[rows], effect[rows] * described.kept[rows, None]], axis=1)
     changes = np.linalg.lstsq(both, residuals[rows], rcond=None)[0]
-    found = dict(zip(described.names, (described.values + changes[:-1]).tolist(), strict=True))
-    return all(found[name] > 0.0 for name in ("Kc", "Bc") if name in found)
+    left = dict(zip(described.names, (changes[:-1] + (1.0 - _MOST) * described.values).tolist(), strict=True))
+    return all(left[name] > 0.0 for name in ("Kc", "Bc") if name in left)
 
 
 def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:

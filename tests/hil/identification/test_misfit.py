@@ -55,12 +55,15 @@ def test_a_joint_that_the_model_describes_has_no_misfit(tmp_path: Path, capfd: p
     assert not found["lack_of_fit"]["misfit"]
 
 
-def test_an_inertia_is_no_skew_that_takes_all_the_damping(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("inertia", [4e-5, 2.4e-5])
+def test_an_inertia_is_no_skew_that_takes_the_damping(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], inertia: float
+) -> None:
     speeds = 2.0 * np.pi * np.geomspace(0.4, 4.0, 20)
     waves = 0.02 * np.exp(1j * (np.outer(TIME, speeds) + np.arange(20) ** 2))
     deflection, rate, acceleration = waves.real.sum(axis=1), -(waves.imag @ speeds), -(waves.real @ speeds**2)
     noise = 5e-4 * np.random.default_rng(3).standard_normal(len(TIME))
-    torque = KC * deflection + BC * rate + 4e-5 * acceleration + noise
+    torque = KC * deflection + BC * rate + inertia * acceleration + noise
     read = {"time": TIME, "torque": torque, "dtheta": deflection, "command": deflection}
     write(tmp_path / "a.h5", Header(profile={"kind": "prescribed"}, stand_toml=""), read)
 
