@@ -26,12 +26,12 @@ which it may be late stands beside the model, with its likelihood.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from ga.lad.exact import least_absolute_deviations
@@ -60,6 +60,7 @@ _FALLING = ("Fs", "rise")  # parameters of a model that has it
 _RISE = 0.5  # of friction at speed, by which it is higher at rest: a standard deviation
 _SMALL = 0.1  # of the same: what is in proportion to it
 _RELAXING = (1.0 / 11.0 / 3.0) ** 0.5  # one joint in ten: any part of what looks late, a standard deviation
+_PLACES = 2**44  # in a range, of which each is tried as the end of an interval
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
 _BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
 _CURVES = ("cubic", "quintic", "progressive")  # a spring that curves has no more reason to follow one of them
@@ -120,13 +121,17 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
     mean, and the middle of that interval, would follow such a model where nothing speaks for it.
     """
     values, errors = (np.array(of) for of in zip(*((one.value, one.half_width) for one in found), strict=True))
-    ends = float(np.min(values - 2.0 * errors)), float(np.max(values + 2.0 * errors))
+    low, high = float(np.min(values - 2.0 * errors)), float(np.max(values + 2.0 * errors))
+    step = (high - low) / _PLACES  # scipy.optimize would take a tenth of a run to import
 
     def beyond(share: float) -> float:
-        return float(brentq(lambda x: weights @ ndtr(_NORMAL * (x - values) / errors) - share, *ends))
+        def below(place: int) -> float:
+            return float(weights @ ndtr(_NORMAL * (low + place * step - values) / errors))
 
-    low, value, high = beyond(0.025), beyond(0.5), beyond(0.975)
-    return Averaged(value, max(high - value, value - low))
+        return low + step * bisect_left(range(_PLACES), share, key=below)
+
+    least, value, most = beyond(0.025), beyond(0.5), beyond(0.975)
+    return Averaged(value, max(most - value, value - least))
 
 
 def _around(

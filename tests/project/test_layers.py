@@ -101,3 +101,13 @@ def test_asking_for_help_loads_nothing_heavy() -> None:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stderr.strip() == "[]"
     assert "identify" in run.stdout
+
+
+def test_identifying_loads_none_of_the_slow_parts_of_scipy() -> None:
+    """They take a tenth of a short run; what needs one imports it where it is needed."""
+    code = (
+        "import sys, hil.api.analysis\n"
+        "print([name for name in ('optimize', 'signal', 'stats', 'ndimage') if f'scipy.{name}' in sys.modules])\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"

@@ -192,3 +192,12 @@ def test_a_value_follows_no_unlikely_model_but_its_interval_reaches_it() -> None
     found = averaging._mixed(np.array([0.9, 0.1]), [near, far])
     assert found.value == pytest.approx(1.0, abs=0.01)
     assert found.value + found.half_width == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1.0, 1e3])
+def test_the_interval_of_one_model_is_its_own(scale: float) -> None:
+    """To the last digits that are shown, in the smallest joints and the largest."""
+    one = averaging.Averaged(3.0 * scale, 0.02 * scale)
+    found = averaging._mixed(np.array([1.0]), [one])
+    assert found.value == pytest.approx(one.value, rel=1e-9)
+    assert found.half_width == pytest.approx(one.half_width, rel=1e-4)  # 1.96 is 1.959964
