@@ -16,7 +16,6 @@ import gzip
 import io
 import itertools
 import json
-import multiprocessing
 import sys
 import tempfile
 import time
@@ -26,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from page import machine, write_section
-from truth import rows_of
+from results import append, rows_of
 
 from hil.cli import app as cli
 
@@ -150,11 +149,7 @@ def main() -> None:
     done = {(row["file"], row["number"]) for row in rows_of(options.results)}
     wanted = [one for path in sorted(options.folder.glob("*.csv.gz")) for one in ramps(path)]
     wanted = [one for one in wanted if (Path(one.path).name.removesuffix(".csv.gz"), one.number) not in done]
-    with multiprocessing.get_context("spawn").Pool(options.workers) as pool, options.results.open("a") as file:
-        for count, row in enumerate(pool.imap_unordered(judge, wanted), start=1):
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            print(f"{count} of {len(wanted)}", end="\r", file=sys.stderr, flush=True)
+    append(judge, wanted, options.workers, options.results)
     found = groups(rows_of(options.results))
     broken = misses(found)
     rows = [HEAD, *(line(name, rows) for name, rows in found.items())]

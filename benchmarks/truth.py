@@ -13,20 +13,17 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import hashlib
 import io
 import json
-import multiprocessing
-import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import truth_benches
+from results import append, rows_of, usual_place
 from truth_cases import CASES, RATE, case_named
 from truth_page import UNIDENTIFIABLE, is_confidently_wrong, most_by_chance, tables, write_page
 from truth_recordings import SOURCES, can_make
@@ -35,10 +32,9 @@ from drivers.servo import Status
 from hil.cli import app as cli
 from hil.signals.source import open_sources
 
-ROOT = Path(__file__).parent.parent
 SEEDS, SHORT = 500, 6
+SCRIPTS = ("truth.py", "truth_cases.py", "truth_mujoco.py", "truth_recordings.py")  # that make the recordings
 UNIDENTIFIABLE_PART = 5  # one seed in so many also makes the recordings that cannot identify the parameters
-REPORT_EVERY = 5.0  # s between two lines of progress
 
 
 class Job(NamedTuple):
@@ -111,53 +107,10 @@ def judge(job: Job) -> dict[str, Any]:
         return {**job._asdict(), "asked": job.model, **estimate(path, job.model), "plain": plain(path)}
 
 
-def fingerprint() -> str:
-    """Of all the code that a result depends on."""
-    digest = hashlib.sha256()
-    for folder in ("hil", "ga", "drivers", "sim_backend"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            digest.update(path.read_bytes())
-    for name in ("truth.py", "truth_cases.py", "truth_mujoco.py", "truth_recordings.py"):
-        digest.update((Path(__file__).parent / name).read_bytes())
-    return digest.hexdigest()[:10]
-
-
-def rows_of(results: Path) -> list[dict[str, Any]]:
-    """The results there are; a line that a stopped study left half written is passed over."""
-    rows = []
-    for line in results.read_text(encoding="utf-8").splitlines() if results.exists() else []:
-        with contextlib.suppress(json.JSONDecodeError):
-            rows.append(json.loads(line))
-    return rows
-
-
 def missing(rows: list[dict[str, Any]], wanted: list[Job]) -> list[Job]:
     """The jobs that no row answers, in their order."""
     done = {(row["seed"], row["source"], row["case"], row["asked"]) for row in rows}
     return [job for job in wanted if tuple(job) not in done]
-
-
-def study(jobs: list[Job], workers: int, results: Path) -> None:
-    """Do the jobs in `workers` processes and append each result as it comes."""
-    # each process has one thread: two of them with two each would only be in each other's way
-    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-    results.parent.mkdir(parents=True, exist_ok=True)
-    with multiprocessing.get_context("spawn").Pool(workers) as pool, results.open("a", encoding="utf-8") as file:
-        file.write("\n" if results.stat().st_size else "")  # after a line that was cut short
-        for row in _with_progress(pool.imap_unordered(judge, jobs), len(jobs)):
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-
-
-def _with_progress(rows: Iterator[dict[str, Any]], count: int) -> Iterator[dict[str, Any]]:
-    began = reported = time.monotonic()
-    for number, row in enumerate(rows, start=1):
-        yield row
-        now = time.monotonic()
-        if now - reported > REPORT_EVERY or number == count:
-            reported = now
-            left = (now - began) / number * (count - number)
-            print(f"{number} of {count} recordings, {left / 60.0:.1f} min left", file=sys.stderr, flush=True)
 
 
 def _options() -> argparse.Namespace:
@@ -198,19 +151,18 @@ def breaches(rows: list[dict[str, Any]]) -> list[str]:
 
 def main() -> None:
     options = _options()
-    where = Path(tempfile.gettempdir()) / "hil-truth" / f"{options.model}-{fingerprint()}.jsonl"
-    results = options.results or where
+    results = options.results or usual_place(options.model, *SCRIPTS)
     wanted = wanted_jobs(options, options.seeds or (SHORT if options.short else SEEDS))
     jobs = missing(rows_of(results), wanted)
     print(f"{len(wanted)} recordings of {RATE:g} Hz, {len(wanted) - len(jobs)} done before; results in {results}")
     if jobs:
-        study(jobs, options.workers, results)
+        append(judge, jobs, options.workers, results)
     asked = {tuple(job) for job in wanted}
     rows = [row for row in rows_of(results) if (row["seed"], row["source"], row["case"], row["asked"]) in asked]
     print(tables(options.model, rows) if options.short else write_page(options.model, rows))
     broken = breaches(rows)
     if options.short:
-        broken += truth_benches.study(truth_benches.NAMES, truth_benches.SHORT, options.workers)
+        broken += truth_benches.short(options.workers)
     print("\n".join(broken) or "no promise is broken")
     sys.exit(1 if broken else 0)
 

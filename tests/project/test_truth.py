@@ -31,12 +31,13 @@ class Study(NamedTuple):
     recordings: ModuleType
     page: ModuleType
     truth: ModuleType
+    truth_benches: ModuleType
 
 
 @pytest.fixture(scope="module")
 def study() -> Iterator[Study]:
     sys.path.insert(0, str(BENCHMARKS))
-    names = ("truth_cases", "truth_recordings", "truth_page", "truth")
+    names = ("truth_cases", "truth_recordings", "truth_page", "truth", "truth_benches")
     yield Study(*(importlib.import_module(name) for name in names))
     sys.path.remove(str(BENCHMARKS))
 
@@ -190,6 +191,29 @@ def test_a_study_goes_on_behind_a_line_that_was_cut_short(study: Study, tmp_path
     )
     wanted = [study.truth.Job(seed, "closed form", "clean", "linear") for seed in (0, 1)]
     assert study.truth.missing(study.truth.rows_of(results), wanted) == wanted[1:]
+
+
+def test_the_page_of_the_benches_counts_what_is_wrong_and_what_is_flagged(study: Study) -> None:
+    def row(seed: int, error: float, status: int = 0, code: str = "") -> dict[str, object]:
+        wrong = abs(error) > 1.5 * 0.02 and not status and not code
+        errors = {"Kc": (error, 0.02), "Bc": (0.0, 0.1)}
+        said = {"status": status, "model": "linear", "flagged": code == "misfit", "wrong": wrong}
+        return {"seed": seed, "bench": "linear", "effects": "linear", "errors": errors, **said}
+
+    name = study.truth_benches.NAMES[0]
+    rows = [
+        row(0, 0.0),
+        row(1, 0.025),
+        row(2, 0.04),
+        row(3, 0.04, 1),
+        row(4, 0.04, 0, "misfit"),
+        row(5, 0.04, 0, "misfit"),
+    ]
+    text = study.truth_benches.page([one | {"bench": name, "effects": name} for one in rows])
+    assert "6 recordings, 1 of them confidently wrong; 6 of a bench that a model describes, 2 of these with" in text
+    assert "held Kc in 1 of 5 and Bc in 5 of 5" in text
+    assert f"| {name} | 6 | linear (6) | +4.00% ± 2.00% | +0.00% ± 10.00% | 5 | 2 | 1 |" in text
+    assert "2 of 6 recordings that a model describes are flagged as misfit" in text
 
 
 def test_the_page_judges_bias_and_coverage(study: Study) -> None:
