@@ -42,6 +42,11 @@ FROM_ONE_SIDE: Final = 0.8
 """Part of the samples in which a joint rests, and the correlation of the place with the direction that it came from,
 from which on the friction that holds it there has the torque of a spring."""
 
+HIDDEN: Final = 1000.0
+OF_SPRING: Final = 0.5
+"""Variance inflation from which friction cannot be distinguished from stiffness and damping, and the part of it that
+is then stiffness: of that at the ends of the range."""
+
 NOISY: Final = 0.5
 FINEST: Final = 0.001
 SMOOTHEST: Final = 0.05
@@ -104,12 +109,48 @@ def looks_like_spring(motion: Motion) -> bool:
     """
     import numpy as np
 
-    resting = np.abs(motion.dtheta_dot) < max(slowest(motion), QUIET * _usual(motion))
+    resting = _resting(motion)
     if resting.mean() < OFTEN:
         return False
-    last = np.maximum.accumulate(np.where(resting, 0, np.arange(len(motion))))  # the sample that moved before
-    side, place = np.sign(motion.dtheta_dot)[last][resting], motion.dtheta[resting]
+    side, place = _holding(motion, resting)[resting], motion.dtheta[resting]
     return bool(side.std() > 0.0 and place.std() > 0.0 and np.corrcoef(side, place)[0, 1] > FROM_ONE_SIDE)
+
+
+def is_hidden(motion: Motion, smooth: NDArray[np.bool_]) -> bool:
+    """Return whether friction has the torque of more stiffness and damping in all of the motion; smooth (n,): where
+    the rate is right.
+
+    So it has behind a drive of first order that comes to rest at each of two places: its rate is in proportion to the
+    way that is left, and friction holds the direction until the next step.
+    """
+    import numpy as np
+
+    whole, rows = motion.whole
+    friction = whole.filtered(_holding(whole, _resting(whole)))[rows]
+    spread = float(friction[smooth].std()) if smooth.any() else 0.0
+    if spread == 0.0:
+        return False
+    half = max(0.5 * float(np.ptp(motion.dtheta)), np.finfo(float).tiny)
+    columns = np.stack([motion.dtheta / half, motion.dtheta_dot / max(_usual(motion), np.finfo(float).tiny)], axis=1)
+    columns = np.column_stack([columns, np.ones(len(motion))])[smooth]
+    parts = np.linalg.lstsq(columns, friction[smooth], rcond=None)[0]
+    left = float(np.std(friction[smooth] - columns @ parts))
+    return bool(parts[0] > OF_SPRING and HIDDEN * left**2 < spread**2)
+
+
+def _resting(motion: Motion) -> NDArray[np.bool_]:
+    """In which samples (n,) the joint is as slow as where it rests."""
+    import numpy as np
+
+    return np.asarray(np.abs(motion.dtheta_dot) < max(slowest(motion), QUIET * _usual(motion)))
+
+
+def _holding(motion: Motion, resting: NDArray[np.bool_]) -> Array:
+    """The sign (n,) of friction that keeps its direction while the joint is resting (n,)."""
+    import numpy as np
+
+    last = np.maximum.accumulate(np.where(resting, 0, np.arange(len(motion))))  # the sample that moved before
+    return np.asarray(np.sign(motion.dtheta_dot)[last])
 
 
 def _usual(motion: Motion) -> float:

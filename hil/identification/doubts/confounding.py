@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.friction import looks_like_spring
+from ga.model.friction import is_hidden, looks_like_spring
 from hil.diagnostics import Diagnostic
 from hil.identification.evidence import Evidence
+from hil.signals.windows import is_smooth
 from hil.uncertainty.criteria import FRICTION, LITTLE_FRICTION, LONGEST_SKEW, PLAY, TICK_SHARE
 
 Array = NDArray[np.float64]
@@ -60,22 +61,28 @@ def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
-    """Return the error of a term that was selected where friction at rest makes one.
+    """Return the error of Kc and Bc where friction at rest would be a part of them.
 
-    After a step of the set-point of a motion of second order, friction's torque is a sum of those of deflection, rate
-    and acceleration: more stiffness and damping, read too early. After another motion it is nearly that of a curve.
+    After a step of the set-point of a motion of first order, friction's torque is a sum of those of deflection and
+    rate: nothing shows it. After one of second order it has a part of the acceleration too: more stiffness and damping,
+    read too early. After another motion it is nearly that of a curve.
     """
     motion, values = evidence.signals.motion, dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     terms = set(evidence.model.name.split("+"))
     early = -values.get("skew", 0.0) > 2.0 * TICK_SHARE * float(np.median(np.diff(motion.time)))
-    made = evidence.selected and not terms & _RUBS and (terms & _CURVED or early)
-    if not made or not looks_like_spring(motion):
+    if not evidence.selected or terms & _RUBS:
         return []
-    other = "a spring that curves" if terms & _CURVED else "a torque that is read before the angle"
+    if (terms & _CURVED or early) and looks_like_spring(motion):
+        other = "a spring that curves" if terms & _CURVED else "a torque that is read before the angle"
+        fits = f"has the torque of more stiffness, and {other} fits as well"
+    elif is_hidden(motion, is_smooth(motion)):
+        fits = "has the torque of more stiffness and damping, in this motion at every sample"
+    else:
+        return []
     text = (
         "the joint rests at one place after each move up, and at another after each move down. Dry friction that holds "
-        f"it there has the torque of more stiffness, and {other} fits as well. Kc and Bc may be wrong. Use --profile "
-        f"multisine or chirp. If you know that there is no friction, name --model {evidence.model.name}"
+        f"it there {fits}. Kc and Bc may be wrong. Use --profile multisine or chirp. If you know that there is no "
+        f"friction, name --model {evidence.model.name}"
     )
     return [Diagnostic("friction-at-rest", text, is_error=True)]
 

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from ga.model.coupling import CouplingModel, parse
+from ga.model.friction import is_hidden
 from ga.model.polishing import polished
 from ga.model.separable import Fit, Problem, descend, fit
 from ga.model.terms import TERMS, is_addable
@@ -343,3 +344,17 @@ def test_the_jacobian_is_the_derivative_of_what_the_model_explains(name: str) ->
         expected = (explained[0] - explained[1]) / 2e-6
         alike = np.isclose(found[:, k], expected, rtol=0.01, atol=0.01 * np.abs(expected).max() + 1e-9)
         assert np.mean(alike) > 0.9
+
+
+@pytest.mark.parametrize(("order", "hidden"), [(1, True), (2, False), (0, False)])
+def test_friction_is_hidden_behind_a_drive_of_first_order_between_two_places(order: int, *, hidden: bool) -> None:
+    """Order 0: a triangle, where friction is damping and no stiffness; of second order, it has another torque."""
+    step, period, omega, time = 2e-3, 0.5, 20.0, 2e-3 * np.arange(4000)
+    since, up = time % period, 1.0 - 2.0 * (np.floor(time / period) % 2.0)
+    left = np.exp(-omega * since) * (1.0 + omega * since if order == 2 else 1.0)
+    place = up * (1.0 - 2.0 * left)
+    rate = 2.0 * up * omega * np.exp(-omega * since) * (omega * since if order == 2 else 1.0)
+    if order == 0:
+        place, rate = up * (2.0 * since / period - 1.0), 2.0 * up / period
+    motion = Motion(time, 0.2 * place, 0.2 * rate, np.gradient(0.2 * rate, step), np.zeros(len(time)))
+    assert is_hidden(motion, np.ones(len(motion), dtype=bool)) == hidden

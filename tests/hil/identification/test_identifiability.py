@@ -205,6 +205,29 @@ def test_friction_at_rest_between_two_places_is_not_trusted_as_stiffness(
     assert ("friction-at-rest" in {one.code for one in found.diagnostics}) != trusted
 
 
+def relaxed_to_two_places(channels: dict[str, Array]) -> None:
+    """The same joint behind a drive of first order, whose rate is in proportion to the way that is left."""
+    tick, omega, place, level = 1.0 / 500.0, 20.0, 0.0, np.random.default_rng(5).choice([-0.2, 0.2], 2000)
+    for at in range(len(channels["dtheta"])):
+        rate = omega * (level[at // 150] - place)
+        channels["dtheta"][at] = place
+        channels["torque"][at] = 0.3 * place + 3e-3 * rate + 4e-3 * np.sign(level[at // 150])
+        place += (1.0 - np.exp(-omega * tick)) * (level[at // 150] - place)
+    channels["torque"] += 3e-4 * np.random.default_rng(6).standard_normal(len(channels["torque"]))
+
+
+@pytest.mark.parametrize(("model", "trusted"), [(None, False), ("linear+offset", True)])
+def test_friction_that_is_stiffness_at_every_sample_is_not_trusted_as_stiffness(
+    make_recording: Maker, model: str | None, *, trusted: bool
+) -> None:
+    """Kc is 0.32 N m/rad, neither a curve nor an early torque reading is in the model selected."""
+    found = identify(
+        [make_recording(samples=10000, change=relaxed_to_two_places)], parse(model) if model else None, SEARCH
+    )
+    assert found.trusted("Kc") == trusted
+    assert ("friction-at-rest" in {one.code for one in found.diagnostics}) != trusted
+
+
 def test_several_speeds_have_nothing_said_of_them(make_recording: Maker) -> None:
     assert not of_damping(identify([make_recording(noise=1e-4)], parse("linear"), SEARCH))
 
