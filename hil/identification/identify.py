@@ -36,7 +36,7 @@ from hil.identification.fitting.exact import solved, unproven, without_signs
 from hil.identification.fitting.forecast import forecast
 from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
-from hil.identification.misfit import Described, misfit_diagnostics, tested, without_model
+from hil.identification.misfit import Described, misfit_diagnostics, outweighed_spring, tested, without_model
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
@@ -156,6 +156,7 @@ def _identified(
                 + rivals(steps, found)
                 + deflection_diagnostics(evidence)
                 + misfit_diagnostics(described, data.choice.model.name, fit, dynamic)
+                + outweighed_spring(described, fit)
             ),
             signals=data.signals,
             values=solution.values,
