@@ -42,11 +42,12 @@ FROM_ONE_SIDE: Final = 0.8
 """Part of the samples in which a joint rests, and the correlation of the place with the direction that it came from,
 from which on the friction that holds it there has the torque of a spring."""
 
-HIDDEN: Final = 5000.0
+LATER: Final = 2
+HIDDEN: Final = 125.0
 OF_SPRING: Final = 0.5
-"""Variance inflation from which friction cannot be distinguished from stiffness and damping, and the part of it that
-is then stiffness: of that at the ends of the range. Behind a drive of second order whose acceleration jumps as fast as
-30 samples a period resolve, it reaches 3500."""
+"""Samples between two places, the variance inflation from which friction cannot be distinguished from a function of the
+two, and the part of it that is then stiffness: of that at the ends of the range. Behind drives of first order it is
+190 or more (what the angle went through rounds the start of each move), behind those of second order 90 or less."""
 
 NOISY: Final = 0.5
 FINEST: Final = 0.001
@@ -117,29 +118,31 @@ def looks_like_spring(motion: Motion) -> bool:
     return bool(side.std() > 0.0 and place.std() > 0.0 and np.corrcoef(side, place)[0, 1] > FROM_ONE_SIDE)
 
 
-def is_hidden(motion: Motion, smooth: NDArray[np.bool_]) -> bool:
-    """Return whether friction has the torque of more stiffness and damping in all of the motion; smooth (n,): where
-    the rate is right.
+def is_hidden(motion: Motion) -> bool:
+    """Return whether friction has the torque of more stiffness and damping in all of the motion.
 
-    So it has behind a drive of first order that comes to rest at each of two places: its rate is in proportion to the
-    way that is left, and friction holds the direction until the next step.
+    So it has behind a drive of first order between two places: its rate is in proportion to the way that is left, and
+    friction holds the direction until the next step. The direction is then a linear function of where the joint is, and
+    where it is a few samples later. The rate would not do: beside a step it depends on the window.
     """
     import numpy as np
 
-    whole, rows = motion.whole
-    sign = _holding(whole, _resting(whole))
-    turns = np.diff(sign, prepend=sign[:1]) != 0.0
-    turns[:-1] |= turns[1:]  # when it turned between two samples is not known
-    friction, seen = whole.filtered(sign)[rows], smooth & ~turns[rows]
-    spread = float(friction[seen].std()) if seen.any() else 0.0
-    if spread == 0.0:
+    whole, _ = motion.whole
+    if len(whole) <= LATER or np.ptp(whole.dtheta) == 0.0:
         return False
-    half = max(0.5 * float(np.ptp(motion.dtheta)), np.finfo(float).tiny)
-    columns = np.stack([motion.dtheta / half, motion.dtheta_dot / max(_usual(motion), np.finfo(float).tiny)], axis=1)
-    columns = np.column_stack([columns, np.ones(len(motion))])[seen]
-    parts = np.linalg.lstsq(columns, friction[seen], rcond=None)[0]
-    left = float(np.std(friction[seen] - columns @ parts))
-    return bool(parts[0] > OF_SPRING and HIDDEN * left**2 < spread**2)
+    sign = _holding(whole, _resting(whole))
+    turned = np.cumsum(np.diff(sign, prepend=sign[:1]) != 0.0) + whole.stretch
+    alike = turned[LATER:] == turned[:-LATER]
+    alike[:-1] &= alike[1:]  # when it turned is known to a sample
+    place, friction = whole.dtheta / (0.5 * np.ptp(whole.dtheta)), whole.filtered(sign)[:-LATER][alike]
+    way = place[LATER:] - place[:-LATER]
+    columns = np.stack([place[:-LATER], way / max(float(way.std()), np.finfo(float).tiny), np.ones(len(way))], axis=1)[
+        alike
+    ]
+    if not len(friction):
+        return False
+    parts = np.linalg.lstsq(columns, friction, rcond=None)[0]
+    return bool(parts[0] > OF_SPRING and HIDDEN * np.var(friction - columns @ parts) < np.var(friction))
 
 
 def _resting(motion: Motion) -> NDArray[np.bool_]:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from ga.model.friction import is_hidden, looks_like_spring
 from hil.diagnostics import Diagnostic
 from hil.identification.evidence import Evidence
-from hil.signals.windows import is_smooth
 from hil.uncertainty.criteria import FRICTION, LITTLE_FRICTION, LONGEST_SKEW, PLAY, TICK_SHARE
 
 Array = NDArray[np.float64]
@@ -75,7 +74,7 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     if (terms & _CURVED or early) and looks_like_spring(motion):
         other = "a spring that curves" if terms & _CURVED else "a torque that is read before the angle"
         fits = f"has the torque of more stiffness, and {other} fits as well"
-    elif is_hidden(motion, is_smooth(motion)):
+    elif is_hidden(motion):
         fits = "has the torque of more stiffness and damping, in this motion at every sample"
     else:
         return []

@@ -357,4 +357,4 @@ def test_friction_is_hidden_behind_a_drive_of_first_order_between_two_places(ord
     if order == 0:
         place, rate = up * (2.0 * since / period - 1.0), 2.0 * up / period
     motion = Motion(time, 0.2 * place, 0.2 * rate, np.gradient(0.2 * rate, step), np.zeros(len(time)))
-    assert is_hidden(motion, np.ones(len(motion), dtype=bool)) == hidden
+    assert is_hidden(motion) == hidden
