@@ -112,6 +112,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     late = EARLIER if signals.torque_from == "given" else LATE
     accounts = tuple(term for term in late if term in (*terms, *rarer))
     highest, seen, window = signals.band[1], signals.rate_known, signals.window
+    errors = (window.of_deflection, window.noise) if window else (0.0, 0.0)
     motion, torque = _seen(signals.motion, seen), signals.torque[seen]
     found = stepwise.select(
         motion,
@@ -121,13 +122,15 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         rarer=rarer,
         accounts=accounts,
         describes=lambda found, averaged: _describes(found, signals, seen, averaged=averaged),
-        errors=(window.of_deflection, window.noise) if window else (0.0, 0.0),
+        errors=errors,
     )
     sticking = _is_sticking(found.model, motion, found.delay, found.residuals)
     if sticking:
         described = found.model.described(motion, found.delay)
         rarer = tuple(term for term in rarer if term in found.model.name.split("+"))
-        again = stepwise.select(motion.of(described), torque[described], highest, (*terms, *rarer), accounts=accounts)
+        again = stepwise.select(
+            motion.of(described), torque[described], highest, (*terms, *rarer), accounts=accounts, errors=errors
+        )
         found = again if again.model.sticks else found
     model = found.model.anchored(signals.motion)
     return Choice(model, found.steps, sticking, found.delay, found.alternatives, found.lateness)

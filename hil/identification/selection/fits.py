@@ -23,17 +23,22 @@ FOLDS = 10
 
 _STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
 _MARGIN = 1e-4  # of a range, within which a value is at its end
+_OUTERMOST = 4.0  # standard deviations, by which errors move the outermost readings of a joint that rests there
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model's fit to all the samples; held_out: (FOLDS,) N m, of blocks that fits to the others did not see."""
+    """A model's fit to all the samples; held_out: (FOLDS,) N m, of blocks that fits to the others did not see.
+
+    error: rad, the standard deviation of that of the deflection.
+    """
 
     terms: tuple[str, ...]
     model: CouplingModel
     problem: Problem
     fit: Fit
     held_out: Array
+    error: float = 0.0
 
     @property
     def stiffness(self) -> float:
@@ -96,7 +101,17 @@ class Candidate:
         """
         values = self.values
         at_zero = any(parameter.positive and values[parameter.name] <= 0.0 for parameter in TERMS[term].parameters)
-        return at_zero or self.is_stop(term) or (term in LATE and "lag" in values and values.get("skew", 0.0) < 0.0)
+        early = term in LATE and "lag" in values and values.get("skew", 0.0) < 0.0
+        return at_zero or early or self.is_stop(term) or self.is_in_errors(term)
+
+    def is_in_errors(self, term: str) -> bool:
+        """Return whether the term makes the joint slack by no more than errors of its outermost readings amount to.
+
+        A spring that ends where the joint rests takes out the errors there, and says nothing of a tendon.
+        """
+        if term != "slack":
+            return False
+        return self.values["slack"] - float(self.problem.motion.dtheta.min()) < _OUTERMOST * self.error
 
     def is_stop(self, term: str) -> bool:
         """Return whether the term makes the spring many times as stiff in one direction: that is a stop."""
@@ -110,12 +125,14 @@ class Candidate:
 class Fits:
     """A recording, and the models fitted to it so far, each of them once.
 
-    motion: (n,); torque: (n,) N m; highest: Hz, up to where the joint moved.
+    motion: (n,); torque: (n,) N m; highest: Hz, up to where the joint moved. error: rad, the standard deviation of that
+    of the deflection.
     """
 
     motion: Motion
     torque: Array
     highest: float
+    error: float = 0.0
     _fitted: dict[tuple[str, ...], Candidate] = field(default_factory=dict, init=False)
     _previews: dict[tuple[str, ...], Fit | None] = field(default_factory=dict, init=False)
 
@@ -140,7 +157,7 @@ class Fits:
         problem, seen = self._problem(terms), self.preview(terms)
         if seen is None:
             return True
-        found = Candidate(terms, _model(terms), problem, seen, np.empty(0))
+        found = Candidate(terms, _model(terms), problem, seen, np.empty(0), self.error)
         return found.is_at_end(terms[-1]) or found.is_stop(terms[-1])
 
     def candidate(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate:
@@ -152,7 +169,8 @@ class Fits:
             problem, seen = self._problem(terms), self._previews.get(terms)
             near = _named(beside.model, beside.fit) if beside else {}
             found = fit(problem, near) if seen is None else local_minimum(problem, seen.nonlinear, near)
-            self._fitted[terms] = Candidate(terms, _model(terms), problem, found, _held_out(problem, found))
+            held_out = _held_out(problem, found)
+            self._fitted[terms] = Candidate(terms, _model(terms), problem, found, held_out, self.error)
         return self._fitted[terms]
 
     def with_value(self, terms: tuple[str, ...], smaller: Candidate, value: float) -> Candidate:
@@ -163,7 +181,7 @@ class Fits:
         problem = self._problem(terms)
         nonlinear = _named(smaller.model, smaller.fit) | {own(terms[-1])[0]: value}
         found = problem.solve(np.array([nonlinear[one.name] for one in problem.model.nonlinear]))
-        return Candidate(terms, _model(terms), problem, found, np.empty(0))
+        return Candidate(terms, _model(terms), problem, found, np.empty(0), self.error)
 
     def held_out(self, terms: tuple[str, ...], found: Fit) -> Array:
         """Return the errors (FOLDS,), N m, of held-out blocks with the nonlinear parameters of a fit."""

@@ -118,7 +118,7 @@ def select(
     be. errors: rad and rad/s, the standard deviations of those of deflection and rate.
     Raises RuntimeError where not even the smallest model can be fitted.
     """
-    fits, smallest = Fits(motion, torque, highest), _smallest(terms)
+    fits, smallest = Fits(motion, torque, highest, errors[0]), _smallest(terms)
     steps = _Steps(fits, criterion_of(fits, terms, smallest), terms)
     usual = steps.forward(fits.candidate(smallest))
     late = LateReading(fits, steps.criterion, accounts)

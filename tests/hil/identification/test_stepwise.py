@@ -392,3 +392,20 @@ def test_a_spring_that_is_hundreds_of_times_as_stiff_in_one_direction_is_a_stop(
     torque = linear(moved) + (times - 1.0) * KC * beyond + 1e-5 * np.random.default_rng(0).standard_normal(SAMPLES)
     motion = Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
     assert Fits(motion, torque, HIGHEST).is_rejected(("linear", "offset", "asymmetric")) is stops
+
+
+@pytest.mark.parametrize(("beyond", "expected"), [(0.0, "linear+offset"), (0.02, "linear+offset+slack")])
+def test_a_joint_that_rests_at_two_angles_is_slack_by_more_than_errors_of_these(beyond: float, expected: str) -> None:
+    """Where it rests, the errors of the readings are in no torque, and a tendon that is slack there takes them out."""
+    error, generator = 2e-3, np.random.default_rng(0)
+    starts = np.arange(0.25, SAMPLES / RATE, 0.5)
+    turn = np.pi * np.clip((TIME[:, None] - starts) / 0.1, 0.0, 1.0)
+    signs = np.where(np.arange(len(starts)) % 2 == 0, 1.0, -1.0)
+    angle = 0.35 * ((1.0 - np.cos(turn)) @ signs - 1.0)
+    rate, acceleration = 3.5 * np.pi * np.sin(turn) @ signs, 35.0 * np.pi**2 * np.cos(turn) * (np.sin(turn) > 0) @ signs
+    pulled = np.maximum(angle + 0.35 - beyond, 0.0)
+    torque = (KC * pulled + BC * rate) * (pulled > 0.0) + 2e-5 * generator.standard_normal(SAMPLES)
+    read = angle + error * generator.standard_normal(SAMPLES)
+    motion = Motion(TIME, read, rate, acceleration, np.zeros(SAMPLES))
+    chosen = select(motion, torque, HIGHEST, ("offset", "slack"), errors=(error, 0.0))
+    assert chosen.model.name == expected
