@@ -134,13 +134,12 @@ def is_hidden(motion: Motion) -> bool:
     turned = np.cumsum(np.diff(sign, prepend=sign[:1]) != 0.0) + whole.stretch
     alike = turned[LATER:] == turned[:-LATER]
     alike[:-1] &= alike[1:]  # when it turned is known to a sample
+    if not alike.any():
+        return False
     place, friction = whole.dtheta / (0.5 * np.ptp(whole.dtheta)), whole.filtered(sign)[:-LATER][alike]
     way = place[LATER:] - place[:-LATER]
-    columns = np.stack([place[:-LATER], way / max(float(way.std()), np.finfo(float).tiny), np.ones(len(way))], axis=1)[
-        alike
-    ]
-    if not len(friction):
-        return False
+    way /= max(float(way.std()), np.finfo(float).tiny)
+    columns = np.stack([place[:-LATER], way, np.ones(len(way))], axis=1)[alike]
     parts = np.linalg.lstsq(columns, friction, rcond=None)[0]
     return bool(parts[0] > OF_SPRING and HIDDEN * np.var(friction - columns @ parts) < np.var(friction))
 
