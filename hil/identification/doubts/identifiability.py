@@ -136,13 +136,15 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
     elif negative is not None:
         text = (
             f"{name} would be {negative:.3g} {_unit(evidence, at)}, but it cannot be negative. "
-            f"{_IMPLAUSIBLE.get(name, 'Bc is wrong by the same torque. Leave the term out, or try --model auto')}"
+            f"{_IMPLAUSIBLE.get(name, 'Bc is wrong by the same torque. Leave the term out')}"
+            f"{'' if evidence.selected or name == 'Kc' else ', or try --model auto'}"
         )
         found.append(Diagnostic("implausible", text, name if is_error else "Bc", is_error=True))
     elif name == "Bc" and evidence.friction_likeness > ONE_SPEED:
         text = (
             "the joint moved at one speed, where dry friction looks like damping. The model has no term for friction, "
-            f"so Bc includes most of any friction. {SEVERAL_SPEEDS}, and try --model auto"
+            f"so Bc includes most of any friction. {SEVERAL_SPEEDS}"
+            f"{'' if evidence.selected else ', and try --model auto'}"
         )
         found.append(Diagnostic("one-speed", text, name))
     return found
@@ -150,7 +152,7 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
 
 _IMPLAUSIBLE = {
     "Kc": "A sign is wrong: check that a positive torque makes a positive deflection",
-    "Bc": "Torque and angle are exchanged or not read together, or there is friction. Check this, or try --model auto",
+    "Bc": "Torque and angle are exchanged or not read together, or there is friction. Check this",
 }
 
 

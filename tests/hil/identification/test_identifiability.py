@@ -107,6 +107,21 @@ def test_a_friction_that_would_be_negative_is_zero_and_makes_the_damping_untrust
     assert "Fc would be -0.001 N m, but it cannot be negative" in said.message
 
 
+def against_damping(channels: dict[str, Array]) -> None:
+    """As without dry friction, but the torque helps the motion as a negative damping would."""
+    driven_backwards(channels)
+    channels["torque"] = 0.02 * channels["dtheta"] - 2e-3 * channels["dtheta_dot"]
+    channels["torque"] += 1e-4 * np.random.default_rng(1).standard_normal(len(channels["time"]))
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_model_selection_is_a_remedy_only_where_the_model_was_named(make_recording: Maker, named: bool) -> None:
+    found = identify([make_recording(change=against_damping)], parse("linear") if named else None, SEARCH)
+    (said,) = [one for one in found.diagnostics if one.code == "implausible" and one.parameter == "Bc"]
+    assert "Bc would be -0.002 N m s/rad" in said.message
+    assert ("--model auto" in said.message) is named
+
+
 def numbers_in(table: Any) -> Iterator[float]:
     """The values, ends of intervals and bounds of the parameters in a result's JSON."""
     for one in table["parameters"].values():
