@@ -33,9 +33,10 @@ COLUMNS = ("--time", "TIME", "--torque", "TORQUE", "--dtheta", "POSITION")
 UNITS = ("--time-unit", "s", "--torque-unit", "N*m", "--dtheta-unit", "rev")
 PLAY = 100  # ramps below this number are of 4 N m over 4 s, the others of 25 to 40 N m over 20 s
 SAME, RATIO, UNEXPLAINED = 0.8, 1.05, 0.08  # bars: share of files, Kc largest over smallest, share of the torque
-HEAD = (
-    "| file | ramps | models (count) | Kc refused | Kc, N m/rad | largest/smallest | unexplained, % | misfit |\n|"
-    + " --- |" * 8
+HEAD = "| file | ramp | model | Kc, N m/rad | unexplained, % | misfit |\n|" + " --- |" * 6
+SUMMARY_HEAD = (
+    "| ramps | Kc refused | files with one model | consecutive pairs with one model | largest/smallest Kc | with those "
+    "that are refused | unexplained, % |\n|" + " --- |" * 7
 )
 
 Row = dict[str, Any]
@@ -84,17 +85,26 @@ def judge(ramp: Ramp) -> Row:
     }
 
 
-def line(name: str, rows: Sequence[Row]) -> str:
-    """The line of the ramps of one kind of one file."""
-    models = [row["model"] for row in rows]
-    counts = ", ".join(f"{model or 'none'} ({models.count(model)})" for model in dict.fromkeys(models))
-    trusted = stiffness(rows)
-    extent = f"{min(trusted):.0f} to {max(trusted):.0f}" if trusted else "-"
-    apart = f"{ratio(rows):.2f}" if len(trusted) > 1 else "-"
-    numbers = f"{rows[0]['number']} to {rows[-1]['number']}"
-    flagged, refused = sum("misfit" in row["codes"] for row in rows), len(rows) - len(trusted)
-    left = f"{100.0 * unexplained(rows):.1f}"
-    return f"| {name} | {numbers} | {counts} | {refused} | {extent} | {apart} | {left} | {flagged} |"
+def line(row: Row) -> str:
+    """The line of one ramp; a Kc that is refused stands in brackets."""
+    kc = "none" if row["Kc"] is None else f"{row['Kc']:.0f}"
+    kc = kc if row["status"] == 0 else f"refused ({kc})"
+    left = "-" if row["unexplained"] is None else f"{100.0 * row['unexplained']:.1f}"
+    flagged = "yes" if "misfit" in row["codes"] else "untested" if "misfit-untested" in row["codes"] else "no"
+    return f"| {row['file']} | {row['number']} | {row['model'] or 'none'} | {kc} | {left} | {flagged} |"
+
+
+def summary(kind: str, found: Sequence[list[Row]]) -> str:
+    """The line of the files' ramps of one kind: medians over the files, and counts."""
+    every = [row for rows in found for row in rows]
+    refused = sum(row["status"] != 0 for row in every)
+    alike = sum(len({row["model"] for row in rows}) == 1 for rows in found)
+    pairs = [one["model"] == next_one["model"] for rows in found for one, next_one in itertools.pairwise(rows)]
+    trusted, whole = ([one for rows in found if not np.isnan(one := of(rows))] for of in (ratio, ratio_of_all))
+    apart = [f"{np.median(of):.2f} ({len(of)})" if of else "-" for of in (trusted, whole)]
+    left = 100.0 * typical([unexplained(rows) for rows in found])
+    cells = [f"{kind} ({len(every)})", refused, f"{alike} of {len(found)}", f"{sum(pairs)} of {len(pairs)}", *apart]
+    return "| " + " | ".join(str(cell) for cell in cells) + f" | {left:.1f} |"
 
 
 def stiffness(rows: Sequence[Row]) -> list[float]:
@@ -108,10 +118,20 @@ def ratio(rows: Sequence[Row]) -> float:
     return max(found) / min(found) if len(found) > 1 else float("nan")
 
 
+def ratio_of_all(rows: Sequence[Row]) -> float:
+    """The same, with the values that were refused."""
+    return ratio([row | {"status": 0} for row in rows if row["Kc"]])
+
+
 def unexplained(rows: Sequence[Row]) -> float:
     """The median of what the model leaves of the torque's spread in samples that it was not fitted to."""
-    found = [row["unexplained"] for row in rows if row["unexplained"] is not None]
-    return float(np.median(found)) if found else float("nan")
+    return typical([row["unexplained"] for row in rows if row["unexplained"] is not None])
+
+
+def typical(values: Sequence[float]) -> float:
+    """The median of those that are known; NaN where none is."""
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.median(known)) if known else float("nan")
 
 
 def groups(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -128,8 +148,8 @@ def misses(found: dict[str, list[Row]]) -> list[str]:
     """A sentence for each bar that is missed."""
     same = float(np.mean([len({row["model"] for row in rows}) == 1 for rows in found.values()]))
     ratios = [one for rows in found.values() if not np.isnan(one := ratio(rows))]
-    spread = float(np.median(ratios)) if ratios else float("nan")
-    left = float(np.nanmedian([unexplained(rows) for rows in found.values()]))
+    spread = typical(ratios)
+    left = typical([unexplained(rows) for rows in found.values()])
     silent = [row for rows in found.values() for row in rows if (row["unexplained"] or 0.0) > UNEXPLAINED]
     silent = [row for row in silent if row["status"] == 0 and "misfit" not in row["codes"]]
     return [
@@ -138,6 +158,21 @@ def misses(found: dict[str, list[Row]]) -> list[str]:
         *([f"{left:.1%} of the torque's spread is unexplained (median), more than 8 %"] if left > UNEXPLAINED else []),
         *([f"{len(silent)} ramps with more than 8 % unexplained carry no misfit"] if silent else []),
     ]
+
+
+def page(rows: Sequence[Row]) -> str:
+    """The section of docs/accuracy.md: both kinds of ramps, the bars that are missed, and every ramp."""
+    found = groups(rows)
+    kinds = {kind: [mine for name, mine in found.items() if name.endswith(kind)] for kind in ("stiffness", "play")}
+    in_order = sorted(rows, key=lambda row: (row["file"], row["number"]))
+    return "\n\n".join(
+        [
+            f"{machine()}. In brackets: the number of ramps, or of files that a median is of.",
+            "\n".join([SUMMARY_HEAD, *(summary(kind, files) for kind, files in kinds.items() if files)]),
+            "Of both kinds: " + ("; ".join(misses(found)) or "no bar is missed") + ".",
+            "\n".join([HEAD, *(line(row) for row in in_order)]),
+        ]
+    )
 
 
 def main() -> None:
@@ -150,11 +185,9 @@ def main() -> None:
     wanted = [one for path in sorted(options.folder.glob("*.csv.gz")) for one in ramps(path)]
     wanted = [one for one in wanted if (Path(one.path).name.removesuffix(".csv.gz"), one.number) not in done]
     append(judge, wanted, options.workers, options.results)
-    found = groups(rows_of(options.results))
-    broken = misses(found)
-    rows = [HEAD, *(line(name, rows) for name, rows in found.items())]
-    text = "\n\n".join(["## Real ramps", f"{machine()}.", "\n".join(rows), "\n".join(broken) or "No bar is missed."])
-    write_section("real ramps", text, file="accuracy.md")
+    rows = rows_of(options.results)
+    text, broken = page(rows), misses(groups(rows))
+    write_section("ramps", text, file="accuracy.md")
     print(text)
     sys.exit(1 if broken else 0)
 

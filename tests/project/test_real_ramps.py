@@ -37,8 +37,8 @@ def test_ramps_of_one_model_and_one_stiffness_miss_no_bar(script: ModuleType) ->
     found = script.groups([row(101, Kc=205.0), row(0), row(100)])
     assert list(found) == ["a, play", "a, stiffness"]
     assert script.misses(found) == []
-    expected = "| a, stiffness | 100 to 101 | linear (2) | 0 | 200 to 205 | 1.02 | 5.0 | 0 |"
-    assert script.line("a, stiffness", found["a, stiffness"]) == expected
+    expected = "| stiffness (2) | 0 | 1 of 1 | 1 of 1 | 1.02 (1) | 1.02 (1) | 5.0 |"
+    assert script.summary("stiffness", [found["a, stiffness"]]) == expected
 
 
 def test_every_bar_that_is_missed_is_said_with_its_number(script: ModuleType) -> None:
@@ -54,10 +54,20 @@ def test_every_bar_that_is_missed_is_said_with_its_number(script: ModuleType) ->
 def test_a_kc_that_is_refused_is_counted_and_not_compared(script: ModuleType) -> None:
     found = script.groups([row(100), row(101, Kc=900.0, status=1), row(102, Kc=205.0)])
     assert script.misses(found) == []
-    expected = "| a, stiffness | 100 to 102 | linear (3) | 1 | 200 to 205 | 1.02 | 5.0 | 0 |"
-    assert script.line("a, stiffness", found["a, stiffness"]) == expected
-    alone = script.line("a, stiffness", [row(100), row(101, status=1)])
-    assert alone == "| a, stiffness | 100 to 101 | linear (2) | 1 | 200 to 200 | - | 5.0 | 0 |"
+    expected = "| stiffness (3) | 1 | 1 of 1 | 2 of 2 | 1.02 (1) | 4.50 (1) | 5.0 |"
+    assert script.summary("stiffness", [found["a, stiffness"]]) == expected
+    alone = script.summary("stiffness", [[row(100), row(101, Kc=240.0, model="linear+offset", status=1)]])
+    assert alone == "| stiffness (2) | 1 | 0 of 1 | 0 of 1 | - | 1.20 (1) | 5.0 |"
+
+
+def test_the_page_shows_every_ramp_in_its_order(script: ModuleType) -> None:
+    odd = row(0, status=1, Kc=None, unexplained=None, model="", codes=["misfit-untested"])
+    text = script.page([row(101, status=1, codes=["misfit"]), odd, row(100)])
+    assert text.splitlines()[-3:] == [
+        "| a | 0 | none | refused (none) | - | untested |",
+        "| a | 100 | linear | 200 | 5.0 | no |",
+        "| a | 101 | linear | refused (200) | 5.0 | yes |",
+    ]
 
 
 def test_a_ramp_that_is_flagged_or_refused_is_not_silent(script: ModuleType) -> None:
