@@ -222,12 +222,13 @@ def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Dia
     if narrow(left, carried):
         return []
     whole = float(np.std(described.signals.coupling_torque[described.kept]))
+    size = left / carried if carried > 0.0 else np.inf  # as where Kc is at its bound, zero
     return [
         Diagnostic(
             "spring-outweighed",
             f"of {whole:.2g} N m of torque (standard deviation), only {carried:.2g} N m follows from Kc alone, and not "
             f"from friction, play or the rest of the model. The model leaves {left:.2g} N m unexplained, beyond the "
-            f"noise of the reading. An effect of that size can change Kc by {_percent(left / carried)}, whatever its "
+            f"noise of the reading. An effect of that size can change Kc by {_percent(size)}, whatever its "
             "interval says. Drive with several times the torque, so that the spring carries most of it",
             "Kc",
             is_error=True,

@@ -72,6 +72,15 @@ def test_a_spring_that_carries_less_than_what_nothing_explains_has_no_stiffness(
     assert ("spring-outweighed" in codes(found)) is refused
 
 
+def test_a_stiffness_that_would_be_negative_carries_nothing(tmp_path: Path) -> None:
+    found = rubbing(tmp_path / "a.h5", -1.0, 0.12)
+    assert found["Kc"].value == 0.0
+    assert codes(found) == ["implausible", "spring-outweighed"]
+    message = next(one.message for one in found.diagnostics if one.code == "spring-outweighed")
+    assert "only 0 N m follows from Kc alone" in message
+    assert "can change Kc by more than 100 %" in message
+
+
 def test_noise_larger_than_the_torque_of_the_spring_is_averaged_away(tmp_path: Path) -> None:
     found = rubbing(tmp_path / "a.h5", 1.5, 0.06, noise=0.15)
     assert found.lack_of_fit is not None
