@@ -39,8 +39,8 @@ which on the joint rests there, and up to which their friction does not matter."
 
 OFTEN: Final = 0.1
 FROM_ONE_SIDE: Final = 0.8
-"""Part of the samples in which a joint rests, and the correlation of the place with the direction that it came from,
-from which on the friction that holds it there has the torque of a spring."""
+"""Part of each move (the median) in which a joint rests, and the correlation of the place with the direction that it
+came from, from which on the friction that holds it there has the torque of a spring."""
 
 LATER: Final = 2
 HIDDEN: Final = 125.0
@@ -108,13 +108,16 @@ def looks_like_spring(motion: Motion) -> bool:
     """Return whether friction that holds the joint where it rests would have the torque of a spring there.
 
     So it has where the joint comes to one place from one side and to another from the other, as in a binary sequence.
+    A chirp is slow at the turning points of its slow end only.
     """
     import numpy as np
 
     resting = _resting(motion)
-    if resting.mean() < OFTEN:
+    sign = _holding(motion, resting)
+    move = np.cumsum(np.diff(sign, prepend=sign[:1]) != 0.0)
+    if not len(motion) or np.median(np.bincount(move, weights=resting) / np.bincount(move)) < OFTEN:
         return False
-    side, place = _holding(motion, resting)[resting], motion.dtheta[resting]
+    side, place = sign[resting], motion.dtheta[resting]
     return bool(side.std() > 0.0 and place.std() > 0.0 and np.corrcoef(side, place)[0, 1] > FROM_ONE_SIDE)
 
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from ga.model.coupling import CouplingModel, parse
-from ga.model.friction import is_hidden
+from ga.model.friction import is_hidden, looks_like_spring
 from ga.model.polishing import polished
 from ga.model.separable import Fit, Problem, descend, fit
 from ga.model.terms import TERMS, is_addable
@@ -358,3 +358,15 @@ def test_friction_is_hidden_behind_a_drive_of_first_order_between_two_places(ord
         place, rate = up * (2.0 * since / period - 1.0), 2.0 * up / period
     motion = Motion(time, 0.2 * place, 0.2 * rate, np.gradient(0.2 * rate, step), np.zeros(len(time)))
     assert is_hidden(motion) == hidden
+
+
+def test_a_joint_rests_where_most_moves_end_in_rest_and_not_where_some_are_slow() -> None:
+    """A logarithmic chirp from 0.2 to 12 Hz is slow around the turning points of its slow end."""
+    time, omega = 2e-3 * np.arange(10_000), 40.0
+    since, up = time % 0.2, 1.0 - 2.0 * (np.floor(time / 0.2) % 2.0)
+    binary = up * (1.0 - 2.0 * np.exp(-omega * since) * (1.0 + omega * since))
+    chirp = np.sin(2.0 * np.pi * 0.2 * 20.0 / np.log(60.0) * (60.0 ** (time / 20.0) - 1.0))
+    for place, rests in ((binary, True), (chirp, False)):
+        rate = np.gradient(0.3 * place, time)
+        motion = Motion(time, 0.3 * place, rate, np.gradient(rate, time), np.zeros(len(time)))
+        assert looks_like_spring(motion) == rests
