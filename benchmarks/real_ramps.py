@@ -156,7 +156,7 @@ def misses(found: dict[str, list[Row]]) -> list[str]:
         *([f"the same model in {same:.0%} of the files, not in {SAME:.0%}"] if same < SAME else []),
         *([f"Kc differs {spread:.2f} times (median of {len(ratios)}), more than {RATIO}"] if spread > RATIO else []),
         *([f"{left:.1%} of the torque's spread is unexplained (median), more than 8 %"] if left > UNEXPLAINED else []),
-        *([f"{len(silent)} ramps with more than 8 % unexplained carry no misfit"] if silent else []),
+        *([f"ramps with more than 8 % unexplained and no misfit: {len(silent)}"] if silent else []),
     ]
 
 

@@ -114,7 +114,7 @@ def looks_like_spring(motion: Motion) -> bool:
 
     resting = _resting(motion)
     sign = _holding(motion, resting)
-    move = np.cumsum(np.diff(sign, prepend=sign[:1]) != 0.0)
+    move = _moves(sign)
     if not len(motion) or np.median(np.bincount(move, weights=resting) / np.bincount(move)) < OFTEN:
         return False
     side, place = sign[resting], motion.dtheta[resting]
@@ -134,8 +134,8 @@ def is_hidden(motion: Motion) -> bool:
     if len(whole) <= LATER or np.ptp(whole.dtheta) == 0.0:
         return False
     sign = _holding(whole, _resting(whole))
-    turned = np.cumsum(np.diff(sign, prepend=sign[:1]) != 0.0) + whole.stretch
-    alike = turned[LATER:] == turned[:-LATER]
+    move = _moves(sign) + whole.stretch
+    alike = move[LATER:] == move[:-LATER]
     alike[:-1] &= alike[1:]  # when it turned is known to a sample
     if not alike.any():
         return False
@@ -160,6 +160,13 @@ def _holding(motion: Motion, resting: NDArray[np.bool_]) -> Array:
 
     last = np.maximum.accumulate(np.where(resting, 0, np.arange(len(motion))))  # the sample that moved before
     return np.asarray(np.sign(motion.dtheta_dot)[last])
+
+
+def _moves(sign: Array) -> NDArray[np.int64]:
+    """The number of the move (n,) that each sample is in; a rest belongs to the move before it."""
+    import numpy as np
+
+    return np.cumsum(np.diff(sign, prepend=sign[:1]) != 0.0)
 
 
 def _usual(motion: Motion) -> float:

@@ -212,9 +212,9 @@ def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Dia
     """Return the error of a Kc that rests on less torque than the model leaves unexplained; none where it does not.
 
     Friction, play and the other parameters can make most of what a spring that is hardly loaded does: Kc follows from
-    the rest of its torque. An effect that the model lacks, as much like that rest as unlike all of the model, would
-    change Kc by the ratio of the two. That is no doubt about a model that the tests do not reject, because noise is
-    averaged away, nor about one whose residuals are the noise of the reading.
+    the rest of its torque. An effect that the model lacks may look like that rest: it would change Kc by the ratio of
+    the two. Noise is averaged away and does not: so a model that the tests do not reject is not doubted, and the noise
+    of the reading is not counted.
     """
     if found is None or not (found.misfit or found.is_undecided) or "Kc" not in described.names:
         return []

@@ -47,7 +47,7 @@ def test_every_bar_that_is_missed_is_said_with_its_number(script: ModuleType) ->
         "the same model in 0% of the files, not in 80%",
         "Kc differs 1.50 times (median of 1), more than 1.05",
         "30.0% of the torque's spread is unexplained (median), more than 8 %",
-        "2 ramps with more than 8 % unexplained carry no misfit",
+        "ramps with more than 8 % unexplained and no misfit: 2",
     ]
 
 

@@ -105,9 +105,9 @@ class Candidate:
         return at_zero or early or self.is_stop(term) or self.is_in_errors(term)
 
     def is_in_errors(self, term: str) -> bool:
-        """Return whether the term makes the joint slack by no more than errors of its outermost readings amount to.
+        """Return whether the tendon is slack by no more than the errors of the outermost readings.
 
-        A spring that ends where the joint rests takes out the errors there, and says nothing of a tendon.
+        Where the joint rests, a slack tendon fits the errors of the readings there, so it is no sign of slack.
         """
         if term != "slack":
             return False
