@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+# every core has a worker of its own: more threads of linear algebra than that only wait for each other
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 settings.register_profile("hil", deadline=None)  # a busy computer makes no example wrong
 settings.load_profile("hil")
 
