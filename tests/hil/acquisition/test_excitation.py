@@ -58,8 +58,8 @@ def test_a_profile_made_block_by_block_is_the_one_made_at_once(kind: str) -> Non
 @pytest.mark.parametrize("kind", GENERATED)
 def test_no_step_of_a_profile_jumps(kind: str) -> None:
     """A cable whips on a jump; the eased edges of steps and PRBS take 20 ms, or half a bit."""
-    time = np.arange(0.0, 20.0, 1e-4)
-    values = make(kind).at(time)
+    time = np.arange(0.0, 4.0, 1e-4)
+    values = make(kind, duration=4.0).at(time)
     assert np.abs(np.diff(values)).max() < 0.03 * 0.006
 
 
@@ -126,8 +126,8 @@ def test_a_prbs_follows_its_polynomial() -> None:
 
 @pytest.mark.parametrize("kind", [kind for kind in GENERATED if EXCITATIONS[kind].smooth])
 def test_a_smooth_excitation_has_derivatives_that_its_band_bounds(kind: str) -> None:
-    profile = make(kind)
-    time = np.arange(2.0, 18.0, 1e-4)
+    profile = make(kind, duration=5.0)
+    time = np.arange(1.0, 4.0, 1e-4)
     rate = np.gradient(profile.at(time), time)
     acceleration = np.gradient(rate, time)[3:-3]
     assert np.abs(acceleration).max() <= 1.01 * (2 * np.pi * profile.band[1]) ** 2 * profile.amplitude
