@@ -45,6 +45,8 @@ _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-7
 """Part of the fitness that a step gains, and of the bounds' width that it is long, at which a descent has arrived."""
 
+_NEARLY: Final = 1e-5  # the same where the minimum on some rows is only to begin at, or to be compared
+
 _FIRST: Final = 8e-3
 _FINE: Final = 1e-3
 _LAST: Final = 1e-5
@@ -208,9 +210,9 @@ def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({}
     if not found:
         raise RuntimeError("for no nonlinear parameters were the columns different enough")
     found.sort(key=_fitness)
-    best = descend(problem, found[0].nonlinear)
+    best = descend(problem, found[0].nonlinear, _NEARLY)
     for other in _other_starts(problem, best, found):
-        best = min(best, descend(problem, other.nonlinear), key=_fitness)
+        best = min(best, descend(problem, other.nonlinear, _NEARLY), key=_fitness)
     return best
 
 
@@ -247,8 +249,11 @@ def solve_or_none(problem: Problem, nonlinear: Array, near: Fit | None) -> Fit |
         return None
 
 
-def descend(problem: Problem, start: Array) -> Fit:
-    """Return the local minimum next to nonlinear parameters (q,), within the bounds."""
+def descend(problem: Problem, start: Array, converged: float = _CONVERGED) -> Fit:
+    """Return the local minimum next to nonlinear parameters (q,), within the bounds.
+
+    converged: the part of the fitness that a step gains, and of the bounds' width that it is long, at the end.
+    """
     best = problem.solve(np.clip(start, problem.low, problem.high))
     count = problem.low.size
     for _ in range(_STEPS if count else 0):
@@ -258,13 +263,13 @@ def descend(problem: Problem, start: Array) -> Fit:
             )
         except RuntimeError:  # the Jacobian is a combination of the columns: no direction of descent
             break
-        arrived = bool(np.all(np.abs(step) <= _CONVERGED * (problem.high - problem.low)))
+        arrived = bool(np.all(np.abs(step) <= converged * (problem.high - problem.low)))
         better = None if arrived else _shortened(problem, best, step)
         if better is None:
             break
         gained = best.fitness - better.fitness
         best = better
-        if gained <= _CONVERGED * best.fitness:
+        if gained <= converged * best.fitness:
             break
     return best
 

@@ -134,18 +134,19 @@ class Fits:
     highest: float
     error: float = 0.0
     _fitted: dict[tuple[str, ...], Candidate] = field(default_factory=dict, init=False)
-    _previews: dict[tuple[str, ...], Fit | None] = field(default_factory=dict, init=False)
+    _previews: dict[frozenset[str], Fit | None] = field(default_factory=dict, init=False)
 
     def preview(self, terms: tuple[str, ...]) -> Fit | None:
         """Return the fit to some of the samples; None where the columns are too much alike."""
-        if terms not in self._previews:
+        unordered = frozenset(terms)
+        if unordered not in self._previews:
             less = self.preview(terms[:-1]) if len(terms) > 1 else None
             near = {} if less is None else _named(_model(terms[:-1]), less)
             try:
-                self._previews[terms] = best_start(self._problem(terms).thinned(), near)
+                self._previews[unordered] = best_start(self._problem(terms).thinned(), near)
             except RuntimeError:
-                self._previews[terms] = None
-        return self._previews[terms]
+                self._previews[unordered] = None
+        return self._previews[unordered]
 
     def fitness(self, terms: tuple[str, ...]) -> float:
         """Return the fitness, N m, on some of the samples; infinite where the columns are too much alike."""
@@ -166,7 +167,7 @@ class Fits:
         Raises RuntimeError where its columns are too much alike.
         """
         if terms not in self._fitted:
-            problem, seen = self._problem(terms), self._previews.get(terms)
+            problem, seen = self._problem(terms), self._previews.get(frozenset(terms))
             near = _named(beside.model, beside.fit) if beside else {}
             found = fit(problem, near) if seen is None else local_minimum(problem, seen.nonlinear, near)
             held_out = _held_out(problem, found)
