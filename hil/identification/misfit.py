@@ -214,21 +214,22 @@ def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Dia
     Friction, play and the other parameters can make most of what a spring that is hardly loaded does: Kc follows from
     the rest of its torque. An effect that the model lacks may look like that rest: it would change Kc by the ratio of
     the two. Noise is averaged away and does not: so a model that the tests do not reject is not doubted, and the noise
-    of the reading is not counted.
+    of the reading is not counted. A Kc of zero, its bound, is refused already, with what is wrong.
     """
     if found is None or not (found.misfit or found.is_undecided) or "Kc" not in described.names:
+        return []
+    if not described.values[described.names.index("Kc")] > 0.0:
         return []
     carried, left = _carried(described), _beyond_noise(described)
     if narrow(left, carried):
         return []
     whole = float(np.std(described.signals.coupling_torque[described.kept]))
-    size = left / carried if carried > 0.0 else np.inf  # as where Kc is at its bound, zero
     return [
         Diagnostic(
             "spring-outweighed",
             f"of {whole:.2g} N m of torque (standard deviation), only {carried:.2g} N m follows from Kc alone, and not "
             f"from friction, play or the rest of the model. The model leaves {left:.2g} N m unexplained, beyond the "
-            f"noise of the reading. An effect of that size can change Kc by {_percent(size)}, whatever its "
+            f"noise of the reading. An effect of that size can change Kc by {_percent(left / carried)}, whatever its "
             "interval says. Drive with several times the torque, so that the spring carries most of it",
             "Kc",
             is_error=True,
