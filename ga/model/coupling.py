@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.model.friction import beside_rest, slowest, smoothing
+from ga.model.friction import beside_rest, slowest, smoothing, turns_unseen
 from ga.model.memory import without_beginnings
 from ga.model.record import Parameter, Regressors, Term
 from ga.model.terms import TERMS, canonical
@@ -145,7 +145,8 @@ class CouplingModel:
         rates = [motion.delayed(delay + shift).dtheta_dot for shift in (-beside, 0.0, beside)]
         least, most = np.min(rates, axis=0), np.max(rates, axis=0)
         held = (least < least_rate) & (most > -least_rate)
-        return np.asarray(~(held | beside_rest(motion, held)))
+        unseen = turns_unseen(motion.delayed(delay) if delay else motion)
+        return np.asarray(~(held | beside_rest(motion, held) | unseen))
 
     def delay(self, nonlinear: Array | None) -> float:
         """Return how much older the torque reading is, s, for nonlinear parameters (q,); 0 if no term says."""

@@ -49,6 +49,10 @@ OF_SPRING: Final = 0.5
 two, and the part of it that is then stiffness: of that at the ends of the range. Behind drives of first order it is
 190 or more (what the angle went through rounds the start of each move), behind those of second order 90 or less."""
 
+UNSURE: Final = 0.005
+UNLIKE: Final = 8.0
+"""Part of the r.m.s. rate, and times the rate's noise or the usual difference, from which two slopes differ by more."""
+
 NOISY: Final = 0.5
 FINEST: Final = 0.001
 SMOOTHEST: Final = 0.05
@@ -70,10 +74,10 @@ def slowest(motion: Motion) -> float:
     if not len(motion):
         return 0.0
     least, noise = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)), motion.rate_noise or 0.0
+    softest, quiet = SIGNED * smoothing(motion), QUIET * _usual(motion)
     if least > noise:
-        return max(least, SIGNED * smoothing(motion))
-    quiet = QUIET * _usual(motion)
-    return min(RESTS * noise, quiet) if quiet > SIGNED * noise else 0.0
+        return max(least, softest)
+    return max(min(RESTS * noise, quiet), softest) if quiet > SIGNED * noise else 0.0
 
 
 def smoothing(motion: Motion) -> float:
@@ -84,6 +88,28 @@ def smoothing(motion: Motion) -> float:
         return 0.0
     usual = _usual(motion)
     return float(np.clip(NOISY * (motion.rate_noise or 0.0), FINEST * usual, SMOOTHEST * usual))
+
+
+def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
+    """Return whether (n,) the joint has turned already, or has not yet, where the rate says otherwise.
+
+    The rate is that of a window. Where the acceleration jumps, the window turns before the joint does, and with it the
+    friction of the samples between. The slope from one neighbour to the other tells, as far as noise does not make it.
+    """
+    import numpy as np
+
+    whole, rows = motion.whole
+    rate, near = whole.dtheta_dot, whole.dtheta_dot.copy()
+    if len(whole) < 3:
+        return np.zeros(len(motion), dtype=bool)
+    inside = whole.stretch[2:] == whole.stretch[:-2]
+    with np.errstate(divide="ignore", invalid="ignore"):  # stamps may be alike
+        slope = (whole.dtheta[2:] - whole.dtheta[:-2]) / (whole.time[2:] - whole.time[:-2])
+    near[1:-1] = np.where(inside & np.isfinite(slope), slope, near[1:-1])
+    apart = np.abs(near - rate)
+    noise = max(float(np.median(apart)), motion.rate_noise or 0.0)
+    sure = apart > max(UNSURE * _usual(whole), UNLIKE * noise)
+    return np.asarray((near * rate < 0.0) & sure)[rows]
 
 
 def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:

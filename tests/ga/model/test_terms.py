@@ -122,6 +122,31 @@ def test_where_the_joint_comes_to_rest_friction_is_a_sign_in_every_sample_that_i
     assert used[np.abs(dying) > 0.01].all()
 
 
+def test_friction_is_a_sign_in_every_sample_described_beside_a_rest_that_is_longer_than_any_slow_motion() -> None:
+    resting = np.where(np.arange(401) % 100 < 40, 0.0, np.geomspace(1.0, 1e-6, 401) * np.sign(RATE))
+    motion = replace(moving(rate_noise=1e-9), dtheta_dot=resting)
+    model = parse("linear+coulomb").anchored(motion)
+    used = model.described(motion)
+    assert np.abs(model.columns(motion)[used, 2]).min() > 0.99
+    assert used[np.abs(resting) > 0.01].all()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02])
+def test_friction_says_nothing_of_samples_in_which_the_rate_turns_before_the_joint(delay: float) -> None:
+    """The joint comes up slowly and is thrown back; a window of eleven samples sees it go back five samples early."""
+    place = np.arange(401) % 100
+    angle = np.where(place < 60, 2e-3 * place, 0.12 - 0.04 * np.minimum(place - 60, 3))
+    rate = np.convolve(np.gradient(angle, 0.01), np.full(11, 1.0 / 11.0), mode="same")
+    motion = replace(moving(rate_noise=1e-6), dtheta=angle, dtheta_dot=rate)
+    model = parse("linear+coulomb+skew" if delay else "linear+coulomb").anchored(motion)
+    used = model.described(motion, delay)
+    late = round(delay / 0.01)
+    early = np.roll((place >= 55) & (place < 60) & (rate < 0.0), late)
+    assert np.count_nonzero(early) >= 16
+    assert np.count_nonzero(used & early) == 0
+    assert used[np.roll((place > 20) & (place < 50), late)].all()
+
+
 @pytest.mark.parametrize("noise", [0.004, 0.006, 0.012])
 def test_noise_that_leaves_most_rates_known_does_not_hide_where_the_joint_rests(noise: float) -> None:
     rests = np.arange(len(RATE)) % 100 < 30
