@@ -248,7 +248,7 @@ def _falling(largest: _Largest, motion: Motion) -> list[tuple[_Largest, float]]:
     [] where the model selected has no friction, or some that falls.
     """
     values = dict(zip(largest.names, largest.values.tolist(), strict=True))
-    rubs = [name for name in values if PARAMETERS.get(name, PARAMETERS["Kc"]).friction]
+    rubs = [name for name in values if _rubs(name)]
     if not set(rubs).difference(_own("coulomb") if "coulomb" in largest.added else ()) or set(rubs) & set(_FALLING):
         return []
     found = []
@@ -268,6 +268,7 @@ def _falling(largest: _Largest, motion: Motion) -> list[tuple[_Largest, float]]:
 def _fallen(largest: _Largest, column: Array) -> list[tuple[_Largest, float]]:
     """The fit with friction that falls, and Akaike's criterion of it; [] where it cannot be distinguished from others.
 
+    Nor is it one where the friction that is left at speed would be negative, and drive the joint.
     column (n,): the torque, N m, by which friction at rest is higher if that is as much as at speed.
     """
     columns = np.column_stack([largest.columns, column])
@@ -281,6 +282,8 @@ def _fallen(largest: _Largest, column: Array) -> list[tuple[_Largest, float]]:
     fewer, matrix, criterion = without_positive(
         values, sampling.matrix, np.column_stack([largest.likely, [0.0, _RISE]])
     )
+    if any(value < 0.0 for name, value in zip(largest.names, fewer, strict=True) if _rubs(name)):
+        return []
     sampling = replace(sampling, matrix=matrix, quantile=sampling.quantile[:-1], distinct=sampling.distinct[:-1])
     known = np.stack([np.zeros(len(fewer)), np.full(len(fewer), np.inf)])  # used already
     return [
@@ -332,6 +335,11 @@ def _is_doubtful(step: Step) -> bool:
     """Whether the evidence for or against the term of a step is not strong."""
     term = TERMS[step.term]
     return term.linear and term.selection != "smallest" and abs(step.gain) < -EVIDENCE_AGAINST
+
+
+def _rubs(name: str) -> bool:
+    """Whether a parameter of that name, or of a nuisance, is of friction."""
+    return name in PARAMETERS and PARAMETERS[name].friction
 
 
 def _own(term: str) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ga.evolution.evolution import PRESETS
+from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.separable import Problem, fit
 from hil.identification import averaging
@@ -15,6 +16,8 @@ from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array, Recording
 from hil.report.identification import as_json
 from hil.signals.prepare import prepare
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import covariance
 
 from ..conftest import Maker
 
@@ -184,6 +187,20 @@ def test_the_interval_of_the_damping_holds_what_friction_that_falls_hides(
     assert all(abs(error) < half_width for error, half_width in found)
     assert abs(plain[0][0]) < plain[0][1]
     assert abs(plain[1][0]) > 3.0 * plain[1][1]
+
+
+@pytest.mark.parametrize(("at_speed", "possible"), [(0.01, True), (-0.01, False)])
+def test_friction_that_falls_until_it_drives_the_joint_is_no_model(at_speed: float, possible: bool) -> None:
+    time = np.linspace(0.0, 20.0, 4000)
+    angle, rate = np.sin(3.0 * time) + np.sin(7.1 * time), 3.0 * np.cos(3.0 * time) + 7.1 * np.cos(7.1 * time)
+    columns = np.column_stack([angle, rate, np.sign(rate)])
+    fallen = np.sign(rate) * np.exp(-((rate / 4.0) ** 2))
+    torque = columns @ (0.3, 3e-3, at_speed) + 0.03 * fallen + 1e-3 * np.random.default_rng(0).standard_normal(4000)
+    values = least_absolute_deviations(columns, torque).genes
+    likely = np.stack([np.zeros(3), np.full(3, np.inf)])
+    sampling = covariance(Blocks.of(columns, torque), values)
+    largest = averaging._Largest((), ["Kc", "Bc", "Fc"], columns, torque, values, sampling, likely)
+    assert bool(averaging._fallen(largest, 0.1 * fallen)) is possible
 
 
 def test_a_value_follows_no_unlikely_model_but_its_interval_reaches_it() -> None:
