@@ -176,7 +176,7 @@ def test_friction_that_builds_up_is_that_of_an_integrator(rise: float, over: flo
     state, found = 0.0, []
     for start, stop in pairwise(turns):
         times = MOTION.time[(MOTION.time >= start) & (MOTION.time < stop)]
-        solved = solve_ivp(building, (start, stop), [state], "LSODA", [*times, stop], rtol=1e-9, atol=1e-10)
+        solved = solve_ivp(building, (start, stop), [state], "LSODA", [*times, stop], rtol=1e-7, atol=1e-8)
         found += solved.y[0, :-1].tolist()
         state = float(solved.y[0, -1])
     errors = np.abs(MOTION.bristles(reach, rise, over)[:-1] - found)  # most where it turns between two samples
