@@ -4,6 +4,9 @@ The sum of x sign(e) of a median regression has the covariance sum over s, t of 
 Parseval's theorem that is the columns' cross-spectrum weighted with the power spectrum of the signs (Hannan 1963 has it
 for least squares). The power is estimated from all residuals, wherever a column is large: blocks in time, the usual
 way, are too few where a column is large in few of them, as a skew's is at the fast end of a chirp.
+
+A fit removes the part of the noise that its own columns can make, most where they have their power: an offset and a
+drift from the lowest band. What is left there is the power of fewer lines than the band has.
 """
 
 from __future__ import annotations
@@ -18,20 +21,28 @@ Array = NDArray[np.float64]
 
 _LONGEST = 1 << 15  # samples of a segment: residuals further apart count as uncorrelated
 _FEWEST = 8  # lines of a spectrum in a band: with fewer, its power is too uncertain
+_DEPENDENT = 1e-12  # of the largest eigenvalue of a Gram matrix, below which columns are dependent
 _WIDENING = 0.25  # of a band's lower end, its width: the power of a drive's noise changes by octaves
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualSpectrum:
     """In bands of rising frequency (b,): lines, their number in each; power, the signs' mean square in each, 1 where
-    they are uncorrelated; crossed (b, p, p), the columns' products, which add up to columns^T columns.
+    they are uncorrelated; crossed (b, p, p), the columns' products, which add up to columns^T columns. fitted (b,):
+    lines that a fit of these signs has removed from each.
 
-    A power below one counts as one: the fit has removed that part of the band with its own columns.
+    A power below one counts as one: it is so by chance, or by a fit with other columns.
     """
 
     lines: Array
     power: Array
     crossed: Array
+    fitted: Array
+
+    @property
+    def _left(self) -> Array:
+        """Lines that are left of each band, never fewer than half: its power is known to no better than that."""
+        return np.asarray(np.maximum(self.lines - self.fitted, 0.5 * self.lines))
 
     @property
     def covariance(self) -> Array:
@@ -40,17 +51,20 @@ class ResidualSpectrum:
 
     @property
     def _counted(self) -> Array:
-        return np.maximum(self.power, 1.0)
+        return np.maximum(self.power * self.lines / self._left, 1.0)
 
     def freedom(self, bread: Array) -> Array:
         """Return the degrees of freedom (p,) of the variances bread . covariance . bread (Satterthwaite 1946)."""
         parts = np.einsum("b,kp,bpq,qk->kb", self._counted, bread, self.crossed, bread)
-        squares = (parts**2 / self.lines).sum(axis=1)
+        squares = (parts**2 / self._left).sum(axis=1)
         return np.asarray(2.0 * parts.sum(axis=1) ** 2 / np.where(squares > 0.0, squares, np.inf))
 
 
 def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
-    """Return the spectrum of signs (m,) beside columns (m, p), in blocks of any length, in the order of time."""
+    """Return the spectrum of signs (m,) beside columns (m, p), in blocks of any length, in the order of time.
+
+    The signs count as those of a fit with these columns.
+    """
     edges, lines, power, crossed = np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0)
     for columns, signs in _segments(blocks):
         count, p = columns.shape
@@ -67,7 +81,16 @@ def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
         for j in range(p):
             products = (waves[:, j, None].conj() * waves).real * (twice / count)[:, None]
             crossed[kept, j] += np.add.reduceat(products, firsts[kept], axis=0)
-    return ResidualSpectrum(lines, power / lines, crossed)
+    return ResidualSpectrum(lines, power / lines, crossed, _fitted(crossed))
+
+
+def _fitted(crossed: Array) -> Array:
+    """The lines (b,) that a fit removes from each band: half the trace of its projection there, two numbers a line."""
+    gram = crossed.sum(axis=0)
+    sizes = np.sqrt(np.diag(gram))
+    units = np.outer(*[np.where(sizes > 0.0, sizes, 1.0)] * 2)
+    inverse = np.linalg.pinv(gram / units, rcond=_DEPENDENT, hermitian=True) / units
+    return np.asarray(0.5 * np.einsum("pq,bqp->b", inverse, crossed))
 
 
 def _edges(count: int) -> Array:

@@ -11,7 +11,7 @@ those of the richest model's residuals, because a missing term must not be taken
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,13 +40,15 @@ _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what exp
 class Criterion:
     """The noise of a recording, and by it whether a term pays.
 
-    richest: terms of the model whose residuals are taken for the noise; signs: (n,), of these; density: 1/(N m), of
-    these at zero. size: N m, the mean torque. smooth: (n,), where the rate is right. choices: from how many terms one
-    is chosen. doubted: whether the usual terms do not describe the recording.
+    richest: terms of the model whose residuals are taken for the noise; signs: (n,), of these; fitted: lines of their
+    spectrum that the fit has removed from each band; density: 1/(N m), of these at zero. size: N m, the mean torque.
+    smooth: (n,), where the rate is right. choices: from how many terms one is chosen. doubted: whether the usual terms
+    do not describe the recording.
     """
 
     richest: tuple[str, ...]
     signs: Array
+    fitted: Array
     density: float
     size: float
     smooth: NDArray[np.bool_]
@@ -96,7 +98,7 @@ class Criterion:
         found = 1.0
         for _, alone in fitted.own_columns(*(fitted.terms if self.doubted else (term,))):
             power = float(alone @ alone)
-            spectrum = measure([(alone[:, None], self.signs)])
+            spectrum = replace(measure([(alone[:, None], self.signs)]), fitted=self.fitted)
             found = max(found, float(spectrum.covariance[0, 0]) / power) if power > 0.0 else np.inf
         return found
 
@@ -157,14 +159,15 @@ def criterion_of(
     The residuals of the richest model are taken for the noise: those of a smaller one would hold missing terms.
     """
     richest = _richest(fits, considered, start)
-    residuals = fits.residuals(richest)
+    columns, residuals = fits.linearised(richest)
     near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
     near = max(near, 0.5 * smallest_step(fits.torque))  # a joint at rest repeats one count, and one residual
     inside = np.count_nonzero(np.abs(residuals) <= near)
-    motion = fits.motion
+    motion, signs = fits.motion, np.sign(residuals)
     return Criterion(
         richest,
-        signs=np.sign(residuals),
+        signs=signs,
+        fitted=measure([(columns, signs)]).fitted,
         density=inside / (2.0 * near * len(residuals)) if near > 0.0 else np.inf,
         size=float(np.mean(np.abs(fits.torque))),
         smooth=is_smooth(motion),

@@ -188,10 +188,11 @@ class Fits:
         """Return the errors (FOLDS,), N m, of held-out blocks with the nonlinear parameters of a fit."""
         return _held_out(self._problem(terms), found)
 
-    def residuals(self, terms: tuple[str, ...]) -> Array:
-        """Return the residuals (n,), N m, of the local minimum to which the preview leads on all samples."""
+    def linearised(self, terms: tuple[str, ...]) -> tuple[Array, Array]:
+        """Return columns (n, p) and residuals (n,), N m, of the local minimum of all samples next to the preview."""
         problem, seen = self._problem(terms), self.preview(terms)
-        return problem.residuals(descend(problem, seen.nonlinear if seen else problem.low))
+        found = descend(problem, seen.nonlinear if seen else problem.low)
+        return problem.linearised(found)[0], problem.residuals(found)
 
     def _problem(self, terms: tuple[str, ...]) -> Problem:
         model = _model(terms).anchored(self.motion)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,6 +26,11 @@ def signs(correlation: float, seed: int, samples: int = SAMPLES) -> Array:
     return np.sign(noise)
 
 
+def power_of_slow_signs(correlation: float) -> float:
+    lags = np.arange(1, 500)
+    return float(1.0 + 2.0 * np.sum(2.0 / np.pi * np.arcsin(correlation**lags)))
+
+
 def test_the_bands_hold_all_of_the_columns_and_all_of_the_signs() -> None:
     columns = np.random.default_rng(0).standard_normal((1001, 3))
     found = measure([(columns, signs(0.0, 1, 1001))])
@@ -40,11 +46,23 @@ def test_signs_that_do_not_follow_each_other_have_the_same_power_everywhere() ->
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
 def test_the_variance_of_a_slow_sum_is_the_closed_form(correlation: float) -> None:
     """For Gaussian noise of correlation r^k at lag k that of the signs is 2/pi arcsin(r^k); their sum is the power."""
-    lags = np.arange(1, 500)
-    expected = 1.0 + 2.0 * np.sum(2.0 / np.pi * np.arcsin(correlation**lags))
     slow = np.sin(2.0 * np.pi * 3.0 * np.arange(SAMPLES) / SAMPLES)[:, None]
-    found = [measure([(slow, signs(correlation, seed))]).covariance[0, 0] / (slow.T @ slow)[0, 0] for seed in range(40)]
-    assert np.mean(found) == pytest.approx(expected, rel=0.25)  # a band that is quiet by chance counts as white
+    all_left = [replace(measure([(slow, signs(correlation, seed))]), fitted=np.zeros(1)) for seed in range(40)]
+    found = [one.covariance[0, 0] / (slow.T @ slow)[0, 0] for one in all_left]
+    # a band that is quiet by chance counts as white
+    assert np.mean(found) == pytest.approx(power_of_slow_signs(correlation), rel=0.25)
+
+
+def test_what_a_fit_has_removed_of_a_band_is_not_missing_from_its_power() -> None:
+    """An offset and two slow waves take five of the sixteen numbers that the lines of the lowest band have."""
+    turns = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
+    slow = np.stack([np.ones(SAMPLES), *(wave(k * turns) for k in (1, 2) for wave in (np.cos, np.sin))], axis=1)
+    found = []
+    for seed in range(60):
+        sign = signs(0.9, seed)
+        left = sign - slow @ np.linalg.lstsq(slow, sign, rcond=None)[0]
+        found.append(measure([(slow, left)]).covariance[0, 0] / SAMPLES)
+    assert np.mean(found) == pytest.approx(power_of_slow_signs(0.9), rel=0.15)
 
 
 def test_cutting_the_data_changes_nothing() -> None:
