@@ -349,7 +349,7 @@ def test_the_jacobian_is_the_derivative_of_what_the_model_explains(name: str) ->
 @pytest.mark.parametrize(("order", "hidden"), [(1, True), (2, False), (0, False)])
 def test_friction_is_hidden_behind_a_drive_of_first_order_between_two_places(order: int, *, hidden: bool) -> None:
     """Order 0: a triangle, where friction is damping and no stiffness; of second order, it has another torque."""
-    step, period, omega, time = 2e-3, 0.5, 20.0, 2e-3 * np.arange(4000)
+    step, period, omega, time = 2e-3, 0.5, 20.0, np.arange(4000) / 500.0
     since, up = time % period, 1.0 - 2.0 * (np.floor(time / period) % 2.0)
     left = np.exp(-omega * since) * (1.0 + omega * since if order == 2 else 1.0)
     place = up * (1.0 - 2.0 * left)
@@ -362,7 +362,7 @@ def test_friction_is_hidden_behind_a_drive_of_first_order_between_two_places(ord
 
 def test_a_joint_rests_where_most_moves_end_in_rest_and_not_where_some_are_slow() -> None:
     """A logarithmic chirp from 0.2 to 12 Hz is slow around the turning points of its slow end."""
-    time, omega = 2e-3 * np.arange(10_000), 40.0
+    time, omega = np.arange(10_000) / 500.0, 40.0
     since, up = time % 0.2, 1.0 - 2.0 * (np.floor(time / 0.2) % 2.0)
     binary = up * (1.0 - 2.0 * np.exp(-omega * since) * (1.0 + omega * since))
     chirp = np.sin(2.0 * np.pi * 0.2 * 20.0 / np.log(60.0) * (60.0 ** (time / 20.0) - 1.0))
