@@ -28,6 +28,9 @@ _SHARE: Final = 4
 _WIDER: Final = 1.3
 """How much longer than the shortest of its windows a block may be: beside a gap in time it holds fewer of them."""
 
+_SINGULAR: Final = 1e-14
+"""Part of a diagonal element that is left of it where stamps, as across a long gap, determine no polynomial."""
+
 _PART: Final = 1 << 15
 """Samples for a thread at a time."""
 
@@ -210,7 +213,8 @@ def _chebyshev_derivative(x: Array, order: int) -> Array:
 def _solved(sums: Array, right: Array) -> Array:
     """Return the coefficients (p, b) of all fits, from the sums of the basis (2p-1, b) and of the values (p, b).
 
-    The equations are solved by Cholesky; the basis is so nearly orthogonal that no pivot is needed.
+    The equations are solved by Cholesky; the basis is so nearly orthogonal that no pivot is needed. NaN where they are
+    singular.
     """
     p, found = len(right), right.copy()
     root = np.empty((p, p, right.shape[1]))
@@ -219,7 +223,8 @@ def _solved(sums: Array, right: Array) -> Array:
         column = 0.5 * (sums[below + m] + sums[below - m])  # the product T_k T_m
         for j in range(m):
             column -= root[m:, j] * root[m, j]
-        diagonal = np.sqrt(np.maximum(column[0], 1e-300))
+        whole = 0.5 * (sums[2 * m] + sums[0])
+        diagonal = np.sqrt(np.where(column[0] > _SINGULAR * whole, column[0], np.nan))
         root[m:, m] = column / diagonal
         root[m, m] = diagonal
         found[m] /= diagonal

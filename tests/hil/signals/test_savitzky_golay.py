@@ -78,6 +78,17 @@ def test_sums_and_kernels_shared_by_many_windows_give_what_each_window_gives(
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-12 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("gap", [1.0, 100.0])
+def test_across_a_gap_the_slope_is_no_number_or_none_that_the_readings_do_not_have(gap: float) -> None:
+    time = np.arange(60) / 500.0
+    time[30:] += gap
+    slope = local_polynomial(time, np.full(60, -0.2) + 1e-12 * np.arange(60), 6, 1)
+    known = np.isfinite(slope)
+    assert known[:20].all()
+    assert known[-20:].all()
+    assert np.abs(slope[known]).max() < 1e-6
+
+
 def test_a_gap_in_time_costs_only_the_windows_that_span_it() -> None:
     time = np.arange(400) / 500.0
     time[200:] += 30.0
