@@ -147,30 +147,35 @@ def looks_like_spring(motion: Motion) -> bool:
     return bool(side.std() > 0.0 and place.std() > 0.0 and np.corrcoef(side, place)[0, 1] > FROM_ONE_SIDE)
 
 
-def is_hidden(motion: Motion) -> bool:
-    """Return whether friction has the torque of more stiffness and damping in all of the motion.
+def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
+    """Return whether friction has the torque of more stiffness and damping, or of these and an inertia, in all of it.
 
     So it has behind a drive of first order between two places: its rate is in proportion to the way that is left, and
     friction holds the direction until the next step. The direction is then a linear function of where the joint is, and
-    where it is a few samples later. The rate would not do: beside a step it depends on the window.
+    where it is a few samples later. The rate would not do: beside a step it depends on the window. Behind a drive of
+    second order that hardly overshoots, where it is another few samples later belongs to it.
     """
     import numpy as np
 
     whole, _ = motion.whole
-    if len(whole) <= LATER or np.ptp(whole.dtheta) == 0.0:
+    places = 3 if inertia else 2
+    last = LATER * (places - 1)
+    if len(whole) <= last or np.ptp(whole.dtheta) == 0.0:
         return False
     sign = _holding(whole, _resting(whole))
     move = _moves(sign) + whole.stretch
-    alike = move[LATER:] == move[:-LATER]
+    alike = move[last:] == move[:-last]
     alike[:-1] &= alike[1:]  # when it turned is known to a sample
     if not alike.any():
         return False
-    place, friction = whole.dtheta / (0.5 * np.ptp(whole.dtheta)), whole.filtered(sign)[:-LATER][alike]
-    way = place[LATER:] - place[:-LATER]
-    way /= max(float(way.std()), np.finfo(float).tiny)
-    columns = np.stack([place[:-LATER], way, np.ones(len(way))], axis=1)[alike]
+    place, friction = whole.dtheta / (0.5 * np.ptp(whole.dtheta)), whole.filtered(sign)[:-last][alike]
+    ways = [place]
+    for _ in range(1, places):
+        way = ways[-1][LATER:] - ways[-1][:-LATER]
+        ways.append(way / max(float(way.std()), np.finfo(float).tiny))
+    columns = np.stack([np.ones(len(place) - last), *(way[: len(place) - last] for way in ways)], axis=1)[alike]
     parts = np.linalg.lstsq(columns, friction, rcond=None)[0]
-    return bool(parts[0] > OF_SPRING and HIDDEN * np.var(friction - columns @ parts) < np.var(friction))
+    return bool(parts[1] > OF_SPRING and HIDDEN * np.var(friction - columns @ parts) < np.var(friction))
 
 
 def _resting(motion: Motion) -> NDArray[np.bool_]:

@@ -71,11 +71,13 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     early = -values.get("skew", 0.0) > 2.0 * TICK_SHARE * float(np.median(np.diff(motion.time)))
     if not evidence.selected or terms & _RUBS:
         return []
+    inertia = "J" in values
     if (terms & _CURVED or early) and looks_like_spring(motion):
         other = "a spring that curves" if terms & _CURVED else "a torque that is read before the angle"
         fits = f"has the torque of more stiffness, and {other} fits as well"
-    elif is_hidden(motion):
-        fits = "has the torque of more stiffness and damping, in this motion at every sample"
+    elif is_hidden(motion, inertia=inertia):
+        parts = "stiffness, damping and inertia" if inertia else "stiffness and damping"
+        fits = f"has the torque of more {parts}, in this motion at every sample"
     else:
         return []
     text = (

@@ -243,6 +243,32 @@ def test_friction_that_is_stiffness_at_every_sample_is_not_trusted_as_stiffness(
     assert ("friction-at-rest" in {one.code for one in found.diagnostics}) != trusted
 
 
+def moved_between_two_places(channels: dict[str, Array]) -> None:
+    """A joint behind a drive of second order that does not overshoot; dry friction holds it where it rests."""
+    tick, state, level = 1.0 / 5000.0, np.zeros(2), np.random.default_rng(5).choice([-0.2, 0.2], 2000)
+    moved = 0.0
+    for at in range(len(channels["dtheta"])):
+        channels["dtheta"][at], rate = state
+        moved = np.sign(rate) if abs(rate) > 2e-3 else moved
+        channels["torque"][at] = 0.3 * state[0] + 3e-3 * rate + 0.02 * moved
+        for _ in range(10):
+            state += tick * np.array([state[1], 900.0 * (level[at // 75] - state[0]) - 60.0 * state[1]])
+    channels["torque"] += 1e-3 * np.random.default_rng(6).standard_normal(len(channels["torque"]))
+
+
+@pytest.mark.parametrize(("model", "trusted"), [(None, False), ("linear+inertia", True)])
+def test_friction_that_is_stiffness_and_inertia_at_every_sample_is_not_trusted_as_these(
+    make_recording: Maker, model: str | None, *, trusted: bool
+) -> None:
+    """Kc is 0.4 N m/rad for 0.3, and the residuals are nothing but noise."""
+    found = identify(
+        [make_recording(samples=5000, change=moved_between_two_places)], parse(model) if model else None, SEARCH
+    )
+    assert "inertia" in found.model.name
+    assert found.trusted("Kc") == trusted
+    assert ("friction-at-rest" in {one.code for one in found.diagnostics}) != trusted
+
+
 def test_several_speeds_have_nothing_said_of_them(make_recording: Maker) -> None:
     assert not of_damping(identify([make_recording(noise=1e-4)], parse("linear"), SEARCH))
 
