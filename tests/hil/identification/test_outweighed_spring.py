@@ -90,7 +90,7 @@ def test_noise_larger_than_the_torque_of_the_spring_is_averaged_away(tmp_path: P
 def test_a_locked_gear_that_hardly_leaves_its_play_has_no_stiffness(tmp_path: Path) -> None:
     found = identify([recording(tmp_path / "a.h5", *locked(1, 4.0))], parse("linear+offset+dahl+backlash"), SEARCH)
     assert found["Kc"].value > 2.0 * 400.0
-    assert codes(found) == ["spring-outweighed"]
+    assert "spring-outweighed" in codes(found)
     assert not found.trusted("Kc")
     message = next(one.message for one in found.diagnostics if one.code == "spring-outweighed")
     assert "Drive with several times the torque" in message
