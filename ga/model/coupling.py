@@ -135,7 +135,7 @@ class CouplingModel:
 
         delay: s, how much older the torque reading is. If the model estimates it, samples next to a reversal are left
         out as well, because the sign of their friction would decide it; and those next to a rest that a low-pass brings
-        friction of unknown size from.
+        friction of unknown size from; and those in which the rate turns before or after the joint.
         """
         if not self.sticks:
             return np.ones(len(motion), dtype=bool)

@@ -268,7 +268,7 @@ def _falling(largest: _Largest, motion: Motion) -> list[tuple[_Largest, float]]:
 def _fallen(largest: _Largest, column: Array) -> list[tuple[_Largest, float]]:
     """The fit with friction that falls, and Akaike's criterion of it; [] where it cannot be distinguished from others.
 
-    Nor is it one where the friction that is left at speed would be negative, and drive the joint.
+    [] too where the friction that is left at speed would be negative, and drive the joint.
     column (n,): the torque, N m, by which friction at rest is higher if that is as much as at speed.
     """
     columns = np.column_stack([largest.columns, column])
@@ -338,7 +338,7 @@ def _is_doubtful(step: Step) -> bool:
 
 
 def _rubs(name: str) -> bool:
-    """Whether a parameter of that name, or of a nuisance, is of friction."""
+    """Whether a name is of a parameter of friction; a nuisance parameter is none."""
     return name in PARAMETERS and PARAMETERS[name].friction
 
 
