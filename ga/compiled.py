@@ -16,7 +16,6 @@ Ctrl-C takes effect between two functions: LLVM calls back into Python, where a 
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import os
 import shutil
@@ -31,6 +30,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar, cast
 
 from ga import first_run
+from ga.collector import uncollected
 from ga.own_numba import appdirs, event, global_compiler_lock, numba
 
 if sys.platform != "win32":
@@ -110,21 +110,9 @@ def _compiled_once(compile_or_load: Callable[..., Any], lock: Path, *signature: 
             file = lock.open("ab")
         except OSError:  # the folder was pruned: the function is compiled once more
             return _between_interrupts(compile_or_load, *signature)
-        with file, _uncollected():
+        with file, uncollected():  # it takes a sixteenth of the time
             _lock(file)
             return _between_interrupts(compile_or_load, *signature)
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Collect no garbage while a function is compiled, which takes a sixteenth of the time and finds next to none."""
-    before = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if before:
-            gc.enable()
 
 
 class _Held:

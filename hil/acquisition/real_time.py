@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from drivers.clock import Clock, MonotonicClock
+from ga.collector import uncollected
 
 _PRIORITY = 50  # of 1 to 99; the kernel's own interrupt threads have 50, and what is above is for them
 _SWITCH = 1e-4  # s after which a thread that waits for the interpreter gets it; the default of 5 ms is five ticks
@@ -28,7 +29,7 @@ def real_time(clock: Clock) -> Iterator[None]:
 
     No child process inherits the real-time class or the locked memory.
     """
-    with _quiet_collector():
+    with uncollected():  # a full collection can stop the loop for 100 ms
         if not isinstance(clock, MonotonicClock):
             yield
             return
@@ -39,16 +40,6 @@ def real_time(clock: Clock) -> Iterator[None]:
                 yield
         finally:
             gc.unfreeze()
-
-
-@contextmanager
-def _quiet_collector() -> Iterator[None]:
-    """Switch garbage collection off: a full one can stop the loop for 100 ms."""
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ga.collector import uncollected
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.recording.output import atomic_write
@@ -95,7 +96,8 @@ def write(page: Page, path: Path, *, force: bool) -> Path:
     check_page_name(path)
     source = resources.files("hil.report").joinpath("page.html.j2").read_text(encoding="utf-8")
     template = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    drawn = [(one, Markup(svg(one))) for one in page.pictures]  # noqa: S704 - our own drawing, which escapes its texts
+    with uncollected():
+        drawn = [(one, Markup(svg(one))) for one in page.pictures]  # noqa: S704 - ours, which escapes its texts
     embedded = Markup(_embedded(page.table))  # noqa: S704 - escaped for a script element
     charts = {one.name: Markup(one.chart.as_json()) for one in page.pictures if one.chart}  # noqa: S704 - escaped too
     parts = {name: Markup(part) for name, part in library().items()} if charts else {}  # noqa: S704 - of this package
@@ -108,10 +110,11 @@ def write(page: Page, path: Path, *, force: bool) -> Path:
 def svg(picture: Picture) -> str:
     """Return a picture as an SVG element for a page with others, in the colours of that page."""
     from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     buffer = io.StringIO()
     with rc_context(_INLINE):
-        picture.draw().savefig(buffer, format="svg", transparent=True)
+        FigureCanvasSVG(picture.draw()).print_svg(buffer)  # savefig would draw it twice, once for the layout alone
     text = buffer.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)

@@ -33,7 +33,7 @@ def residuals_drawn(found: Identification) -> Figure:
     values, rate = _residuals(found)
     drawn, (spectrum, correlation) = canvas(1, 2, (9, 3.6))
     _draw_spectrum(values, rate, spectrum)
-    spectrum.set(xlabel="frequency [Hz]", ylabel=f"power of the residuals [({unit})$^2$/Hz]")
+    spectrum.set(xlabel="frequency [Hz]", ylabel=f"power of the residuals [({unit})²/Hz]")
     _draw_autocorrelation(values, rate, correlation)
     plain_ticks(spectrum)
     return drawn

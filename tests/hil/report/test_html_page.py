@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gc
 import json
 import re
 import shutil
@@ -16,6 +17,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backend_bases import RendererBase
+from matplotlib.figure import Figure
 
 import hil as api
 from hil.cli.app import run
@@ -23,7 +26,8 @@ from hil.recording.channels import Row
 from hil.recording.writer import Header, RecordingWriter
 from hil.recording.writer import write as write_recording
 from hil.report.chart import Chart, Line, Panel
-from hil.report.html_page import Page, Section, write
+from hil.report.html_page import Page, Picture, Section, write
+from hil.report.pictures.canvas import canvas
 
 from ..conftest import Hil, Maker
 
@@ -262,3 +266,20 @@ def test_the_command_line_that_made_a_report_is_in_it(
     monkeypatch.setattr("sys.argv", ["hil", *words])
     assert run(words) == 0
     assert f"--report {tmp_path / 'r.html'}" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def test_a_picture_is_drawn_once_and_no_garbage_is_collected_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[bool] = []
+    draw = Figure.draw
+
+    def counted(figure: Figure, renderer: RendererBase) -> None:
+        seen.append(gc.isenabled())
+        draw(figure, renderer)
+
+    monkeypatch.setattr(Figure, "draw", counted)
+    picture = Picture("p", "Picture", "A panel.", lambda: canvas(1, 1, (4, 3))[0])
+    write(Page("t", "s", ("v",), [], [Section("n")], [picture], [], {}), tmp_path / "p.html", force=True)
+    assert seen == [False]
+    assert gc.isenabled()

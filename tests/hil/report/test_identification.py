@@ -221,7 +221,7 @@ def test_a_report_that_cannot_be_drawn_leaves_the_old_one(
     def fail(*_words: Any, **_settings: Any) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(Figure, "savefig", fail)
+    monkeypatch.setattr(Figure, "draw", fail)
     with pytest.raises(MemoryError):
         write_page(result, tmp_path / "p.html", force=True)
     assert sorted(item.name for item in tmp_path.iterdir()) == ["a.h5", "p.html"]
