@@ -114,7 +114,8 @@ def svg(picture: Picture) -> str:
 
     buffer = io.StringIO()
     with rc_context(_INLINE):
-        FigureCanvasSVG(picture.draw()).print_svg(buffer)  # savefig would draw it twice, once for the layout alone
+        # savefig would draw it twice, once for the layout alone
+        FigureCanvasSVG(picture.draw()).print_svg(buffer)  # type: ignore[no-untyped-call]
     text = buffer.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)
