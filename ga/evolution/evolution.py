@@ -14,9 +14,9 @@ import numpy as np
 
 from ga.evolution.generational import family_of, generational
 from ga.evolution.generator import seeded
-from ga.evolution.population import Population, Record, Rules, evaluate_first, scatter, scatter_around, unrecorded
+from ga.evolution.population import Population, Record, Rules, scatter, scatter_around, unrecorded
 from ga.evolution.steady_state import steady_state, tangents_of
-from ga.fitness.engine import Engine, columns_of, parts
+from ga.fitness.engine import Engine, columns_of, errors_of, parts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -169,7 +169,10 @@ def begin(
         scatter(rules, population)
     else:
         scatter_around(rules, start, population)
-    evaluate_first(*parts(engine), population)
+    errors_of(*parts(engine), population.genes, population.fitness)
+    best = int(population.fitness.argmin())
+    population.best[:], population.best_fitness[0] = population.genes[best], population.fitness[best]
+    population.progress[1] = population.fitness.size
     return population
 
 

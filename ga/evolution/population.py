@@ -10,9 +10,6 @@ from numpy.typing import NDArray
 from ga.compiled import compiled_no_refcount, compiled_within
 from ga.evolution.generator import State, load, store, uniform
 from ga.evolution.operators import REDRAWS, Genes, Order, clamp, copy, is_inside
-from ga.fitness.cells import Tree
-from ga.fitness.dense import Samples
-from ga.fitness.engine import error_of
 from ga.start import Start
 
 ALWAYS, IF_BETTER, OLDEST, RANDOM = range(4)
@@ -106,15 +103,6 @@ def recorded(record: Record, due: int, population: Population) -> int:
         record.fitness[due] = population.best_fitness[0]
         due += 1
     return due
-
-
-@compiled_no_refcount
-def evaluate_first(samples: Samples | None, tree: Tree | None, population: Population) -> None:
-    """Evaluate the first population."""
-    for i in range(population.fitness.size):
-        population.fitness[i] = error_of(samples, tree, population.genes[i], np.inf)
-        remember(population, population.genes[i], population.fitness[i])
-    population.progress[1] = population.fitness.size
 
 
 @compiled_no_refcount

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_inline, compiled_no_refcount
+from ga.compiled import compiled_inline, compiled_no_refcount, compiled_within
 from ga.evolution.generator import Words, below, load, store, uniform
 from ga.evolution.operators import Genes, arithmetic_crossover, copy, crossover_share, mutate, tournament
 from ga.evolution.population import (
@@ -32,7 +32,7 @@ from ga.evolution.population import (
 )
 from ga.fitness.cells import Tree
 from ga.fitness.dense import ROUNDING, Samples
-from ga.fitness.engine import error_of, exact_error, tangent_of
+from ga.fitness.engine import error_of, tangent_of
 
 Tangents = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
             break
     store(words, population.generator)
     if rules.rejects and fitness[worst] == np.inf:
-        fitness[worst] = exact_error(samples, tree, genes[worst])
+        fitness[worst] = error_of(samples, tree, genes[worst], np.inf)
 
 
 @compiled_inline
@@ -129,7 +129,7 @@ def _is_hopeless(tangents: Tangents, gene: int, centre: Genes, child: Genes, lim
     return bool(bound - ROUNDING * extent > limit)
 
 
-@compiled_no_refcount
+@compiled_within
 def _learn(  # noqa: PLR0917 - the compiled loops take their parts by position
     samples: Samples | None,
     tree: Tree | None,

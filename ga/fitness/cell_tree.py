@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ga.compiled import compiled_inline, compiled_no_refcount
+from ga.compiled import compiled_inline, compiled_no_refcount, compiled_within
 from ga.fitness.cells import (
     BITS,
     CELL,
@@ -134,7 +134,7 @@ def _list_error(tree: Tree, node: int) -> float:
     return total + carry
 
 
-@compiled_inline
+@compiled_within
 def _node_of(tree: Tree, genes: Vector, limit: float) -> int:
     """The leaf of a chromosome, grown if need be; the root where it is out of bounds. Sets place, genes - origin.
 

@@ -70,7 +70,7 @@ def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float
     return np.nan
 
 
-@compiled_no_refcount
+@compiled_within
 def tangent_of(
     samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float, slope: NDArray[np.float64]
 ) -> float:
@@ -86,9 +86,12 @@ def tangent_of(
 
 
 @compiled_no_refcount
-def exact_error(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64]) -> float:
-    """Equation 5 for one chromosome (p,), N m."""
-    return error_of(samples, tree, genes, np.inf)
+def errors_of(
+    samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], errors: NDArray[np.float64]
+) -> None:
+    """Equation 5 for chromosomes (m, p), N m, written to `errors` (m,)."""
+    for i in range(errors.size):
+        errors[i] = error_of(samples, tree, genes[i], np.inf)
 
 
 def parts(engine: Engine) -> tuple[Samples | None, Tree | None]:
@@ -103,4 +106,6 @@ def columns_of(engine: Engine) -> int:
 
 def evaluate(engine: Engine, genes: NDArray[np.float64]) -> float:
     """The fitness, N m, of one chromosome (p,)."""
-    return float(exact_error(*parts(engine), genes))
+    error = np.empty(1)
+    errors_of(*parts(engine), np.ascontiguousarray(genes)[None], error)
+    return float(error[0])

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from ga.compiled import compiled_inline, compiled_no_refcount
+from ga.compiled import compiled_inline, compiled_no_refcount, compiled_within
 from ga.fitness.cells import (
     BITS,
     CELL,
@@ -109,7 +109,7 @@ def child_of(tree: Tree, node: int) -> int:
     return np.int64(tree.table[_slot(tree, node, _code(tree, node))])  # type: ignore[return-value]  # int in numba
 
 
-@compiled_no_refcount
+@compiled_within
 def split(tree: Tree, node: int) -> int:
     """Grow the part of a cell that the place is in; the root, all else forgotten, where there is no room."""
     rows, p = tree.nodes[node, ROWS], tree.at.size
@@ -170,7 +170,7 @@ def _enter(tree: Tree, child: int) -> float:
     return half * (1.0 + 1e-9) + tree.blur  # type: ignore[no-any-return]  # float in numba
 
 
-@compiled_no_refcount
+@compiled_within
 def _settle(tree: Tree, node: int, child: int, reach: float, small: int) -> int:
     """Sum up the parent's rows that have one sign throughout the child, list the others.
 

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any
 from ga.bounds import bounds_from_data
 from ga.evolution.evolution import PRESETS
 from ga.evolution.generational import generational
-from ga.evolution.population import evaluate_first, scatter_around
+from ga.evolution.population import scatter_around
 from ga.fitness.dense import fill, settle_any
+from ga.fitness.engine import errors_of
 from ga.start import equations
 from ga.trials.ahead import compile_search, is_worthwhile
 from ga.trials.trials import run_trials
@@ -14,7 +15,7 @@ from ga.trials.trials import run_trials
 if TYPE_CHECKING:
     from tests.ga.conftest import Making
 
-KERNELS: tuple[Any, ...] = (generational, evaluate_first, scatter_around, settle_any, fill, equations)
+KERNELS: tuple[Any, ...] = (generational, errors_of, scatter_around, settle_any, fill, equations)
 
 
 def signatures() -> set[tuple[str, str]]:
