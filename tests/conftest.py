@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
 from collections.abc import Iterator
@@ -10,12 +11,15 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from hil.recording import writer
+
 # every core has a worker of its own: more threads of linear algebra than that only wait for each other
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 settings.register_profile("hil", deadline=None)  # a busy computer makes no example wrong
 settings.load_profile("hil")
 
+SOFTWARE = functools.cache(writer._software)
 SHARED = Path(os.environ.get("HIL_SHARED", Path(__file__).parent.parent.parent / "shared"))
 
 
@@ -51,6 +55,18 @@ def state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+@pytest.fixture(autouse=True)
+def recordings_are_quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Save what costs 100 ms for each recording and is the same for all.
+
+    None is tried out in a copy of this process before it is opened, since nearly every test has just written it
+    itself; and the versions of the software, one of them `git`'s, are looked up once.
+    """
+    if request.node.get_closest_marker("damaged_files") is None:
+        monkeypatch.setattr("hil.recording.reader.in_child", lambda *_, **__: b"ok")
+    monkeypatch.setattr("hil.recording.writer._software", SOFTWARE)
 
 
 @pytest.fixture

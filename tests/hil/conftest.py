@@ -102,12 +102,6 @@ def lost(count: int, start: int) -> dict[int, Exception | dict[str, float]]:
     return {start + index: NoReply("nothing came") for index in range(count)}
 
 
-@pytest.fixture
-def sound_files_are_opened_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Try no recording out in a copy of this process, 50 ms each: the test has just written it itself."""
-    monkeypatch.setattr("hil.recording.reader.in_child", lambda work, **_: work())
-
-
 Maker = Callable[..., Path]
 
 

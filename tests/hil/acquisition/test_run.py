@@ -26,7 +26,6 @@ from hil.acquisition.run import run
 from hil.acquisition.setpoints import SetPoints
 from hil.cli import app as cli
 from hil.errors import WrongUse
-from hil.recording import reader
 from hil.recording import writer as writer_module
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
@@ -116,8 +115,7 @@ def test_whatever_fails_at_whichever_call_the_torque_is_off_and_the_rows_are_the
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, after: bool
 ) -> None:
     monkeypatch.setattr(recorder, "_REST_SAMPLES", 2)
-    monkeypatch.setattr(writer_module, "_software", dict)  # these three are most of the time a run takes
-    monkeypatch.setattr(reader, "in_child", lambda work, **_: work())
+    monkeypatch.setattr(writer_module, "_software", dict)  # these two are most of the time a run takes
     monkeypatch.setattr(os, "fsync", lambda _: None)
     for at in count(1):
         servo, saboteur = SpringServo(), Saboteur(error, at, after=after)
@@ -241,10 +239,9 @@ def test_every_row_is_on_disk_before_the_alarm_is_raised(spring: SpringServo, tm
 
 @pytest.mark.parametrize("rate", [20.0, 49.0, 100.0, 500.0, 1000.0])
 def test_a_kill_at_any_instant_costs_at_most_twenty_milliseconds_of_rows(
-    spring: SpringServo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rate: float
+    spring: SpringServo, tmp_path: Path, rate: float
 ) -> None:
     """At every tenth set-point the rows that a killed process would leave are counted."""
-    monkeypatch.setattr(reader, "in_child", lambda work, **_: work())  # a process for each count takes longest
     exchange, lost = spring.exchange, list[int]()
 
     def counted(command: Command) -> Sample:

@@ -27,8 +27,6 @@ from hil.stand.toml_table import line_of
 
 from ..conftest import Hil
 
-pytestmark = pytest.mark.usefixtures("sound_files_are_opened_at_once")
-
 ROOT = Path(__file__).parents[3]
 PLAN = """
 [campaign]

@@ -27,8 +27,6 @@ from hil.signals.prepare import Signals, prepare
 from hil.signals.source import open_sources
 from hil.stand.file import SIMULATED, parse
 
-pytestmark = pytest.mark.usefixtures("sound_files_are_opened_at_once")
-
 REAL = SIMULATED.replace('backend = "sim"\n', "").replace("motor_inertia = 2.0e-7\n", "")
 
 

@@ -19,7 +19,7 @@ import pytest
 
 from hil.cli import app as cli
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording import output, reader
+from hil.recording import output
 from hil.recording import writer as writer_module
 from hil.recording.channels import ROW, Row
 from hil.recording.final import finalise
@@ -153,9 +153,7 @@ def test_rows_that_an_older_version_reserved_and_did_not_mark_are_no_rows(tmp_pa
         assert len(recording) == 0
 
 
-def test_every_number_of_rows_is_read_and_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The trial in a copy of the process, which every opening begins with, is left out: it is the same for each."""
-    monkeypatch.setattr(reader, "in_child", lambda work, **_: work())
+def test_every_number_of_rows_is_read_and_recovered(tmp_path: Path) -> None:
     part = RecordingWriter(tmp_path / "a.h5", HEADER, 200, batch=1)
     for rows in range(201):
         with Recording(part.path) as recording:
@@ -167,10 +165,7 @@ def test_every_number_of_rows_is_read_and_recovered(tmp_path: Path, monkeypatch:
     part.close()
 
 
-def test_a_recording_of_few_rows_is_looked_at_or_refused_in_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(reader, "in_child", lambda work, **_: work())
+def test_a_recording_of_few_rows_is_looked_at_or_refused_in_a_sentence(tmp_path: Path) -> None:
     header = Header(profile={"kind": "sine", "mode": "torque", "rate": 500.0}, stand_toml=SIMULATED)
     part = RecordingWriter(tmp_path / "a.h5", header, 70, batch=1)
     seen = []

@@ -31,7 +31,7 @@ from hil.recording.final import finalise
 from hil.recording.integrity import LIVE, packed
 from hil.recording.output import NameTaken, check_output, check_unfinished, next_free, remove_unfinished
 from hil.recording.reader import SCHEMA, Recording
-from hil.recording.writer import Header, RecordingWriter, write
+from hil.recording.writer import Header, RecordingWriter, _software, write
 
 from ..conftest import Maker
 
@@ -588,6 +588,7 @@ def _nothing(path: Path) -> None:
     del path
 
 
+@pytest.mark.damaged_files
 @pytest.mark.parametrize(
     ("spoil", "expected"),
     [
@@ -639,6 +640,7 @@ def test_a_checkout_that_was_not_installed_records_too(tmp_path: Path, monkeypat
             raise PackageNotFoundError(name)
         return version(name)
 
+    monkeypatch.setattr(writer_module, "_software", _software)  # not one that remembers
     monkeypatch.setattr(writer_module, "version", known)
     with Recording(recorded(tmp_path / "a.h5", 5).finish("done")) as recording:
         software = json.loads(recording.attributes["software"])
@@ -695,6 +697,7 @@ def _large_chunks(path: Path) -> None:
         file["samples"].create_dataset("torque", (5,), "<f8", chunks=(2**27,), maxshape=(None,), compression="gzip")
 
 
+@pytest.mark.damaged_files
 @pytest.mark.parametrize(
     ("spoil", "expected"),
     [(_many_rows, "declares 1000000000 rows"), (_many_events, "declares more than"), (_large_chunks, "chunks of 1073")],
@@ -705,6 +708,7 @@ def test_declared_sizes_are_not_believed(tmp_path: Path, spoil: Callable[[Path],
         Recording(tmp_path / "a.h5")
 
 
+@pytest.mark.damaged_files
 @pytest.mark.parametrize("fault", ["hangs", "crashes", "needs much memory"])
 def test_a_file_on_which_the_library_fails_is_refused_in_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
