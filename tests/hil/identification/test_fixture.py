@@ -59,7 +59,7 @@ def test_a_fixture_softer_than_the_joint_is_refused(make_recording: Maker, capfd
 
 
 def identified(capfd: pytest.CaptureFixture[str], joint: Path, rig: Path, *words: str) -> tuple[int, dict[str, Any]]:
-    status = run(["identify", str(joint), "--fixture", str(rig), "--trials", "2", "--json", *words])
+    status = run(["identify", str(joint), "--fixture", str(rig), "--trials", "1", "--json", *words])
     found: dict[str, Any] = json.loads(capfd.readouterr().out)
     return status, found
 
@@ -74,7 +74,7 @@ def test_the_fixture_that_was_taken_off_is_named_with_what_it_gave(
     assert found["fixture"]["parameters"]["Kc"]["value"] == pytest.approx(FIXTURE[0], rel=1e-3)
     run(["identify", str(joint), "--model", "linear", "--trials", "2", "--json"])
     assert json.loads(capfd.readouterr().out)["fixture"] is None
-    assert run(["identify", str(joint), "--fixture", str(rig), "--trials", "2"]) == 0
+    assert run(["identify", str(joint), "--fixture", str(rig), "--trials", "1"]) == 0
     assert "the fixture, Kc 200 mN m/rad and Bc 1 mN m s/rad, is removed" in capfd.readouterr().out
 
 

@@ -26,7 +26,7 @@ from hil.signals.inspection import inspect
 
 from ..conftest import Maker
 
-SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
+SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
 
 
 def step(term: str, bc: float, gain: float = -5.0, *, included: bool = False) -> Step:

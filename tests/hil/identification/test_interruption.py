@@ -17,7 +17,19 @@ from hil.cli.progress import Lines, progress
 
 from ..conftest import Maker
 
-LONG = ("--preset", "paper", "--generations", "300000", "--trials", "3", "--workers", "2", "--json")
+LONG = (
+    "--model",
+    "linear",
+    "--preset",
+    "paper",
+    "--generations",
+    "300000",
+    "--trials",
+    "3",
+    "--workers",
+    "2",
+    "--json",
+)
 
 
 @pytest.fixture(autouse=True)
