@@ -50,10 +50,6 @@ two, and the part of it that is then stiffness: of that at the ends of the range
 190 or more (what the angle went through rounds the start of each move), behind those of second order 90 or less. With
 a third place it is 147 or more behind those of second order that hardly overshoot, and 17 or less in other motions."""
 
-UNSURE: Final = 0.005
-UNLIKE: Final = 8.0
-"""Part of the r.m.s. rate, and times the rate's noise or the usual difference, from which two slopes differ by more."""
-
 NOISY: Final = 0.5
 FINEST: Final = 0.001
 SMOOTHEST: Final = 0.05
@@ -99,6 +95,8 @@ def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
     """
     import numpy as np
 
+    from ga.model.trajectory import beyond_noise
+
     whole, rows = motion.whole
     rate, near = whole.dtheta_dot, whole.dtheta_dot.copy()
     if len(whole) < 3:
@@ -108,8 +106,7 @@ def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
         slope = (whole.dtheta[2:] - whole.dtheta[:-2]) / (whole.time[2:] - whole.time[:-2])
     near[1:-1] = np.where(inside & np.isfinite(slope), slope, near[1:-1])
     apart = np.abs(near - rate)
-    noise = max(float(np.median(apart)), motion.rate_noise or 0.0)
-    sure = apart > max(UNSURE * _usual(whole), UNLIKE * noise)
+    sure = apart > beyond_noise(apart, rate, motion.rate_noise or 0.0)
     return np.asarray((near * rate < 0.0) & sure)[rows]
 
 

@@ -33,6 +33,10 @@ _APART: Final = 300.0
 _AGAIN: Final = 4
 """Passes, below which what seems to change in time may as well differ between the directions."""
 
+_UNSURE: Final = 0.005
+_UNLIKE: Final = 8.0
+"""Part of the r.m.s. value, and times the usual difference or the noise, up to which two windows give one slope."""
+
 _PARTS: Final = ("dtheta", "dtheta_dot", "dtheta_ddot", "known")
 
 
@@ -247,6 +251,16 @@ class Motion:
     @cached_property
     def _changes(self) -> tuple[Spline, ...]:
         return tuple(curve.changing() for curve in self._curves) if self.part_of is None else self.part_of[0]._changes
+
+
+def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:
+    """Return from where on a difference says that motion is not smooth in a window, in the values' unit.
+
+    apart (n,): by how much derivatives of the deflection in two windows differ. values (n,): the derivative in one of
+    them, and noise: the standard deviation of that. What is not known is NaN.
+    """
+    usual = float(np.sqrt(np.nanmean(values**2)))
+    return max(_UNSURE * usual, _UNLIKE * max(float(np.nanmedian(apart)), noise))
 
 
 def joined(motions: Sequence[Motion]) -> Motion:

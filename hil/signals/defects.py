@@ -41,7 +41,7 @@ class Defects:
     two ends of the recording are not counted. frozen: rows in which the angle stood still while the torque changed.
     clipped: rows in which the torque, or a neighbour, stood at the end of the sensor's range while the joint moved on.
     spikes: rows in which the angle alone is wrong. wraps: jumps of the angle by a turn, which were taken back.
-    jerked: rows beside a jump of the acceleration, whose rate is not known.
+    jerked: rows beside a jump of the acceleration, whose rate or acceleration is not known.
     """
 
     lost: int = 0

@@ -46,7 +46,8 @@ class Signals:
     of several that of the noisiest, None where the rate was recorded. slower: the sensors that are slower than the
     ticks. command (n,): the set-points at these times, None where they were not recorded. refused_rate: how a recorded
     rate differs from the deflection's derivative, so that it is not used. unfiltered (n,): N m, the torque as it was
-    read where that is another. jerked (n,): whether a jump of the acceleration leaves each no rate; None: none.
+    read where that is another. jerked (n,): whether each is beside a jump of the acceleration, so that its rate or
+    acceleration is not known; None: none.
     """
 
     motion: Motion
@@ -222,7 +223,7 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
     starts, long_enough = stretches(time, sound & ~over if own is None else sound, window.step)
     kept = long_enough & (inside if own is None else True)
     is_filtered, jerks = (own is None and not columns.rate_given and one for one in (window.low_pass, window.jerks))
-    jerked = window.jerked(time, dtheta, rate)[kept] if jerks else None
+    jerked = window.jerked(time, dtheta, rate, acceleration)[kept] if jerks else None
     motion = Motion(
         time[kept],
         dtheta[kept],

@@ -153,8 +153,9 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
         found.append(Diagnostic("near-gaps", gaps))
     if defects.jerked > _MANY_JERKED * rows:
         text = (
-            f"the acceleration jumps beside {defects.jerked} of {rows} rows, so their rate is not known. These rows "
-            "are left out; Kc and Bc come from the other rows. Use --profile multisine or chirp, or a higher --rate"
+            f"the acceleration jumps beside {defects.jerked} of {rows} rows, so their rate or acceleration is not "
+            "known. These rows are left out; Kc and Bc come from the other rows. Use --profile multisine or chirp, or "
+            "a higher --rate"
         )
         found.append(Diagnostic("acceleration-jumps", text))
     if defects.coarse_clock:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.trajectory import Motion
+from ga.model.trajectory import Motion, beyond_noise
 from hil.signals.deflection_noise import Read, disturbs, own_noise, smallest_step
 from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.savitzky_golay import LEAST, kernel, local_polynomial, widest
@@ -20,6 +20,7 @@ _NOISE = 0.01  # of the rate's RMS: so much noise in it lowers Bc by 0.01 %
 RATE_ACCURACY = 0.5 * (_GAIN_ERROR + _NOISE**2)  # of Bc: half of the most that both can change it by
 _HIDDEN = 0.3  # of the torque's own noise, that the rate's may add to it by way of Bc
 _UNSEEN = 0.5  # of that, where it follows from the motion: the tests of the fit see 2 % of the residuals' power
+_FELT = 0.05  # of the torque's own noise, that smoothing may take off the torque of an inertia
 _KNOWN = 3e-4  # of the torque's deviation, to which the rate is accurate: less noise than this is not looked for
 _FAST = 0.9  # quantile of the speed above which a sample is a fast one
 _NARROWEST = 6  # samples on each side of a window
@@ -27,7 +28,6 @@ _WIDEST = 250  # samples on each side of a window
 _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
 _OTHERS = (9, 12)  # samples on each side of windows, beside which another shows where the rate is wrong
 _NARROW = (LEAST, LEAST + 1)  # the same of windows that are no wider than needed: few samples are lost to a jump
-_UNSURE, _BEYOND_NOISE = 0.005, 8.0  # of the r.m.s. rate, and times the usual difference, from which it is
 _SMOOTH = 0.6  # of the rate's power, that must be left where the samples beside a jerk are left out
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
 _LOOKED = 1 << 18  # samples that the noise of the deflection is held against the torque of
@@ -46,8 +46,9 @@ class Window:
     slope, curvature: neighbours a side. step: s, the median between two samples. band: Hz, the excited band. noise:
     rad/s, the standard deviation of the slope's; of_deflection: rad, of the readings. count: rad, the smallest step
     between two of these. low_pass: what is used in place of the polynomials where that noise would reach Kc or Bc, as
-    noisy says, or where the joint moves faster than the narrowest of them follows. jerk: rad/s, by which rates in
-    several windows differ at most where the acceleration does not jump; infinite where no jump would show.
+    noisy says, or where the joint moves faster than the narrowest of them follows. jerk: rad/s, and jump: rad/s^2, by
+    which rates and accelerations in several windows differ at most where the acceleration does not jump; infinite where
+    no jump would show in the torque of the damping, or of an inertia.
     """
 
     slope: int
@@ -60,11 +61,12 @@ class Window:
     low_pass: LowPass | None = None
     noisy: bool = False
     jerk: float = np.inf
+    jump: float = np.inf
 
     @property
     def jerks(self) -> bool:
-        """Whether the acceleration jumps, so that some samples have no rate."""
-        return bool(np.isfinite(self.jerk))
+        """Whether the acceleration jumps, so that some samples have no rate, or no acceleration."""
+        return bool(np.isfinite(self.jerk) or np.isfinite(self.jump))
 
     @property
     def widest(self) -> int:
@@ -89,9 +91,12 @@ class Window:
         through = passing(time, self.low_pass)
         return lambda values: _known(through(values), values)
 
-    def jerked(self, time: Array, dtheta: Array, rate: Array) -> NDArray[np.bool_]:
-        """Return whether (n,) each sample is beside a jump of the acceleration, where no window gives the rate."""
-        return _differing(time, dtheta, rate, _NARROW) > self.jerk
+    def jerked(self, time: Array, dtheta: Array, rate: Array, acceleration: Array) -> NDArray[np.bool_]:
+        """Return whether (n,) each sample is beside a jump of the acceleration, where no window gives the motion."""
+        of_rate = _differing(time, dtheta, rate, _NARROW) > self.jerk
+        if not np.isfinite(self.jump):
+            return of_rate
+        return of_rate | (_differing(time, dtheta, acceleration, _NARROW, order=2) > self.jump)
 
     def sound(self, time: Array) -> NDArray[np.bool_]:
         """Return whether (n,) each sample has all the neighbours that its rate is computed from."""
@@ -130,22 +135,23 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
         narrowed(slope, step, fastest, hides_in_rate(rate[fast])),
         narrowed(slope, step, of_deflection, hidden),
     )
-    slope = best_of(slope, time[:_LOOKED], dtheta[:_LOOKED], of_deflection)
+    first = time[:_LOOKED], dtheta[:_LOOKED]
+    slope = best_of(slope, *first, of_deflection)
+    curvature = best_of(curvature, *first, of_deflection, order=2)
     found = Window(slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count)
     of_rate = _amplified(slope, step)
     noisy = disturbs(read, found.of_deflection, found.of_deflection * of_rate)
-    first = time[:_LOOKED], dtheta[:_LOOKED]
     if not noisy and smoothed_away(slope, *first, of_deflection) <= _UNSEEN * hidden:
-        return found
+        return _jumping(found, *first, torque[:_LOOKED])
     if not noisy:
         narrow = local_polynomial(*first, slope, 1)
-        jerky = replace(found, jerk=_jerk(_differing(*first, narrow, _NARROW), narrow))
-        smooth = ~jerky.jerked(*first, narrow)
+        jerky = replace(found, jerk=beyond_noise(_differing(*first, narrow, _NARROW), narrow))
+        smooth = ~jerky.jerked(*first, narrow, narrow)
         if (
             _power(narrow, smooth) >= _SMOOTH * _power(narrow)
-            and smoothed_away(slope, *first, of_deflection, smooth) <= _UNSEEN * hidden
+            and smoothed_away(slope, *first, of_deflection, seen=smooth) <= _UNSEEN * hidden
         ):
-            return jerky
+            return _jumping(jerky, *first, torque[:_LOOKED])
     highest = spectrum.above(of_deflection)
     if not noisy:  # what goes on beyond is taken from torque and deflection alike, also where sampling has folded it
         highest = max(spectrum.band[1], min(highest, _FOLLOWED / step))
@@ -167,37 +173,58 @@ def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
     return slope
 
 
-def best_of(slope: int, time: Array, dtheta: Array, noise: float) -> int:
-    """Return the window, at most `slope` neighbours a side, whose noise and what it smooths away are least together.
+def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int = 1) -> int:
+    """Return the window, at most `half` neighbours a side, whose noise and what it smooths away are least together.
 
     noise: rad, of the deflection (n,). Either would make up the residuals of a quiet torque. Of two windows, the
-    slopes differ by as much as the power of their noise does, and by what the wider one smooths away.
+    slopes (order 2: the curvatures) differ by as much as the power of their noise does, and by what the wider one
+    smooths away.
     """
     step = float(np.median(np.diff(time)))
-    rate, whole = local_polynomial(time, dtheta, slope, 1), _whole(time, slope, step)
-    while slope > _NARROWEST and whole.any():
-        half = max(_NARROWEST, int(_NARROWER * slope))
-        narrower = local_polynomial(time, dtheta, half, 1)
-        more_noise = noise**2 * (_amplified(half, step) ** 2 - _amplified(slope, step) ** 2)
-        if float(np.mean((narrower - rate)[whole] ** 2)) <= 2.0 * more_noise:
+    found, whole = local_polynomial(time, dtheta, half, order), _whole(time, half, step)
+    while half > _NARROWEST and whole.any():
+        less = max(_NARROWEST, int(_NARROWER * half))
+        narrower = local_polynomial(time, dtheta, less, order)
+        more_noise = noise**2 * (_amplified(less, step, order) ** 2 - _amplified(half, step, order) ** 2)
+        if float(np.mean((narrower - found)[whole] ** 2)) <= 2.0 * more_noise:
             break
-        slope, rate = half, narrower
-    return slope
+        half, found = less, narrower
+    return half
 
 
-def smoothed_away(slope: int, time: Array, dtheta: Array, noise: float, seen: NDArray[np.bool_] | None = None) -> float:
-    """Return the part of the rate, rad/s r.m.s., that a window of `slope` neighbours a side smooths away.
+def _jumping(found: Window, time: Array, dtheta: Array, torque: Array) -> Window:
+    """Return the window, with the samples beside jumps of the acceleration left out where an inertia would feel them.
+
+    torque (n,): N m, in which the inertia shows, if there is one.
+    """
+    _, rate, acceleration = found.moved(time, dtheta)
+    apart = _differing(time, dtheta, acceleration, _NARROW, order=2)
+    jumping = replace(found, jump=beyond_noise(apart, acceleration))
+    known = np.isfinite(rate + acceleration)
+    smooth = known & ~jumping.jerked(time, dtheta, rate, acceleration)
+    away = smoothed_away(found.curvature, time, dtheta, found.of_deflection, order=2)
+    columns = np.stack([np.ones_like(rate), dtheta, rate, acceleration, np.sign(rate)], axis=1)
+    # friction whose sign is not known beside a jump hides an inertia there, and what is smoothed away does everywhere
+    inertia = max(abs(np.linalg.lstsq(columns[rows], torque[rows], rcond=None)[0][3]) for rows in (smooth, known))
+    is_felt = float(inertia) * away > _FELT * _own_noise(time, dtheta, torque)
+    return jumping if is_felt and _power(rate, smooth) >= _SMOOTH * _power(rate) else found
+
+
+def smoothed_away(
+    half: int, time: Array, dtheta: Array, noise: float, *, seen: NDArray[np.bool_] | None = None, order: int = 1
+) -> float:
+    """Return the part of the rate, rad/s r.m.s., that a window of `half` neighbours a side smooths away.
 
     noise: rad, of the deflection (n,), which does not count. It is what the narrowest polynomial there is finds more,
-    in the samples seen (n,), or in all.
+    in the samples seen (n,), or in all. order: 2 for the part of the acceleration, rad/s^2.
     """
     step = float(np.median(np.diff(time)))
-    slope = max(slope, LEAST + 1)  # nothing is narrower than the least
-    whole = _whole(time, slope, step) & (True if seen is None else seen)
+    half = max(half, LEAST + 1)  # nothing is narrower than the least
+    whole = _whole(time, half, step) & (True if seen is None else seen)
     if not whole.any():
         return 0.0
-    more = (local_polynomial(time, dtheta, LEAST, 1) - local_polynomial(time, dtheta, slope, 1))[whole]
-    of_noise = noise**2 * (_amplified(LEAST, step) ** 2 - _amplified(slope, step) ** 2)
+    more = (local_polynomial(time, dtheta, LEAST, order) - local_polynomial(time, dtheta, half, order))[whole]
+    of_noise = noise**2 * (_amplified(LEAST, step, order) ** 2 - _amplified(half, step, order) ** 2)
     power = float(np.mean(more**2))
     return float(np.sqrt(power - of_noise)) if power > 2.0 * of_noise else 0.0
 
@@ -219,9 +246,13 @@ def _hidden(time: Array, dtheta: Array, torque: Array, rate: Array) -> float:
     """
     columns = np.stack([np.ones_like(rate), dtheta, rate], axis=1)
     damping = float(np.linalg.lstsq(columns, torque, rcond=None)[0][2])
+    return _HIDDEN * _own_noise(time, dtheta, torque) / abs(damping) if damping else np.inf
+
+
+def _own_noise(time: Array, dtheta: Array, torque: Array) -> float:
+    """The standard deviation of the noise of a torque (n,) N m, at least what its rate may be wrong by."""
     own = own_noise(float(np.nanmedian(_noise_of(time, torque))), torque, dtheta)
-    own = max(own, _KNOWN * float(np.std(torque)))
-    return _HIDDEN * own / abs(damping) if damping else np.inf
+    return max(own, _KNOWN * float(np.std(torque)))
 
 
 def _noise_of(time: Array, values: Array) -> Array:
@@ -230,9 +261,9 @@ def _noise_of(time: Array, values: Array) -> Array:
     return np.asarray(left * (1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))))
 
 
-def _amplified(half: int, step: float) -> float:
-    """The standard deviation of the slope, rad/s, for noise of 1 rad in the deflection."""
-    return float(np.linalg.norm(kernel(half, 1))) / step
+def _amplified(half: int, step: float, order: int = 1) -> float:
+    """The standard deviation of the slope, rad/s, or curvature, rad/s^2, for noise of 1 rad in the deflection."""
+    return float(np.linalg.norm(kernel(half, order))) / step**order
 
 
 def windows(time: Array, highest: float) -> tuple[int, int]:
@@ -263,17 +294,15 @@ def is_smooth(motion: Motion) -> NDArray[np.bool_]:
     if len(seen) <= 2 * max(_OTHERS):
         return np.ones(len(motion), dtype=bool)
     apart = _differing(seen.time, seen.dtheta, seen.dtheta_dot, _OTHERS)
-    return (apart <= _jerk(apart, seen.dtheta_dot))[rows]
+    return (apart <= beyond_noise(apart, seen.dtheta_dot))[rows]
 
 
-def _differing(time: Array, dtheta: Array, rate: Array, halves: tuple[int, ...]) -> Array:
-    """By how much, rad/s, the rate (n,) differs from those of other windows; it may have been computed in one."""
-    return np.asarray(np.max([np.abs(local_polynomial(time, dtheta, half, 1) - rate) for half in halves], axis=0))
+def _differing(time: Array, dtheta: Array, rate: Array, halves: tuple[int, ...], order: int = 1) -> Array:
+    """By how much, rad/s, the rate (n,) differs from those of other windows; it may have been computed in one.
 
-
-def _jerk(apart: Array, rate: Array) -> float:
-    """By how much, rad/s, the rates (n,) of several windows differ at most where the acceleration does not jump."""
-    return max(_UNSURE * float(np.sqrt(np.nanmean(rate**2))), _BEYOND_NOISE * float(np.nanmedian(apart)))
+    order: 2 for an acceleration, rad/s^2.
+    """
+    return np.asarray(np.max([np.abs(local_polynomial(time, dtheta, half, order) - rate) for half in halves], axis=0))
 
 
 def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:

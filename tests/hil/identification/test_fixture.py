@@ -38,14 +38,16 @@ def in_series(folder: Path) -> Path:
 def test_the_fixture_is_taken_off_the_result(
     make_recording: Maker, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    def identified(status: int, *words: str) -> dict[str, Any]:
-        assert run(["identify", str(joint), "--json", *words]) == status
+    def identified(*words: str, trusted: bool) -> dict[str, Any]:
+        """Two parts in series are not linear, whether that moves Kc or Bc out of its interval or not."""
+        assert run(["identify", str(joint), "--json", *words]) in ((0,) if trusted else (0, 1))
         found: dict[str, Any] = json.loads(capfd.readouterr().out)["parameters"]
         return found
 
     joint = in_series(tmp_path)
     rig = make_recording("rig.h5", kc=FIXTURE[0], bc=FIXTURE[1], noise=1e-5)
-    plain, alone = identified(1, "--model", "linear"), identified(0, "--fixture", str(rig))
+    plain = identified("--model", "linear", trusted=False)
+    alone = identified("--fixture", str(rig), trusted=True)
     assert plain["Kc"]["value"] == pytest.approx(1.0 / (1.0 / KC + 1.0 / FIXTURE[0]), rel=0.03)
     assert alone["Kc"]["value"] == pytest.approx(KC, rel=5e-3)
     assert alone["Bc"]["value"] == pytest.approx(BC, rel=1e-2)
