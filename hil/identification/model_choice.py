@@ -111,29 +111,50 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     # nobody says that a given torque is the joint's and not the motor's
     late = EARLIER if signals.torque_from == "given" else LATE
     accounts = tuple(term for term in late if term in (*terms, *rarer))
-    highest, seen, window = signals.band[1], signals.rate_known, signals.window
-    errors = (window.of_deflection, window.noise) if window else (0.0, 0.0)
-    motion, torque = _seen(signals.motion, seen), signals.torque[seen]
-    found = stepwise.select(
-        motion,
-        torque,
-        highest,
-        terms,
-        rarer=rarer,
-        accounts=accounts,
-        describes=lambda found, averaged: _describes(found, signals, seen, averaged=averaged),
-        errors=errors,
-    )
-    sticking = _is_sticking(found.model, motion, found.delay, found.residuals)
+    considered = _Considered(terms, rarer, accounts)
+    seen = signals.rate_known
+    found = _select(signals, seen, considered)
+    moving = seen.copy()
+    moving[seen] = _moving(found, _seen(signals.motion, seen))
+    sticking = not np.array_equal(moving, seen)
     if sticking:
-        described = found.model.described(motion, found.delay)
-        rarer = tuple(term for term in rarer if term in found.model.name.split("+"))
-        again = stepwise.select(
-            motion.of(described), torque[described], highest, (*terms, *rarer), accounts=accounts, errors=errors
-        )
+        again = _select(signals, moving, considered)
         found = again if again.model.sticks else found
     model = found.model.anchored(signals.motion)
     return Choice(model, found.steps, sticking, found.delay, found.alternatives, found.lateness)
+
+
+@dataclass(frozen=True, slots=True)
+class _Considered:
+    """The terms that model selection may include, rarer ones only where those are not enough, and those by which the
+    torque may be read late.
+    """
+
+    terms: tuple[str, ...]
+    rarer: tuple[str, ...]
+    accounts: tuple[str, ...]
+
+
+def _select(signals: Signals, seen: NDArray[np.bool_], considered: _Considered) -> Selection:
+    """The model selected from the samples seen (n,)."""
+    window = signals.window
+    return stepwise.select(
+        _seen(signals.motion, seen),
+        signals.torque[seen],
+        signals.band[1],
+        considered.terms,
+        rarer=considered.rarer,
+        accounts=considered.accounts,
+        describes=lambda found, averaged: _describes(found, signals, seen, averaged=averaged),
+        errors=(window.of_deflection, window.noise) if window else (0.0, 0.0),
+    )
+
+
+def _moving(found: Selection, motion: Motion) -> NDArray[np.bool_]:
+    """In which samples (n,) friction does not hold the joint, where those that it may hold it in fit worse."""
+    if _is_sticking(found.model, motion, found.delay, found.residuals):
+        return found.model.described(motion, found.delay)
+    return np.ones(len(motion), dtype=bool)
 
 
 def _seen(motion: Motion, rows: NDArray[np.bool_]) -> Motion:
@@ -147,9 +168,7 @@ def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_], *, a
 
     Noise of the deflection is no lack of a term, and rarer ones would be made of it.
     """
-    motion, fitted = _seen(signals.motion, seen), np.ones(np.count_nonzero(seen), dtype=bool)
-    if _is_sticking(found.model, motion, found.delay, found.residuals):
-        fitted = found.model.described(motion, found.delay)
+    fitted = _moving(found, _seen(signals.motion, seen))
     kept = seen.copy()
     kept[seen] = fitted
     fit = tested(
