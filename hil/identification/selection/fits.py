@@ -23,7 +23,7 @@ FOLDS = 10
 
 _STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
 _MARGIN = 1e-4  # of a range, within which a value is at its end
-_OUTERMOST = 4.0  # standard deviations, by which errors move the outermost readings of a joint that rests there
+_OUTERMOST = 6.0  # standard deviations from the outermost reading, within which a gap fits errors of a joint at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,13 +105,19 @@ class Candidate:
         return at_zero or early or self.is_stop(term) or self.is_in_errors(term)
 
     def is_in_errors(self, term: str) -> bool:
-        """Return whether the tendon is slack by no more than the errors of the outermost readings.
+        """Return whether a gap reaches no further than the errors of the outermost readings.
 
-        Where the joint rests, a slack tendon fits the errors of the readings there, so it is no sign of slack.
+        Where the joint rests, a gap fits the errors of the readings there, so it is no sign of one.
         """
-        if term != "slack":
+        if not {"gap", "slack"}.intersection(own(term)):
             return False
-        return self.values["slack"] - float(self.problem.motion.dtheta.min()) < _OUTERMOST * self.error
+        values, readings = self.values, self.problem.motion.dtheta
+        if "slack" in values:
+            lowest, highest = -np.inf, values["slack"]
+        else:
+            lowest, highest = (values["centre"] + 0.5 * side * values["gap"] for side in (-1.0, 1.0))
+        errors = _OUTERMOST * self.error
+        return bool(highest - readings.min() < errors or readings.max() - lowest < errors)
 
     def is_stop(self, term: str) -> bool:
         """Return whether the term makes the spring many times as stiff in one direction: that is a stop."""

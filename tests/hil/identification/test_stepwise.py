@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ga.model.coupling import CouplingModel
+from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, best_start
 from ga.model.trajectory import Motion
 from hil.identification.selection import criterion, stepwise
@@ -394,10 +394,15 @@ def test_a_spring_that_is_hundreds_of_times_as_stiff_in_one_direction_is_a_stop(
     assert Fits(motion, torque, HIGHEST).is_rejected(("linear", "offset", "asymmetric")) is stops
 
 
-@pytest.mark.parametrize(("beyond", "expected"), [(0.0, "linear+offset"), (0.02, "linear+offset+slack")])
-def test_a_joint_that_rests_at_two_angles_is_slack_by_more_than_errors_of_these(beyond: float, expected: str) -> None:
+@pytest.mark.parametrize(
+    ("beyond", "error", "expected"),
+    [(0.0, 2e-3, "linear+offset"), (0.0, 5e-3, "linear+offset"), (0.02, 2e-3, "linear+offset+slack")],
+)
+def test_a_joint_that_rests_at_two_angles_is_slack_by_more_than_errors_of_these(
+    beyond: float, error: float, expected: str
+) -> None:
     """Where it rests, the errors of the readings are in no torque, and a tendon that is slack there takes them out."""
-    error, generator = 2e-3, np.random.default_rng(0)
+    generator = np.random.default_rng(0)
     starts = np.arange(0.25, SAMPLES / RATE, 0.5)
     turn = np.pi * np.clip((TIME[:, None] - starts) / 0.1, 0.0, 1.0)
     signs = np.where(np.arange(len(starts)) % 2 == 0, 1.0, -1.0)
@@ -409,3 +414,17 @@ def test_a_joint_that_rests_at_two_angles_is_slack_by_more_than_errors_of_these(
     motion = Motion(TIME, read, rate, acceleration, np.zeros(SAMPLES))
     chosen = select(motion, torque, HIGHEST, ("offset", "slack"), errors=(error, 0.0))
     assert chosen.model.name == expected
+
+
+@pytest.mark.parametrize(
+    ("gap", "centre", "is_error"), [(4e-3, -0.39, True), (4e-3, 0.39, True), (4e-3, 0.0, False), (0.1, -0.36, False)]
+)
+def test_a_gap_as_wide_as_the_errors_at_an_end_of_the_motion_is_none(gap: float, centre: float, is_error: bool) -> None:
+    moved = chirp(TIME)
+    angle = moved.dtheta * (0.39 / np.abs(moved.dtheta).max())
+    motion = Motion(moved.time, angle, moved.rate, moved.acceleration, np.zeros(SAMPLES))
+    terms = ("linear", "offset", "backlash")
+    model = parse("+".join(terms)).anchored(motion)
+    problem = Problem(model, motion, linear(moved), *model.bounds(motion, HIGHEST))
+    found = Candidate(terms, model, problem, problem.solve(np.array([gap, centre])), np.empty(0), error=1e-3)
+    assert found.is_impossible("backlash") is is_error
