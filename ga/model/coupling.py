@@ -271,10 +271,9 @@ class CouplingModel:
 
     def _known(self, motion: Motion, values: Array, nonlinear: Array | None) -> Array:
         """Values (n,) or (n, p) without what the unknown state at the beginning of a stretch can make."""
-        whole, rows = motion.whole
         valued = self._valued(nonlinear)
-        left = [term.forgets(whole, own)[rows] for term, own in valued if term.forgets is not None]
-        return without_beginnings(values, np.stack(left), whole.stretch[rows]) if left else values
+        left = [term.forgets(motion, own) for term, own in valued if term.forgets is not None]
+        return without_beginnings(values, np.stack(left), motion.stretch) if left else values
 
     def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
         """The motion, seen as it was the delay before, beyond the gap or slack."""

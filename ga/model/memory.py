@@ -115,13 +115,14 @@ def yielding(time: Array, rate: Array, length: float) -> Array:
 def without_beginnings(values: Array, left: Array, stretch: NDArray[np.int64]) -> Array:
     """Return values (n,) or (n, p) without what is in proportion to each of `left` (k, n) within each stretch.
 
-    left: how much of the state that the stretch began with is left at each sample. By the theorem of Frisch and Waugh
-    (1933), a least-squares fit of what is returned is the fit in which these states are parameters.
+    left: how much of the state that the stretch began with is left at each sample, which only falls. By the theorem of
+    Frisch and Waugh (1933), a least-squares fit of what is returned is the fit in which these states are parameters.
     """
     found = values.copy()
     near = np.flatnonzero(left.max(axis=0) > _FORGOTTEN)
-    for number in np.unique(stretch[near]).tolist():
-        rows = near[stretch[near] == number]
+    edges = np.flatnonzero(np.diff(stretch[near])) + 1
+    for of_one in np.split(near, edges) if len(near) else []:
+        rows = slice(of_one[0], of_one[-1] + 1)
         basis = _orthonormal(left[:, rows].T)
         found[rows] -= basis @ (basis.T @ found[rows])
     return found

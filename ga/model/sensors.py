@@ -116,7 +116,7 @@ LAG: Final = Term(
     ),
     bounds=_lag_bounds,
     cell=lambda m, torque, own: m.lagged(torque, float(own[0])),
-    forgets=lambda m, own: m.fading(m.time, float(own[0])),
+    forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
     selection="misfit",
     bends=False,
 )

@@ -144,7 +144,7 @@ def _branch(number: int, needs: str) -> Term:
         rates=_relaxing,
         pushed=lambda r, genes, moved: genes[0] * _unrelaxed(r, moved),
         bounds=_relaxation_bounds,
-        forgets=lambda m, own: m.fading(m.time, float(own[0])),
+        forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
         needs=needs,
         selection="misfit" if number == 1 else "named",
         bends=False,

@@ -192,29 +192,39 @@ class Motion:
     def _frictional(self, law: Callable[..., Array], *own: float) -> Array:
         return np.concatenate([law(time, rate, *own)[rows] for time, rate, rows in self._turning])
 
-    def fading(self, clock: Array, constant: float) -> Array:
-        """Return the part (n,), 1 to 0, that is left of the state at the start of each stretch, by a clock (n,).
+    def fading(self, passed: Array, constant: float) -> Array:
+        """Return the part (n,), 1 to 0, that is left of the state at the start of each stretch.
 
-        constant: in the clock's unit, after which 1/e is left; 0: one sample.
+        passed (n,): the time or the way since then. constant: in its unit, after which 1/e is left; 0: one sample.
         """
-        firsts = np.asarray(self.starts)[self.stretch] if len(self.starts) > 1 else 0
         if not constant > 0.0:
-            return np.asarray(np.arange(len(self)) == firsts, dtype=np.float64)
-        left, elapsed = np.zeros(len(self)), clock - clock[firsts]
-        near = elapsed < _FORGOTTEN * constant
-        left[near] = np.exp(-elapsed[near] / constant)
+            whole, rows = self.whole
+            return np.isin(np.arange(len(whole)), whole.starts)[rows].astype(np.float64)
+        left = np.zeros(len(passed))
+        near = passed < _FORGOTTEN * constant
+        left[near] = np.exp(-passed[near] / constant)
         return left
+
+    @cached_property
+    def elapsed(self) -> Array:
+        """The time (n,), s, since the stretch began that each sample is in."""
+        whole, rows = self.whole
+        return np.asarray(self.time - whole.time[np.asarray(whole.starts)[whole.stretch[rows]]])
 
     @cached_property
     def travelled(self) -> Array:
         """The distance (n,), rad, that the joint travelled since its stretch began, back and forth."""
+        if self.part_of is not None:
+            return self.part_of[0].travelled[self.part_of[1]]
         moved = (np.diff(time) * 0.5 * np.abs(rate[:-1] + rate[1:]) for time, rate, _ in self._turning)
         ways = (np.concatenate([[0.0], np.cumsum(way)]) for way in moved)
         return np.concatenate([way[rows] for way, (_, _, rows) in zip(ways, self._turning, strict=True)])
 
     @cached_property
     def stretch(self) -> NDArray[np.int64]:
-        """The number (n,) of the stretch that each sample is in."""
+        """The number (n,) of the stretch of the whole motion that each sample is in."""
+        if self.part_of is not None:
+            return self.part_of[0].stretch[self.part_of[1]]
         return np.asarray(np.searchsorted(self.starts, np.arange(len(self)), side="right") - 1)
 
     def _evaluated(self, delay: float, curves: tuple[Spline, ...]) -> Motion:
