@@ -6,16 +6,23 @@ import os
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import Final
 
 from ga.trials.ahead import is_worthwhile
 from hil.child import command
 
+_processes: Final[list[subprocess.Popen[bytes]]] = []
+"""The one that compiles, while it does."""
+
 
 @contextmanager
 def compiled_ahead() -> Iterator[None]:
-    """Let a process compile the search where it is not compiled yet and there is a second core; it ends with this."""
+    """Let a process compile the search where it is not compiled yet and there is a second core; it ends with this.
+
+    Within another `compiled_ahead`, whose process compiles already, nothing is done.
+    """
     process = None
-    if (os.cpu_count() or 1) > 1 and is_worthwhile():
+    if not _processes and (os.cpu_count() or 1) > 1 and is_worthwhile():
         with suppress(OSError):  # without it the search is compiled when it is needed
             process = subprocess.Popen(  # noqa: S603 - our own module
                 command("ga.trials.ahead"),
@@ -23,9 +30,11 @@ def compiled_ahead() -> Iterator[None]:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
+            _processes.append(process)
     try:
         yield
     finally:
         if process is not None:
             process.kill()
             process.wait()
+            _processes.remove(process)

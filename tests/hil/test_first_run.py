@@ -19,8 +19,10 @@ def test_the_process_that_compiles_ahead_ends_with_the_identification(monkeypatc
     monkeypatch.setattr(first_run, "is_worthwhile", lambda: True)
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     with first_run.compiled_ahead():
-        pass
-    assert started == ["ga.trials.ahead"]
+        with first_run.compiled_ahead():  # by the command, and by the identification that it calls
+            assert started == ["ga.trials.ahead"]
+        assert [one.poll() for one in first_run._processes] == [None]
+    assert first_run._processes == []
     monkeypatch.setattr(first_run, "is_worthwhile", lambda: False)
     with first_run.compiled_ahead():
         pass
