@@ -14,7 +14,6 @@ from hil.diagnostics import Diagnostic
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.signals.torque_reading import seen_in_torque
-from hil.signals.windows import is_smooth
 from hil.uncertainty.criteria import narrow
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
@@ -69,6 +68,10 @@ class Described:
         """The names of the parameters."""
         return tuple(parameter.name for parameter in (*self.model.linear, *self.model.nonlinear))
 
+    def linearised(self, motion: Motion) -> Array:
+        """Return the columns (n, p) of all samples with this motion."""
+        return linearised(self.model, motion, *np.split(self.values, [len(self.model.linear)]))
+
     def recorded(self, motion: Motion) -> Recorded:
         """Return the samples with this motion (n,)."""
         return Recorded(motion.time, self.signals.coupling_torque, motion.dtheta, motion.dtheta_dot, motion.starts)
@@ -77,37 +80,38 @@ class Described:
 def tested(described: Described) -> LackOfFit | None:
     """Test the fit; None where the recording is too short."""
     signals, motion = described.signals, _without_errors(described.signals)
-    found = lack_of_fit(*_held_against(described, motion))
+    columns = None if motion is signals.motion else described.linearised(motion)
+    found = lack_of_fit(*_held_against(described, motion, columns))
     if found is None or not found.misfit or motion is not signals.motion:
         return found
     if signals.window is None or motion.part_of is not None:
         return found
-    added = [np.mean([_added(described, one) for one in pair]) for pair in noisier(motion, signals.window)]
+    before = described.linearised(motion)
+    added = [np.mean([_added(described, before, one) for one in pair]) for pair in noisier(motion, signals.window)]
     return found.beside_noise(np.array(added))
 
 
-def _added(described: Described, noisy: Motion) -> float:
+def _added(described: Described, before: Array, noisy: Motion) -> float:
     """What more errors of the motion (n,) add to the power that is predicted, (N m)^2, by standing in the residuals.
 
-    They stand in the regressors too, of which some show little but errors: these are the same with and without.
+    before (n, p): the columns without them. They stand in the regressors too, of which some show little but errors:
+    these are the same with and without.
     """
     p = len(described.model.linear)
-    genes, nonlinear = np.split(described.values, [p])
-    before, after = (linearised(described.model, one, genes, nonlinear) for one in (described.signals.motion, noisy))
-    recorded, without = _held_against(described, noisy)
-    more = np.where(described.kept, (after - before)[:, :p] @ genes, 0.0)
+    after = described.linearised(noisy)
+    recorded, without = _held_against(described, noisy, after)
+    more = np.where(described.kept, (after - before)[:, :p] @ described.values[:p], 0.0)
     larger, own = predicted(recorded, replace(without, residuals=without.residuals - more), without)
     return float(larger**2 - own**2)
 
 
-def _held_against(described: Described, motion: Motion) -> tuple[Recorded, Fitted]:
-    """The recording and the fit with the columns of a motion (n,): that of the signals, or one with other errors."""
+def _held_against(described: Described, motion: Motion, of_motion: Array | None) -> tuple[Recorded, Fitted]:
+    """The recording and the fit with the columns (n, p) of a motion with other errors; None: with its own."""
     names, count, recorded = described.names, len(described.signals), described.recorded(motion)
     coupling = (names.index("Kc"), names.index("Bc")) if {"Kc", "Bc"} <= set(names) else None
     residuals, columns = np.zeros(count), np.zeros((count, len(names)))
     residuals[described.kept], columns[described.kept] = described.residuals, described.columns
-    if motion is not described.signals.motion:
-        columns = linearised(described.model, motion, *np.split(described.values, [len(described.model.linear)]))
+    columns = columns if of_motion is None else of_motion
     values, half_width = (
         (0.0, 0.0) if coupling is None else (float(array[coupling[0]]), float(array[coupling[1]]))
         for array in (described.values, described.half_width)
@@ -116,8 +120,7 @@ def _held_against(described: Described, motion: Motion) -> tuple[Recorded, Fitte
     if described.averaged:
         columns = np.concatenate([columns, *_of_every_bench(described, recorded, residuals, columns)], axis=1)
     columns = np.concatenate([columns, *_of_rounding(described.signals, residuals)], axis=1)
-    seen = described.signals.motion  # the same samples, whatever errors are added
-    kept = described.kept & is_smooth(seen)
+    kept = described.kept & described.signals.smooth  # the same samples, whatever errors are added
     included = frozenset(code for name, code in _TERMS.items() if name in names)
     return recorded, Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from hil.signals.own_rate import OwnRate, refused_rate
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Kind, Readings, Slower
 from hil.signals.stamps import starts_within, stretches, within
-from hil.signals.windows import Window, window_for
+from hil.signals.windows import Window, is_smooth, window_for
 from hil.stand.file import StandTable
 from hil.stand.transmission import Transmission
 
@@ -37,7 +38,7 @@ _PROBE = 1 << 20  # rows from which the columns to read and the windows are chos
 _MARGIN = 256  # rows beyond the windows of a block, to replace those that were lost
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Signals:
     """How the joint moved, and its torque (n,), N m, behind the low-pass that the deflection went through, if any.
 
@@ -74,6 +75,11 @@ class Signals:
     def rate_known(self) -> NDArray[np.bool_]:
         """Whether the rate of each sample (n,) is known."""
         return np.ones(len(self), dtype=bool) if self.jerked is None else ~self.jerked
+
+    @cached_property
+    def smooth(self) -> NDArray[np.bool_]:
+        """Whether (n,) the rate hardly depends on the window that it is computed in, as beside a jerk."""
+        return is_smooth(self.motion)
 
     @property
     def as_read(self) -> Array:

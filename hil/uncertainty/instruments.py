@@ -174,9 +174,7 @@ def _simulated(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, Array]:
         return _solved(columns[sound], columns[sound], left[sound])
 
     without, errors = step(part.motion), _errors(part.motion, part.window)
-    added = np.array(
-        [[step(_more(part.motion, part.window, sign * one)) - without for sign in (1.0, -1.0)] for one in errors]
-    )
+    added = np.array([[step(moved) - without for moved in _more(part.motion, part.window, one)] for one in errors])
     means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
     change = -means.mean(axis=0)
     error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
@@ -184,14 +182,14 @@ def _simulated(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, Array]:
     return _Change(change, np.hypot(_LEVEL * change, _NORMAL * error)), _NORMAL * scatter
 
 
-def _more(motion: Motion, window: Window, errors: Array) -> Motion:
-    """Return the motion with more errors (n,) rad in its readings."""
+def _more(motion: Motion, window: Window, errors: Array) -> tuple[Motion, Motion]:
+    """Return the motion with more errors (n,) rad in its readings, and with the same of the other sign."""
     more = np.array(_behind(window, motion, errors))
     if window.low_pass is None:
         for part in _stretches(motion):  # near its ends a local polynomial has many times the noise
             more[:, part.start : part.start + window.widest] = 0.0
             more[:, max(part.start, part.stop - window.widest) : part.stop] = 0.0
-    return _moved(motion, (more[0], more[1], more[2]))
+    return _moved(motion, (more[0], more[1], more[2])), _moved(motion, (-more[0], -more[1], -more[2]))
 
 
 def _errors(motion: Motion, window: Window) -> Iterator[Array]:
@@ -284,12 +282,11 @@ def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
     """Yield pairs of motions with as many errors again of deflection and rate, of either sign, each time others."""
     smoothed = _smoothed_away(motion, window)
     for errors in _errors(motion, window):
-        more, less = (
-            replace(found, dtheta_dot=found.dtheta_dot + sign * smoothed)
-            for sign in (1.0, -1.0)
-            for found in [_more(motion, window, sign * errors)]
+        more, less = _more(motion, window, errors)
+        yield (
+            replace(more, dtheta_dot=more.dtheta_dot + smoothed),
+            replace(less, dtheta_dot=less.dtheta_dot - smoothed),
         )
-        yield more, less
 
 
 def _smoothed_away(motion: Motion, window: Window) -> Array:

@@ -11,7 +11,7 @@ those of the richest model's residuals, because a missing term must not be taken
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from ga.model.terms import RARER, TERMS, is_addable, with_another
 from hil.identification.selection.fits import FOLDS, Candidate, Fits, own
 from hil.signals.deflection_noise import smallest_step
-from hil.signals.windows import is_smooth
 from hil.uncertainty.model_average import AKAIKE
 from hil.uncertainty.residual_spectrum import measure
 
@@ -54,6 +53,7 @@ class Criterion:
     smooth: NDArray[np.bool_]
     choices: int
     doubted: bool = False
+    _correlations: dict[tuple[Candidate, str], float] = field(default_factory=dict, init=False)
 
     def pays(self, smaller: Candidate, larger: Candidate, term: str, *, nearly: bool = False) -> bool:
         """Return whether the term pays that the larger model has and the smaller has not.
@@ -95,11 +95,14 @@ class Criterion:
         What no term describes comes a few times in a recording, however many samples see it. Where such a thing may be
         there, the factor is the largest of all parameters: the residuals may be quiet at what one term alone moves.
         """
+        if (fitted, term) in self._correlations:
+            return self._correlations[fitted, term]
         found = 1.0
         for _, alone in fitted.own_columns(*(fitted.terms if self.doubted else (term,))):
             power = float(alone @ alone)
             spectrum = replace(measure([(alone[:, None], self.signs)]), fitted=self.fitted)
             found = max(found, float(spectrum.covariance[0, 0]) / power) if power > 0.0 else np.inf
+        self._correlations[fitted, term] = found
         return found
 
     def blurred(self, fitted: Candidate, term: str) -> float:
@@ -163,14 +166,14 @@ def criterion_of(
     near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
     near = max(near, 0.5 * smallest_step(fits.torque))  # a joint at rest repeats one count, and one residual
     inside = np.count_nonzero(np.abs(residuals) <= near)
-    motion, signs = fits.motion, np.sign(residuals)
+    signs = np.sign(residuals)
     return Criterion(
         richest,
         signs=signs,
         fitted=measure([(columns, signs)]).fitted,
         density=inside / (2.0 * near * len(residuals)) if near > 0.0 else np.inf,
         size=float(np.mean(np.abs(fits.torque))),
-        smooth=is_smooth(motion),
+        smooth=fits.smooth,
         choices=len(considered),
         doubted=doubted,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
 from ga.model.terms import TERMS
 from ga.model.trajectory import Motion
+from hil.signals.windows import is_smooth
 
 Array = NDArray[np.float64]
 
@@ -65,9 +67,14 @@ class Candidate:
         part = self.problem.of(rows)
         return replace(self, problem=part, fit=part.solve(self.fit.nonlinear, self.fit))
 
+    @property
+    def columns(self) -> Array:
+        """Those (n, p + q) of the problem linearised at the fit; many megabytes, which are not kept."""
+        return self.problem.linearised(self.fit)[0]
+
     def own_columns(self, *terms: str) -> Iterator[tuple[Array, Array]]:
         """For each parameter of the terms: its column (n,), and the part of it orthogonal to all other columns."""
-        columns = self.problem.linearised(self.fit)[0]
+        columns = self.columns
         names = [parameter.name for parameter in self.model.parameters]
         for name in (name for term in terms for name in own(term)):
             at = names.index(name)
@@ -76,7 +83,7 @@ class Candidate:
 
     def columns_of(self, term: str) -> Iterator[tuple[Array, Array]]:
         """For each parameter of the term: its column (n,), and the part of it orthogonal to those of other terms."""
-        columns = self.problem.linearised(self.fit)[0]
+        columns = self.columns
         mine = np.array([parameter.name in own(term) for parameter in self.model.parameters])
         others = columns[:, ~mine]
         for column in columns[:, mine].T:
@@ -141,6 +148,11 @@ class Fits:
     error: float = 0.0
     _fitted: dict[tuple[str, ...], Candidate] = field(default_factory=dict, init=False)
     _previews: dict[frozenset[str], Fit | None] = field(default_factory=dict, init=False)
+
+    @cached_property
+    def smooth(self) -> NDArray[np.bool_]:
+        """Whether (n,) the rate hardly depends on the window that it is computed in, as beside a jerk."""
+        return is_smooth(self.motion)
 
     def preview(self, terms: tuple[str, ...]) -> Fit | None:
         """Return the fit to some of the samples; None where the columns are too much alike."""

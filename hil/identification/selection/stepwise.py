@@ -72,7 +72,7 @@ class Selection:
     @cached_property
     def columns(self) -> Array:
         """Those (n, p + q) of the problem linearised at the fit."""
-        return self.chosen.problem.linearised(self.chosen.fit)[0]
+        return self.chosen.columns
 
     @property
     def values(self) -> Array:
