@@ -40,7 +40,7 @@ velocity = 60.0
 temperature = 75.0
 """
 KC, BC = 17.75e-3, 0.19e-3  # of the paper's joint; each drive's has every torque `scale` times as large
-RATE, DURATION, AMPLITUDE = 500.0, 6.0, 0.01
+RATE, DURATION, AMPLITUDE = 500.0, 3.0, 0.01
 
 
 def recorded(rig: Any, path: Path, scale: float, **config: Any) -> Any:

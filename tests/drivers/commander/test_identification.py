@@ -43,7 +43,7 @@ temperature = 80.0
 """
 KC, BC = 17.75e-3, 0.19e-3
 SHARE = FixtureParameters().stiffness / (FixtureParameters().stiffness + KC)  # of a deflection that the cable takes
-ETA, RATE, DURATION = 4.0, 250.0, 6.0
+ETA, RATE, DURATION = 4.0, 250.0, 4.0
 PLANT = SimParameters(coupling=CouplingParameters(stiffness=KC, damping=BC, coulomb_friction=0.0))
 COUNT = 2.0 * math.pi / PLANT.sensors.motor_counts / ETA  # rad at the joint
 CURRENT = PLANT.sensors.current_lsb * PLANT.motor.torque_constant * ETA  # N m at the joint

@@ -35,7 +35,7 @@ velocity = 60.0
 temperature = 65.0
 """
 KC, BC = 17.75e-3, 0.19e-3
-RATE, DURATION, AMPLITUDE = 500.0, 10.0, 0.01
+RATE, DURATION, AMPLITUDE = 500.0, 4.0, 0.01
 
 
 @pytest.mark.parametrize(("model", "kt"), [("xl330-m288", 0.52 / 1.47), ("xl330-m077", 0.215 / 1.47)])

@@ -434,7 +434,7 @@ def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(make_rig: Mak
     rig = make_rig("mx-64")
     rig.bus.devices[0] = MxDevice("mx-64", parameters=joint_at_horn(MX_MODELS["mx-64"], coupling))
     profile = excitation.make(
-        "chirp", Quantity.TORQUE, amplitude=0.6, default_amplitude=0.6, duration=10.0, band=(0.1, 10.0), rate=rate
+        "chirp", Quantity.TORQUE, amplitude=0.6, default_amplitude=0.6, duration=4.0, band=(0.1, 10.0), rate=rate
     )
     stand = parse(STAND)
     servo = rig.open(torque_constant=kt)

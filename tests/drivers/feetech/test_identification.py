@@ -53,7 +53,7 @@ def with_cell(rig: Any, servo: Servo) -> Servo:
 
 
 def identified(
-    servo: Servo, quantity: Quantity, amplitude: float, source: str, path: Path, *, duration: float = 10.0
+    servo: Servo, quantity: Quantity, amplitude: float, source: str, path: Path, *, duration: float = 5.0
 ) -> dict[str, float]:
     text = STAND.format(source=source)
     profile = excitation.make(
@@ -98,7 +98,7 @@ def test_a_chirp_of_currents_through_an_hls_gives_stiffness_and_damping_back(
     rig = make_feetech("hls3930m")
     rig.bus.devices[0] = FeetechDevice("hls3930m", parameters=joint_at_horn(MODELS["hls3930m"], stiff))
     servo = rig.open(torque_constant=3.43 / 2.8)
-    found = identified(servo, Quantity.TORQUE, 0.35, "motor", tmp_path / "run.h5", duration=5.0)
+    found = identified(servo, Quantity.TORQUE, 0.35, "motor", tmp_path / "run.h5", duration=3.0)
     share = FixtureParameters().stiffness / (FixtureParameters().stiffness + 1.0)
     assert found["Kc"] == pytest.approx(1.0 * share, rel=0.01)
     assert found["Bc"] == pytest.approx(20e-3 * share**2, rel=0.03)

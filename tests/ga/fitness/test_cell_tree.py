@@ -70,7 +70,7 @@ def plain(columns: NDArray[np.float64], torque: NDArray[np.float64], genes: NDAr
     return math.fsum(terms) / len(terms), float(np.finfo(np.float64).eps) * math.fsum(size) / len(terms)
 
 
-@settings(max_examples=80)
+@settings(max_examples=50)
 @given(kind=st.sampled_from(KINDS), n=st.integers(1, 600), p=st.integers(1, 5), seed=st.integers(0, 2**32 - 1))
 def test_the_boxes_give_the_plain_sum_to_rounding(kind: str, n: int, p: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -134,7 +134,7 @@ def test_near_the_optimum_a_long_recording_takes_no_more_looks_than_a_short_one(
     assert looks(200_000) <= 16
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(kind=st.sampled_from(KINDS), n=st.integers(1, 300), p=st.integers(1, 4), seed=st.integers(0, 2**32 - 1))
 def test_every_tangent_bounds_the_fitness_from_below(kind: str, n: int, p: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

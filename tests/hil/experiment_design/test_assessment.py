@@ -52,6 +52,11 @@ def judged(asked: Task, kind: str, band: tuple[float, float], amplitude: float, 
     )
 
 
+def short(asked: Task, duration: float) -> Assessment:
+    """A profile in the place of the best, whose search takes longer than all the rest."""
+    return judged(asked, "sine", (5.0, 5.0), 1e-3, duration)
+
+
 def signals_of(path: Path) -> Signals:
     with open_sources([path]) as (source,):
         return prepare(source.recording, source.table)
@@ -246,6 +251,7 @@ def test_the_commands_of_the_page_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hil.api.planning.best", lambda asked, duration, _: short(asked, duration))
     Path("stand.toml").write_text(REAL)
     page = (Path(__file__).parents[3] / "docs" / "design.md").read_text(encoding="utf-8")
     commands = [line for line in page.splitlines() if line.startswith("hil design")]
