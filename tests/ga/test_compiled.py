@@ -76,7 +76,9 @@ def test_a_function_is_known_to_be_compiled_once_it_was(package: Path, tmp_path:
     assert (before, after) == ("False", "True")
 
 
-def test_a_changed_function_of_another_module_is_compiled_again_and_an_unchanged_one_found_again(package: Path, tmp_path: Path) -> None:
+def test_a_changed_function_of_another_module_is_compiled_again_and_a_former_one_found(
+    package: Path, tmp_path: Path
+) -> None:
     assert ask(package, tmp_path / "cache") == (2.0, False)
     rewrite(package / "callee.py", CALLEE.format(value="3.0"))
     assert ask(package, tmp_path / "cache") == (3.0, False)

@@ -99,12 +99,9 @@ def test_no_estimator_can_identify_the_damping_of_the_unidentifiable_cases(study
     assert min(bounds) > 0.5 * BC
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_linear_finds_the_clean_closed_form_within_five_standard_errors(
-    study: Study, seed: int, tmp_path: Path
-) -> None:
+def test_linear_finds_the_clean_closed_form_within_five_standard_errors(study: Study, tmp_path: Path) -> None:
     case = study.cases.case_named("clean")
-    study.recordings.closed_form(case, seed, tmp_path / "one.h5")
+    study.recordings.closed_form(case, 0, tmp_path / "one.h5")
     found = study.truth.estimate(tmp_path / "one.h5", "linear")
     assert found["status"] == 0
     for name, true in (("Kc", KC), ("Bc", BC)):

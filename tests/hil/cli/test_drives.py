@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -100,12 +101,16 @@ def test_a_drive_on_can_is_recorded_over_a_serial_adapter(tmp_path: Path, name: 
         f'[{name}]\ninterface = "slcan"\nchannel = "{link}"\nreply_timeout = 0.3\nwatchdog = 1.0\n{table}\n'
     )
     words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--fade", "0.5", "--rate", "50"]
-    with emulated(name, "--link", str(link)) as process:
+    served = make(name, {"link": link})
+    thread = threading.Thread(target=served.serve)
+    thread.start()
+    try:
         assert (
             run(["record", "--stand", str(stand), *words, "--amplitude", f"{0.01 * scale}", "-o", str(recording)]) == 0
         )
-        process.send_signal(signal.SIGINT)
-        assert process.wait(20.0) == 0
+    finally:
+        served.stop()
+        thread.join()
     with Recording(recording) as made:
         signals = prepare(made, load(stand).stand)
     design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
@@ -131,7 +136,8 @@ def test_a_position_profile_puts_the_drive_into_a_position_mode(tmp_path: Path) 
         assert run(["record", "--stand", str(stand), *words]) == 0
     with Recording(recording) as made:
         command, dtheta = made.channel("command"), made.channel("dtheta")
-    assert np.ptp(dtheta) == pytest.approx(np.ptp(command), rel=0.2)
+    answered = np.isfinite(dtheta)  # a busy machine loses a reply now and then
+    assert np.ptp(dtheta[answered]) == pytest.approx(np.ptp(command), rel=0.2)
 
 
 def test_record_without_a_drive_at_the_port_fails_as_a_stand_does_and_says_what_to_do(

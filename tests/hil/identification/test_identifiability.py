@@ -237,7 +237,7 @@ def test_friction_that_is_stiffness_at_every_sample_is_not_trusted_as_stiffness(
 ) -> None:
     """Kc is 0.32 N m/rad, neither a curve nor an early torque reading is in the model selected."""
     found = identify(
-        [make_recording(samples=10000, change=relaxed_to_two_places)], parse(model) if model else None, SEARCH
+        [make_recording(samples=6000, change=relaxed_to_two_places)], parse(model) if model else None, SEARCH
     )
     assert found.trusted("Kc") == trusted
     assert ("friction-at-rest" in {one.code for one in found.diagnostics}) != trusted
@@ -262,7 +262,7 @@ def test_friction_that_is_stiffness_and_inertia_at_every_sample_is_not_trusted_a
 ) -> None:
     """Kc is 0.4 N m/rad for 0.3, and the residuals are nothing but noise."""
     found = identify(
-        [make_recording(samples=5000, change=moved_between_two_places)], parse(model) if model else None, SEARCH
+        [make_recording(samples=3000, change=moved_between_two_places)], parse(model) if model else None, SEARCH
     )
     assert "inertia" in found.model.name
     assert found.trusted("Kc") == trusted

@@ -34,7 +34,7 @@ def identified(
         torque = (waves * (KC + 1j * omega * damping) * response).sum(axis=1).imag
         channels["torque"] = torque + 5e-4 * rng.standard_normal(len(torque))
 
-    path = make_recording(change=change, samples=3000)
+    path = make_recording(change=change, samples=2000)
     return identify([path], None if model is None else parse(model), SEARCH)
 
 

@@ -61,11 +61,12 @@ def test_an_inertia_is_no_skew_that_takes_the_damping(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], inertia: float
 ) -> None:
     speeds = 2.0 * np.pi * np.geomspace(0.4, 4.0, 20)
-    waves = 0.02 * np.exp(1j * (np.outer(TIME, speeds) + np.arange(20) ** 2))
+    time = TIME[:3000]
+    waves = 0.02 * np.exp(1j * (np.outer(time, speeds) + np.arange(20) ** 2))
     deflection, rate, acceleration = waves.real.sum(axis=1), -(waves.imag @ speeds), -(waves.real @ speeds**2)
-    noise = 5e-4 * np.random.default_rng(3).standard_normal(len(TIME))
+    noise = 5e-4 * np.random.default_rng(3).standard_normal(len(time))
     torque = KC * deflection + BC * rate + inertia * acceleration + noise
-    read = {"time": TIME, "torque": torque, "dtheta": deflection, "command": deflection}
+    read = {"time": time, "torque": torque, "dtheta": deflection, "command": deflection}
     write(tmp_path / "a.h5", Header(profile={"kind": "prescribed"}, stand_toml=""), read)
 
     _, found = identified(capfd, tmp_path / "a.h5")
