@@ -204,7 +204,7 @@ def test_an_angle_that_wraps_freezes_or_has_spikes_is_mended_with_a_warning(
         channels = {"time": TIME, "torque": torque, "dtheta": angle}
         write(path, Header(profile={"kind": "prescribed"}, stand_toml=""), channels)
 
-        status, found = identified(capfd, path)
+        status, found = identified(capfd, path, "--model", "linear+offset")
 
         assert (status, code in [one["code"] for one in found["warnings"]]) == (0, True)
         assert found["parameters"]["Kc"]["value"] == pytest.approx(KC, rel=0.01)
