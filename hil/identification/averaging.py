@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,11 +36,12 @@ from scipy.special import ndtr
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
-from ga.model.friction import felt
+from ga.model.friction import felt, slowest
 from ga.model.memory import falls
 from ga.model.separable import Problem
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, is_addable
 from ga.model.trajectory import Motion
+from hil.identification.fitting.deflection import read_with_errors
 from hil.identification.model_choice import Choice
 from hil.identification.selection.late import Alternative
 from hil.identification.selection.stepwise import Step
@@ -74,10 +75,13 @@ class Averaged:
     half_width: float
 
 
-def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinear: Array) -> dict[str, Averaged]:
+def averaged(
+    choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinear: Array, change: Mapping[str, float]
+) -> dict[str, Averaged]:
     """Return Kc and Bc averaged over models around the selected one; {} where the larger ones cannot be fitted.
 
-    used (n,): the samples that it is fitted to. nonlinear (q,): its nonlinear parameters.
+    used (n,): the samples that it is fitted to. nonlinear (q,): its nonlinear parameters. change: by which errors of
+    the deflection are taken off its parameters, SI, by name; of a larger model other changes are.
     """
     if not (choice.steps and isinstance(choice.model, CouplingModel)):
         return {}
@@ -89,8 +93,17 @@ def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinea
     }
     selected = Alternative(choice.model, nonlinear, 0.0)
     found, criteria = [], []
+
+    def of_selected(larger: _Largest) -> Array:
+        return np.array([change.get(name, 0.0) for name in larger.names])
+
+    def of_larger(larger: _Largest) -> Array:
+        return _by_errors(larger, signals, used)
+
     for one in (selected, *choice.alternatives):
-        around = _around(one, doubtful, kept)
+        # an alternative may be far off, and with it what errors would do to its parameters
+        is_own = one is selected and any(change.values())
+        around = _around(one, doubtful, kept, of_larger if is_own else of_selected)
         if not around and one is selected:
             return {}
         found += [values for values, _ in around]
@@ -98,7 +111,7 @@ def averaged(choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinea
     for late in choice.lateness:
         stiff, damped = (found[0][name].half_width for name in COUPLING)
         damped = float(np.hypot(damped, _NORMAL * late.spread))
-        found.append({"Kc": Averaged(late.Kc, stiff), "Bc": Averaged(late.Bc, damped)})
+        found.append({"Kc": Averaged(late.Kc + change["Kc"], stiff), "Bc": Averaged(late.Bc + change["Bc"], damped)})
         criteria.append(late.criterion)
     weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     weights /= weights.sum()
@@ -134,19 +147,32 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
     return Averaged(value, max(most - value, value - least))
 
 
+def _by_errors(larger: _Largest, signals: Signals, used: NDArray[np.bool_]) -> Array:
+    """The change (p,) by which errors of the deflection are taken off the parameters of the larger model."""
+    found, count = np.zeros(len(larger.values)), len(larger.model.parameters)
+    sampling = larger.sampling
+    half_width = (sampling.quantile * np.sqrt(np.maximum(np.diag(sampling.matrix), 0.0)))[:count]
+    errors = read_with_errors(larger.model, signals, used, larger.values[:count], half_width)
+    if errors is not None:
+        found[:count] = errors.change
+    return found
+
+
 def _around(
-    model: Alternative, doubtful: Mapping[str, float], data: Signals
+    model: Alternative, doubtful: Mapping[str, float], data: Signals, by_errors: Callable[[_Largest], Array]
 ) -> list[tuple[dict[str, Averaged], float]]:
     """Kc and Bc averaged over one model with and without the effects that every bench has; [] where none can be.
 
     Then those of models with friction that falls, each with Akaike's criterion less that of the first. doubtful: the
-    terms that the data do not decide on, and the cost of each.
+    terms that the data do not decide on, and the cost of each. by_errors: the change of all parameters by which errors
+    of the deflection are taken off them.
     """
     largest = _largest(model, tuple(doubtful), data)
     if largest is None or not _contains(largest, model, data):
         return []
     found = [(largest, 0.0), *_falling(largest, data.motion)]
-    means = [(_mean(one, doubtful), criterion) for one, criterion in found]
+    change = by_errors(largest)
+    means = [(_mean(replace(one, values=one.values + change), doubtful), criterion) for one, criterion in found]
     return [one for one in means if one[0]] if means[0][0] else []
 
 
@@ -186,9 +212,12 @@ def _costs(added: Sequence[str], doubtful: Mapping[str, float]) -> dict[str, flo
 class _Largest:
     """The fit of the model that contains all others: values (p,) of the parameters `names`, and the terms added.
 
+    The names are those of the model's parameters, and the one of friction that builds up, where it is added.
+
     columns (n, p) and target (n,), N m: of the linear problem around it. likely (2, p): as of `average`.
     """
 
+    model: CouplingModel
     added: tuple[str, ...]
     names: list[str]
     columns: Array
@@ -206,10 +235,11 @@ def _largest(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> _L
     chosen = smaller.model.name.split("+")
     added: list[str] = []
     curves = _CURVES if {*_CURVES, "asymmetric"}.intersection(chosen) else ()
+    hidden = {"coulomb"} if slowest(data.motion) == 0.0 else set()  # its sign would be that of the rate's noise
+    # a short lag differs from a skew by less than what estimates both at once
+    hidden |= {"skew"} if "lag" in chosen else set()
     for term in (*_BENCH, *doubtful, *curves):
-        # a short lag differs from a skew by less than what estimates both at once
-        known = term == "skew" and "lag" in chosen
-        added += [term] if is_addable(term, (*chosen, *added)) and not known else []
+        added += [term] if is_addable(term, (*chosen, *added)) and term not in hidden else []
     start = {parameter.name: parameter.absent for parameter in PARAMETERS.values()}
     start |= dict(zip((one.name for one in smaller.model.nonlinear), smaller.nonlinear.tolist(), strict=True))
     while True:
@@ -228,7 +258,8 @@ def _largest(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> _L
         sampling = covariance(Blocks.of(columns, target), values)
         alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in _own(term))]
         if not alike:
-            return _Largest(tuple(added), names, columns, target, values, sampling, _likely(added, names, data.motion))
+            likely = _likely(added, names, data.motion)
+            return _Largest(larger, tuple(added), names, columns, target, values, sampling, likely)
         added.remove(alike[-1])
 
 

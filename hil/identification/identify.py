@@ -48,6 +48,7 @@ from hil.signals.source import Source, open_sources
 from hil.signals.windows import RATE_ACCURACY
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
+from hil.uncertainty.instruments import DeflectionErrors
 from hil.uncertainty.stationarity import disagreement, pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
@@ -173,7 +174,9 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     parameters = (*data.choice.model.linear, *data.choice.model.nonlinear)
     sampling = confidence_intervals(solution.blocks, solution.values)
     pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
-    values, chosen = _averaged(data, solution, sampling.half_width)
+    model, used = data.choice.model, data.used
+    deflection = read_with_errors(model, data.signals, used, solution.values, sampling.half_width)
+    values, chosen = _averaged(data, solution, sampling.half_width, deflection)
     # the interval that is reported may be narrower than that of the selected model
     given = (_names(parameters), solution.values, np.minimum(sampling.half_width, chosen))
     span = (span_met(data.signals.motion, *given) if data.choice.steps else None) or data.place.span(
@@ -182,9 +185,7 @@ def _evidence(data: Dataset, solution: _Solution) -> Evidence:
     if span is not None:
         values[0] += 0.5 * (span[0] + span[1]) - solution.values[0]  # Kc
         chosen[0] += 0.5 * (span[1] - span[0])
-    deflection = read_with_errors(data, solution.values, sampling.half_width)
-    if deflection:
-        values, chosen = values + deflection.change, np.hypot(chosen, deflection.half_width)
+    chosen = np.hypot(chosen, deflection.half_width) if deflection else chosen
     values = np.where([one.positive for one in parameters], np.maximum(values, 0.0), values)
     exact = pooled.with_scale_uncertainty(_of_scale(data, parameters), solution.values)
     own = np.hypot(exact.half_width, deflection.half_width) if deflection else exact.half_width
@@ -217,12 +218,20 @@ def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
     return np.asarray(np.hypot(torque, rate))
 
 
-def _averaged(data: Dataset, solution: _Solution, half_width: Array) -> tuple[Array, Array]:
-    """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected."""
-    values, half_width = solution.values.copy(), half_width.copy()
+def _averaged(
+    data: Dataset, solution: _Solution, half_width: Array, deflection: DeflectionErrors | None
+) -> tuple[Array, Array]:
+    """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected.
+
+    All are corrected for errors of the deflection, each model on its own: a larger one suffers more from them.
+    """
+    half_width = half_width.copy()
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
-    nonlinear = values[len(data.choice.model.linear) :]
-    for name, one in (averaged(data.choice, data.signals, data.used, nonlinear) if data.whole else {}).items():
+    nonlinear = solution.values[len(data.choice.model.linear) :]
+    change = deflection.change if deflection else np.zeros(len(names))
+    values = solution.values + change
+    own = dict(zip(names, change.tolist(), strict=True))
+    for name, one in (averaged(data.choice, data.signals, data.used, nonlinear, own) if data.whole else {}).items():
         at = names.index(name)
         values[at], half_width[at] = one.value, one.half_width
     return values, half_width

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
-from hil.identification.dataset import Dataset
 from hil.identification.evidence import Evidence
+from hil.identification.model_choice import Coupling
 from hil.identification.result import Deflection
+from hil.signals.prepare import Signals
 from hil.uncertainty.criteria import COUPLING, INTERVAL
 from hil.uncertainty.instruments import DeflectionErrors, Fitted, deflection_errors
 
@@ -20,30 +21,33 @@ _FIRST_ORDER = 0.15  # a simulated change, relative, from which the simulation i
 _REMEDY = "use a larger amplitude or a finer encoder"
 
 
-def read_with_errors(data: Dataset, values: Array, half_width: Array) -> DeflectionErrors | None:
+def read_with_errors(
+    model: Coupling, signals: Signals, used: NDArray[np.bool_], values: Array, half_width: Array
+) -> DeflectionErrors | None:
     """Return the effect of errors of the deflection on the exact optimum; None if the rate was recorded too.
 
-    values (p + q,): of the exact optimum, half_width (p + q,): of its intervals, SI.
+    used (n,): the samples that the model is fitted to. values (p + q,): of the exact optimum, half_width (p + q,): of
+    its intervals, SI.
     """
-    model, window = data.choice.model, data.signals.window
+    window = signals.window
     places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in COUPLING]
     if window is None or not places or not np.isfinite(half_width[places]).all():
         return None
-    if data.signals.motion.part_of is not None:  # a slow cell's readings are too few for a window
+    if signals.motion.part_of is not None:  # a slow cell's readings are too few for a window
         return None
     p = len(model.linear)
     return deflection_errors(
         Fitted(
             model=model,
-            motion=data.signals.motion,
-            torque=data.signals.torque,
-            used=data.used,
+            motion=signals.motion,
+            torque=signals.torque,
+            used=used,
             genes=values[:p],
             nonlinear=values[p:],
             half_width=half_width,
             decisive=tuple(places),
             window=window,
-            command=data.signals.command,
+            command=signals.command,
         )
     )
 

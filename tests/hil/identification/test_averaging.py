@@ -172,7 +172,8 @@ def with_friction(make_recording: Maker, rise: float, seed: int, form: str) -> t
     used = model.described(signals.motion)
     found = fit(Problem(model, signals.motion, signals.torque, *model.bounds(signals.motion, 9.0)).of(used))
     step = Step(model.name, "linear", 0.0, 0.0, np.nan, KC, BC, included=True, cost=0.0)
-    bc = averaging.averaged(Choice(model, (step,), sticking=True), signals, used, found.nonlinear)["Bc"]
+    choice, unchanged = Choice(model, (step,), sticking=True), {"Kc": 0.0, "Bc": 0.0}
+    bc = averaging.averaged(choice, signals, used, found.nonlinear, unchanged)["Bc"]
     return bc.value / BC - 1.0, bc.half_width / BC
 
 
@@ -199,7 +200,9 @@ def test_friction_that_falls_until_it_drives_the_joint_is_no_model(at_speed: flo
     values = least_absolute_deviations(columns, torque).genes
     likely = np.stack([np.zeros(3), np.full(3, np.inf)])
     sampling = covariance(Blocks.of(columns, torque), values)
-    largest = averaging._Largest((), ["Kc", "Bc", "Fc"], columns, torque, values, sampling, likely)
+    largest = averaging._Largest(
+        parse("linear+coulomb"), (), ["Kc", "Bc", "Fc"], columns, torque, values, sampling, likely
+    )
     assert bool(averaging._fallen(largest, 0.1 * fallen)) is possible
 
 
