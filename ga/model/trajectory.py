@@ -24,7 +24,7 @@ class Filter(Protocol):
     def passing(self, time: Array) -> Callable[[Array], Array]: ...  # noqa: D102
 
 
-_FORGOTTEN: Final = 30.0
+FORGOTTEN: Final = 30.0
 """Times its constant, after which nothing is left of a state to all digits that matter."""
 
 _APART: Final = 300.0
@@ -201,7 +201,7 @@ class Motion:
             whole, rows = self.whole
             return np.isin(np.arange(len(whole)), whole.starts)[rows].astype(np.float64)
         left = np.zeros(len(passed))
-        near = passed < _FORGOTTEN * constant
+        near = passed < FORGOTTEN * constant
         left[near] = np.exp(-passed[near] / constant)
         return left
 

@@ -15,6 +15,7 @@ from ga.model.coupling import CouplingModel
 from ga.model.polishing import polished
 from ga.model.separable import descend
 from ga.model.terms import is_addable
+from ga.model.trajectory import FORGOTTEN
 from hil.identification.selection.criterion import STRONG, Criterion
 from hil.identification.selection.fits import LATE, Candidate, Fits
 from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
@@ -144,12 +145,21 @@ class LateReading:
         for time in times.tolist():
             late = self.fits.with_value((*chosen.terms, term), chosen, time)
             blurred = blurred or self.criterion.blurred(late, term)
-            criterion = rare - self.criterion.ratio(chosen, late) / blurred
+            criterion = rare - self._ratio_when_settled(chosen, late, abs(time)) / blurred
             if not math.isfinite(criterion) or criterion > _UNLIKELY or late.damping <= 0.0:
                 return
             spread = abs(late.damping - before) / 12.0**0.5  # times between this one and the one before are as likely
             yield Lateness(late.stiffness, late.damping, spread, criterion)
             before = late.damping
+
+    def _ratio_when_settled(self, chosen: Candidate, late: Candidate, time: float) -> float:
+        """`Criterion.ratio` of the samples by which a lag of that time, s, has forgotten how each stretch began.
+
+        The unknown state at the beginning takes a whole residual there, which says nothing of a lag and may be large.
+        """
+        settled = self.fits.motion.elapsed > FORGOTTEN * time
+        less = np.abs(chosen.problem.residuals(chosen.fit)) - np.abs(late.problem.residuals(late.fit))
+        return float(4.0 * self.criterion.density * less[settled].sum())
 
     def _independent(self, chosen: Candidate, other: Candidate, one: str) -> float:
         """The likelihood ratio of the other model, divided by the factor by which it is less certain."""

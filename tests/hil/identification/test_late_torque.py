@@ -23,16 +23,27 @@ SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, boun
 
 
 def identified(
-    make_recording: Maker, response: Response, model: str | None = None, damping: float = BC, omega: Array = OMEGA
+    make_recording: Maker,
+    response: Response,
+    model: str | None = None,
+    damping: float = BC,
+    omega: Array = OMEGA,
+    *,
+    wrong: float = -1.0,
 ) -> Identification:
-    """The result of a sum of sines, of 1 to 12 Hz unless said, with the torque behind a filter of that response."""
+    """The result of a sum of sines, of 1 to 12 Hz unless said, with the torque behind a filter of that response.
+
+    wrong: s, when one reading of the torque is 0.1 N m off.
+    """
 
     def change(channels: dict[str, Array]) -> None:
         rng = np.random.default_rng(4)
         waves = 0.05 * np.exp(1j * (np.outer(channels["time"], omega) + rng.uniform(0.0, 2.0 * np.pi, len(omega))))
         channels["dtheta"] = waves.sum(axis=1).imag
         torque = (waves * (KC + 1j * omega * damping) * response).sum(axis=1).imag
-        channels["torque"] = torque + 5e-4 * rng.standard_normal(len(torque))
+        channels["torque"] = (
+            torque + 5e-4 * rng.standard_normal(len(torque)) + 0.1 * np.isclose(channels["time"], wrong)
+        )
 
     path = make_recording(change=change, samples=2000)
     return identify([path], None if model is None else parse(model), SEARCH)
@@ -117,3 +128,16 @@ def test_a_branch_that_relaxes_more_slowly_than_the_joint_moved_leaves_bc_and_as
     assert found["Bc"].ci95[0] < BC < found["Bc"].ci95[1]
     (said,) = [one.message for one in found.diagnostics if one.is_error and one.parameter == "Kc"]
     assert "Hold a load for at least" in said
+
+
+def test_a_wrong_first_reading_is_no_sign_of_a_late_one(make_recording: Maker) -> None:
+    """The state in which a lag began is not known, and takes all of one residual."""
+    omega = 0.2 * OMEGA
+    unfiltered = np.ones(len(omega), dtype=np.complex128)
+    right = identified(make_recording, unfiltered, omega=omega)
+    first = float(right.signals.motion.time[0])
+    wrong = identified(make_recording, unfiltered, omega=omega, wrong=first)
+    assert float(wrong.signals.motion.time[0]) == first
+    for name in ("Kc", "Bc"):
+        assert wrong[name].value == pytest.approx(right[name].value, abs=0.2 * right[name].half_width)
+        assert wrong[name].half_width == pytest.approx(right[name].half_width, rel=0.2)
