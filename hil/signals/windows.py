@@ -145,8 +145,9 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
         return _jumping(found, *first, torque[:_LOOKED])
     if not noisy:
         narrow = local_polynomial(*first, slope, 1)
-        jerky = replace(found, jerk=beyond_noise(_differing(*first, narrow, _NARROW), narrow))
-        smooth = ~jerky.jerked(*first, narrow, narrow)
+        apart = _differing(*first, narrow, _NARROW)
+        jerky = replace(found, jerk=beyond_noise(apart, narrow))
+        smooth = ~(apart > jerky.jerk)
         if (
             _power(narrow, smooth) >= _SMOOTH * _power(narrow)
             and smoothed_away(slope, *first, of_deflection, seen=smooth) <= _UNSEEN * hidden
@@ -204,7 +205,7 @@ def _jumping(found: Window, time: Array, dtheta: Array, torque: Array) -> Window
     smooth = known & ~jumping.jerked(time, dtheta, rate, acceleration)
     away = smoothed_away(found.curvature, time, dtheta, found.of_deflection, order=2)
     columns = np.stack([np.ones_like(rate), dtheta, rate, acceleration, np.sign(rate)], axis=1)
-    # friction whose sign is not known beside a jump hides an inertia there, and what is smoothed away does everywhere
+    # friction may hide it without the samples beside jumps, and the smoothing with them: the larger value counts
     inertia = max(abs(np.linalg.lstsq(columns[rows], torque[rows], rcond=None)[0][3]) for rows in (smooth, known))
     is_felt = float(inertia) * away > _FELT * _own_noise(time, dtheta, torque)
     return jumping if is_felt and _power(rate, smooth) >= _SMOOTH * _power(rate) else found
