@@ -11,7 +11,7 @@ parameters too. Nothing is changed where the change is small beside the interval
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final, Literal, TypeGuard
@@ -40,6 +40,9 @@ _SURE: Final = 2.0  # times half its interval, beyond which a change is no chanc
 _BLOCKS: Final = 32  # in time, of which the error of a change is estimated
 _CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
 _WIDER: Final = 1.25  # of a window, the next wider one, whose rate beside a jerk is wrong by as much more
+_STILL: Final = 0.1  # of a count, by which readings behind a low-pass differ at most where the joint rests
+_IN_STEP: Final = 2.5  # times their scatter in any other order, from which roundings go with the motion
+_RESTS: Final = 10  # like readings in a row, from which it rests
 _NORMAL: Final = 1.959964
 
 Method = Literal["none", "simulation", "instruments"]
@@ -134,12 +137,14 @@ def deflection_errors(fitted: Fitted) -> DeflectionErrors:
     part, window, nothing = fitted.part(), fitted.window, np.zeros(len(fitted.half_width))
     counts = float(np.ptp(fitted.motion.dtheta)) / window.count if window.count else np.inf
     low_pass = window.low_pass.cut if window.low_pass else None
-    found = DeflectionErrors(window.of_deflection, counts, low_pass, "none", nothing, nothing, nothing)
     sound = window.sound(part.motion.time) & part.used
+    rounded = _rounded_at_rest(part, sound)
+    found = DeflectionErrors(window.of_deflection, counts, low_pass, "none", nothing, rounded, nothing)
     if np.count_nonzero(sound) < _FEWEST or not _disturbed(part):
         return found
     simulated, spread = _simulated(part, sound)
-    rounded = spread if counts < FEW_COUNTS else nothing
+    if counts < FEW_COUNTS or (window.count and _is_in_step(part, sound, spread)):
+        rounded = np.maximum(rounded, spread)
     found = replace(found, predicted=simulated.values, half_width=rounded)
     instruments = _by_command(part, sound)
     # noise that is not white is more than its floor says, which only the command shows
@@ -151,6 +156,33 @@ def deflection_errors(fitted: Fitted) -> DeflectionErrors:
     change = simulated if instruments is None or found.is_weak else instruments[0]
     method: Method = "simulation" if change is simulated else "instruments"
     return replace(found, method=method, change=change.values, half_width=np.hypot(change.half_width, rounded))
+
+
+def _rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
+    """Return half the 95 % intervals (p + q,) of what rounding does where the joint rests.
+
+    All readings of one angle at rest are wrong by the same, somewhere within half a count, which no average takes away.
+    """
+    motion, count = part.motion, part.window.count
+    columns, left = part.linearised(motion)
+    still = sound & _is_still(motion.dtheta, _STILL * count)
+    if not still.any():
+        return np.zeros(columns.shape[1])
+    moved = _moved(motion, (np.full(len(motion), count), *np.zeros((2, len(motion)))))
+    per_rad = (left - part.linearised(moved)[1]) / count
+    sizes = np.linalg.norm(columns[sound], axis=0)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    own = np.linalg.pinv(columns[sound] / sizes)[:, still[sound]] * per_rad[still]
+    level = np.unique(np.round(motion.dtheta[still] / count), return_inverse=True)[1]
+    of_level = np.array([np.bincount(level, weights=one) for one in own])
+    return np.asarray(_NORMAL * count / np.sqrt(12.0) * np.linalg.norm(of_level, axis=1) / sizes)
+
+
+def _is_still(dtheta: Array, most: float) -> NDArray[np.bool_]:
+    """Return whether each reading (n,) rad is among some that differ by less than `most`, rad, from one to the next."""
+    alike = np.concatenate([[False], np.abs(np.diff(dtheta)) < most])
+    run = np.cumsum(~alike)  # the number of the run of like readings that each is in
+    return np.asarray(np.bincount(run)[run] >= _RESTS)
 
 
 def _disturbed(part: Fitted) -> bool:
@@ -168,18 +200,38 @@ def _simulated(part: Fitted, sound: NDArray[np.bool_]) -> tuple[_Change, Array]:
 
     The interval has that scatter already, unless it is of a rounding in step with the motion.
     """
+    added = _added(part, sound, _errors(part.motion, part.window))
+    means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
+    change = -means.mean(axis=0)
+    error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
+    return _Change(change, np.hypot(_LEVEL * change, _NORMAL * error)), _scatter(added)
+
+
+def _is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
+    """Return whether roundings change Kc or Bc by far more than the same errors in any other order.
+
+    Motion that repeats is rounded alike each time. spread (p + q,): of `_simulated`.
+    """
+    rng = np.random.default_rng(1)
+    shuffled = _added(part, sound, (rng.permutation(one) for one in _errors(part.motion, part.window)))
+    at = list(part.decisive)
+    return bool((spread[at] > _IN_STEP * _scatter(shuffled)[at]).any())
+
+
+def _added(part: Fitted, sound: NDArray[np.bool_], errors: Iterable[Array]) -> Array:
+    """Return what errors (n,) rad add to the parameters, (k, 2, p + q): for each, and for it with the other sign."""
 
     def step(motion: Motion) -> Array:
         columns, left = part.linearised(motion)
         return _solved(columns[sound], columns[sound], left[sound])
 
-    without, errors = step(part.motion), _errors(part.motion, part.window)
-    added = np.array([[step(moved) - without for moved in _more(part.motion, part.window, one)] for one in errors])
-    means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
-    change = -means.mean(axis=0)
-    error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
-    scatter = np.sqrt(np.mean((0.5 * (added[:, 0] - added[:, 1])) ** 2, axis=0))
-    return _Change(change, np.hypot(_LEVEL * change, _NORMAL * error)), _NORMAL * scatter
+    without = step(part.motion)
+    return np.array([[step(moved) - without for moved in _more(part.motion, part.window, one)] for one in errors])
+
+
+def _scatter(added: Array) -> Array:
+    """Return half the 95 % intervals (p + q,) of what errors add at random: with the other sign it is the opposite."""
+    return np.asarray(_NORMAL * np.sqrt(np.mean((0.5 * (added[:, 0] - added[:, 1])) ** 2, axis=0)))
 
 
 def _more(motion: Motion, window: Window, errors: Array) -> tuple[Motion, Motion]:

@@ -137,6 +137,14 @@ def test_a_low_pass_makes_no_misfit_of_jumps_that_the_torque_has(
     assert holds(found)
 
 
+@pytest.mark.parametrize("bits", [12, 13])
+def test_counts_of_a_joint_that_rests_at_two_angles_are_no_misfit(tmp_path: Path, bits: int) -> None:
+    """Every reading at rest is wrong by the same, and every transition is rounded alike: both go with the motion."""
+    found = recorded(tmp_path / "a.h5", jerky, bits=bits, seed=1)
+    assert not misfits(found)
+    assert holds(found)
+
+
 @pytest.mark.parametrize("commanded", [True, False])
 def test_noise_of_the_deflection_hides_no_friction_that_the_model_lacks(tmp_path: Path, commanded: bool) -> None:
     assert misfits(recorded(tmp_path / "a.h5", jerky, noise=2e-3, friction=5e-3, commanded=commanded))

@@ -150,6 +150,55 @@ def test_few_counts_widen_the_intervals_by_where_the_motion_turns_within_one() -
     assert abs(genes[0] + found.change[0] - 0.3) < found.half_width[0] + fit.half_width[0]
 
 
+def binary(time: Array, settled: float) -> tuple[Array, Array]:
+    """Random steps between -0.2 and 0.2 rad every 0.2 s or so, and their rate: each settles by a raised cosine."""
+    places = np.random.default_rng(2).choice([-0.2, 0.2], int(time[-1] / 0.2) + 2)
+    step, since = np.divmod(time, 0.2013)  # s: no two transitions have the same readings
+    part = np.clip(since / settled, 0.0, 1.0)
+    before, after = places[step.astype(int)], places[step.astype(int) + 1]
+    rate = (after - before) * np.sin(np.pi * part) * 0.5 * np.pi / settled * (part < 1.0)
+    return before + (after - before) * 0.5 * (1.0 - np.cos(np.pi * part)), rate
+
+
+def rounded(angle: Array, rate: Array, count: float, noise: float) -> Fitted:
+    """The fit to a spring and a damper at 500 Hz, read in counts, rad; noise: N m, of the torque."""
+    time, read = np.arange(len(angle)) / 500.0, count * np.round(angle / count)
+    torque = np.stack([angle, rate], axis=1) @ TRUE + noise * np.random.default_rng(0).standard_normal(len(time))
+    window = window_for(time, read, torque)
+    motion, sound = Motion(time, *window.moved(time, read), np.zeros(len(time))), window.sound(time)
+    model, torque = parse("linear+offset").anchored(motion), window.alike(time, torque)
+    columns = model.columns(motion)[sound]
+    genes = least_absolute_deviations(columns, torque[sound]).genes
+    half = confidence_intervals(Blocks.of(columns, torque[sound]), genes).half_width
+    return Fitted(model, motion, torque, sound, genes, np.zeros(0), half, (0, 1), window, angle)
+
+
+def test_a_joint_that_rests_at_two_angles_has_the_rounding_of_both_in_its_interval() -> None:
+    """Two angles 2 x apart, each wrong by up to half a count: Kc by its 1.96/sqrt(6) of a count over 2 x."""
+    count, at = 2.0 * np.pi / 2**14, 0.2
+    found = deflection_errors(rounded(*binary(np.arange(10_000) / 500.0, 0.06), count, 1e-3))
+    expected = TRUE[0] * 1.959964 * count / np.sqrt(6.0) / (2.0 * at)
+    assert found.half_width[0] == pytest.approx(expected, rel=0.1)
+
+
+def test_a_joint_that_never_rests_has_no_rounding_at_rest() -> None:
+    time = np.arange(10_000) / 500.0
+    speeds = 2.0 * np.pi * np.geomspace(0.3, 12.0, 30)
+    waves = 0.02 * np.exp(1j * (np.outer(time, speeds) + np.arange(30) ** 2))
+    of_waves = rounded(waves.real.sum(axis=1), -(waves.imag @ speeds), 2.0 * np.pi / 2**16, 1e-3)
+    assert np.all(deflection_errors(of_waves).half_width[:2] < 0.1 * of_waves.half_width[:2])
+
+
+def test_transitions_that_are_rounded_alike_each_time_widen_the_interval_of_bc() -> None:
+    """Where the counts lie decides: from one place of them to another Bc differs, whatever the noise."""
+    count = 2.0 * np.pi / 2**11
+    angle, rate = binary(np.arange(10_000) / 500.0, 0.06)
+    fits = [rounded(angle + place, rate, count, 1e-5) for place in count * np.random.default_rng(3).random(16)]
+    scatter = 1.96 * float(np.std([one.genes[1] for one in fits]))
+    stated = float(np.median([deflection_errors(one).half_width[1] for one in fits]))
+    assert 0.5 * scatter < stated < 2.0 * scatter
+
+
 def test_samples_between_two_gaps_that_are_too_few_for_the_window_get_no_more_noise() -> None:
     read = multisine(TIME) + 1e-3 * np.random.default_rng(0).standard_normal(len(TIME))
     window = window_for(TIME, read, np.stack([multisine(TIME), multisine(TIME, 1)], axis=1) @ TRUE)
