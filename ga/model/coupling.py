@@ -271,9 +271,14 @@ class CouplingModel:
 
     def _known(self, motion: Motion, values: Array, nonlinear: Array | None) -> Array:
         """Values (n,) or (n, p) without what the unknown state at the beginning of a stretch can make."""
+        if nonlinear is None or not any(term.forgets is not None for term, _ in self._places):
+            return values
         valued = self._valued(nonlinear)
-        left = [term.forgets(motion, own) for term, own in valued if term.forgets is not None]
-        return without_beginnings(values, np.stack(left), motion.stretch) if left else values
+        key = self.name, np.asarray(nonlinear, dtype=np.float64).tobytes()
+        begun = motion.begun(
+            key, lambda: np.stack([term.forgets(motion, own) for term, own in valued if term.forgets is not None])
+        )
+        return without_beginnings(values, begun)
 
     def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
         """The motion, seen as it was the delay before, beyond the gap or slack."""

@@ -112,18 +112,29 @@ def yielding(time: Array, rate: Array, length: float) -> Array:
     return found
 
 
-def without_beginnings(values: Array, left: Array, stretch: NDArray[np.int64]) -> Array:
-    """Return values (n,) or (n, p) without what is in proportion to each of `left` (k, n) within each stretch.
+Beginnings = tuple[tuple[slice, "Array"], ...]
+"""Of each stretch, the rows in which the state that it began with matters, and a basis (m, k) of what it can make."""
 
-    left: how much of the state that the stretch began with is left at each sample, which only falls. By the theorem of
-    Frisch and Waugh (1933), a least-squares fit of what is returned is the fit in which these states are parameters.
+
+def beginnings(left: Array, stretch: NDArray[np.int64]) -> Beginnings:
+    """Return what the states at the beginning of each stretch can make, in proportion to each of `left` (k, n).
+
+    left: how much of the state that the stretch began with is left at each sample, which only falls.
     """
-    found = values.copy()
     near = np.flatnonzero(left.max(axis=0) > _FORGOTTEN)
     edges = np.flatnonzero(np.diff(stretch[near])) + 1
-    for of_one in np.split(near, edges) if len(near) else []:
-        rows = slice(of_one[0], of_one[-1] + 1)
-        basis = _orthonormal(left[:, rows].T)
+    parts = (slice(rows[0], rows[-1] + 1) for rows in (np.split(near, edges) if len(near) else []))
+    return tuple((rows, _orthonormal(left[:, rows].T)) for rows in parts)
+
+
+def without_beginnings(values: Array, begun: Beginnings) -> Array:
+    """Return values (n,) or (n, p) without what the unknown states at the beginning of each stretch can make.
+
+    By the theorem of Frisch and Waugh (1933), a least-squares fit of what is returned is the fit in which these states
+    are parameters.
+    """
+    found = values.copy()
+    for rows, basis in begun:
         found[rows] -= basis @ (basis.T @ found[rows])
     return found
 

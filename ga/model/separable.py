@@ -92,6 +92,15 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
+class _Solved:
+    """A fit, and the columns (n, p) and target (n,) that it was solved with; many megabytes, which nothing may keep."""
+
+    fit: Fit
+    columns: Array
+    target: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """A model on a recording: motion (n,), torque (n,) N m; low and high (q,): bounds of the nonlinear parameters."""
 
@@ -113,11 +122,14 @@ class Problem:
         near: the fit for values close by, to begin with. When flanks part depends on Bc/Kc, which the minimum gives:
         both are repeated until they agree, `agreements` times at most.
         """
+        return self._solved(nonlinear, near, agreements).fit
+
+    def _solved(self, nonlinear: Array, near: Fit | None = None, agreements: int = _AGREEMENTS) -> _Solved:
+        """Do what `solve` does, and return what was solved too, for a step from there."""
         target, lag = self.model.target(self.motion, self.torque, nonlinear), near.lag if near else 0.0
         if not self.model.linear:
-            return Fit(
-                nonlinear, Optimum(np.empty(0), float(np.mean(np.abs(target))), 0.0, True, resolution(self.torque))
-            )
+            optimum = Optimum(np.empty(0), float(np.mean(np.abs(target))), 0.0, True, resolution(self.torque))
+            return _Solved(Fit(nonlinear, optimum), self.model.columns(self.motion, nonlinear, 0.0), target)
         genes = near.optimum.genes if near else None
         columns = self.model.columns(self.motion, nonlinear, lag)
         best = Fit(nonlinear, not_negative(columns, target, self.positive, genes), lag)
@@ -129,7 +141,7 @@ class Problem:
             lag = next_lag
             columns = self.model.columns(self.motion, nonlinear, lag)
             best = Fit(nonlinear, not_negative(columns, target, self.positive, genes), lag)
-        return best
+        return _Solved(best, columns, target)
 
     def of(self, rows: NDArray[np.bool_] | slice) -> Problem:
         """Return the problem on some of the rows."""
@@ -150,9 +162,13 @@ class Problem:
         Its residuals at `fit.values` are those of the fit.
         """
         columns = self.model.columns(self.motion, fit.nonlinear, fit.lag)
+        return self._around(_Solved(fit, columns, self.model.target(self.motion, self.torque, fit.nonlinear)))
+
+    def _around(self, solved: _Solved) -> tuple[Array, Array]:
+        """Return what `linearised` does, for a fit with what it was solved with."""
+        fit = solved.fit
         jacobian = self.model.jacobian(self.motion, fit.nonlinear, fit.optimum.genes, fit.lag, self.torque)
-        target = self.model.target(self.motion, self.torque, fit.nonlinear) + jacobian @ fit.nonlinear
-        return np.concatenate([columns, jacobian], axis=1), target
+        return np.concatenate([solved.columns, jacobian], axis=1), solved.target + jacobian @ fit.nonlinear
 
 
 def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
@@ -254,34 +270,32 @@ def descend(problem: Problem, start: Array, converged: float = _CONVERGED) -> Fi
 
     converged: the part of the fitness that a step gains, and of the bounds' width that it is long, at the end.
     """
-    best = problem.solve(np.clip(start, problem.low, problem.high))
+    solved = problem._solved(np.clip(start, problem.low, problem.high))
     count = problem.low.size
     for _ in range(_STEPS if count else 0):
+        best = solved.fit
         try:
-            step = (
-                not_negative(*problem.linearised(best), problem.positive, best.values).genes[-count:] - best.nonlinear
-            )
+            step = not_negative(*problem._around(solved), problem.positive, best.values).genes[-count:] - best.nonlinear
         except RuntimeError:  # the Jacobian is a combination of the columns: no direction of descent
             break
         arrived = bool(np.all(np.abs(step) <= converged * (problem.high - problem.low)))
         better = None if arrived else _shortened(problem, best, step)
         if better is None:
             break
-        gained = best.fitness - better.fitness
-        best = better
-        if gained <= converged * best.fitness:
+        solved, gained = better, best.fitness - better.fit.fitness
+        if gained <= converged * solved.fit.fitness:
             break
-    return best
+    return solved.fit
 
 
-def _shortened(problem: Problem, best: Fit, step: Array) -> Fit | None:
-    """Return the fit after the first of ever shorter steps that goes down."""
+def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
+    """Return the fit after the first of ever shorter steps that goes down, with what it was solved with."""
     for halving in range(_HALVINGS):
         nonlinear = np.clip(best.nonlinear + step * 0.5**halving, problem.low, problem.high)
         if np.array_equal(nonlinear, best.nonlinear):
             return None
-        tried = problem.solve(nonlinear, best)
-        if tried.fitness < best.fitness:
+        tried = problem._solved(nonlinear, best)
+        if tried.fit.fitness < best.fitness:
             return tried
     return None
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import numpy as np
 
@@ -13,9 +13,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from ga.model.memory import Beginnings
     from ga.model.spline import Spline
 
     Array = NDArray[np.float64]
+
+K = TypeVar("K")
+V = TypeVar("V")
 
 
 class Filter(Protocol):
@@ -36,6 +40,9 @@ _AGAIN: Final = 4
 _UNSURE: Final = 0.005
 _UNLIKE: Final = 8.0
 """Part of the r.m.s. value, and times the usual difference or the noise, up to which two windows give one slope."""
+
+_MOST_KEPT: Final = 2
+"""Delays, and models with their parameters, of which what was computed is kept."""
 
 _PARTS: Final = ("dtheta", "dtheta_dot", "dtheta_ddot", "known")
 
@@ -61,6 +68,8 @@ class Motion:
     rate_noise: float | None = None
     part_of: tuple[Motion, NDArray[np.int64]] | None = None
     behind: Filter | None = None
+    _late: dict[float, Motion] = field(default_factory=dict, init=False, repr=False)
+    _begun: dict[tuple[str, bytes], Beginnings] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in ("time", *_PARTS)}
@@ -136,10 +145,22 @@ class Motion:
         )
 
     def delayed(self, delay: float) -> Motion:
-        """The motion as it was `delay` seconds before each time; before a stretch began, as its ends continue."""
+        """The motion as it was `delay` seconds before each time; before a stretch began, as its ends continue.
+
+        The last ones are kept: a descent needs columns, torque and their changes at one delay after the other.
+        """
         if delay == 0.0:
             return self
-        return self._evaluated(delay, self._curves)
+        return _kept(self._late, delay, lambda: self._evaluated(delay, self._curves))
+
+    def begun(self, key: tuple[str, bytes], left: Callable[[], Array]) -> Beginnings:
+        """Return what the states at the beginning of each stretch can make: `ga.model.memory.beginnings`.
+
+        left: (k, n), as there. key: the model and its parameters, because columns and torque need the same.
+        """
+        from ga.model.memory import beginnings
+
+        return _kept(self._begun, key, lambda: beginnings(left(), self.stretch))
 
     def changing(self, delay: float) -> Motion:
         """Return the derivative of each part, per second, `delay` seconds before each time."""
@@ -261,6 +282,17 @@ class Motion:
     @cached_property
     def _changes(self) -> tuple[Spline, ...]:
         return tuple(curve.changing() for curve in self._curves) if self.part_of is None else self.part_of[0]._changes
+
+
+def _kept(found: dict[K, V], key: K, make: Callable[[], V]) -> V:
+    """Return what was made for a key, of which the last few are kept: two searches beside each other have one each."""
+    value = found.get(key)
+    if value is None:
+        value = make()
+        if len(found) >= _MOST_KEPT:
+            found.clear()
+        found[key] = value
+    return value
 
 
 def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:

@@ -34,8 +34,17 @@ class Scores:
     def __init__(self, residuals: Array, columns: Array, kept: NDArray[np.bool_]) -> None:
         self._basis, self._kept = _basis(columns), kept[:, None]
         self.scores = _clipped(residuals, self._basis, kept, _CLIPPED)
-        self.residuals = _clipped(residuals, self._basis, kept, _GROSS)
-        self._firsts = _blocks(self.scores)
+        self._left = residuals
+
+    @cached_property
+    def residuals(self) -> Array:
+        """The residuals (n,), N m, with gross outliers clipped; a prediction alone does not need them."""
+        return _clipped(self._left, self._basis, self._kept[:, 0], _GROSS)
+
+    @cached_property
+    def _firsts(self) -> NDArray[np.int64]:
+        """The first rows of the blocks."""
+        return _blocks(self.scores)
 
     @cached_property
     def _signs(self) -> Array:

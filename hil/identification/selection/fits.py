@@ -148,6 +148,8 @@ class Fits:
     error: float = 0.0
     _fitted: dict[tuple[str, ...], Candidate] = field(default_factory=dict, init=False)
     _previews: dict[frozenset[str], Fit | None] = field(default_factory=dict, init=False)
+    _problems: dict[frozenset[str], Problem] = field(default_factory=dict, init=False)
+    _errors: dict[Fit, Array] = field(default_factory=dict, init=False)
 
     @cached_property
     def smooth(self) -> NDArray[np.bool_]:
@@ -204,7 +206,9 @@ class Fits:
 
     def held_out(self, terms: tuple[str, ...], found: Fit) -> Array:
         """Return the errors (FOLDS,), N m, of held-out blocks with the nonlinear parameters of a fit."""
-        return _held_out(self._problem(terms), found)
+        if found not in self._errors:
+            self._errors[found] = _held_out(self._problem(terms), found)
+        return self._errors[found]
 
     def linearised(self, terms: tuple[str, ...]) -> tuple[Array, Array]:
         """Return columns (n, p) and residuals (n,), N m, of the local minimum of all samples next to the preview."""
@@ -213,8 +217,12 @@ class Fits:
         return problem.linearised(found)[0], problem.residuals(found)
 
     def _problem(self, terms: tuple[str, ...]) -> Problem:
-        model = _model(terms).anchored(self.motion)
-        return Problem(model, self.motion, self.torque, *model.bounds(self.motion, self.highest))
+        unordered = frozenset(terms)
+        if unordered not in self._problems:
+            model = _model(terms).anchored(self.motion)
+            bounds = model.bounds(self.motion, self.highest)
+            self._problems[unordered] = Problem(model, self.motion, self.torque, *bounds)
+        return self._problems[unordered]
 
 
 def own(term: str) -> tuple[str, ...]:

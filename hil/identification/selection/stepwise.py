@@ -154,6 +154,7 @@ class _Steps:
     is_enough: Callable[[Selection], bool] = lambda _selection: False
     errors: tuple[float, float] = (0.0, 0.0)
     passed: list[tuple[str, ...]] = field(default_factory=list, init=False)
+    _enough: dict[Candidate, bool] = field(default_factory=dict, init=False)
 
     def forward(self, chosen: Candidate) -> Candidate:
         """Return the model after the steps from one chosen, each with the term that pays most, without those idle."""
@@ -203,7 +204,7 @@ class _Steps:
     def _larger(self, smaller: Candidate) -> Candidate | None:
         """The model with one more term that pays, the one that predicts held-out blocks best; None if none."""
         beyond = self._beyond(smaller.terms)
-        if set(self.rare).intersection(smaller.terms) and self.is_enough(Selection(smaller)):
+        if set(self.rare).intersection(smaller.terms) and self._is_described(smaller):
             beyond = {terms: found for terms, found in beyond.items() if self._is_no_error(smaller, terms)}
         errors = {terms: self.fits.held_out(terms, found).mean() for terms, found in beyond.items()}
         paying: list[Candidate] = []
@@ -230,6 +231,12 @@ class _Steps:
                 found[larger] = more
         return found
 
+    def _is_described(self, one: Candidate) -> bool:
+        """Whether a model is enough; the tests of its fit take as long as some steps, and are asked for twice."""
+        if one not in self._enough:
+            self._enough[one] = self.is_enough(Selection(one))
+        return self._enough[one]
+
     def _is_no_error(self, smaller: Candidate, terms: tuple[str, ...]) -> bool:
         """Whether a usual term, the last of these, takes out more than all errors of deflection and rate amount to."""
         if terms[-1] in self.rare or not set(smaller.terms) < set(terms):
@@ -244,7 +251,7 @@ class _Steps:
 
         The likelihood of few independent samples may not be able to rank the two.
         """
-        beyond = self._beyond(smaller.terms) if self.rare and not self.is_enough(Selection(smaller)) else {}
+        beyond = self._beyond(smaller.terms) if self.rare and not self._is_described(smaller) else {}
         larger = (self.fits.candidate(terms, beside=smaller) for terms in beyond if set(smaller.terms) < set(terms))
         clear = [one for one in larger if self.criterion.pays(smaller, one, one.terms[-1], nearly=True)]
         return min(clear, key=lambda one: float(one.held_out.mean()), default=smaller)
