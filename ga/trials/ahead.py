@@ -13,6 +13,7 @@ from ga.compiled import is_compiled
 from ga.evolution.evolution import PRESETS, advance, begin
 from ga.evolution.generational import generational
 from ga.fitness.dense import pack
+from ga.model.memory import lagged, presliding
 from ga.start import Start
 from ga.trials.trials import run_trials
 
@@ -36,5 +37,13 @@ def compile_search() -> None:
     run_trials(columns, torque, bounds, settings, trials=1, seed=0, workers=1)
 
 
+def compile_states() -> None:
+    """Compile what model selection and the averages need last, the latest first: the first process comes from there."""
+    time = np.linspace(0.0, 1.0, 200)
+    lagged(time, time, 0.1)
+    presliding(time, time, 0.1)
+
+
 if __name__ == "__main__":
     compile_search()
+    compile_states()
