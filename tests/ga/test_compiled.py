@@ -62,7 +62,10 @@ def test_of_two_processes_that_need_a_function_one_compiles_it(package: Path, tm
     assert sorted(answer.result() for answer in asked) == [(2.0, False), (2.0, True)]
 
 
-def test_what_is_compiled_is_announced_when_it_begins_and_when_it_is_done() -> None:
+def test_what_is_compiled_is_announced_when_it_begins_and_when_it_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ga.compiled.cache_folder", lambda _package: tmp_path)  # an earlier run has compiled it already
     heard: list[int] = []
     with announced_to(heard.append):
         compiled(lambda x: x + 1.0)(2.0)
