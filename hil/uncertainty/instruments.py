@@ -113,8 +113,9 @@ class DeflectionErrors:
 
     noise: rad, standard deviation of the readings' errors. counts: of the encoder, peak to peak. low_pass: Hz, of the
     low-pass that the deflection went through, None for none. method: of the change. change (p + q,), SI: what is added
-    to the parameters; half_width (p + q,): half the 95 % interval of it. predicted (p + q,), SI: the change by
-    simulation. strength: 1 for a command that the motion follows, to 0; None where it was not recorded or not needed.
+    to the parameters; half_width (p + q,): half the 95 % interval of it, and of roundings that go with the motion.
+    predicted (p + q,), SI: the change by simulation. strength: 1 for a command that the motion follows, to 0; None
+    where it was not recorded or not needed.
     """
 
     noise: float
@@ -164,10 +165,10 @@ def _rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
     All readings of one angle at rest are wrong by the same, somewhere within half a count, which no average takes away.
     """
     motion, count = part.motion, part.window.count
-    columns, left = part.linearised(motion)
     still = sound & _is_still(motion.dtheta, _STILL * count)
     if not still.any():
-        return np.zeros(columns.shape[1])
+        return np.zeros(len(part.half_width))
+    columns, left = part.linearised(motion)
     moved = _moved(motion, (np.full(len(motion), count), *np.zeros((2, len(motion)))))
     per_rad = (left - part.linearised(moved)[1]) / count
     sizes = np.linalg.norm(columns[sound], axis=0)
