@@ -290,6 +290,38 @@ def capstan(share: float) -> Law:
     return law
 
 
+def sheath(share: float, reach: float) -> Law:
+    """Friction of `share` of the torque that the tendon carries, which builds up over `reach` rad (Dahl)."""
+
+    def law(m: Motion, k: float, b: float) -> Array:
+        carried = k * m.deflection + b * m.rate
+        return np.asarray(carried + share * np.abs(carried) * _built_up(m, reach))
+
+    return law
+
+
+def gear(play: float, level: float, share: float, reach: float) -> Law:
+    """A gear with `play` rad: friction of `level` N m and of `share` of what its flanks push, over `reach` rad."""
+
+    def law(m: Motion, k: float, b: float) -> Array:
+        beyond = m.deflection - np.clip(m.deflection, -0.5 * play, 0.5 * play)
+        pushed = k * beyond + b * m.rate
+        pushed = np.where(beyond * pushed > 0.0, pushed, 0.0)
+        return np.asarray(pushed + (level + share * np.abs(pushed)) * _built_up(m, reach))
+
+    return law
+
+
+def _built_up(m: Motion, reach: float) -> Array:
+    """Dahl's state, -1 to 1, from rest."""
+    z, found = 0.0, np.zeros(len(m.time))
+    for at, moved in enumerate((m.rate * m.step).tolist()):
+        end = math.copysign(1.0, moved)
+        z = end + (z - end) * math.exp(-abs(moved) / reach)
+        found[at] = z
+    return found
+
+
 def quadratic(factor: float) -> Law:
     """Damping of `factor` N m s^2/rad^2 times the square of the rate beside Bc."""
     return lambda m, k, b: k * m.deflection + b * m.rate + factor * m.rate * np.abs(m.rate)
@@ -411,6 +443,8 @@ ROWS: Mapping[str, Bench] = {
     "LuGre, soft bristles": replace(_ONE, law=bristles(5e-3, 7e-3, 0.01, 0.3)),
     "Bouc-Wen 20 %": replace(_ONE, law=bouc_wen(0.2, 0.02)),
     "capstan 15 %": replace(_ONE, law=capstan(0.15)),
+    "sheath 20 %, 10 mrad": replace(_ONE, law=sheath(0.2, 0.01)),
+    "gear, 40 mrad of play": replace(_ONE, law=gear(0.04, 2e-3, 0.2, 0.01)),
     "quadratic damping": replace(_ONE, law=quadratic(1e-3)),
     "dead band 20 mrad": replace(_ONE, law=dead_band(0.02)),
     "fading 20 %, chirp": replace(_ONE, kind="chirp", law=fading(0.2)),

@@ -121,6 +121,11 @@ class CouplingModel:
     def _has_cell(self) -> bool:
         return any(term.cell is not None for term in self.terms)
 
+    @cached_property
+    def _load_remembers(self) -> bool:
+        """Whether the torque of spring and damper depends on earlier samples, too."""
+        return any(term.contact is not None and term.forgets is not None for term in self.terms)
+
     def anchored(self, motion: Motion) -> CouplingModel:
         """Return the model with origin and slowest rate of this motion, so that it is one model for every part of it.
 
@@ -191,7 +196,7 @@ class CouplingModel:
         seen = model._seen(motion, nonlinear, lag)
         found: list[Array] = []
         for term, values in model._valued(nonlinear):
-            if term.delays:
+            if term.delays and not model._load_remembers:
                 rates = seen.changing(self.delay(nonlinear)) if changing is None else (changing, changing)
                 aged = -(model._stacked(seen, nonlinear, rates) @ genes + rates[0].known)
                 found.append(model._read(motion, aged, nonlinear))
@@ -201,10 +206,11 @@ class CouplingModel:
                     found.append(model._read(motion, seen.passed(pushed, bends=True), nonlinear))
             else:
                 read = model._torque(motion, seen, nonlinear, genes, lag=lag) if torque is None else torque
+                same_delay = None if term.delays else seen
                 for _ in values:
                     ends = model._beside(nonlinear, len(found))
                     low, high = (
-                        model._known(motion, model._torque(motion, seen, end, genes, lag=lag) - read, end)
+                        model._known(motion, model._torque(motion, same_delay, end, genes, lag=lag) - read, end)
                         for end in ends
                     )
                     found.append((high - low) / (ends[1] - ends[0])[len(found)])
@@ -218,8 +224,8 @@ class CouplingModel:
         beside[:, at] = np.maximum(ends, 0.0) if self.nonlinear[at].positive else ends
         return beside
 
-    def _torque(self, motion: Motion, seen: _Seen, nonlinear: Array, genes: Array, *, lag: float) -> Array:
-        """The torque (n,), N m, of a motion seen with its delay, with what the beginnings make."""
+    def _torque(self, motion: Motion, seen: _Seen | None, nonlinear: Array, genes: Array, *, lag: float) -> Array:
+        """The torque (n,), N m, of a motion, with what the beginnings make; seen: with the same delay, if it was."""
         moved = self._seen(motion, nonlinear, lag, seen)
         torque = self._stacked(moved, nonlinear) @ genes + moved.near.motion.known
         return self._behind_cell(motion, torque, nonlinear)
@@ -248,12 +254,15 @@ class CouplingModel:
         whole, delay = motion.whole[0], self.delay(nonlinear)
         motion = whole if self._has_cell else motion
         shown = delayed.near.motion if delayed else motion.delayed(delay)
-        near = self._regressors(motion, shown, nonlinear, lag)
         reach = (_reaches(motion, term, bends=bends) for term, bends in zip(self.terms, self.bends, strict=True))
         if motion is whole or not any(reach):
+            near = self._regressors(motion, shown, nonlinear, lag)
             return _Seen(motion, near, near)
-        shown = delayed.whole.motion if delayed else whole.delayed(delay)
-        return _Seen(motion, near, self._regressors(whole, shown, nonlinear, lag))
+        all_shown = delayed.whole.motion if delayed else whole.delayed(delay)
+        every = self._regressors(whole, all_shown, nonlinear, lag)
+        if self._load_remembers:
+            return _Seen(motion, every.of(motion.whole[1], shown), every)
+        return _Seen(motion, self._regressors(motion, shown, nonlinear, lag), every)
 
     def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
         """Return a torque (m,) or columns (m, p) as the torque cell reads them, at the samples of the motion (n,).
@@ -288,8 +297,8 @@ class CouplingModel:
                 angle = term.remaining(angle, values)
         for term, values in self._valued(nonlinear):
             if term.contact is not None:
-                contact = term.contact(angle, seen.dtheta_dot, lag, softness, values)
-                angle = angle * contact
+                own = term.contact(angle, seen, lag, softness, values)
+                angle, contact = angle * own, contact * own
         elapsed = motion.time - (self.origin or 0.0)
         return Regressors(elapsed, seen, angle, contact, softness, self.middle or 0.0, np.empty(0))
 

@@ -231,15 +231,17 @@ def _squaring(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
     return (2.0 * np.abs(regressors.motion.dtheta_dot) * changing.dtheta_dot * regressors.contact,)
 
 
-def _loaded(angle: Array, rate: Array, lag: float, smoothing: float, values: Array) -> Array:
+def _loaded(angle: Array, motion: Motion, lag: float, smoothing: float, values: Array) -> Array:
     """1 + mu where the tendon is pulled further, 1 - mu where it is let back."""
     import numpy as np
 
+    rate = motion.dtheta_dot
     moving = np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate)
     return np.asarray(1.0 + values[0] * moving * np.sign(angle + lag * rate))
 
 
-def _capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+def capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    """Return the least and the largest part of the torque that is friction, and place, rad, that carries none."""
     least, most = float(motion.dtheta.min()), float(motion.dtheta.max())
     beyond = PRETENSION * (most - least)
     return (0.0, MOST_FRICTION), (least - beyond, most + beyond)
@@ -335,7 +337,7 @@ CAPSTAN: Final = Term(
             place=True,
         ),
     ),
-    bounds=_capstan_bounds,
+    bounds=capstan_bounds,
     remaining=lambda angle, values: angle - values[1],
     contact=_loaded,
     needs="offset",

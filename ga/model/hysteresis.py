@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.friction import FALLING, stribeck_bounds
+from ga.model.friction import CAPSTAN, FALLING, MOST_FRICTION, capstan_bounds, stribeck_bounds
 from ga.model.record import Parameter, Regressors, Term
 
 if TYPE_CHECKING:
@@ -30,13 +30,13 @@ def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], 
 def _building_up(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
     import numpy as np
 
-    (level,), reach = _presliding(regressors), float(regressors.own[0])
+    (level,), reach = _presliding(regressors), float(regressors.own[-1])
     rate = regressors.motion.dtheta_dot
     return ((rate - np.abs(rate) * level) / reach,)
 
 
 def _presliding(regressors: Regressors) -> tuple[Array, ...]:
-    return (regressors.motion.presliding(float(regressors.own[0])),)
+    return (regressors.motion.presliding(float(regressors.own[-1])),)
 
 
 def _yielding(regressors: Regressors) -> tuple[Array, ...]:
@@ -66,21 +66,36 @@ def _bristles_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]
     return ((rate - np.abs(rate) * load / (1.0 + rise * falls(rate, over))) / reach,)
 
 
+def _loaded(angle: Array, motion: Motion, lag: float, _smoothing: float, values: Array) -> Array:
+    """1 + mu long after a reversal if the load grows, 1 - mu if it falls; values: mu first, and reach last."""
+    import numpy as np
+
+    level = motion.presliding(float(values[-1]))
+    return np.asarray(1.0 + values[0] * level * np.sign(angle + lag * motion.dtheta_dot))
+
+
+def _loaded_at_first(motion: Motion, own: Array) -> Array:
+    """How much (n,) of the state that a stretch began with acts on each sample, in proportion to the load."""
+    import numpy as np
+
+    _, rest, reach = own
+    return np.asarray(np.abs(motion.dtheta - rest) * motion.fading(motion.travelled, float(reach)))
+
+
 def _over(name: str, about: str) -> Parameter:
     """The deflection, rad, over which a torque builds up after a reversal."""
     starts = (0.005, 0.02, 0.06, 0.2, 0.6)
     return Parameter(name, "rad", about, scales=False, absent=None, positive=True, nonlinear=True, starts=starts)
 
 
-_DAHL: Final = (
-    Parameter("Fd", "N*m", "friction long after a reversal", presence=True, friction=True, positive=True),
-    _over("reach", "deflection after a reversal over which the friction builds up"),
-)
+_FRICTION: Final = Parameter("Fd", "N*m", "friction long after a reversal", presence=True, friction=True, positive=True)
+_REACH: Final = _over("reach", "deflection after a reversal over which the friction builds up")
+_MU, _REST = CAPSTAN.parameters
 
 DAHL: Final = Term(
     "dahl",
     "dry friction that builds up over a deflection",
-    _DAHL,
+    (_FRICTION, _REACH),
     columns=_presliding,
     rates=_building_up,
     bounds=_dahl_bounds,
@@ -94,7 +109,8 @@ LUGRE: Final = Term(
     "lugre",
     "dry friction that builds up over a deflection and is higher at low rates",
     (
-        *_DAHL,
+        _FRICTION,
+        _REACH,
         Parameter(
             "rise",
             "1",
@@ -137,5 +153,34 @@ BOUC_WEN: Final = Term(
     forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
     excludes=("coulomb", "dahl", "lugre"),
     reason="coulomb is boucwen without the build-up, and dahl and lugre are other laws of it",
+    selection="misfit",
+)
+
+SHEATH: Final = Term(
+    "sheath",
+    "friction in proportion to the torque that builds up over a deflection, as of a tendon in its sheath",
+    (_MU, _REST, _REACH),
+    bounds=lambda m, highest: (*capstan_bounds(m, highest), *_dahl_bounds(m, highest)),
+    remaining=CAPSTAN.remaining,
+    contact=_loaded,
+    forgets=_loaded_at_first,
+    needs="offset",
+    excludes=(*CAPSTAN.excludes, "capstan", "dahl", "lugre", "boucwen"),
+    reason="sheath is capstan with a build-up, and has one law of it; beside a gap it is called gear",
+    selection="misfit",
+)
+
+GEAR: Final = Term(
+    "gear",
+    "dry friction that builds up over a deflection and grows with the torque beyond a gap, as of a gear with play",
+    (_FRICTION, _MU, _REACH),
+    columns=_presliding,
+    rates=_building_up,
+    bounds=lambda m, highest: ((0.0, MOST_FRICTION), *_dahl_bounds(m, highest)),
+    contact=_loaded,
+    forgets=lambda m, own: m.fading(m.travelled, float(own[-1])),
+    needs="backlash",
+    excludes=("coulomb", "dahl", "lugre", "boucwen", "capstan", "sheath"),
+    reason="coulomb, dahl, capstan and sheath are parts of gear, and lugre and boucwen are other laws of it",
     selection="misfit",
 )

@@ -8,7 +8,7 @@ before a column is computed, because the command line reads its help from them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
@@ -79,6 +79,10 @@ class Regressors:
     middle: float
     own: Array
 
+    def of(self, rows: NDArray[np.int64] | slice, motion: Motion) -> Regressors:
+        """Return those of some of the samples, of which the motion is given."""
+        return replace(self, time=self.time[rows], motion=motion, angle=self.angle[rows], contact=self.contact[rows])
+
 
 @dataclass(frozen=True, slots=True)
 class Term:
@@ -91,7 +95,7 @@ class Term:
     its parameter; or gives cell, what a torque (n,) or columns (n, p) become in the torque cell, for a motion, these
     and its parameters; or gives remaining, the deflection (n,) that its parameters leave, and shifts, how much of the
     deflection is taken away per unit of each; or only shapes its columns.
-    contact, (n,), multiplies the torque of spring and damper, for remaining deflection, rate, Bc/Kc in s, v_s and its
+    contact, (n,), multiplies the torque of spring and damper, for remaining deflection, motion, Bc/Kc in s, v_s and its
     parameters. forgets: where the torque depends on earlier samples too, what is left (n,) at each sample of the state
     that its stretch began with, which is unknown; for a motion and the term's parameters.
     needs: the term without which it means nothing. excludes: the terms that it cannot stand beside, and why.
@@ -113,7 +117,7 @@ class Term:
     cell: Callable[[Motion, Array, Array], Array] | None = None
     remaining: Callable[[Array, Array], Array] | None = None
     shifts: Callable[[Array], tuple[Array, ...]] | None = None
-    contact: Callable[[Array, Array, float, float, Array], Array] | None = None
+    contact: Callable[[Array, Motion, float, float, Array], Array] | None = None
     forgets: Callable[[Motion, Array], Array] | None = None
     needs: str = ""
     excludes: tuple[str, ...] = ()

@@ -67,10 +67,10 @@ def _slack_shifts(angle: Array) -> tuple[Array, ...]:
     return (np.sign(angle),)
 
 
-def _pushing_only(angle: Array, rate: Array, lag: float, _smoothing: float, _values: Array) -> Array:
+def _pushing_only(angle: Array, motion: Motion, lag: float, _smoothing: float, _values: Array) -> Array:
     import numpy as np
 
-    return np.asarray((angle * (angle + lag * rate) > 0.0).astype(np.float64))
+    return np.asarray((angle * (angle + lag * motion.dtheta_dot) > 0.0).astype(np.float64))
 
 
 def _gap_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:

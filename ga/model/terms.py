@@ -35,6 +35,8 @@ _RECORDS: Final = (
     springs.DEADBAND,
     springs.SLACK,
     friction.CAPSTAN,
+    hysteresis.SHEATH,
+    hysteresis.GEAR,
     sensors.SKEW,
     sensors.LAG,
     sensors.MEAN,

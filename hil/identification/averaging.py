@@ -287,7 +287,7 @@ def _falling(largest: _Largest, motion: Motion) -> list[tuple[_Largest, float]]:
     seen = whole.delayed(values.get("skew", 0.0))
     friction = sum(values[name] * largest.columns[:, largest.names.index(name)] for name in rubs)
     for over in (part * felt(motion.dtheta_dot) for part in _FALLS_OVER):
-        if "reach" in values:
+        if "Fd" in values:
             more = seen.bristles(values["reach"], _SMALL, over) - seen.presliding(values["reach"])
             column = values["Fd"] / _SMALL * more[rows]
         else:

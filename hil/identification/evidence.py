@@ -125,24 +125,25 @@ class Evidence:
         return "high" if value >= self.high[at] - near else None
 
 
-def sliding(values: Mapping[str, float]) -> tuple[float, float] | None:
+def sliding(values: Mapping[str, float], deflected: float = 0.0) -> tuple[float, float] | None:
     """Return by how much Kc is higher before friction slides, N m/rad, and over which deflection, rad; None without.
 
-    values: of a model, SI, by name.
+    values: of a model, SI, by name. deflected: rad, at whose torque friction in proportion to it is taken.
     """
-    for force, length in (("Fd", "reach"), ("Fy", "yield")):
-        if force in values and values[length] > 0.0:
-            return values[force] / values[length], values[length]
-    return None
+    length = values.get("reach", values.get("yield", 0.0))
+    force = values.get("Fd", values.get("Fy", 0.0)) + values.get("mu", 0.0) * values.get("Kc", 0.0) * deflected
+    return (force / length, length) if length > 0.0 else None
 
 
 def span_of_stiffness(values: Mapping[str, float], *, sliding_only: bool = False) -> Span | None:
     """Return the least and the largest Kc, N m/rad, of a model that has no single one, and what it depends on.
 
-    None for one Kc, or the mean of two that are not far apart. values: as of `sliding`. sliding_only: whether the
-    stiffness before friction slides counts for nothing.
+    None for one Kc, or the mean of two that are not far apart. Friction that grows with the torque is no stiffness: a
+    spring that yields would not. values: as of `sliding`. sliding_only: whether the stiffness before friction slides
+    counts for nothing.
     """
-    kc, before, half = values.get("Kc", 0.0), sliding(values), abs(values.get("Ka", 0.0))
+    before = None if "mu" in values else sliding(values)
+    kc, half = values.get("Kc", 0.0), abs(values.get("Ka", 0.0))
     if before is not None and before[0] > 0.0 and not sliding_only:
         return kc, kc + before[0], "amplitude"
     if kc + half > DIFFERENT * (kc - half):

@@ -18,7 +18,7 @@ SEVERAL_SPEEDS = "Drive at several speeds (--profile chirp or multisine over two
 _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
 _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
 _CURVED = {"cubic", "quintic", "progressive", "asymmetric"}  # the terms of a spring that curves or bends
-_RUBS = {"coulomb", "dahl", "lugre", "boucwen", "capstan"}  # and those of friction
+_RUBS = {"coulomb", "dahl", "lugre", "boucwen", "capstan", "sheath", "gear"}  # and those of friction
 
 
 def confounded(evidence: Evidence) -> list[Diagnostic]:

@@ -30,7 +30,8 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     """Return the warnings and errors of the result."""
     found = _interruption(evidence.trials)
     exact = dict(zip(evidence.names, (evidence.exact[0] + evidence.zeros).tolist(), strict=True))
-    stiffnesses = other_stiffness(exact, model=evidence.model.name, spans=evidence.span[2] if evidence.span else "")
+    deflected, spans = float(np.std(evidence.signals.motion.dtheta)), evidence.span[2] if evidence.span else ""
+    stiffnesses = other_stiffness(exact, deflected, model=evidence.model.name, spans=spans)
     stiffnesses += _unloaded(evidence)
     for at, name in enumerate(evidence.names):
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
@@ -59,13 +60,16 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     return found
 
 
-def other_stiffness(values: Mapping[str, float], *, model: str = "", spans: str = "") -> list[Diagnostic]:
+def other_stiffness(
+    values: Mapping[str, float], deflected: float = 0.0, *, model: str = "", spans: str = ""
+) -> list[Diagnostic]:
     """Return a diagnostic for each second stiffness of a model with these values (SI, by name of the parameter).
 
-    model: its name. spans: what Kc depends on ("amplitude", "direction") if the interval of Kc spans both stiffnesses.
+    deflected: rad, r.m.s., of the motion. model: its name. spans: what Kc depends on ("amplitude", "direction") if the
+    interval of Kc spans both stiffnesses.
     """
     found = []
-    if (before := sliding(values)) is not None:
+    if (before := sliding(values, deflected)) is not None:
         kc, (more, reach) = values["Kc"], before
         text = (
             f"Kc depends on the amplitude: it is {kc:.3g} N m/rad in large motion, where the friction slides, and "

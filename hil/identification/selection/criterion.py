@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.terms import RARER, TERMS, is_addable, with_another
-from hil.identification.selection.fits import FOLDS, Candidate, Fits, own
+from hil.identification.selection.fits import FOLDS, Candidate, Fits
 from hil.signals.deflection_noise import smallest_step
 from hil.uncertainty.model_average import AKAIKE
 from hil.uncertainty.residual_spectrum import measure
@@ -73,7 +73,7 @@ class Criterion:
             return False
         gain, cost = self.weighed(smaller, larger, term)
         if nearly:
-            return gain + cost > AKAIKE * len(own(term))
+            return gain + cost > AKAIKE * _more_parameters(smaller, larger)
         return gain > enough and self._pays_where_smooth(smaller, larger, term)
 
     def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
@@ -83,7 +83,8 @@ class Criterion:
     def weighed(self, smaller: Candidate, larger: Candidate, term: str) -> tuple[float, float]:
         """Return the gain of a term, and its cost: what of the likelihood ratio is no gain, twice the log odds."""
         alike, count = self.correlation(larger, term), len(self.signs)
-        return self._gain(self.ratio(smaller, larger), count, alike, term), self._cost(count, alike, term)
+        more = _more_parameters(smaller, larger)
+        return self._gain(self.ratio(smaller, larger), count, alike, more), self._cost(count, alike, more)
 
     def ratio(self, one: Candidate, other: Candidate) -> float:
         """Return twice by how much the other model's logarithmic likelihood is higher, for independent residuals."""
@@ -137,13 +138,13 @@ class Criterion:
         more = len(plainer.model.parameters) - len(other.model.parameters)
         return more * math.log(count) + self.ratio(plainer, other) / alike <= STRONG and plainer.stiffness > 0.0
 
-    def _gain(self, ratio: float, count: float, alike: float, term: str) -> float:
-        """The gain of a term by the likelihood ratio of so many samples, alike: their factor of correlation."""
-        return ratio / alike - self._cost(count, alike, term)
+    def _gain(self, ratio: float, count: float, alike: float, more: int) -> float:
+        """The gain of `more` parameters by the likelihood ratio of so many samples, alike: their correlation factor."""
+        return ratio / alike - self._cost(count, alike, more)
 
-    def _cost(self, count: float, alike: float, term: str) -> float:
+    def _cost(self, count: float, alike: float, more: int) -> float:
         chosen_from = math.log(self.choices)  # their gamma of 1/2
-        return len(own(term)) * math.log(max(count / alike, math.e)) + chosen_from
+        return more * math.log(max(count / alike, math.e)) + chosen_from
 
     def _pays_where_smooth(self, smaller: Candidate, larger: Candidate, term: str) -> bool:
         """Whether a linear term pays without the samples in which the rate is wrong too: those make a cubic."""
@@ -151,7 +152,7 @@ class Criterion:
             return True
         share, alike = float(np.mean(self.smooth)), self.correlation(larger, term)
         ratio = share * self.ratio(smaller.on(self.smooth), larger.on(self.smooth))
-        return self._gain(ratio, share * len(self.signs), alike, term) > 0.0
+        return self._gain(ratio, share * len(self.signs), alike, _more_parameters(smaller, larger)) > 0.0
 
 
 def criterion_of(
@@ -177,6 +178,11 @@ def criterion_of(
         choices=len(considered),
         doubted=doubted,
     )
+
+
+def _more_parameters(smaller: Candidate, larger: Candidate) -> int:
+    """How many parameters a model has more than another; a law in the place of a plainer one has the others already."""
+    return max(1, len(larger.model.parameters) - len(smaller.model.parameters))
 
 
 def _predicts_better(one: Candidate, other: Candidate) -> float:

@@ -7,7 +7,7 @@ Each step includes the term that predicts held-out blocks best, of those that pa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -177,13 +177,21 @@ class _Steps:
         The steps take the law that a smaller model asks for, and beside the terms that follow another may do as well.
         """
         for term in (term for term in chosen.terms if term in self.rare):
-            for law in PLAINEST_FIRST[: PLAINEST_FIRST.index(term)]:
-                terms = tuple(law if other == term else other for other in chosen.terms)
-                if self._is_law_beside(term, law) and self.fits.fitness(terms) < np.inf:
-                    plainer = self.fits.candidate(terms, beside=chosen)
-                    if plainer.is_possible(*terms[1:]) and self.criterion.is_as_likely(plainer, chosen):
-                        return self.plainest(plainer)
+            chosen = next(self._plainer(chosen, term), chosen)
         return chosen
+
+    def _plainer(self, chosen: Candidate, term: str) -> Iterator[Candidate]:
+        """Return the models with a plainer law than a term that are as likely as the chosen one, the plainest first.
+
+        Each is held against the chosen one: of three laws, the data may rank the first and the last only.
+        """
+        others = tuple(other for other in chosen.terms if other != term)
+        for law in PLAINEST_FIRST[: PLAINEST_FIRST.index(term)]:
+            terms = tuple(law if other == term else other for other in chosen.terms)
+            if self._is_law_beside(term, law) and is_addable(law, others) and self.fits.fitness(terms) < np.inf:
+                plainer = self.fits.candidate(terms, beside=chosen)
+                if plainer.is_possible(*terms[1:]) and self.criterion.is_as_likely(plainer, chosen):
+                    yield plainer
 
     def _is_law_beside(self, term: str, law: str) -> bool:
         """Whether two terms considered exclude each other, as laws of one effect do."""
@@ -274,9 +282,9 @@ def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """The terms that lower the fitness most, in any of the models, within their bounds; with those that contain one.
+    """The terms that lower the fitness most, in any of the models, within their bounds; with richer laws of these.
 
-    A term never fits worse than one that it contains, and would take the place of another kind.
+    A richer law never fits worse than one that it contains, and would take the place of another kind.
     """
     lowest = {}
     containing = {term: [other for other in terms if set(own(other)) < set(own(term))] for term in terms}
@@ -284,7 +292,17 @@ def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...]
         larger = [more for less in models if is_addable(term, (more := with_another(less, term))[:-1])]
         lowest[term] = min((fits.fitness(more) for more in larger if not fits.is_rejected(more)), default=np.inf)
     likely = sorted((term for term in lowest if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY]
-    return (*likely, *(term for term in terms if set(containing[term]).intersection(likely)))
+    return (*likely, *(term for term in terms if containing[term] and _is_richer_law(term, containing[term], likely)))
+
+
+def _is_richer_law(term: str, contained: list[str], likely: list[str]) -> bool:
+    """Whether a term contains a likely one, or is a law of friction as a likely one that it cannot stand beside is."""
+    rubs = [other for other in likely if _rubs(other) and other in TERMS[term].excludes] if _rubs(term) else []
+    return bool(set(contained).intersection(likely) or rubs)
+
+
+def _rubs(term: str) -> bool:
+    return any(parameter.friction for parameter in TERMS[term].parameters)
 
 
 def _step(fitted: Candidate, weighed: tuple[float, float], *, included: bool) -> Step:

@@ -251,6 +251,37 @@ def test_friction_in_proportion_to_the_torque_comes_back(rest: float) -> None:
     assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
 
 
+def built_up(reach: float, start: float) -> Array:
+    """Dahl's state (n,) of the motion, from another one than zero, step by step through its interpolated deflection."""
+    fine = np.interp(np.arange(50 * len(MOTION) - 49) / 50.0, np.arange(len(MOTION)), MOTION.time)
+    level, found = start, [start]
+    for move in np.diff(CubicSpline(MOTION.time, MOTION.dtheta)(fine)).tolist():
+        level += (np.sign(move) - level) * (1.0 - np.exp(-abs(move) / reach))
+        found.append(level)
+    return np.array(found)[::50]
+
+
+def test_friction_in_proportion_to_the_torque_that_builds_up_comes_back() -> None:
+    carried = KC * (MOTION.dtheta - 0.02) + BC * MOTION.dtheta_dot
+    torque = carried + 0.2 * np.abs(carried) * built_up(0.015, 0.7) + 0.01 + NOISES
+    found = identified("linear+offset+sheath", torque)
+    expected = {"Kc": KC, "Bc": BC, "mu": 0.2, "rest": 0.02, "tau0": 0.01, "reach": 0.015}
+    assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
+    at_once = fit(problem("linear+offset+capstan", torque)).fitness
+    assert at_once > 1.5 * fit(problem("linear+offset+sheath", torque)).fitness
+
+
+def test_friction_of_a_gear_that_grows_with_the_torque_beyond_its_play_comes_back() -> None:
+    """Beyond half the gap flanks push with T = Kc x + Bc v, or part; the friction is (Fd + mu T) z, with Dahl's z."""
+    beyond = MOTION.dtheta - np.clip(MOTION.dtheta, -0.01, 0.03)
+    pushed = KC * beyond + BC * MOTION.dtheta_dot
+    pushed = np.where(beyond * pushed > 0.0, pushed, 0.0)
+    torque = pushed + (4e-3 + 0.3 * np.abs(pushed)) * built_up(0.01, 0.0) - 0.02 + NOISES
+    found = identified("linear+offset+backlash+gear", torque)
+    expected = {"Kc": KC, "Bc": BC, "Fd": 4e-3, "mu": 0.3, "gap": 0.04, "centre": 0.01, "tau0": -0.02, "reach": 0.01}
+    assert found == pytest.approx(expected, rel=0.03, abs=5e-4)
+
+
 def test_a_dead_band_whose_damper_always_acts_comes_back() -> None:
     beyond = MOTION.dtheta - 0.01
     sprung = np.sign(beyond) * np.maximum(np.abs(beyond) - 0.01, 0.0)
@@ -327,7 +358,8 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
     "name",
     ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
      "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew",
-     "linear+coulomb+stribeck+skew", "linear+offset+cubic+quintic+progressive+skew"],
+     "linear+coulomb+stribeck+skew", "linear+offset+cubic+quintic+progressive+skew", "linear+offset+sheath+skew",
+     "linear+offset+backlash+gear"],
 )  # fmt: skip
 def test_the_jacobian_is_the_derivative_of_what_the_model_explains(name: str) -> None:
     even = moving(np.linspace(0.0, 4.0, 1601))
