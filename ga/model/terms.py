@@ -124,8 +124,9 @@ def with_another(terms: Collection[str], term: str, *, complete: bool = False) -
 
 def compatible_model(term: str, terms: Collection[str]) -> str:
     """Return the name of the model of the term and of those of the terms that it can stand beside."""
-    needed = ("linear", TERMS[term].needs or "linear")
-    return "+".join((*(other for other in terms if is_addable(term, (*needed, other))), term))
+    needed = TERMS[term].needs
+    others = [other for other in terms if is_addable(term, ("linear", needed or "linear", other))]
+    return "+".join((*others, *([needed] if needed and needed not in others else []), term))
 
 
 def _refuse_unknown(term: str) -> None:

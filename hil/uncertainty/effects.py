@@ -295,7 +295,7 @@ EFFECTS: Final = (
     Effect(
         "capstan",
         "friction in proportion to the torque, as of a tendon in its sheath",
-        "try --model {capstan} or {sheath}, and record at several amplitudes and pre-loads",
+        "try --model {capstan} or {sheath}, beyond a gap {gear}, and record at several amplitudes and pre-loads",
         lambda r, m: [_columns(np.abs(m - np.median(m)) * r.sign())],
     ),
     Effect(

@@ -61,7 +61,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
 
 
 def other_stiffness(
-    values: Mapping[str, float], deflected: float = 0.0, *, model: str = "", spans: str = ""
+    values: Mapping[str, float], deflected: float = 0.0, /, *, model: str = "", spans: str = ""
 ) -> list[Diagnostic]:
     """Return a diagnostic for each second stiffness of a model with these values (SI, by name of the parameter).
 

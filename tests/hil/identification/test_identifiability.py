@@ -15,7 +15,7 @@ from ga.model.memory import yielding
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
 from hil.identification.doubts.identifiability import other_stiffness
-from hil.identification.evidence import span_met
+from hil.identification.evidence import span_met, span_of_stiffness
 from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.selection.rivals import rivals
@@ -355,6 +355,16 @@ def test_a_model_with_two_stiffnesses_says_both() -> None:
     assert "0.39 N m/rad in motion much faster than 20 ms (tau1)" in relaxed.message
     assert not any(one.is_error for one in (sliding, relaxed))
     assert other_stiffness({"Kc": 0.3, "Bc": 3e-3}) == []
+
+
+def test_friction_that_grows_with_the_load_stiffens_small_motion_and_leaves_a_single_kc() -> None:
+    """At 0.1 rad a spring of 0.3 N m/rad carries 30 mN m, of which a fifth builds up over 10 mrad: 0.6 N m/rad more."""
+    loaded = {"Kc": 0.3, "Bc": 3e-3, "mu": 0.2, "rest": 0.0, "reach": 0.01}
+    (sheath,) = other_stiffness(loaded, 0.1)
+    assert "0.9 N m/rad in motion of less than 0.01 rad" in sheath.message
+    (gear,) = other_stiffness({**loaded, "Fd": 3e-3}, 0.1)
+    assert "1.2 N m/rad in motion of less than 0.01 rad" in gear.message
+    assert span_of_stiffness(loaded) is span_of_stiffness({**loaded, "Fd": 3e-3}) is None
 
 
 @pytest.mark.parametrize("reach", [0.001, 0.005, 0.02, 0.1])

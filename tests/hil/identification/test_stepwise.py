@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import NamedTuple, cast
@@ -322,6 +323,33 @@ def test_a_law_of_friction_gives_way_to_a_plainer_one_unless_the_data_rank_them(
     monkeypatch.setattr(stepwise._Steps, "forward", to_bouc_wen)
     found = select(motion, torque, 0.5, rarer=("dahl", "boucwen"), describes=lambda *_: False)
     assert found.model.name == f"linear+offset+{law}"
+
+
+def test_a_plainer_law_is_held_against_the_model_chosen_and_not_against_one_in_between(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The data rank `dahl` below `sheath`, and `boucwen` neither below `sheath` nor above `dahl`."""
+    moved, motion = slow()
+    torque = KC * moved.dtheta + sheathed(moved, 0.05) + 1e-3
+    fits = Fits(motion, torque + 5e-5 * np.random.default_rng(1).standard_normal(len(torque)), 0.5)
+    rare = ("dahl", "boucwen", "sheath")
+    steps = stepwise._Steps(fits, criterion.criterion_of(fits, rare, ("linear", "offset")), rare, rare=rare)
+    monkeypatch.setattr(
+        criterion.Criterion,
+        "is_as_likely",
+        lambda _, plainer, other: (plainer.terms[-1], other.terms[-1]) != ("dahl", "sheath"),
+    )
+    assert steps.plainest(fits.candidate(("linear", "offset", "sheath"))).terms[-1] == "boucwen"
+
+
+def test_a_law_pays_for_the_parameters_that_it_has_more_than_the_one_in_its_place() -> None:
+    moved, motion = slow()
+    torque = KC * moved.dtheta + sheathed(moved, 0.05) + 1e-3
+    fits = Fits(motion, torque + 5e-5 * np.random.default_rng(1).standard_normal(len(torque)), 0.5)
+    noise = criterion.criterion_of(fits, ("dahl",), ("linear", "offset"))
+    plain, dahl, lugre = (fits.candidate(("linear", "offset", *one)) for one in ((), ("dahl",), ("lugre",)))
+    costs = [noise.weighed(less, lugre, "lugre")[1] - math.log(noise.choices) for less in (plain, dahl)]
+    assert costs[0] == pytest.approx(2.0 * costs[1])  # four parameters, or two
 
 
 def stiffening() -> tuple[criterion.Criterion, Candidate, Candidate, Candidate]:
