@@ -49,6 +49,7 @@ from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
 from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, TICK_SHARE
+from hil.uncertainty.jumps import rate_beside_jumps
 from hil.uncertainty.model_average import AKAIKE, average, without_positive
 
 Array = NDArray[np.float64]
@@ -259,8 +260,18 @@ def _largest(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> _L
         alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in _own(term))]
         if not alike:
             likely = _likely(added, names, data.motion)
+            sampling = _with_jumps(sampling, columns, float(values[names.index("Bc")]), data)
             return _Largest(larger, tuple(added), names, columns, target, values, sampling, likely)
         added.remove(alike[-1])
+
+
+def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Signals) -> Covariance:
+    """The covariance with what rates beside jumps of the acceleration do to the parameters of columns (n, p)."""
+    missing = rate_beside_jumps(data.motion, data.command)
+    if missing is None:
+        return sampling
+    moved = np.linalg.lstsq(columns, damping * missing, rcond=None)[0]
+    return replace(sampling, matrix=sampling.matrix + np.outer(moved, moved))
 
 
 def _likely(added: Sequence[str], names: Sequence[str], motion: Motion) -> Array:
