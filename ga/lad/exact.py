@@ -306,5 +306,5 @@ def _weighted_sum(rows: NDArray[np.float64], weights: NDArray[np.float64]) -> ND
 def _descend(
     rows: NDArray[np.float64], torque: NDArray[np.float64], pull: NDArray[np.float64], start: NDArray[np.float64]
 ) -> tuple[int, NDArray[np.int64] | None]:
-    status, basis = descend(np.ascontiguousarray(rows), torque, pull, start)
+    status, basis = descend(np.ascontiguousarray(rows.T), torque, pull, start)
     return status, basis if status == OPTIMAL else None

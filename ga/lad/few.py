@@ -46,7 +46,7 @@ def solve_few(
     n, p = columns.shape
     genes, scale, extent, start, needed, sums = np.zeros((6, p))
     gram, into = np.zeros((2, p, p))
-    scaled, rows = np.empty((2, n, p))
+    scaled, rows = np.empty((n, p)), np.empty((p, n))
     target, found = np.empty(n), None
     columns, begin = np.ascontiguousarray(columns), np.array([] if near is None else near, dtype=np.float64)
     size = measure(columns, np.ascontiguousarray(torque), scale, extent, scaled, target, gram)
@@ -59,7 +59,7 @@ def solve_few(
         found = _descended(rows, target, start, np.inf)
     elif found is None and n <= MANY:
         some = _sample(n)
-        rough = _descended(rows[some], target[some], start, np.inf)
+        rough = _descended(rows.take(some, axis=1), target[some], start, np.inf)
         found = rough and _descended(rows, target, rough[1].point, _SPREAD * np.sqrt(n / len(some)))
     if found is None:
         return None
@@ -78,23 +78,26 @@ def _sample(n: int) -> Basis:
 
 
 def _descended(rows: Matrix, target: Vector, start: Vector, spread: float) -> tuple[Basis, Room] | None:
-    """Return the optimal basis (r,), looked for among the rows (n, r) that decide near the start (r,); None: not there.
+    """Return the optimal basis (r,), looked for among the rows (r, n) that decide near the start (r,); None: not there.
 
     spread: in about standard errors of an estimate from all rows, how far it may be away.
     """
-    n, r = rows.shape
-    residual = target - np.einsum("nk,k->n", rows, start)  # a linear-algebra library would use threads
-    open_rows, pull, reach = np.arange(n), np.zeros(r), np.inf
+    r, n = rows.shape
+    pull, reach, open_rows, near = np.zeros(r), np.inf, None, rows
     if spread < np.inf:
+        residual = target - np.einsum("kn,k->n", rows, start)  # a linear-algebra library would use threads
         reach = spread * float(np.mean(np.abs(residual))) * np.sqrt(r / n)
         # within `reach` of the start the others keep their sign (Cauchy-Schwarz): together they are one linear term
-        settled = np.abs(residual) > reach * np.sqrt(np.einsum("nk,nk->n", rows, rows))
-        pull = np.einsum("nk,n->k", rows, np.where(settled, np.sign(residual), 0.0))
+        settled = np.abs(residual) > reach * np.sqrt(np.einsum("kn,kn->n", rows, rows))
+        signs = np.where(settled, np.sign(residual), 0.0)
+        pull = np.einsum("nk,n->k", np.ascontiguousarray(rows.T), signs)  # one after the other, as in a descent
         open_rows = np.flatnonzero(~settled)
-    basis, room = np.zeros(r, np.int64), room_for(len(open_rows), r)
-    if step_down(rows[open_rows], target[open_rows], pull, start, basis, room) != OPTIMAL:
+        near, target = rows.take(open_rows, axis=1), target[open_rows]
+    basis, room = np.zeros(r, np.int64), room_for(len(target), r)
+    if step_down(near, target, pull, start, basis, room) != OPTIMAL:
         return None
-    return (open_rows[basis], room) if np.linalg.norm(room.point - start) <= reach else None
+    basis = basis if open_rows is None else open_rows[basis]
+    return (basis, room) if np.linalg.norm(room.point - start) <= reach else None
 
 
 @compiled_no_refcount
@@ -148,8 +151,8 @@ def factor(gram: Matrix, into: Matrix) -> bool:
 
 @compiled_no_refcount
 def turn(near: Vector, scaled: Matrix, into: Matrix, rows: Matrix, target: Vector, start: Vector) -> None:  # noqa: PLR0917 - compiled functions take their parts by position
-    """Fill in the orthogonal columns and the start: the scaled genes `near`, (p,), or the least squares if empty."""
-    n, p = rows.shape
+    """Fill in the orthogonal columns (p, n) and the start: the scaled genes `near`, (p,), or least squares if empty."""
+    p, n = rows.shape
     for i in range(n):
         value = 0.0 if near.size else target[i]
         for k in range(near.size):
@@ -158,7 +161,7 @@ def turn(near: Vector, scaled: Matrix, into: Matrix, rows: Matrix, target: Vecto
             part = 0.0
             for j in range(k + 1):
                 part += scaled[i, j] * into[j, k]
-            rows[i, k] = part
+            rows[k, i] = part
             start[k] += part * value / n
 
 
@@ -167,7 +170,7 @@ def sum_by_sign(  # noqa: PLR0917 - compiled functions take their parts by posit
     scaled: Matrix, rows: Matrix, target: Vector, point: Vector, inverse: Matrix, basis: Basis, sums: Vector
 ) -> bool:
     """Add up the scaled columns by the signs of the residuals outside the basis; False if one is zero to rounding."""
-    n, p = rows.shape
+    p, n = rows.shape
     most = 0.0
     for k in range(p):
         entry = 0.0
@@ -177,8 +180,8 @@ def sum_by_sign(  # noqa: PLR0917 - compiled functions take their parts by posit
     for i in range(n):
         left, reach, is_met = target[i], abs(target[i]), False
         for k in range(p):
-            left -= rows[i, k] * point[k]
-            reach += abs(rows[i, k]) * most
+            left -= rows[k, i] * point[k]
+            reach += abs(rows[k, i]) * most
             is_met |= basis[k] == i
         if not is_met and abs(left) <= ROUNDING * reach:
             return False

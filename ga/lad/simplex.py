@@ -1,8 +1,9 @@
 """The simplex descent behind ga.lad.exact: vertex to vertex of sum |torque - rows . z| - pull . z, always downhill.
 
-Rows (n, r) are of full column rank and roughly orthonormal, r <= 8 or so. A vertex is where r independent rows, the
-basis, have no residual. Each step removes one of them and follows the edge to the lowest point on it, a weighted
-median of the n places where a residual changes sign (Bloomfield and Steiger 1983, Barrodale and Roberts 1973).
+Rows are of full column rank and roughly orthonormal, r <= 8 or so. They stand column by column in arrays (r, n), as
+a processor computes several neighbours at once. A vertex is where r independent rows, the basis, have no residual. Each
+step removes one of them and follows the edge to the lowest point on it, a weighted median of the n places where a
+residual changes sign (Bloomfield and Steiger 1983, Barrodale and Roberts 1973).
 """
 
 from __future__ import annotations
@@ -30,12 +31,18 @@ _MOST: Final = 1000
 _SLACK: Final = 1e-11
 """How far beyond 1 a multiplier may be by rounding."""
 
+_SPARSE: Final = 8
+"""One row in so many shows up to where on a ray the others need be looked at."""
+
 _FLAT: Final = 1e-13
 """A row that changes along the ray by no more than this, where rows are of the order 1, does not change."""
 
 
 class Room(NamedTuple):
-    """Working space of a descent over n rows of r columns: vectors (n,) and (r,), matrices (r, r)."""
+    """Working space of a descent over n rows of r columns: vectors (n,) and (r,), matrices (r, r).
+
+    weight (n,) is that of each place, and before it the sign of each residual.
+    """
 
     residual: Vector
     along: Vector
@@ -70,12 +77,12 @@ def room_for(n: int, r: int) -> Room:
 
 
 def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector) -> tuple[int, Basis]:
-    """Find the optimal basis (r,) from the point start (r,).
+    """Find the optimal basis (r,) of rows (r, n) from the point start (r,).
 
     Returns OPTIMAL, STALLED or UNBOUNDED, and the basis, which is of no use unless it is OPTIMAL.
     """
-    basis = np.zeros(rows.shape[1], np.int64)
-    return step_down(rows, torque, pull, start, basis, room_for(*rows.shape)), basis
+    basis = np.zeros(len(rows), np.int64)
+    return step_down(rows, torque, pull, start, basis, room_for(len(torque), len(rows))), basis
 
 
 @compiled_no_refcount
@@ -96,7 +103,7 @@ def step_down(  # noqa: PLR0917 - compiled functions take their parts by positio
         _residuals(rows, torque, room.point, room.residual)
         for i in range(met):
             room.residual[basis[i]] = np.nan  # neither sign: the row is in the basis
-        _gradient(rows, room.residual, pull, room.downhill)
+        _gradient(rows, room.residual, room.weight, pull, room.downhill)
         leaving, slope = met, 0.0
         if met < r:
             slope = _free_direction(room.met, met, room.downhill, room.direction)
@@ -125,7 +132,7 @@ def _to_vertex(rows: Matrix, torque: Vector, basis: Basis, room: Room) -> bool:
     r, inverse = basis.size, room.inverse
     for i in range(r):
         for k in range(r):
-            room.met[i, k] = rows[basis[i], k]
+            room.met[i, k] = rows[k, basis[i]]
             inverse[i, k] = 1.0 if i == k else 0.0
     if not invert(room.met, inverse):
         return False
@@ -187,7 +194,7 @@ def _meet(rows: Matrix, entering: int, count: int, step: float, room: Room) -> N
     """Go to where the entering row has no residual, and keep it so: its unit normal joins the rows met."""
     for k in range(room.point.size):
         room.point[k] += step * room.direction[k]
-        room.met[count, k] = rows[entering, k]
+        room.met[count, k] = rows[k, entering]
     normal = room.met[count]
     _remove(room.met, count, normal)
     size = _length(normal)
@@ -246,31 +253,42 @@ def _length(vector: Vector) -> float:
 @compiled_within
 def _residuals(rows: Matrix, torque: Vector, point: Vector, residual: Vector) -> None:
     for i in range(torque.size):
-        value = torque[i]
-        for k in range(point.size):
-            value -= rows[i, k] * point[k]
-        residual[i] = value
+        residual[i] = torque[i]
+    for k in range(point.size):
+        _add(-point[k], rows[k], residual)
 
 
 @compiled_within
 def _project(rows: Matrix, direction: Vector, along: Vector) -> None:
     for i in range(along.size):
-        value = 0.0
-        for k in range(direction.size):
-            value += rows[i, k] * direction[k]
-        along[i] = value
+        along[i] = 0.0
+    for k in range(direction.size):
+        _add(direction[k], rows[k], along)
+
+
+@compiled_no_refcount
+def _add(factor: float, column: Vector, total: Vector) -> None:
+    """Add a column (n,) so many times to a total (n,)."""
+    for i in range(total.size):
+        total[i] += factor * column[i]
 
 
 @compiled_within
-def _gradient(rows: Matrix, residual: Vector, pull: Vector, downhill: Vector) -> None:
-    """The direction of descent: the sum of rows by the sign of their residual, and the pull."""
-    for k in range(pull.size):
-        downhill[k] = pull[k]
+def _gradient(rows: Matrix, residual: Vector, sign: Vector, pull: Vector, downhill: Vector) -> None:
+    """The direction of descent: the sum of rows by the sign of their residual (n,), written over, and the pull.
+
+    Two columns at a time, because a processor adds two sums up in the time of one; the last of an odd number twice.
+    """
     for i in range(residual.size):
         # a residual of zero counts as just above it, here and on the ray; one of the basis, NaN, has no sign
-        sign = 1.0 if residual[i] >= 0.0 else -1.0 if residual[i] < 0.0 else 0.0
-        for k in range(pull.size):
-            downhill[k] += sign * rows[i, k]
+        sign[i] = 1.0 if residual[i] >= 0.0 else -1.0 if residual[i] < 0.0 else 0.0
+    for k in range(0, pull.size, 2):
+        following = min(k + 1, pull.size - 1)
+        one, other = pull[k], pull[following]
+        for i in range(residual.size):
+            one += sign[i] * rows[k, i]
+            other += sign[i] * rows[following, i]
+        downhill[k], downhill[following] = one, other
 
 
 @compiled_within
@@ -278,24 +296,31 @@ def lowest_crossing(room: Room, slope: float) -> tuple[int, float]:
     """Where on the ray the sum is lowest: the row that changes sign there, and how far it is; (-1, 0) if nowhere.
 
     residual (n,) at the start; along (n,) how fast each falls; slope: how fast the sum falls at the start. The slope
-    flattens by 2 |along| at each row's change of sign, so the place is a weighted median: quickselect, O(n).
+    flattens by 2 |along| at each row's change of sign, so the place is a weighted median: quickselect, O(n), among the
+    rows that change no later than where some of them alone have it.
     """
     residual, along, row, place, weight = room.residual, room.along, room.row, room.place, room.weight
-    count = first = 0
-    for i in range(residual.size):
-        if (residual[i] >= 0.0 and along[i] > _FLAT) or (residual[i] < 0.0 and along[i] < -_FLAT):
-            row[count], place[count], weight[count] = i, residual[i] / along[i], abs(along[i])
-            count += 1
-    last, left = count - 1, 0.5 * slope
-    while first < last:
-        less, more, below, equal = _partition(room, first, last)
-        if less > first and below >= left:
-            last = less - 1
-        elif below + equal >= left or more > last:
-            first = last = less
-        else:
-            left -= below + equal
-            first = more
+    count, first, farthest = 0, 0, np.inf
+    # where some of the rows have flattened the slope, all of them have: that settles most rows at a glance
+    for stride in (_SPARSE, 1):
+        count = first = 0
+        for i in range(0, residual.size, stride):
+            # every row is written, and the next one over it unless it counts: to guess which do costs more
+            falling = along[i] if residual[i] >= 0.0 else -along[i]
+            row[count], place[count], weight[count] = i, abs(residual[i]) / falling, falling
+            count += int((falling > _FLAT) & (abs(residual[i]) / falling <= farthest))
+        last, left = count - 1, 0.5 * slope
+        while first < last:
+            less, more, below, equal = _partition(room, first, last)
+            if less > first and below >= left:
+                last = less - 1
+            elif below + equal >= left or more > last:
+                first, last, left = less, less, left - below
+            else:
+                left -= below + equal
+                first = more
+        if count and weight[first] >= left:
+            farthest = place[first]
     return (row[first], place[first]) if count else (-1, 0.0)
 
 
