@@ -188,14 +188,19 @@ class _Steps:
         others = tuple(other for other in chosen.terms if other != term)
         for law in PLAINEST_FIRST[: PLAINEST_FIRST.index(term)]:
             terms = tuple(law if other == term else other for other in chosen.terms)
-            if self._is_law_beside(term, law) and is_addable(law, others) and self.fits.fitness(terms) < np.inf:
+            if self._is_plainer(term, law) and is_addable(law, others) and self.fits.fitness(terms) < np.inf:
                 plainer = self.fits.candidate(terms, beside=chosen)
                 if plainer.is_possible(*terms[1:]) and self.criterion.is_as_likely(plainer, chosen):
                     yield plainer
 
-    def _is_law_beside(self, term: str, law: str) -> bool:
-        """Whether two terms considered exclude each other, as laws of one effect do."""
-        return law in self.considered and (law in TERMS[term].excludes or term in TERMS[law].excludes)
+    def _is_plainer(self, term: str, law: str) -> bool:
+        """Whether a term considered is a plainer law of the same effect: contained, usual, or earlier in the table.
+
+        Two such terms exclude each other. A law with fewer parameters that is not contained is another effect.
+        """
+        beside = law in self.considered and (law in TERMS[term].excludes or term in TERMS[law].excludes)
+        fewer = len(own(term)) - len(own(law))
+        return beside and (law not in self.rare or fewer == 0 or set(own(law)) < set(own(term)))
 
     def to(self, chosen: Candidate) -> tuple[Step, ...]:
         """Return the steps up to the chosen model, then one with each rejected term on top of it."""
@@ -284,12 +289,16 @@ def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
 def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
     """The terms that lower the fitness most, in any of the models, within their bounds; with richer laws of these.
 
-    A richer law never fits worse than one that it contains, and would take the place of another kind.
+    A richer law never fits worse than one that it contains, and would take the place of another kind. Beside a gap that
+    the usual steps ended with, no friction is considered that would take it away: no later step brings it back.
     """
+    gaps = [name for name in models[-1] if TERMS[name].shifts is not None]
+    terms = tuple(term for term in terms if not (_rubs(term) and set(gaps).intersection(TERMS[term].excludes)))
     lowest = {}
     containing = {term: [other for other in terms if set(own(other)) < set(own(term))] for term in terms}
     for term in (term for term in terms if not containing[term]):
-        larger = [more for less in models if is_addable(term, (more := with_another(less, term))[:-1])]
+        larger = [with_another(less, term, complete=True) for less in models]
+        larger = [more for more in larger if is_addable(term, more[:-1])]
         lowest[term] = min((fits.fitness(more) for more in larger if not fits.is_rejected(more)), default=np.inf)
     likely = sorted((term for term in lowest if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY]
     return (*likely, *(term for term in terms if containing[term] and _is_richer_law(term, containing[term], likely)))

@@ -308,6 +308,20 @@ def test_rarer_terms_are_compared_beside_each_model_that_the_steps_came_by(monke
     assert len(set(compared[0])) == len(compared[0]) > 2
 
 
+def test_a_rarer_term_brings_what_it_needs_where_no_usual_model_has_it() -> None:
+    moved, motion = slow()
+    fits = Fits(motion, with_play(moved) + 5e-5 * np.random.default_rng(1).standard_normal(len(motion)), 0.5)
+    assert stepwise._likeliest(fits, ("deadband",), (("linear",), ("linear", "cubic"))) == ("deadband",)
+
+
+def test_beside_a_gap_no_friction_is_considered_that_would_take_it_away() -> None:
+    moved, motion = slow()
+    torque = with_play(moved) + sheathed(moved, 0.02) + 5e-5 * np.random.default_rng(1).standard_normal(len(motion))
+    fits, rare, gap = Fits(motion, torque, 0.5), ("dahl", "capstan", "sheath"), ("linear", "offset", "backlash")
+    assert "sheath" in stepwise._likeliest(fits, rare, (("linear", "offset"),))
+    assert stepwise._likeliest(fits, rare, (("linear", "offset"), gap)) == ("dahl",)
+
+
 @pytest.mark.parametrize("law", ["dahl", "boucwen"])
 def test_a_law_of_friction_gives_way_to_a_plainer_one_unless_the_data_rank_them(
     law: str, monkeypatch: pytest.MonkeyPatch
@@ -328,18 +342,19 @@ def test_a_law_of_friction_gives_way_to_a_plainer_one_unless_the_data_rank_them(
 def test_a_plainer_law_is_held_against_the_model_chosen_and_not_against_one_in_between(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The data rank `dahl` below `sheath`, and `boucwen` neither below `sheath` nor above `dahl`."""
+    """The data rank `coulomb` below `lugre`, and `dahl` neither below `lugre` nor above `coulomb`."""
     moved, motion = slow()
     torque = KC * moved.dtheta + sheathed(moved, 0.05) + 1e-3
     fits = Fits(motion, torque + 5e-5 * np.random.default_rng(1).standard_normal(len(torque)), 0.5)
-    rare = ("dahl", "boucwen", "sheath")
-    steps = stepwise._Steps(fits, criterion.criterion_of(fits, rare, ("linear", "offset")), rare, rare=rare)
+    terms = ("coulomb", "dahl", "lugre")
+    noise = criterion.criterion_of(fits, terms, ("linear", "offset"))
+    steps = stepwise._Steps(fits, noise, terms, rare=terms[1:])
     monkeypatch.setattr(
         criterion.Criterion,
         "is_as_likely",
-        lambda _, plainer, other: (plainer.terms[-1], other.terms[-1]) != ("dahl", "sheath"),
+        lambda _, plainer, other: (plainer.terms[-1], other.terms[-1]) != ("coulomb", "lugre"),
     )
-    assert steps.plainest(fits.candidate(("linear", "offset", "sheath"))).terms[-1] == "boucwen"
+    assert steps.plainest(fits.candidate(("linear", "offset", "lugre"))).terms[-1] == "dahl"
 
 
 def test_a_law_pays_for_the_parameters_that_it_has_more_than_the_one_in_its_place() -> None:
