@@ -23,7 +23,7 @@ _RUBS = {"coulomb", "dahl", "lugre", "boucwen", "capstan", "sheath", "gear"}  # 
 
 def confounded(evidence: Evidence) -> list[Diagnostic]:
     """Return the warnings and errors of effects that the recording cannot distinguish from Kc and Bc."""
-    found = _inertia(evidence) + _one_frequency(evidence) + _friction_at_rest(evidence)
+    found = (_filtered_angle(evidence) or _inertia(evidence)) + _one_frequency(evidence) + _friction_at_rest(evidence)
     return found + _implausible_skew(evidence) + _little_load(evidence)
 
 
@@ -38,6 +38,34 @@ def _inertia(evidence: Evidence) -> list[Diagnostic]:
         "--motor-torque, and set motor_inertia in the stand file"
     )
     return [Diagnostic("inertia-in-torque", text, "Kc")]
+
+
+def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
+    """Return the diagnostic for an inertia that may as well be a filter of the angle, unless it is the motor's.
+
+    Behind a first-order filter of the angle with the time constant T the torque is (Kc + Bc s)(1 + T s) times the angle
+    that is read: there is Bc + Kc T in the place of a damping, and Bc T in that of an inertia.
+    """
+    values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
+    if not {"Kc", "Bc", "J"} <= set(values) or evidence.signals.torque_from == "motor" or values["J"] <= 0.0:
+        return []
+    stiffness, damping, inertia = values["Kc"], values["Bc"], values["J"]
+    most = damping + float(evidence.errors.half_width[evidence.names.index("Bc")])
+    if not 0.0 < 4.0 * stiffness * inertia <= most**2:
+        return []
+    apart = max(0.0, damping**2 - 4.0 * stiffness * inertia) ** 0.5
+    either = " or ".join(
+        f"{bc:.3g} N m s/rad (a filter of {bc / (2.0 * np.pi * inertia):.3g} Hz)"
+        for bc in sorted({0.5 * (damping - apart), 0.5 * (damping + apart)})
+    )
+    text = (
+        f"the torque includes an inertia of {inertia:.2g} kg m^2, or the angle passed a filter that the torque did "
+        f"not: both fit alike. Bc is {damping:.3g} N m s/rad with an inertia, and {either} behind a filter of the "
+        "angle; Kc is the same. Record the angle without the drive's filter. If the torque is the motor's, import it "
+        "with --motor-torque, and set motor_inertia in the stand file"
+    )
+    known = f". If you know that there is an inertia, name --model {evidence.model.name}" if evidence.selected else ""
+    return [Diagnostic("filtered-angle", text + known, "Bc", is_error=evidence.selected)]
 
 
 def _one_frequency(evidence: Evidence) -> list[Diagnostic]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -267,6 +268,45 @@ def test_friction_that_is_stiffness_and_inertia_at_every_sample_is_not_trusted_a
     assert "inertia" in found.model.name
     assert found.trusted("Kc") == trusted
     assert ("friction-at-rest" in {one.code for one in found.diagnostics}) != trusted
+
+
+LINES = 2.0 * np.pi * np.array([0.4, 1.1, 2.3, 4.1, 6.7, 9.3, 11.6])
+
+
+def behind(constant: float, inertia: float) -> Callable[[dict[str, Array]], None]:
+    """0.3 N m/rad, 3 mN m s/rad and an inertia; the angle is read behind a filter of first order, the torque is not."""
+
+    def change(channels: dict[str, Array]) -> None:
+        waves = 0.06 * np.exp(1j * (np.outer(channels["time"], LINES) + np.arange(7.0) ** 2))
+        channels["torque"] = (waves * (0.3 + 3e-3j * LINES - inertia * LINES**2)).imag.sum(axis=1)
+        channels["torque"] += 1e-3 * np.random.default_rng(6).standard_normal(len(channels["torque"]))
+        channels["dtheta"] = (waves / (1.0 + 1j * LINES * constant)).imag.sum(axis=1)
+
+    return change
+
+
+@pytest.mark.parametrize(("model", "trusted"), [(None, False), ("linear+inertia", True)])
+def test_an_inertia_that_may_be_a_filter_of_the_angle_leaves_bc_open(
+    make_recording: Maker, model: str | None, *, trusted: bool
+) -> None:
+    """Behind a filter of 40 Hz it is Bc + Kc T = 4.19 with an inertia of Bc T; 3 and 1.19 mN m s/rad fit as well."""
+    path = make_recording(samples=6000, change=behind(1.0 / (2.0 * np.pi * 40.0), 0.0))
+    found = identify([path], parse(model) if model else None, SEARCH)
+    assert "inertia" in found.model.name
+    (said,) = (one for one in found.diagnostics if one.code == "filtered-angle")
+    values = [float(number) for number in re.findall(r"([\d.]+) N m s/rad", said.message)]
+    assert sorted(values) == pytest.approx([1.19e-3, 3e-3, 4.19e-3], rel=0.03)
+    assert [float(cut) for cut in re.findall(r"filter of ([\d.]+) Hz", said.message)] == pytest.approx(
+        [15.9, 40.0], rel=0.03
+    )
+    assert (found.trusted("Bc"), found.trusted("Kc")) == (trusted, True)
+
+
+def test_an_inertia_that_no_filter_of_the_angle_explains_is_one(make_recording: Maker) -> None:
+    found = identify([make_recording(samples=6000, change=behind(0.0, 2e-5))], None, SEARCH)
+    assert "inertia-in-torque" in {one.code for one in found.diagnostics}
+    assert found.trusted("Bc")
+    assert found["Bc"].value == pytest.approx(3e-3, rel=0.02)
 
 
 def test_several_speeds_have_nothing_said_of_them(make_recording: Maker) -> None:
