@@ -126,7 +126,7 @@ def compatible_model(term: str, terms: Collection[str]) -> str:
     """Return the name of the model of the term and of those of the terms that it can stand beside."""
     needed = TERMS[term].needs
     others = [other for other in terms if is_addable(term, ("linear", needed or "linear", other))]
-    return "+".join((*others, *([needed] if needed and needed not in others else []), term))
+    return canonical("+".join(dict.fromkeys((*others, needed or term, term))))
 
 
 def _refuse_unknown(term: str) -> None:

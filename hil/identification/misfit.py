@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -223,13 +224,14 @@ def misfit_diagnostics(
     seen = seen_in_torque(signals, longest)
     parts = [
         _respects(model, found),
-        _consequence(found),
+        _consequence(found, described.names),
         "" if seen else _remedy(described.model, found),
         _frequencies(dynamic),
     ]
     message = ". ".join(part for part in parts if part)
-    misfit = Diagnostic("misfit", message, found.affected, is_error=found.is_grave)
-    return [Diagnostic("torque-reading", seen, found.affected, is_error=found.is_grave), misfit] if seen else [misfit]
+    is_grave = found.is_grave or not {"Kc", "Bc"}.intersection(described.names)  # it has no other measure
+    misfit = Diagnostic("misfit", message, found.affected, is_error=is_grave)
+    return [Diagnostic("torque-reading", seen, found.affected, is_error=is_grave), misfit] if seen else [misfit]
 
 
 def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Diagnostic]:
@@ -309,9 +311,12 @@ def _respects(model: str, found: LackOfFit) -> str:
     )
 
 
-def _consequence(found: LackOfFit) -> str:
+def _consequence(found: LackOfFit, names: Sequence[str]) -> str:
+    left = f"It leaves out {100.0 * found.unexplained:.2g} % of the torque"
+    if not {"Kc", "Bc"}.intersection(names):
+        return f"{left}, so its parameters may be wrong"
     if found.explains_too_little:
-        return f"It leaves out {100.0 * found.unexplained:.0f} % of the torque, so Kc and Bc mean nothing"
+        return f"{left}, so Kc and Bc mean nothing"
     return f"Kc may be wrong by {_percent(found.Kc)} and Bc by {_percent(found.Bc)}" + (
         "; their intervals include this" if found.outside else ""
     )

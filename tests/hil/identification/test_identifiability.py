@@ -144,6 +144,13 @@ def test_a_wrong_sign_is_named_by_what_kc_would_be_and_no_number_is_negative(mak
     assert found.optimiser_gap < 1e-3
 
 
+def test_a_wrong_sign_is_no_matter_of_model_selection(make_recording: Maker) -> None:
+    found = identify([make_recording(noise=1e-4, change=inverted)], None, SEARCH)
+    assert found.model.name == "linear+offset"
+    assert "A sign is wrong" in found.diagnostics[0].message
+    assert not {"inertia-in-torque", "misfit", "skew-implausible"}.intersection(one.code for one in found.diagnostics)
+
+
 def test_model_selection_never_includes_a_negative_friction(make_recording: Maker) -> None:
     found = identify([make_recording(change=driven_backwards)], None, SEARCH)
     assert "coulomb" not in found.model.name

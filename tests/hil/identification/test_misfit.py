@@ -108,13 +108,13 @@ def test_the_advice_adds_the_term_that_explains_the_residuals_to_the_model(
     """A gap whose middle is not that of the motion, and damping that grows with the rate."""
     angle, rate = multisine(TIME)[:2]
     beyond = np.sign(angle) * np.maximum(np.abs(angle) - 0.03 * np.abs(angle).max(), 0.0)
-    for torque, term in (
-        (plain() + KC * (beyond - angle), "+backlash"),
-        (plain() + 0.3 * BC / np.abs(rate).max() * rate * np.abs(rate), "+quadratic"),
+    for torque, model in (
+        (plain() + KC * (beyond - angle), "linear+offset+drift+backlash"),
+        (plain() + 0.3 * BC / np.abs(rate).max() * rate * np.abs(rate), "linear+drift+quadratic"),
     ):
-        _, found = identified(capfd, recording(tmp_path / f"{term}.h5", torque), "--model", "linear+drift")
+        _, found = identified(capfd, recording(tmp_path / f"{model}.h5", torque), "--model", "linear+drift")
         message = next(one["message"] for one in found["errors"] + found["warnings"] if one["code"] == "misfit")
-        assert f"try --model linear+drift{term}" in message
+        assert f"try --model {model}" in message
 
 
 def test_a_users_own_model_is_tested_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -46,6 +46,20 @@ def test_it_comes_to_what_the_linear_model_comes_to(make_recording: Maker, tmp_p
         assert one.identifiable
 
 
+def test_one_without_kc_and_bc_that_does_not_describe_the_recording_is_not_trusted(
+    make_recording: Maker, tmp_path: Path
+) -> None:
+    def stiffens(channels: dict[str, np.ndarray]) -> None:
+        channels["torque"] += 0.02 * channels["dtheta"] ** 3
+
+    path = make_recording(noise=2e-5, samples=8000, change=stiffens)
+    found = identify([path], load(written(tmp_path, GOOD.replace("Kc", "stiff").replace("Bc", "damped"))), SEARCH)
+    (misfit,) = (one for one in found.diagnostics if one.code == "misfit")
+    assert misfit.is_error
+    assert "so its parameters may be wrong" in misfit.message
+    assert not found.trusted("stiff")
+
+
 def test_its_validation_error_is_relative_to_the_torque(make_recording: Maker, tmp_path: Path) -> None:
     """The stiffness is 2500 Kc^3, whose linearisation is three times as large: white noise over the torque's RMS."""
     noise, path = 2e-4, make_recording(noise=2e-4, samples=8000)
