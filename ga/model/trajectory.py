@@ -79,6 +79,10 @@ class Motion:
     def __len__(self) -> int:
         return len(self.time)
 
+    def __getstate__(self) -> dict[str, object]:
+        """Return what goes to another process: functions cannot, so that the filters are made anew there."""
+        return {name: value for name, value in self.__dict__.items() if name != "_filters"}
+
     @property
     def passes(self) -> int:
         """The number of times that the joint went from the lower quarter of its range to the upper one, or back."""

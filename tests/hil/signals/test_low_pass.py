@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from unittest.mock import Mock
 
 import numpy as np
@@ -161,6 +162,16 @@ def test_what_a_recording_with_many_losses_needs_again_is_computed_once() -> Non
     for part in (motion, motion.of(slice(None, None, 9)), motion.of(time > 1.0), motion):
         assert part.whole[0].filtered(values) == pytest.approx(whole, abs=1e-12, nan_ok=True)
     assert behind.passing.call_count == 1
+
+
+def test_a_motion_whose_torque_was_filtered_goes_to_another_process() -> None:
+    readings = np.sin(40.0 * TIME) + 0.02 * np.random.default_rng(0).standard_normal(len(TIME))
+    window = window_for(TIME, readings, np.sin(40.0 * TIME))
+    assert window.low_pass is not None
+    motion = Motion(TIME, readings, readings, readings, readings, behind=window)
+    here = motion.filtered(readings)
+    there = pickle.loads(pickle.dumps(motion.of(slice(10, 90)))).whole[0]  # noqa: S301 - our own
+    assert there.filtered(readings) == pytest.approx(here, abs=0.0)
 
 
 def test_the_counts_of_a_steady_motion_are_no_motion() -> None:
