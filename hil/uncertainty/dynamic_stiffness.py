@@ -30,6 +30,8 @@ _SHORTEST: Final = 32  # samples of a segment
 _LINES: Final = 4  # of a band: the main lobe of Hann's window
 _ALIKE: Final = 2.05  # neighbouring lines and overlapping segments that count as one
 _WEAK: Final = 1e-3  # of the mean power of the deflection in the bands, below which a band was not excited
+_NOTHING: Final = 1e-9  # the same of instrument and torque, which may be small where the deflection is large
+_ALIGNED: Final = 1e-6  # sine of the angle between what follows deflection and rate, from which they are the same
 _APART: Final = 1.5  # times the deflection of the smaller half, from which the amplitudes count as different
 _PERIODIC: Final = 0.98  # correlation of a deflection with itself a period later
 _EXCITED: Final = 1e-3  # of the strongest line's amplitude, from which on a line is excited
@@ -117,7 +119,7 @@ def dynamic_stiffness(
     spectra = _spectra(recorded, instrument, band)
     if spectra is None:
         return None
-    bands = _in_bands(spectra, band)
+    bands = _in_bands(spectra, band, spectra)
     if not bands.frequency.size:
         return None
     return DynamicStiffness(
@@ -174,27 +176,45 @@ def _edges(frequency: Array, band: tuple[float, float]) -> NDArray[np.int64]:
     return np.array(edges)
 
 
-def _in_bands(spectra: _Spectra, band: tuple[float, float]) -> Bands:
+def _in_bands(spectra: _Spectra, band: tuple[float, float], every: _Spectra) -> Bands:
+    """Return those of segments, without the bands in which they hardly moved; every: all segments, the measure of it.
+
+    By their own power, noise would be motion where they rest.
+    """
     edges = _edges(spectra.frequency, band)
     inside = slice(int(edges[0]), int(edges[-1]))
-    usual = float(np.mean(np.abs(spectra.moved[:, inside]) ** 2)) if len(edges) > 1 else 0.0
+    least = [
+        share * _power(lines, inside)
+        for lines, share in ((every.moved, _WEAK), (every.instrument, _NOTHING), (every.torque, _NOTHING))
+    ]
     rows = []
     for first, last in pairwise(edges.tolist()):
-        if float(np.mean(np.abs(spectra.moved[:, first:last]) ** 2)) > _WEAK * usual:
-            rows.append(_band(spectra, slice(first, last)))
+        lines = slice(first, last)
+        powers = [_power(one, lines) for one in (spectra.moved, spectra.instrument, spectra.torque)]
+        if all(power > limit for power, limit in zip(powers, least, strict=True)):
+            rows += _band(spectra, lines)
     frequency, stiffness, of_stiffness, damping, of_damping, coherence = np.array(rows).reshape(-1, 6).T
     moved = float(np.sqrt(np.mean(spectra.deflection**2)))
     return Bands(frequency, stiffness, of_stiffness, damping, of_damping, coherence, moved)
 
 
-def _band(spectra: _Spectra, lines: slice) -> tuple[float, ...]:
-    """Frequency Hz, K', half its interval, B', half its interval, coherence."""
+def _power(lines: Complex, some: slice) -> float:
+    """The mean power of some of the lines (s, l), 0 where there are none."""
+    chosen = lines[:, some]
+    return float(np.mean(np.abs(chosen) ** 2)) if chosen.size else 0.0
+
+
+def _band(spectra: _Spectra, lines: slice) -> list[tuple[float, ...]]:
+    """Frequency Hz, K', half its interval, B', half its interval, coherence; none where K' and B' are not two."""
     from scipy.special import stdtrit
 
     torque, moved, rate = spectra.torque[:, lines], spectra.moved[:, lines], spectra.rate[:, lines]
     weights = np.conj(spectra.instrument[:, lines])
     total, turning = (moved * weights).sum(), (rate * weights).sum()
     right = (torque * weights).sum()
+    apart = abs(total.real * turning.imag - total.imag * turning.real)
+    if not apart > _ALIGNED * abs(total) * abs(turning):
+        return []
     system = np.array([[total.real, turning.real], [total.imag, turning.imag]])
     stiffness, damping = np.linalg.solve(system, [right.real, right.imag]).tolist()
     left = torque - stiffness * moved - damping * rate
@@ -204,14 +224,18 @@ def _band(spectra: _Spectra, lines: slice) -> tuple[float, ...]:
     half = float(stdtrit(freedom, 0.975)) * np.sqrt(variance * freedom / max(freedom - 1.0, 0.5))
     mean_speed = float(abs(turning / total))
     coherence = 1.0 - float(np.sum(np.abs(left) ** 2)) / float(np.sum(np.abs(torque) ** 2))
-    return mean_speed / (2.0 * np.pi), stiffness, half, damping, half / mean_speed, max(0.0, coherence)
+    return [(mean_speed / (2.0 * np.pi), stiffness, half, damping, half / mean_speed, max(0.0, coherence))]
 
 
 def _by_amplitude(spectra: _Spectra, band: tuple[float, float]) -> tuple[Bands, ...]:
-    large = spectra.deflection > np.median(spectra.deflection)
-    if not large.any() or spectra.deflection[large].mean() < _APART * spectra.deflection[~large].mean():
+    """Of the half of the moving segments with the smaller and the larger deflection; none where they are alike."""
+    moving = spectra.deflection**2 > _WEAK * np.mean(spectra.deflection**2)
+    large = moving & (spectra.deflection > np.median(spectra.deflection[moving]))
+    small = moving & ~large
+    if not large.any() or spectra.deflection[large].mean() < _APART * spectra.deflection[small].mean():
         return ()
-    return tuple(_in_bands(spectra.of(chosen), band) for chosen in (~large, large))
+    found = tuple(_in_bands(spectra.of(chosen), band, spectra) for chosen in (small, large))
+    return found if all(bands.frequency.size for bands in found) else ()
 
 
 def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> Distortion | None:

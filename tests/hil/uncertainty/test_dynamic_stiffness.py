@@ -103,6 +103,47 @@ def test_a_stiffness_that_rises_with_the_deflection_differs_between_amplitudes()
     assert np.mean(large.stiffness) > 1.05 * np.mean(small.stiffness)
 
 
+def resting_first(share: float) -> tuple[Array, Array, Array]:
+    """Torque without noise, deflection and rate of a joint that rests in the first part of the recording."""
+    _, deflection, rate = spring_and_damper(0)
+    moves = share * TIME[-1] <= TIME
+    deflection, rate = moves * deflection, moves * rate
+    return KC * deflection + BC * rate, deflection, rate
+
+
+def test_a_command_that_rests_through_most_of_the_recording_is_an_instrument_where_it_moves() -> None:
+    torque, deflection, rate = resting_first(0.6)
+
+    found = measured(torque + noise(0, 1e-3), deflection + noise(3, 1e-4), rate, command=deflection)
+
+    assert found.instrument == "command"
+    for _, bands in found.groups:
+        assert bands.frequency.size
+        np.testing.assert_allclose(bands.stiffness, KC, rtol=0.1)
+
+
+def test_noise_of_the_deflection_is_no_motion_where_the_joint_rests() -> None:
+    torque, deflection, rate = resting_first(0.6)
+
+    found = measured(torque, deflection + noise(3, 1e-4), rate)
+
+    for _, bands in found.groups:
+        assert (bands.coherence > 0.9).all()
+        np.testing.assert_allclose(bands.stiffness, KC, rtol=0.1)
+
+
+def test_a_torque_that_is_zero_at_all_times_gives_no_dynamic_stiffness() -> None:
+    _, deflection, rate = spring_and_damper(0)
+
+    assert dynamic_stiffness(Recorded(TIME, np.zeros(len(TIME)), deflection, rate), BAND) is None
+
+
+def test_a_rate_that_goes_with_the_deflection_gives_no_dynamic_stiffness() -> None:
+    torque, deflection, _ = spring_and_damper(0)
+
+    assert dynamic_stiffness(Recorded(TIME, torque, deflection, deflection), BAND) is None
+
+
 def test_distortion_is_that_of_the_harmonics_of_a_cubic_spring() -> None:
     angle = 0.2 * np.sin(2.0 * np.pi * TIME)
     rate = 0.4 * np.pi * np.cos(2.0 * np.pi * TIME)
