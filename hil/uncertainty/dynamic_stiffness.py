@@ -34,6 +34,9 @@ _NOTHING: Final = 1e-9  # the same of instrument and torque, which may be small 
 _ALIGNED: Final = 1e-6  # sine of the angle between what follows deflection and rate, from which they are the same
 _APART: Final = 1.5  # times the deflection of the smaller half, from which the amplitudes count as different
 _PERIODIC: Final = 0.98  # correlation of a deflection with itself a period later
+_FADING: Final = 0.9  # the same, of a whole run that fades in and out
+_STEADY: Final = 0.1  # of the energy of the usual period, by which that of a repetition differs at most
+_REPEATED: Final = 2  # periods at least, whose difference is the noise
 _EXCITED: Final = 1e-3  # of the strongest line's amplitude, from which on a line is excited
 _HARMONICS: Final = 3.0  # times the upper end of the band, up to which distortion is looked for
 
@@ -70,7 +73,8 @@ class Distortion:
 @dataclass(frozen=True, slots=True)
 class DynamicStiffness:
     """bands: of all segments. by_amplitude: of the half with the smaller and the larger deflection, none where they
-    are alike. instrument: "command" or "deflection". distortion: None where the excitation is not periodic.
+    are alike. instrument: "command" or "deflection". distortion: None where the excitation is not periodic,
+    or has no frequency free of motion.
     """
 
     bands: Bands
@@ -239,7 +243,11 @@ def _by_amplitude(spectra: _Spectra, band: tuple[float, float]) -> tuple[Bands, 
 
 
 def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> Distortion | None:
-    """The distortion, of the longest stretch."""
+    """The distortion, of the periods of the longest stretch that repeat: one that fades in or out does not.
+
+    None where too few repeat, as where the amplitude grows, and where the motion has no line to itself: nothing that is
+    free of motion can be looked at then.
+    """
     part = max(recorded.stretches(), key=lambda one: one.stop - one.start)
     torque, moved = (_even(recorded, part, values) for values in (recorded.torque, recorded.deflection))
     samples = _period(moved, int(0.5 / (band[1] * recorded.step)))
@@ -249,7 +257,16 @@ def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> 
     length = int(samples)
     grid = np.arange(count * length) * (samples / length)
     cut = [np.interp(grid, np.arange(len(moved)), values).reshape(count, length) for values in (torque, moved)]
-    lines = [np.fft.rfft(one, axis=1) for one in cut]
+    energy = np.sum((cut[1] - cut[1].mean()) ** 2, axis=1)
+    usual = np.quantile(energy, 0.75)  # fades take energy away, in two of four periods
+    steady = np.abs(energy - usual) < _STEADY * usual
+    repeated = int(np.count_nonzero(steady))
+    if repeated < max(_REPEATED, count / 2):
+        return None
+    apart = cut[1][steady] - cut[1][steady].mean(axis=0)
+    if np.sum(apart**2) > (1.0 - _PERIODIC) * np.sum(energy[steady]):
+        return None
+    lines = [np.fft.rfft(one[steady], axis=1) for one in cut]
     frequency = np.fft.rfftfreq(length, samples / length * recorded.step)
     speed = 2j * np.pi * frequency
     joined = (
@@ -258,8 +275,10 @@ def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> 
     )
     left = lines[0] - (joined[0] + speed * joined[1]) * lines[1]
     mean, size = left.mean(axis=0), np.abs(lines[1].mean(axis=0))
-    noise = np.var(left, axis=0, ddof=1) / count
+    noise = np.var(left, axis=0, ddof=1) / repeated
     looked = (frequency > 0.0) & (frequency < _HARMONICS * band[1]) & (size < _EXCITED * size[1:].max())
+    if not looked.any():
+        return None
     whole = float(np.sum(np.abs(lines[0].mean(axis=0)[1:]) ** 2))
     power, chance = float(np.sum(np.abs(mean[looked]) ** 2)), float(noise[looked].sum())
     return Distortion(
@@ -274,18 +293,19 @@ def _period(values: Array, shortest: int) -> float | None:
     centred = values - values.mean()
     count = len(values)
     size = 1 << int(np.ceil(np.log2(2 * count)))
-    alike = np.fft.irfft(np.abs(np.fft.rfft(centred, size)) ** 2)[: count // 2 + 2]
+    products = np.fft.irfft(np.abs(np.fft.rfft(centred, size)) ** 2)[: count // 2 + 2]
     squares = np.concatenate([[0.0], np.cumsum(centred**2)])
-    lags = np.arange(len(alike))
+    lags = np.arange(len(products))
     energy = np.sqrt(squares[count - lags] * (squares[-1] - squares[lags]))
-    similar = alike / np.maximum(energy, 1e-300)
-    peaks = np.flatnonzero(
-        (similar[1:-1] >= similar[:-2]) & (similar[1:-1] > similar[2:]) & (similar[1:-1] > _PERIODIC)
+    similar = products / np.maximum(energy, 1e-300)
+    peaks = 1 + np.flatnonzero(
+        (similar[1:-1] >= similar[:-2]) & (similar[1:-1] > similar[2:]) & (similar[1:-1] > _FADING)
     )
-    peaks = 1 + peaks[peaks >= shortest]
+    peaks = peaks[peaks > shortest]
     if not peaks.size:
         return None
-    at = int(peaks[0])
+    alike = peaks[similar[peaks] > _PERIODIC]
+    at = int(alike[0]) if alike.size else int(peaks[np.argmax(similar[peaks])])
     before, here, after = similar[at - 1 : at + 2].tolist()
     bend = before - 2.0 * here + after
     return at + 0.5 * (before - after) / bend if bend < 0.0 else float(at)

@@ -167,6 +167,40 @@ def test_a_spring_and_damper_do_not_distort() -> None:
     assert distortion.level < distortion.noise
 
 
+def cubic(envelope: Array) -> DynamicStiffness:
+    """Of a cubic spring and a damper moved by a multisine with an envelope (n,)."""
+    _, deflection, _ = spring_and_damper(0)
+    deflection = envelope * deflection
+    rate = np.gradient(deflection, TIME)
+    return measured(KC * deflection + 5.0 * deflection**3 + BC * rate + noise(0, 1e-3), deflection, rate)
+
+
+def test_a_motion_that_grows_from_period_to_period_has_no_distortion_to_measure() -> None:
+    assert cubic(np.linspace(0.2, 1.0, len(TIME))).distortion is None
+
+
+def test_distortion_is_none_where_each_frequency_up_to_the_third_harmonic_is_excited() -> None:
+    speeds = 2.0 * np.pi * np.arange(1, 76)
+    waves = 0.01 * np.exp(1j * (np.outer(TIME, speeds) + np.random.default_rng(0).uniform(0.0, 6.0, 75)))
+    deflection, rate = waves.real.sum(axis=1), -(waves.imag @ speeds)
+
+    found = dynamic_stiffness(Recorded(TIME, KC * deflection + BC * rate, deflection, rate), (1.0, 25.0))
+
+    assert found is not None
+    assert found.distortion is None
+
+
+def test_periods_that_fade_in_and_out_have_no_part_in_the_distortion() -> None:
+    fading = np.minimum(1.0, np.minimum(TIME, TIME[-1] - TIME) / 1.5)
+
+    steady, faded = cubic(np.ones(len(TIME))).distortion, cubic(fading).distortion
+
+    assert steady is not None
+    assert faded is not None
+    assert faded.level > 0.01
+    assert faded.level == pytest.approx(steady.level, rel=0.05)
+
+
 def test_a_recording_shorter_than_a_segment_has_no_dynamic_stiffness() -> None:
     few = slice(0, 100)
     torque, deflection, rate = (values[few] for values in spring_and_damper(0))
