@@ -250,24 +250,35 @@ def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> 
     """
     part = max(recorded.stretches(), key=lambda one: one.stop - one.start)
     torque, moved = (_even(recorded, part, values) for values in (recorded.torque, recorded.deflection))
-    samples = _period(moved, int(0.5 / (band[1] * recorded.step)))
-    if samples is None:
-        return None
-    count = int(len(moved) / samples + 0.01)
-    length = int(samples)
+    for samples in _periods(moved, int(0.5 / (band[1] * recorded.step))):
+        if (cut := _repeating(torque, moved, samples)) is not None:
+            return _distorted(*cut, samples * recorded.step, band, bands)
+    return None
+
+
+def _repeating(torque: Array, moved: Array, samples: float) -> tuple[Array, Array] | None:
+    """Torque and deflection (k, n) of the periods that repeat, of so many samples each; None where too few do."""
+    count, length = int(len(moved) / samples + 0.01), int(samples)
     grid = np.arange(count * length) * (samples / length)
     cut = [np.interp(grid, np.arange(len(moved)), values).reshape(count, length) for values in (torque, moved)]
     energy = np.sum((cut[1] - cut[1].mean()) ** 2, axis=1)
     usual = np.quantile(energy, 0.75)  # fades take energy away, in two of four periods
     steady = np.abs(energy - usual) < _STEADY * usual
-    repeated = int(np.count_nonzero(steady))
-    if repeated < max(_REPEATED, count / 2):
+    if np.count_nonzero(steady) < max(_REPEATED, count / 2):
         return None
     apart = cut[1][steady] - cut[1][steady].mean(axis=0)
     if np.sum(apart**2) > (1.0 - _PERIODIC) * np.sum(energy[steady]):
         return None
-    lines = [np.fft.rfft(one[steady], axis=1) for one in cut]
-    frequency = np.fft.rfftfreq(length, samples / length * recorded.step)
+    return cut[0][steady], cut[1][steady]
+
+
+def _distorted(
+    torque: Array, moved: Array, period: float, band: tuple[float, float], bands: Bands
+) -> Distortion | None:
+    """The distortion of a torque (k, n), moved as much in each of the periods, s; None where no line is free."""
+    repeated, length = torque.shape
+    lines = [np.fft.rfft(one, axis=1) for one in (torque, moved)]
+    frequency = np.fft.rfftfreq(length, period / length)
     speed = 2j * np.pi * frequency
     joined = (
         np.interp(frequency, bands.frequency, bands.stiffness),
@@ -284,12 +295,15 @@ def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> 
     return Distortion(
         level=float(np.sqrt(max(0.0, power - chance) / whole)),
         noise=float(np.sqrt(chance / whole)),
-        period=samples * recorded.step,
+        period=period,
     )
 
 
-def _period(values: Array, shortest: int) -> float | None:
-    """The period in samples, fractional; None where there are no two of them."""
+def _periods(values: Array, shortest: int) -> list[float]:
+    """What may be the period, in samples, fractional: where the values are first alike, and where they are most alike.
+
+    They are alike before the period is over where their amplitude changes slowly.
+    """
     centred = values - values.mean()
     count = len(values)
     size = 1 << int(np.ceil(np.log2(2 * count)))
@@ -302,10 +316,11 @@ def _period(values: Array, shortest: int) -> float | None:
         (similar[1:-1] >= similar[:-2]) & (similar[1:-1] > similar[2:]) & (similar[1:-1] > _FADING)
     )
     peaks = peaks[peaks > shortest]
-    if not peaks.size:
-        return None
-    alike = peaks[similar[peaks] > _PERIODIC]
-    at = int(alike[0]) if alike.size else int(peaks[np.argmax(similar[peaks])])
-    before, here, after = similar[at - 1 : at + 2].tolist()
-    bend = before - 2.0 * here + after
-    return at + 0.5 * (before - after) / bend if bend < 0.0 else float(at)
+    alike = peaks[similar[peaks] > _PERIODIC][:1].tolist()
+    most = peaks[np.argsort(-similar[peaks])][:1].tolist()
+    found = []
+    for at in dict.fromkeys(alike + most):
+        before, here, after = similar[at - 1 : at + 2].tolist()
+        bend = before - 2.0 * here + after
+        found.append(at + 0.5 * (before - after) / bend if bend < 0.0 else float(at))
+    return found

@@ -201,6 +201,17 @@ def test_periods_that_fade_in_and_out_have_no_part_in_the_distortion() -> None:
     assert faded.level == pytest.approx(steady.level, rel=0.05)
 
 
+def test_a_motion_whose_amplitude_changes_slowly_has_the_period_in_which_that_repeats() -> None:
+    angle = (0.2 + 0.05 * np.sin(0.2 * np.pi * TIME)) * np.sin(4.0 * np.pi * TIME)
+    rate = np.gradient(angle, TIME)
+
+    found = dynamic_stiffness(Recorded(TIME, KC * angle + BC * rate + noise(0, 1e-5), angle, rate), (1.5, 2.5))
+
+    assert found is not None
+    assert found.distortion is not None
+    assert found.distortion.period == pytest.approx(10.0, rel=1e-3)
+
+
 def test_a_recording_shorter_than_a_segment_has_no_dynamic_stiffness() -> None:
     few = slice(0, 100)
     torque, deflection, rate = (values[few] for values in spring_and_damper(0))
