@@ -176,15 +176,13 @@ def _show_work(found: Identification, *, verbose: bool) -> None:
 
 
 def _show_dynamic_stiffness(found: Identification) -> None:
-    from hil.report.formatting import people_unit
-    from hil.report.identification import milli
-    from hil.report.lack_of_fit import distortion_lines, dynamic_stiffness_table
+    from hil.report.identification import bands_table
+    from hil.report.lack_of_fit import distortion_lines
 
-    if found.dynamic_stiffness is None:
+    table = bands_table(found)
+    if table is None:
         return
-    factor, stiffness = people_unit("N*m/rad", milli=milli(found))
-    damping = people_unit("N*m*s/rad", milli=milli(found))[1]
-    out_table(dynamic_stiffness_table(found.dynamic_stiffness, factor, stiffness, damping))
+    out_table(table)
     for line in distortion_lines(found.dynamic_stiffness):
         detail(line)
 

@@ -13,7 +13,7 @@ from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.report.deflection import deflection_json, deflection_lines
 from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
-from hil.report.lack_of_fit import dynamic_stiffness_json, lack_of_fit_json
+from hil.report.lack_of_fit import dynamic_stiffness_json, dynamic_stiffness_table, lack_of_fit_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -265,6 +265,15 @@ def model_selection_table(found: Identification) -> Table:
         for step in found.steps
     ]
     return plain_table("model selection", headings, rows)
+
+
+def bands_table(found: Identification) -> Table | None:
+    """Return the dynamic stiffness in bands, by amplitude too; None where the recording is too short for it."""
+    if found.dynamic_stiffness is None:
+        return None
+    factor, stiffness = people_unit("N*m/rad", milli=milli(found))
+    damping = people_unit("N*m*s/rad", milli=milli(found))[1]
+    return dynamic_stiffness_table(found.dynamic_stiffness, factor, stiffness, damping)
 
 
 def identification_lines(found: Identification) -> list[str]:

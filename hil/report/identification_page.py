@@ -14,6 +14,7 @@ from hil.recording.reader import Recording
 from hil.report.html_page import Page, Picture, Section, table_rows, write
 from hil.report.identification import (
     as_json,
+    bands_table,
     estimates_table,
     headline,
     identification_lines,
@@ -21,6 +22,7 @@ from hil.report.identification import (
     repeatability_table,
     verdicts,
 )
+from hil.report.lack_of_fit import distortion_lines
 from hil.report.pictures.recording import recording_figure
 from hil.report.pictures.result import pictures
 from hil.report.provenance import provenance
@@ -54,6 +56,9 @@ def _sections(found: Identification) -> list[Section]:
     ]
     if found.steps:
         sections.append(Section("Model selection", table_rows(model_selection_table(found))))
+    if table := bands_table(found):
+        title = f"{table.title}".capitalize()
+        sections.append(Section(title, table_rows(table), distortion_lines(found.dynamic_stiffness)))
     text = f"{len(found.trials.fitness)} independent trials. This is how well the search repeats, and no uncertainty."
     return [*sections, Section("Optimiser repeatability", table_rows(repeatability_table(found)), (text,))]
 

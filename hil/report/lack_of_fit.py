@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from hil.report.formatting import json_number, plain_table, rounded
+from hil.report.formatting import engineering, json_number, plain_table, rounded
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -63,8 +63,19 @@ def _bands_json(bands: Bands) -> dict[str, Any]:
 
 
 def dynamic_stiffness_table(found: DynamicStiffness, factor: float, stiffness: str, damping: str) -> Table:
-    """Return the table of K'(f) and B'(f) with half their 95 % intervals; factor: to the printed units."""
-    bands, rows = found.bands, []
+    """Return the table of K'(f) and B'(f) with half their 95 % intervals; factor: to the printed units.
+
+    Where the amplitudes differ, those of the half of the segments with the smaller and the larger deflection follow.
+    """
+    rows = [row for name, bands in found.groups for row in _band_rows(name, bands, factor)]
+    headings = ["f, Hz", f"K', {stiffness}", f"B', {damping}", "coherence", "deflection, r.m.s."]
+    if not found.by_amplitude:
+        rows, headings = [row[:-1] for row in rows], headings[:-1]
+    return plain_table(f"dynamic stiffness, instrument: {found.instrument}", headings, rows)
+
+
+def _band_rows(name: str, bands: Bands, factor: float) -> list[tuple[str, ...]]:
+    rows = []
     for at, frequency in enumerate(bands.frequency.tolist()):
         known = (
             (factor * float(values[at]), factor * float(half[at]))
@@ -74,14 +85,14 @@ def dynamic_stiffness_table(found: DynamicStiffness, factor: float, stiffness: s
             )
         )
         cells = (" ± ".join(rounded(half, value)) for value, half in known)
-        rows.append((f"{frequency:.3g}", *cells, f"{bands.coherence[at]:.4f}"))
-    headings = ("f, Hz", f"K', {stiffness}", f"B', {damping}", "coherence")
-    return plain_table(f"dynamic stiffness, instrument: {found.instrument}", headings, rows)
+        group = f"{name}, {engineering(bands.deflection, 'rad')}"
+        rows.append((f"{frequency:.3g}", *cells, f"{bands.coherence[at]:.4f}", group))
+    return rows
 
 
-def distortion_lines(found: DynamicStiffness) -> list[str]:
-    """Return the line about the distortion; none where the excitation is not periodic."""
-    if found.distortion is None:
+def distortion_lines(found: DynamicStiffness | None) -> list[str]:
+    """Return the line about the distortion; none where it was not measured."""
+    if found is None or found.distortion is None:
         return []
     level, noise, period = found.distortion.level, found.distortion.noise, found.distortion.period
     return [f"distortion {level:.2%} of the torque, noise {noise:.2%}; the excitation repeats every {period:.3g} s"]

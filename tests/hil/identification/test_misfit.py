@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,28 @@ def test_the_stiffness_without_a_model_is_in_the_json(tmp_path: Path, capfd: pyt
     dynamic = found["dynamic_stiffness"]
     assert dynamic["instrument"] == "command"
     assert dynamic["stiffness"] == pytest.approx([KC] * len(dynamic["stiffness"]), rel=0.02)
+
+
+def test_the_stiffness_of_small_and_large_motion_and_the_distortion_are_printed_and_in_the_report(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    time = np.arange(22_500) / 500.0
+    speeds = 2.0 * np.pi * np.arange(1, 13)
+    envelope = 0.05 + 0.03 * np.sin(0.1 * np.pi * time)
+    angle = envelope * np.cos(np.outer(time, speeds) + np.arange(12) ** 2).sum(axis=1)
+    rate = np.gradient(angle, time)
+    noise = 5e-4 * np.random.default_rng(0).standard_normal(len(time))
+    channels = {"time": time, "torque": KC * angle + BC * rate + noise, "dtheta": angle}
+    write(tmp_path / "a.h5", Header(profile={"kind": "prescribed"}, stand_toml=""), channels)
+    words = ["--model", "linear", "--trials", "1", "--workers", "1", "--verbose", "--report", str(tmp_path / "a.html")]
+
+    app.run(["identify", str(tmp_path / "a.h5"), *words])
+
+    printed, page = capfd.readouterr().out, (tmp_path / "a.html").read_text(encoding="utf-8")
+    for text in (printed, page):
+        assert re.search(r"small, [\d.]+ mrad", text)
+        assert re.search(r"large, [\d.]+ mrad", text)
+        assert "repeats every 20 s" in text
 
 
 def test_a_misfit_ends_with_status_1_and_names_the_effect(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
