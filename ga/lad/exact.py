@@ -23,6 +23,10 @@ _RANK: Final = 1e-10
 _PERTURBATIONS: Final = (0.0, 1e-11, 1e-9, 1e-7)
 """Relative to the mean torque: tried in turn until one gives a certificate; ties are resolved by the second."""
 
+_ATTEMPTS: Final = (*((amount, False) for amount in _PERTURBATIONS), *((amount, True) for amount in _PERTURBATIONS))
+"""Perturbations, and whether a descent that stalls among the rows near an estimate is tried among more of them, which
+costs more than another perturbation."""
+
 _DIRECT: Final = 6000
 """Rows up to which the descent takes all of them; above, it is bracketed on a subsample first."""
 
@@ -74,9 +78,11 @@ def least_absolute_deviations(
     target = torque / size
     start = target if near is None else _times(columns, near) / size
     best: Optimum | None = None
-    for amount in _PERTURBATIONS:
+    for amount, patient in _ATTEMPTS:
+        if best is not None and patient:
+            break
         moved = target + amount * np.random.default_rng(0).uniform(-1.0, 1.0, len(torque)) if amount else target
-        basis = _solve(rows, moved, _weighted_sum(rows, start) / len(rows))
+        basis = _solve(rows, moved, _weighted_sum(rows, start) / len(rows), patient=patient)
         if basis is None:
             continue
         # the perturbation ends here: the vertex is that of the data as they are
@@ -240,9 +246,12 @@ def _orthogonal(
 
 
 def _solve(
-    rows: NDArray[np.float64], torque: NDArray[np.float64], start: NDArray[np.float64]
+    rows: NDArray[np.float64], torque: NDArray[np.float64], start: NDArray[np.float64], *, patient: bool
 ) -> NDArray[np.int64] | None:
-    """The optimal basis of all rows (n, r), looked for from the point start (r,); None where the descent stalls."""
+    """The optimal basis of all rows (n, r), looked for from the point start (r,); None where the descent stalls.
+
+    patient: where it stalls among a part of the rows, more of them are taken, up to all.
+    """
     n, r = rows.shape
     if n <= _DIRECT:
         return _descend(rows, torque, np.zeros(r), start)[1]
@@ -250,14 +259,15 @@ def _solve(
     count = n // step
     # one row at random out of every `step`: a fixed stride could beat with a periodic excitation
     sample = np.arange(count) * step + np.random.default_rng(1).integers(0, step, count)
-    basis = _solve(rows[sample], torque[sample], start)
+    basis = _solve(rows[sample], torque[sample], start, patient=patient)
     if basis is None:
         return None
-    return _bracketed(rows, torque, np.linalg.solve(rows[sample][basis], torque[sample][basis]), count)
+    centre = np.linalg.solve(rows[sample][basis], torque[sample][basis])
+    return _bracketed(rows, torque, centre, count, patient=patient)
 
 
 def _bracketed(
-    rows: NDArray[np.float64], torque: NDArray[np.float64], centre: NDArray[np.float64], count: int
+    rows: NDArray[np.float64], torque: NDArray[np.float64], centre: NDArray[np.float64], count: int, *, patient: bool
 ) -> NDArray[np.int64] | None:
     """The optimal basis, looked for around the centre (r,), an estimate from `count` rows, ever further away."""
     r = len(centre)
@@ -270,7 +280,7 @@ def _bracketed(
         pull = _weighted_sum(rows, np.where(settled, np.sign(residual), 0.0))
         open_rows = np.flatnonzero(~settled)
         status, found = _descend(rows[open_rows], torque[open_rows], pull, centre)
-        if status == STALLED:
+        if status == STALLED and not patient:
             return None
         if found is not None:
             basis = open_rows[found]

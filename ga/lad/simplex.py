@@ -35,7 +35,8 @@ _SPARSE: Final = 8
 """One row in so many shows up to where on a ray the others need be looked at."""
 
 _FLAT: Final = 1e-13
-"""A row that changes along the ray by no more than this, where rows are of the order 1, does not change."""
+"""A row that changes along the ray by no more than this, where rows are of the order 1, does not change; times the
+length of the direction, to which rounding grows where the rows of the basis are nearly dependent."""
 
 
 class Room(NamedTuple):
@@ -60,7 +61,7 @@ class Room(NamedTuple):
 def room_for(n: int, r: int) -> Room:
     """Return working space for n rows of r columns."""
     residual, along, place, weight = np.empty((4, n))
-    point, direction, downhill, multiplier = np.empty((4, r))
+    point, direction, downhill, multiplier = np.zeros((4, r))
     return Room(
         residual=residual,
         along=along,
@@ -301,6 +302,7 @@ def lowest_crossing(room: Room, slope: float) -> tuple[int, float]:
     """
     residual, along, row, place, weight = room.residual, room.along, room.row, room.place, room.weight
     count, first, farthest = 0, 0, np.inf
+    flat = _FLAT * max(1.0, _length(room.direction))
     # where some of the rows have flattened the slope, all of them have: that settles most rows at a glance
     for stride in (_SPARSE, 1):
         count = first = 0
@@ -308,7 +310,7 @@ def lowest_crossing(room: Room, slope: float) -> tuple[int, float]:
             # every row is written, and the next one over it unless it counts: to guess which do costs more
             falling = along[i] if residual[i] >= 0.0 else -along[i]
             row[count], place[count], weight[count] = i, abs(residual[i]) / falling, falling
-            count += int((falling > _FLAT) & (abs(residual[i]) / falling <= farthest))
+            count += int((falling > flat) & (abs(residual[i]) / falling <= farthest))
         last, left = count - 1, 0.5 * slope
         while first < last:
             less, more, below, equal = _partition(room, first, last)

@@ -294,10 +294,21 @@ def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
         nonlinear = np.clip(best.nonlinear + step * 0.5**halving, problem.low, problem.high)
         if np.array_equal(nonlinear, best.nonlinear):
             return None
-        tried = problem._solved(nonlinear, best)
-        if tried.fit.fitness < best.fitness:
+        tried = _solved_or_none(problem, nonlinear, best)
+        if tried is not None and tried.fit.fitness < best.fitness:
             return tried
     return None
+
+
+def _solved_or_none(problem: Problem, nonlinear: Array, near: Fit) -> _Solved | None:
+    """Return the fit for nonlinear parameters (q,), with what it was solved with; None where no optimum is proven.
+
+    A step that cannot be solved is no better than where it began, and ends no search.
+    """
+    try:
+        return problem._solved(nonlinear, near)
+    except RuntimeError:
+        return None
 
 
 def compass_search(problem: Problem, best: Fit) -> Fit:
@@ -305,8 +316,8 @@ def compass_search(problem: Problem, best: Fit) -> Fit:
     steps, length = _rough(problem), _FIRST
     while len(steps) and length > _LAST:
         points = [best.nonlinear + sign * length * step for step in steps for sign in (1.0, -1.0)]
-        tried = [problem.solve(np.clip(nonlinear, problem.low, problem.high), best) for nonlinear in points]
-        found = min(tried, key=lambda fit: fit.fitness)
+        tried = [_solved_or_none(problem, np.clip(point, problem.low, problem.high), best) for point in points]
+        found = min((one.fit for one in tried if one is not None), key=_fitness, default=best)
         if found.fitness < best.fitness:
             best = found
         else:

@@ -91,6 +91,19 @@ def test_bracketing_a_long_recording_gives_the_proven_optimum(kind: str, p: int)
             assert np.mean(np.abs(torque - columns @ moved)) >= optimum.fitness * (1.0 - 1e-14)
 
 
+@pytest.mark.parametrize("seed", [9, 26, 28])
+def test_hum_in_step_with_the_readings_of_a_periodic_motion_has_a_proven_optimum(seed: int) -> None:
+    """Rows of one period after the other are alike to rounding, and the residuals have ten values."""
+    time, rng = np.arange(10_000) / 500.0, np.random.default_rng(seed)
+    speeds = 0.4 * np.pi * np.arange(1, 60)
+    phases = np.outer(time, speeds) + rng.uniform(0.0, 2.0 * np.pi, 59)
+    angle, rate = 0.03 * np.sin(phases).sum(axis=1), 0.03 * (np.cos(phases) @ speeds)
+    hum = 0.02 * np.tile(np.sin(2.0 * np.pi * np.arange(10) / 10.0 + seed), 1000)
+    columns = np.stack([angle, rate, np.ones(len(time)), np.sign(rate)], axis=1)
+
+    assert least_absolute_deviations(columns, 0.3 * angle + 3e-3 * rate + hum).certificate <= 1e-12
+
+
 def test_as_many_residuals_as_parameters_vanish() -> None:
     columns, torque = recording("normal", 2500, 3, np.random.default_rng(4))
     optimum = least_absolute_deviations(columns, torque)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
-from ga.model.separable import Problem, _other_starts, descend, fit, local_minimum
+from ga.model.separable import Problem, _other_starts, compass_search, descend, fit, local_minimum
 from ga.model.trajectory import Motion
 from ga.trials.nonlinear import search_nonlinear
 
@@ -131,6 +132,37 @@ def test_the_neighbourhood_has_the_residuals_of_the_fit(name: str, torque: Array
     columns, target = asked.linearised(found)
     assert target - columns @ found.values == pytest.approx(asked.residuals(found), abs=1e-12)
     assert float(np.mean(np.abs(asked.residuals(found)))) == pytest.approx(found.fitness, rel=1e-9)
+
+
+def test_a_step_that_cannot_be_solved_is_not_better_and_ends_no_descent(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, torque = parse("linear+skew").anchored(MOTION), skewed(4e-3)
+    problem, solved, calls = Problem(model, MOTION, torque, *model.bounds(MOTION, 12.0)), Problem._solved, [0]
+
+    def failing(self: Problem, *words: Any) -> Any:
+        calls[0] += 1
+        if calls[0] == 2:
+            raise RuntimeError("no optimal vertex was found")
+        return solved(self, *words)
+
+    monkeypatch.setattr(Problem, "_solved", failing)
+
+    assert descend(problem, np.zeros(1)).nonlinear[0] == pytest.approx(4e-3, abs=1e-4)
+
+
+def test_a_compass_passes_over_points_that_cannot_be_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = parse("linear+backlash").anchored(MOTION)
+    problem = Problem(model, MOTION, with_play(0.1, 0.02), *model.bounds(MOTION, 12.0))
+    best, solved, calls = problem.solve(0.5 * (problem.low + problem.high)), Problem._solved, [0]
+
+    def failing(self: Problem, *words: Any) -> Any:
+        calls[0] += 1
+        if calls[0] % 3 == 0:
+            raise RuntimeError("no optimal vertex was found")
+        return solved(self, *words)
+
+    monkeypatch.setattr(Problem, "_solved", failing)
+
+    assert compass_search(problem, best).fitness < best.fitness
 
 
 def test_a_descent_stays_within_the_bounds() -> None:
