@@ -186,7 +186,13 @@ def _example(columns: int, delimiter: str) -> str:
 
 
 def _delimiter(line: str) -> str:
-    """Return the character that parts the fields of a line: a space where there is no other."""
+    """Return the character that parts the fields of a line: a space where there is no other.
+
+    Between numbers a semicolon or a tab is one, and the commas are those of decimals, however many there are.
+    """
+    for sure in ";\t":
+        if sure in line and all(_is_number(cell) for cell in line.split(sure) if cell.strip()):
+            return sure
     found = max(",;\t", key=line.count)
     return found if found in line else " "
 

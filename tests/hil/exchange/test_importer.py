@@ -184,6 +184,8 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
             (),
             r"no headings: .*above them .* its 4 columns, such as 'time \[s\],torque \[N\*m\],dth",
         ),
+        ("0;0,07;0,2\n0,002;0,08;0,3\n", (), r"no headings: .* its 3 columns, such as 'time \[s\];torque"),
+        ("0,5\t0,07\t0,2\n", (), "no headings: .* its 3 columns"),
         ("# rig 3\n# Smith\n" + TABLE.split("\n", 1)[1], (), "no headings: .* its 4 columns"),
         (TABLE.replace("0.5,", "05/01/2024 12:00:00,"), (), "row 2, column TIME: .*: write dates as 2024-"),
         (TABLE.replace("20", "OL"), (), "'OL' is not a number: empty the cell where nothing was read"),
