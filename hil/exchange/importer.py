@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -190,7 +190,7 @@ def _plausible(source: Path, swings: tuple[Swing, Swing], stand: Stand | None) -
     found = implausible(*swings, limits)
     if limits is not None and found and excess(*swings, limits) > GROSS:
         raise WrongUse(f"{source}: {found[0].message}")
-    return found
+    return [replace(one, is_error=False) for one in found]  # an error of a result, which an import has not
 
 
 def _with_joint_state(table: Table, columns: Mapping[str, Column]) -> Mapping[str, Column]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import NamedTuple, Self
 
@@ -50,10 +51,10 @@ class Swing(NamedTuple):
 
 
 def in_words(torque: Swing, deflection: Swing) -> str:
-    """Return both ranges as people read them: "torque -12.1 to 11.8 N m; deflection -34 to 34 rad, 5.4 turns"."""
-    size = max(abs(deflection.least), abs(deflection.largest))
-    turned = f"{size / _TURN:.3g} turns" if size >= _TURN else f"{math.degrees(size):.3g} deg"
-    return f"torque {_range(torque, 'N m')}; deflection {_range(deflection, 'rad')}, {turned}"
+    """Return both ranges in words: "torque -12 to 12 N m; deflection -3 to 4 rad, a span of 1.11 turns"."""
+    span = 2.0 * deflection.half
+    turned = f"{span / _TURN:.3g} turns" if _turns(deflection) else f"{math.degrees(span):.3g} deg"
+    return f"torque {_range(torque, 'N m')}; deflection {_range(deflection, 'rad')}, a span of {turned}"
 
 
 def _range(swing: Swing, unit: str) -> str:
@@ -65,16 +66,18 @@ def _range(swing: Swing, unit: str) -> str:
 
 
 def implausible(torque: Swing, deflection: Swing, limits: LimitsTable | None) -> list[Diagnostic]:
-    """Return a warning for each channel whose size the stand cannot have made, with the unit that would explain it."""
-    found = []
-    if limits is not None:
-        found += _beyond("torque", "torque", torque, limits.torque, "N m")
-        found += _beyond("deflection", "angle", deflection, limits.deflection, "rad")
-    if not found:
-        found += _many_turns(deflection)
-    if not found and limits is not None:
-        found += _odd_stiffness(torque, deflection, limits)
-    return found
+    """Return a warning for each channel whose size the stand cannot have made, with the unit that would explain it.
+
+    One of more than a turn is an error, unless the stand's limits allow it.
+    """
+    if limits is None:
+        return _many_turns(deflection)
+    found = _beyond("torque", "torque", torque, limits.torque, "N m")
+    found += [
+        replace(one, is_error=_turns(deflection))
+        for one in _beyond("deflection", "angle", deflection, limits.deflection, "rad")
+    ]
+    return found or _odd_stiffness(torque, deflection, limits)
 
 
 def excess(torque: Swing, deflection: Swing, limits: LimitsTable) -> float:
@@ -102,14 +105,20 @@ def _likely(dimension: str, swing: Swing, limit: float) -> str:
     return f"Check --{option}-unit and the sensor's scale, or correct [limits] of the stand file"
 
 
+def _turns(deflection: Swing) -> bool:
+    """Return whether it spans more than a turn, which no coupling does of which the stand does not say so."""
+    return 2.0 * deflection.half > _TURN
+
+
 def _many_turns(deflection: Swing) -> list[Diagnostic]:
-    if not 2.0 * deflection.half > _TURN:
+    if not _turns(deflection):
         return []
     message = (
         f"the deflection spans {2.0 * deflection.half / _TURN:.3g} turns, which no coupling does. If the column is "
-        "in degrees, Kc and Bc are 57 times too low. Import it with --dtheta-unit deg, or check the gear ratio"
+        "in degrees, Kc and Bc are 57 times too low. Import it with --dtheta-unit deg, or check the gear ratio. Where "
+        "the joint does turn so far, import it with --stand FILE, whose limits.deflection allows it"
     )
-    return [Diagnostic("many-turns", message)]
+    return [Diagnostic("many-turns", message, is_error=True)]
 
 
 def _odd_stiffness(torque: Swing, deflection: Swing, limits: LimitsTable) -> list[Diagnostic]:

@@ -48,7 +48,7 @@ def test_the_import_says_what_it_understood(hil: Hil, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("\ufeff" + GOOD.replace(",q,", ",q [mN m],"))
     status, out, err = hil("import", "a.csv", "-o", "a.h5", *COLUMNS, "--where", "run==1", "--torque-scale", -2)
     assert (status, err) == (0, "")
-    ranges = "torque -2 to 2 mN m; deflection -1 to 0.999 rad, 57.3 deg"
+    ranges = "torque -2 to 2 mN m; deflection -1 to 0.999 rad, a span of 115 deg"
     assert out == f"a.h5: 50 samples over 0.49 s; {ranges}\nread time in s, torque in mN m, dtheta in rad\n"
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("torque"), -2e-3 * np.sin(np.arange(50, 100)))
