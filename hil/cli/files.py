@@ -120,6 +120,7 @@ def import_data(
     from hil.exchange.importer import import_table
     from hil.exchange.row_filter import RowFilter
     from hil.recording.output import check_output, check_recording_name, check_unfinished
+    from hil.report.formatting import duration
     from hil.stand.file import load
 
     check_output(output, force=force, inputs=[source] if stand is None else [source, stand])
@@ -139,7 +140,7 @@ def import_data(
         command_line=command_line(),
         force=force,
     )
-    out(f"{output}: {done.samples} samples over {done.duration:.4g} s; {done.ranges}")
+    out(f"{output}: {done.samples} samples over {duration(done.duration)}; {done.ranges}")
     if done.units:
         detail("read " + ", ".join(f"{channel} in {unit}" for channel, unit in done.units.items()))
     print_diagnostics(done.diagnostics)

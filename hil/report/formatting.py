@@ -31,6 +31,14 @@ def engineering(value: float, unit: str, digits: int = 3) -> str:
     return f"{rounded / 10.0**exponent:.6g} {_PREFIXES[exponent]}{unit}"
 
 
+def duration(seconds: float) -> str:
+    """Return a duration as people read it: 20 s, 5 min, 5.6 h."""
+    for size, unit in ((3600.0, "h"), (60.0, "min")):
+        if seconds >= 2.0 * size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.4g} s"
+
+
 def rounded(half: float, *values: float) -> list[str]:
     """Return the values, and last `half`, rounded to the first digit of `half`, half the width of their interval."""
     if not (math.isfinite(half) and half > 0.0):

@@ -195,6 +195,7 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
             f"{name}: the torque never changes: no Kc or Bc can be estimated; check the torque sensor and its unit"
         )
     if np.ptp(dtheta) < _STILL_ANGLE:
+        larger = "record a motion of the joint" if recording.profile.get("kind") == "imported" else "raise --amplitude"
         raise Untrustworthy(
-            f"{name}: the deflection never changes: no Kc or Bc can be estimated; raise --amplitude or free the cable"
+            f"{name}: the deflection never changes: no Kc or Bc can be estimated; {larger} or free the cable"
         )

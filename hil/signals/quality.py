@@ -92,7 +92,7 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
         *_unfinished(recording),
         *_unused_rows(quality),
         *([driven_by_position(is_error=True)] if by_position else []),
-        *_weaknesses(quality),
+        *_weaknesses(quality, _larger(recording)),
         *(_slow(one, quality.highest) for one in quality.slower),
         *([quality.refused_rate.diagnostic()] if quality.refused_rate else []),
         *implausible(_swing(quality.torque), _swing(quality.deflection), limits),
@@ -169,7 +169,12 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
     return found
 
 
-def _weaknesses(quality: Quality) -> list[Diagnostic]:
+def _larger(recording: Recording) -> str:
+    """Return how to get a larger motion: the option of `hil record` means nothing to who recorded it otherwise."""
+    return "record a larger motion" if recording.profile.get("kind") == "imported" else "raise --amplitude"
+
+
+def _weaknesses(quality: Quality, larger: str) -> list[Diagnostic]:
     counts, found = quality.deflection / quality.deflection_lsb, []
     lost, saturated = quality.defects.lost / quality.samples, quality.saturated / quality.samples
     if lost > _MANY_LOST:
@@ -178,10 +183,10 @@ def _weaknesses(quality: Quality) -> list[Diagnostic]:
         text = f"the torque limit cut the command in {saturated:.1%} of the rows: lower --amplitude"
         found.append(Diagnostic("saturated", text))
     if counts < _FEW_COUNTS:
-        text = f"the deflection spans {counts:.0f} counts of the encoder: raise --amplitude"
+        text = f"the deflection spans {counts:.0f} counts of the encoder: {larger}"
         found.append(Diagnostic("few-counts", text, is_error=counts < 3.0))
     if quality.snr < _POOR_SNR:
-        text = f"the torque is only {quality.snr:.0f} dB above its noise: raise --amplitude"
+        text = f"the torque is only {quality.snr:.0f} dB above its noise: {larger}"
         found.append(Diagnostic("poor-snr", text, is_error=quality.snr < 3.0))
     return found
 

@@ -6,7 +6,14 @@ import math
 
 import pytest
 
-from hil.report.formatting import engineering, people_unit, rounded
+from hil.report.formatting import duration, engineering, people_unit, rounded
+
+
+@pytest.mark.parametrize(
+    ("seconds", "printed"), [(0.49, "0.49 s"), (20.0, "20 s"), (119.0, "119 s"), (300.0, "5 min"), (19998.0, "5.55 h")]
+)
+def test_a_duration_has_a_unit_of_its_size(seconds: float, printed: str) -> None:
+    assert duration(seconds) == printed
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from drivers.servo import Status
 from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
+from hil.recording.writer import Header, write
 from hil.signals.inspection import inspect
 from hil.signals.prepare import prepare
 
@@ -105,3 +107,18 @@ def test_a_window_may_span_a_gap_of_half_its_width_and_no_more(
         signals = prepare(recording, None)
     assert signals.defects.lost == half + missing
     assert (signals.defects.near_gaps > 0) == dropped
+
+
+@pytest.mark.parametrize(("kind", "advice"), [("imported", "record a larger motion"), ("chirp", "raise --amplitude")])
+def test_an_option_of_hil_record_is_no_advice_for_an_imported_recording(tmp_path: Path, kind: str, advice: str) -> None:
+    time = np.arange(2000) / 500.0
+    dtheta, noise = 0.1 * np.sin(20.0 * time), 0.01 * np.random.default_rng(0).standard_normal(2000)
+    coarse = {"time": time, "torque": 0.1 * dtheta + noise, "dtheta": 0.02 * np.round(dtheta / 0.02)}
+    write(tmp_path / "a.h5", Header(profile={"kind": kind}, stand_toml=""), coarse)
+    said = {one.code: one.message for one in inspect(tmp_path / "a.h5").diagnostics}
+    for code in ("few-counts", "poor-snr"):
+        assert said[code].endswith(advice)
+    write(tmp_path / "b.h5", Header(profile={"kind": kind}, stand_toml=""), coarse | {"dtheta": np.full(2000, 0.1)})
+    with pytest.raises(Untrustworthy, match="never changes") as refused:
+        inspect(tmp_path / "b.h5")
+    assert ("--amplitude" in str(refused.value)) == (kind != "imported")
