@@ -108,8 +108,9 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     terms = (*CONSIDERED, *(from_motor if signals.torque_from == "motor" else ()))
     if linear_only:
         terms = tuple(term for term in terms if TERMS[term].linear)
-    # in one triangle friction that builds up looks like a drift; Kc and Bc are averages with and without one anyway
-    once = set() if signals.motion.repeats else {"drift", "softening"}
+    # in one triangle friction that builds up looks like a drift; Kc and Bc are averages with and without one anyway.
+    # Friction that grows with the load looks like a gap or a curve there
+    once = set() if signals.motion.repeats else {"drift", "softening", "sheath", "gear"}
     terms = tuple(term for term in terms if term not in once)
     # an inertia hides behind a skew, but where neither is enough it may be there, whoever read the torque
     rarer = () if linear_only else (*RARER, *(name for name, one in TERMS.items() if one.selection == "motor torque"))

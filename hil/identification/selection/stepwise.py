@@ -289,11 +289,8 @@ def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
 def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
     """The terms that lower the fitness most, in any of the models, within their bounds; with richer laws of these.
 
-    A richer law never fits worse than one that it contains, and would take the place of another kind. Beside a gap that
-    the usual steps ended with, no friction is considered that would take it away: no later step brings it back.
+    A richer law never fits worse than one that it contains, and would take the place of another kind.
     """
-    gaps = [name for name in models[-1] if TERMS[name].shifts is not None]
-    terms = tuple(term for term in terms if not (_rubs(term) and set(gaps).intersection(TERMS[term].excludes)))
     lowest = {}
     containing = {term: [other for other in terms if set(own(other)) < set(own(term))] for term in terms}
     for term in (term for term in terms if not containing[term]):

@@ -155,3 +155,21 @@ def test_a_drift_is_included_only_where_the_joint_comes_back_again_and_again(per
         recorded(1e-6), motion=motion, torque=torque, window=None, command=None, unfiltered=None, band=(0.1, 0.4)
     )
     assert ("drift" in choose(None, signals, linear_only=False).model.name) is included
+
+
+@pytest.mark.parametrize(("periods", "included"), [(1, False), (6, True)])
+def test_friction_that_grows_with_the_load_is_included_only_where_each_load_comes_again(
+    periods: int, included: bool
+) -> None:
+    time, pace = np.linspace(0.0, 10.0, 4000), 2.0 * np.pi * periods / 10.0 * np.array([1.0, 2.3])[:, None]
+    angle, rate, acceleration = (
+        (np.array([[0.2], [0.12]]) * part).sum(axis=0)
+        for part in (np.sin(pace * time), pace * np.cos(pace * time), -(pace**2) * np.sin(pace * time))
+    )
+    motion = Motion(time, angle, rate, acceleration, np.zeros(len(time)))
+    noise = 2e-5 * np.random.default_rng(0).standard_normal(len(time))
+    torque = KC * angle + 1e-4 * rate + 0.3 * KC * np.abs(angle) * motion.presliding(0.02) + noise
+    signals = replace(
+        recorded(1e-6), motion=motion, torque=torque, window=None, command=None, unfiltered=None, band=(0.1, 2.0)
+    )
+    assert ("sheath" in choose(None, signals, linear_only=False).model.name) is included

@@ -314,14 +314,6 @@ def test_a_rarer_term_brings_what_it_needs_where_no_usual_model_has_it() -> None
     assert stepwise._likeliest(fits, ("deadband",), (("linear",), ("linear", "cubic"))) == ("deadband",)
 
 
-def test_beside_a_gap_no_friction_is_considered_that_would_take_it_away() -> None:
-    moved, motion = slow()
-    torque = with_play(moved) + sheathed(moved, 0.02) + 5e-5 * np.random.default_rng(1).standard_normal(len(motion))
-    fits, rare, gap = Fits(motion, torque, 0.5), ("dahl", "capstan", "sheath"), ("linear", "offset", "backlash")
-    assert "sheath" in stepwise._likeliest(fits, rare, (("linear", "offset"),))
-    assert stepwise._likeliest(fits, rare, (("linear", "offset"), gap)) == ("dahl",)
-
-
 @pytest.mark.parametrize("law", ["dahl", "boucwen"])
 def test_a_law_of_friction_gives_way_to_a_plainer_one_unless_the_data_rank_them(
     law: str, monkeypatch: pytest.MonkeyPatch
