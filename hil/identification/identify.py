@@ -36,7 +36,14 @@ from hil.identification.fitting.exact import solved, unproven, without_signs
 from hil.identification.fitting.forecast import forecast
 from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
-from hil.identification.misfit import Described, misfit_diagnostics, outweighed_spring, tested, without_model
+from hil.identification.misfit import (
+    Described,
+    ignored_command,
+    misfit_diagnostics,
+    outweighed_spring,
+    tested,
+    without_model,
+)
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
@@ -155,7 +162,7 @@ def _identified(
                 + disagreement(evidence.names, evidence.scattered, [source.path for source in sources])
                 + judge(evidence)
                 + rivals(steps, found)
-                + deflection_diagnostics(evidence)
+                + (deflection_diagnostics(evidence) or ignored_command(described, dynamic))
                 + misfit_diagnostics(described, data.choice.model.name, fit, dynamic)
                 + outweighed_spring(described, fit)
             ),

@@ -208,6 +208,17 @@ def without_model(described: Described) -> DynamicStiffness | None:
     return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
 
 
+def ignored_command(described: Described, found: DynamicStiffness | None) -> list[Diagnostic]:
+    """Return the warning that a command was recorded and not used, because the motion does not follow it."""
+    if found is None or found.instrument == "command" or not is_instrument(described.signals.command):
+        return []
+    text = (
+        "the motion does not follow the recorded command, so it is not used. Kc and Bc are less accurate where "
+        "the deflection is noisy. Record the set-point that was driven, or name its column with --command"
+    )
+    return [Diagnostic("weak-command", text)]
+
+
 def misfit_diagnostics(
     described: Described, model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None
 ) -> list[Diagnostic]:

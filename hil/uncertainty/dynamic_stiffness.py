@@ -11,7 +11,7 @@ and the overlap allow.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -32,6 +32,7 @@ _ALIKE: Final = 2.05  # neighbouring lines and overlapping segments that count a
 _WEAK: Final = 1e-3  # of the mean power of the deflection in the bands, below which a band was not excited
 _NOTHING: Final = 1e-9  # the same of instrument and torque, which may be small where the deflection is large
 _ALIGNED: Final = 1e-6  # sine of the angle between what follows deflection and rate, from which they are the same
+_FOLLOWS: Final = 0.4  # of the deflection's power, that goes with the command: a fifth does by chance
 _APART: Final = 1.5  # times the deflection of the smaller half, from which the amplitudes count as different
 _PERIODIC: Final = 0.98  # correlation of a deflection with itself a period later
 _FADING: Final = 0.9  # the same, of a whole run that fades in and out
@@ -115,14 +116,16 @@ def dynamic_stiffness(
 ) -> DynamicStiffness | None:
     """Return the dynamic stiffness in the band, Hz, that moved; None where the recording is too short for a segment.
 
-    command: (n,), what was commanded (rad or N m), in the order of the samples; one with gaps or that never changes is
-    not used.
+    command: (n,), what was commanded (rad or N m), in the order of the samples; one with gaps, that never changes or
+    that the motion does not follow is not used.
     """
     usable = command is not None and bool(np.isfinite(command).all()) and float(np.ptp(command)) > 0.0
     instrument = command if command is not None and usable else recorded.deflection
     spectra = _spectra(recorded, instrument, band)
     if spectra is None:
         return None
+    if usable and not _follows(spectra, band):
+        usable, spectra = False, replace(spectra, instrument=spectra.moved)
     bands = _in_bands(spectra, band, spectra)
     if not bands.frequency.size:
         return None
@@ -178,6 +181,15 @@ def _edges(frequency: Array, band: tuple[float, float]) -> NDArray[np.int64]:
             edges.append(round(edge))
     edges[1 if len(edges) == 1 else -1 :] = [last]
     return np.array(edges)
+
+
+def _follows(spectra: _Spectra, band: tuple[float, float]) -> bool:
+    """Return whether the deflection goes with the instrument, in all segments by the same filter."""
+    edges = _edges(spectra.frequency, band)
+    moved, instrument = (one[:, edges[0] : edges[-1]] for one in (spectra.moved, spectra.instrument))
+    own = np.sum(np.abs(instrument) ** 2, axis=0)
+    common = np.abs(np.sum(moved * np.conj(instrument), axis=0)) ** 2 / np.maximum(own, 1e-300)
+    return float(common.sum()) > _FOLLOWS * float(np.sum(np.abs(moved) ** 2))
 
 
 def _in_bands(spectra: _Spectra, band: tuple[float, float], every: _Spectra) -> Bands:

@@ -241,6 +241,19 @@ def test_the_command_of_a_table_serves_as_a_recorded_one_does(tmp_path: Path) ->
         assert np.ptp(without[name].ci95) > np.ptp(given[name].ci95)
 
 
+def test_a_command_that_the_motion_does_not_follow_is_warned_of_where_nothing_is_corrected_either(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.h5"
+    recorded(path)
+    columns = {"time": "s", "torque": "N*m", "dtheta": "rad", "command": "V"}
+    noise = np.random.default_rng(3).standard_normal(len(TIME))
+    found = as_table(path, columns, noise)
+    assert [one.code for one in found.diagnostics] == ["weak-command"]
+    assert found.dynamic_stiffness is not None
+    assert found.dynamic_stiffness.instrument == "deflection"
+
+
 def test_a_column_that_drove_nothing_is_noticed_as_no_command(tmp_path: Path) -> None:
     path, wandering = tmp_path / "a.h5", np.random.default_rng(3).standard_normal(len(TIME)).cumsum()
     recorded(path, noise=5e-3, seed=2)

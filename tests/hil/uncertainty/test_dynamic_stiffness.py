@@ -87,7 +87,7 @@ def test_noise_in_the_deflection_does_not_lower_the_stiffness_where_the_command_
     assert (error < 1.5 * commanded.bands.stiffness_half_width).all()
 
 
-@pytest.mark.parametrize("command", [np.zeros(len(TIME)), np.full(len(TIME), np.nan)])
+@pytest.mark.parametrize("command", [np.zeros(len(TIME)), np.full(len(TIME), np.nan), noise(9, 1.0)])
 def test_a_command_that_says_nothing_is_not_used(command: Array) -> None:
     assert measured(*spring_and_damper(0), command=command).instrument == "deflection"
 
