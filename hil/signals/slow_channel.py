@@ -40,6 +40,9 @@ _STRAIGHT: Final = 2.1  # counts by which three samples on a line may be off it
 _SMALL_COUNT: Final = 0.05  # of the usual bend: with larger counts a corner cannot be placed
 _SHARP: Final = 5.0  # times that, from which a corner is no smooth motion
 _LINES: Final = (0.1, 0.98)  # part of the samples on a line with both neighbours: fewer by chance, more on a ramp
+_ROUGH: Final = 2e-4  # of a sharp bend, up to which rounding to some digits bends a line
+_ROUNDED_UP: Final = 0.02  # part of the samples whose bends lie between both, from which they are rounded so
+_SHARPEST: Final = 0.98  # quantile of the bends that is a sharp one where lines make up most of the samples
 _BENT: Final = 0.9  # quantile of the bends that is a usual one
 _AT_ZERO: Final = 1.31  # part of normal bends that is below a small part of that quantile, per part
 _BEYOND_CHANCE: Final = 2.0  # times what random bends have of lines, that lines make up at least
@@ -215,20 +218,27 @@ def _bends(time: Array, values: Array) -> Array:
     return np.concatenate([[np.inf], bends, [np.inf]])
 
 
-def _tolerance(values: Array, count: float) -> float:
-    """Return the distance from a line up to which three samples count as on it."""
-    return max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
+def _tolerance(values: Array, bends: Array, count: float) -> float:
+    """Return the distance from a line up to which three samples (n,) with those bends (n,) count as on it.
+
+    A program that writes seven digits rounds larger values more than the smallest count says.
+    """
+    fine = max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
+    rough = max(fine, _ROUGH * float(np.quantile(bends[1:-1], _SHARPEST)))
+    return rough if float(np.mean((bends > fine) & (bends <= rough))) > _ROUNDED_UP else fine
 
 
 def _is_joined(time: Array, values: Array, count: float) -> bool:
     """Whether straight lines of a few samples each make up the channel, also where it bends sharply between them."""
     if (np.diff(time) <= 0.0).any():
         return False
-    bends, tolerance = _bends(time, values), _tolerance(values, count)
-    most = float(np.quantile(bends[1:-1], _BENT))
-    if makes_lines(count, bends[1:-1]):
+    bends = _bends(time, values)
+    tolerance = _tolerance(values, bends, count)
+    bent = bends[1:-1][bends[1:-1] > tolerance]  # of lines of ten samples hardly one in ten is
+    if not bent.size or makes_lines(count, bent):
         return False
-    by_chance = _AT_ZERO * tolerance / most if most > 0.0 else 0.0
+    most = float(np.quantile(bent, _BENT))
+    by_chance = _AT_ZERO * tolerance / most
     # where it comes to rest by a few counts a tick, any motion is a line
     fast = np.abs(np.diff(values)) > max(tolerance, _CLEAR * count)
     moves = np.concatenate([[False], fast[1:] & fast[:-1], [False]])
@@ -275,7 +285,8 @@ def _with_short_ones(lines: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _corners(time: Array, values: Array) -> Readings:
     count = smallest_step(values)
-    first, last = _with_short_ones(_runs(_bends(time, values) <= _tolerance(values, count))).T
+    bends = _bends(time, values)
+    first, last = _with_short_ones(_runs(bends <= _tolerance(values, bends, count))).T
     slope = (values[last] - values[first]) / (time[last] - time[first])
     bend = np.diff(slope)
     # two lines meet between the last sample of one and the first of the next, which may be the same

@@ -77,7 +77,7 @@ def _seen_in_noise(signals: Signals, step: float) -> str:
         return (
             f"the noise of the torque lacks the multiples of {1.0 / (count * step):.3g} Hz: each reading is the mean "
             f"of {count} and {1e3 * 0.5 * (count - 1) * step:.3g} ms late. Switch the mean off, or pass the angle "
-            "through the same mean"
+            "through the same mean. Where the table was interpolated from fewer readings, import those"
         )
     return ""
 

@@ -70,6 +70,24 @@ def test_the_corners_of_joined_readings_are_the_readings(hertz: float, decimals:
     assert np.abs(found.value - np.interp(found.time, at, values)).max() < 1e-8 + 3.0 * 10.0**-decimals
 
 
+def test_lines_of_ten_samples_written_in_seven_digits_are_lines() -> None:
+    """Digits that count from the first that is not zero round larger values more."""
+    time, at = np.arange(20_000) / 1000.0, np.arange(2001) / 100.0
+    logged = np.array([float(f"{value:.7g}") for value in np.interp(time, at, noisy(at))])
+    assert kind_of(time, logged) == "joined"
+    found = readings(time, logged, "joined")
+    assert len(found.time) > 0.95 * len(at)
+    assert np.quantile(np.abs(found.time - np.round(found.time, 2)), 0.98) < 1e-5
+
+
+@pytest.mark.parametrize("digits", [7, 17])
+def test_a_smooth_sweep_is_no_line_where_it_is_slow(digits: int) -> None:
+    time = np.arange(20_000) / 1000.0
+    growth = np.log(150.0) / 20.0
+    angle = 0.2 * np.sin(2.0 * np.pi * 0.1 * np.expm1(growth * time) / growth)
+    assert kind_of(time, np.array([float(f"{value:.{digits}g}") for value in angle])) is None
+
+
 def coarse(values: Array, count: float) -> Array:
     return np.asarray(count * np.round(values / count))
 
