@@ -106,7 +106,7 @@ def is_addable(term: str, terms: Collection[str]) -> bool:
     return (
         term not in terms
         and (TERMS[term].needs or "linear") in terms
-        and not any(other in TERMS[term].excludes or term in TERMS[other].excludes for other in terms)
+        and not any(_excluded(term, other) for other in terms)
     )
 
 
@@ -123,10 +123,14 @@ def with_another(terms: Collection[str], term: str, *, complete: bool = False) -
 
 
 def compatible_model(term: str, terms: Collection[str]) -> str:
-    """Return the name of the model of the term and of those of the terms that it can stand beside."""
-    needed = TERMS[term].needs
-    others = [other for other in terms if is_addable(term, ("linear", needed or "linear", other))]
-    return canonical("+".join(dict.fromkeys((*others, needed or term, term))))
+    """Return the name of the model of the term, the one that it needs, and those of the terms that can stand beside."""
+    needed = TERMS[term].needs or term
+    others = [other for other in terms if not any(_excluded(one, other) for one in (needed, term))]
+    return canonical("+".join(dict.fromkeys(("linear", *others, needed, term))))
+
+
+def _excluded(one: str, other: str) -> bool:
+    return other in TERMS[one].excludes or one in TERMS[other].excludes
 
 
 def _refuse_unknown(term: str) -> None:

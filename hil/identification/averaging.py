@@ -42,6 +42,7 @@ from ga.model.separable import Problem
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, is_addable
 from ga.model.trajectory import Motion
 from hil.identification.fitting.deflection import read_with_errors
+from hil.identification.fitting.jumps import rate_beside_jumps
 from hil.identification.model_choice import Choice
 from hil.identification.selection.late import Alternative
 from hil.identification.selection.stepwise import Step
@@ -49,7 +50,6 @@ from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
 from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, TICK_SHARE
-from hil.uncertainty.jumps import rate_beside_jumps
 from hil.uncertainty.model_average import AKAIKE, average, without_positive
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ga.model.coupling import parse
-from ga.model.terms import UnknownTerm
+from ga.model.terms import TERMS, UnknownTerm, compatible_model
 from ga.model.trajectory import Motion
 
 Array = NDArray[np.float64]
@@ -308,3 +308,10 @@ def test_an_anchored_model_is_one_model_for_every_part_of_the_data() -> None:
     parts = [anchored.columns(MOTION.of(part)) for part in (slice(0, 90), slice(90, None))]
     assert np.array_equal(np.concatenate(parts), whole)
     assert not np.array_equal(model.columns(MOTION.of(slice(90, None))), whole[90:])
+
+
+@pytest.mark.parametrize("term", [name for name in TERMS if name != "linear"])
+def test_a_term_that_is_advised_makes_a_model_with_what_it_needs_whatever_the_model_was(term: str) -> None:
+    for name in ("linear", "linear+slack", "linear+offset+dahl+backlash", "linear+offset+coulomb+stribeck+capstan+lag"):
+        advised = parse(compatible_model(term, name.split("+"))).name.split("+")
+        assert {"linear", term, TERMS[term].needs or term} <= set(advised)
