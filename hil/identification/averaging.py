@@ -19,6 +19,9 @@ more. Where the recording hardly shows the fall, its size is limited by that alo
 A reading that is late is known by how it stiffens fast motion, and so does a viscoelastic branch that relaxes faster
 than the joint moved. Any part of what looks late may be that, in one joint of ten, and is then not missing from Bc.
 
+An angle that passed a filter which the torque did not looks like one that is read late, and exactly like an inertia: of
+each model with an inertia in place of a skew, both readings are in the average.
+
 In slow motion a late reading is less damping and shows in nothing else. Where none is selected, each likely time by
 which it may be late stands beside the model, with its likelihood.
 """
@@ -49,7 +52,7 @@ from hil.identification.selection.stepwise import Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
-from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, TICK_SHARE
+from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, TICK_SHARE, dampings_behind_filter
 from hil.uncertainty.model_average import AKAIKE, average, without_positive
 
 Array = NDArray[np.float64]
@@ -93,6 +96,8 @@ def averaged(
         if step.term in CONSIDERED and _is_doubtful(step)
     }
     selected = Alternative(choice.model, nonlinear, 0.0)
+    own = dict(zip((one.name for one in choice.model.nonlinear), nonlinear.tolist(), strict=True))
+    seems_filtered = own.get("skew", 0.0) < 0.0 and signals.torque_from == "given"
     found, criteria = [], []
 
     def of_selected(larger: _Largest) -> Array:
@@ -107,6 +112,8 @@ def averaged(
         around = _around(one, doubtful, kept, of_larger if is_own else of_selected)
         if not around and one is selected:
             return {}
+        if one is not selected and seems_filtered:
+            around += _behind_filter(one, around, kept)
         found += [values for values, _ in around]
         criteria += [one.criterion + more for _, more in around]
     for late in choice.lateness:
@@ -120,6 +127,28 @@ def averaged(
     hidden = mixed["Kc"].value * _late(choice.model, nonlinear)
     bc = mixed["Bc"]
     return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, _NORMAL * _RELAXING * hidden)))}
+
+
+def _behind_filter(
+    one: Alternative, around: Sequence[tuple[dict[str, Averaged], float]], data: Signals
+) -> list[tuple[dict[str, Averaged], float]]:
+    """The estimates of a model with an inertia, read as those of a joint whose angle passed a filter; [] without one.
+
+    The torque of both is the same (`damping_behind_filter`), so that neither is likelier. Of two filters the faster one
+    is meant: a slow one would be known.
+    """
+    inertia = _own_values(one, data).get("J", 0.0) if "inertia" in one.model.name.split("+") else 0.0
+    found = []
+    for mean, criterion in around:
+        stiff, damped = mean["Kc"], mean["Bc"]
+        behind = dampings_behind_filter(stiff.value, damped.value, inertia)
+        if not behind:
+            continue
+        # by how much it changes with the damping that is seen, and it is no more than that
+        gain = behind[-1] / max(behind[-1] - behind[0], 1e-300)
+        half_width = min(gain * damped.half_width, damped.half_width + damped.value)
+        found.append((mean | {"Bc": Averaged(behind[-1], half_width)}, criterion))
+    return found
 
 
 def _late(model: CouplingModel, nonlinear: Array) -> float:
@@ -353,9 +382,7 @@ def _contains(largest: _Largest, smaller: Alternative, data: Signals) -> bool:
     Both are of the same data. Where they differ, the error of the larger one does not say how its parameters move
     together (residuals that last longer than what is averaged over), and an average would lead away from both.
     """
-    columns = smaller.model.columns(data.motion, smaller.nonlinear)
-    target = smaller.model.target(data.motion, data.torque, smaller.nonlinear)
-    own = dict(zip((one.name for one in smaller.model.linear), _fitted(columns, target), strict=True))
+    own = _own_values(smaller, data)
     names, matrix = largest.names, largest.sampling.matrix
     extra = [name for term in largest.added for name in _own(term)]
     added = [names.index(name) for name in (*extra, _PRESLIDING) if name in names]
@@ -369,8 +396,12 @@ def _contains(largest: _Largest, smaller: Alternative, data: Signals) -> bool:
     return all(abs(restricted[names.index(name)] - own[name]) <= reach[names.index(name)] for name in COUPLING)
 
 
-def _fitted(columns: Array, target: Array) -> Array:
-    return least_absolute_deviations(columns, target).genes
+def _own_values(one: Alternative, data: Signals) -> dict[str, float]:
+    """The linear parameters of a model, SI, by name, at its nonlinear ones."""
+    columns = one.model.columns(data.motion, one.nonlinear)
+    target = one.model.target(data.motion, data.torque, one.nonlinear)
+    values = least_absolute_deviations(columns, target).genes.tolist()
+    return dict(zip((parameter.name for parameter in one.model.linear), values, strict=True))
 
 
 def _is_doubtful(step: Step) -> bool:

@@ -82,3 +82,15 @@ def friction_likeness(rate: NDArray[np.float64]) -> float:
     """
     power = float(np.mean(rate**2))
     return float(np.mean(np.abs(rate))) ** 2 / power if power else 0.0
+
+
+def dampings_behind_filter(stiffness: float, damping: float, inertia: float) -> list[float]:
+    """Return what Bc is, SI, rising, if a filter of the angle explains an inertia that was fitted; [] if none does.
+
+    Behind a first-order filter of the angle with the time constant T, s, the torque is (Kc + Bc s)(1 + T s) times the
+    angle that is read: there is Bc + Kc T in the place of a damping, and Bc T in that of an inertia.
+    """
+    apart = damping**2 - 4.0 * stiffness * inertia
+    if not (inertia > 0.0 and apart >= 0.0 and damping > 0.0):
+        return []
+    return [0.5 * (damping - apart**0.5), 0.5 * (damping + apart**0.5)]

@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 from ga.model.friction import is_hidden, looks_like_spring
 from hil.diagnostics import Diagnostic
 from hil.identification.evidence import Evidence
-from hil.uncertainty.criteria import FRICTION, LITTLE_FRICTION, LONGEST_SKEW, PLAY, TICK_SHARE
+from hil.uncertainty.criteria import (
+    FRICTION,
+    LITTLE_FRICTION,
+    LONGEST_SKEW,
+    PLAY,
+    TICK_SHARE,
+    dampings_behind_filter,
+)
 
 Array = NDArray[np.float64]
 
@@ -41,11 +48,7 @@ def _inertia(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
-    """Return the diagnostic for an inertia that may as well be a filter of the angle, unless it is the motor's.
-
-    Behind a first-order filter of the angle with the time constant T the torque is (Kc + Bc s)(1 + T s) times the angle
-    that is read: there is Bc + Kc T in the place of a damping, and Bc T in that of an inertia.
-    """
+    """Return the diagnostic for an inertia that may as well be a filter of the angle, unless it is the motor's."""
     values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     if not {"Kc", "Bc", "J"} <= set(values) or evidence.signals.torque_from == "motor" or values["J"] <= 0.0:
         return []
@@ -53,11 +56,8 @@ def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
     most = damping + float(evidence.errors.half_width[evidence.names.index("Bc")])
     if not 0.0 < 4.0 * stiffness * inertia <= most**2:
         return []
-    apart = max(0.0, damping**2 - 4.0 * stiffness * inertia) ** 0.5
-    either = " or ".join(
-        f"{bc:.3g} N m s/rad (a filter of {bc / (2.0 * np.pi * inertia):.3g} Hz)"
-        for bc in sorted({0.5 * (damping - apart), 0.5 * (damping + apart)})
-    )
+    both = dampings_behind_filter(stiffness, damping, inertia) or [0.5 * damping]
+    either = " or ".join(f"{bc:.3g} N m s/rad (a filter of {bc / (2.0 * np.pi * inertia):.3g} Hz)" for bc in both)
     text = (
         f"the torque includes an inertia of {inertia:.2g} kg m^2, or the angle passed a filter that the torque did "
         f"not: both fit alike. Bc is {damping:.3g} N m s/rad with an inertia, and {either} behind a filter of the "

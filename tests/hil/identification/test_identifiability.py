@@ -309,6 +309,16 @@ def test_an_inertia_that_may_be_a_filter_of_the_angle_leaves_bc_open(
     assert (found.trusted("Bc"), found.trusted("Kc")) == (trusted, True)
 
 
+def test_an_angle_that_seems_late_may_have_passed_a_filter(make_recording: Maker) -> None:
+    """Behind a filter of 100 Hz, Bc is 3.48 mN m s/rad with an inertia, which may be there as well."""
+    path = make_recording(samples=6000, change=behind(1.0 / (2.0 * np.pi * 100.0), 0.0))
+    found = identify([path], None, SEARCH)
+    assert found["skew"].value < 0.0
+    assert found["Bc"].value == pytest.approx(3e-3, rel=0.06)
+    assert found["Bc"].ci95[1] > 3.4e-3
+    assert found["Kc"].value == pytest.approx(0.3, rel=2e-3)
+
+
 def test_an_inertia_that_no_filter_of_the_angle_explains_is_one(make_recording: Maker) -> None:
     found = identify([make_recording(samples=6000, change=behind(0.0, 2e-5))], None, SEARCH)
     assert "inertia-in-torque" in {one.code for one in found.diagnostics}
