@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli import options
-from hil.cli.many.each import identify_each, refuse_with_each
+from hil.cli.many.each import identify_each, meets, refuse_with_each
 from hil.cli.progress import progress
 from hil.cli.terminal import (
     UNTRUSTWORTHY,
@@ -101,7 +101,7 @@ def _end(found: IdentificationResult, checkpoint: Path | None, required: tuple[s
     """End the command with the status that the result asks for."""
     if found.interrupted:
         exit_interrupted(checkpoint)
-    if not all(found.trusted(name) for name in required):
+    if not meets(found, required):
         raise typer.Exit(UNTRUSTWORTHY)
 
 

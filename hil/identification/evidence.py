@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 UNLOADED_PLACE = "unloaded place"
 """What the Kc of a spring that curves depends on, where nobody knows where the joint is unloaded."""
 
+_NONE = (0.0, 0.0)  # the size of a misfit in a parameter that is neither Kc nor Bc
 _MARGIN = 1e-4  # part of a range within which a value is at its end
 
 
@@ -207,8 +208,9 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
 
 def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Estimate, ...]:
     """Return the estimates, the intervals of Kc and Bc wider by what the model lacks."""
-    lacks = dict(zip(COUPLING, fit.in_intervals, strict=True)) if fit else {}
-    return tuple(_wider(one, lacks.get(one.name, 0.0) * abs(one.value)) for one in found)
+    sizes = dict(zip(COUPLING, zip(fit.in_intervals, fit.at_zero, strict=True), strict=True)) if fit else {}
+    lacks = {one.name: size * (zero or abs(one.value)) for one in found for size, zero in [sizes.get(one.name, _NONE)]}
+    return tuple(_wider(one, lacks[one.name]) for one in found)
 
 
 def _wider(one: Estimate, lack: float) -> Estimate:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -240,7 +241,7 @@ def misfit_diagnostics(
         _frequencies(dynamic),
     ]
     message = ". ".join(part for part in parts if part)
-    is_grave = found.is_grave or not {"Kc", "Bc"}.intersection(described.names)  # it has no other measure
+    is_grave = found.is_grave or not {"Kc", "Bc"} <= set(described.names)  # it has no other measure
     misfit = Diagnostic("misfit", message, found.affected, is_error=is_grave)
     return [Diagnostic("torque-reading", seen, found.affected, is_error=is_grave), misfit] if seen else [misfit]
 
@@ -312,7 +313,7 @@ def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
 
 def _respects(model: str, found: LackOfFit) -> str:
     compared = [one for one in found.failed if one.Kc is not None]
-    differing = [f"{one.name} (Kc by {_percent(one.Kc)}, Bc by {_percent(one.Bc)})" for one in compared]
+    differing = [f"{one.name} (Kc by {_size(found, 0, one.Kc)}, Bc by {_size(found, 1, one.Bc)})" for one in compared]
     plain = [one.name for one in found.failed if one.Kc is None and one.code != "any"]
     respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
     said = "".join(f"{one}; " for one in respects[:_RESPECTS])
@@ -324,13 +325,21 @@ def _respects(model: str, found: LackOfFit) -> str:
 
 def _consequence(found: LackOfFit, names: Sequence[str]) -> str:
     left = f"It leaves out {100.0 * found.unexplained:.2g} % of the torque"
-    if not {"Kc", "Bc"}.intersection(names):
+    if not {"Kc", "Bc"} <= set(names):
         return f"{left}, so its parameters may be wrong"
     if found.explains_too_little:
         return f"{left}, so Kc and Bc mean nothing"
-    return f"Kc may be wrong by {_percent(found.Kc)} and Bc by {_percent(found.Bc)}" + (
+    return f"Kc may be wrong by {_size(found, 0, found.Kc)} and Bc by {_size(found, 1, found.Bc)}" + (
         "; their intervals include this" if found.outside else ""
     )
+
+
+def _size(found: LackOfFit, of: int, size: float | None, *, sign: str = "") -> str:
+    """A relative change of Kc (0) or Bc (1), in its unit where the value is zero; sign: "+", to print its sign."""
+    absolute = found.change(of, size or 0.0)
+    if math.isfinite(absolute):
+        return f"{absolute if sign else abs(absolute):{sign}.2g} {('N m/rad', 'N m s/rad')[of]}"
+    return f"{100.0 * (size or 0.0):{sign}.{1 - of}f} %" if sign else _percent(size)
 
 
 def _percent(size: float | None) -> str:
@@ -342,9 +351,13 @@ def _remedy(model: SeparableModel, found: LackOfFit) -> str:
     """What the residuals look like, with the model or experiment to try."""
     if not found.suspects:
         return "No known effect explains the residuals. Look at them with --report, and at K'(f) with --verbose"
+    has_coupling = {"Kc", "Bc"} <= {one.name for one in (*model.linear, *model.nonlinear)}
     terms = [model.name.split("+")] if isinstance(model, CouplingModel) else []
     looks = [
-        f"{one.effect.name} (with it Kc {100.0 * one.Kc:+.1f} %, Bc {100.0 * one.Bc:+.0f} %)" for one in found.suspects
+        f"{one.effect.name} (with it Kc {_size(found, 0, one.Kc, sign='+')}, Bc {_size(found, 1, one.Bc, sign='+')})"
+        if has_coupling
+        else one.effect.name
+        for one in found.suspects
     ]
     return f"The residuals look like {' or '.join(looks)}: {found.suspects[0].effect.remedy(*terms)}"
 

@@ -126,6 +126,7 @@ class _Tests:
             plane=mean_over_plane(self._recorded, self._tested.scores),
             predicted=predicted,
             unexplained=self._of_torque(share, predicted),
+            at_zero=(float(self._at_zero[0]), float(self._at_zero[1])),
         )
 
     def _of_torque(self, share: float, predicted: float) -> float:
@@ -146,7 +147,10 @@ class _Tests:
             return None
         differences = np.linalg.lstsq(left, self._tested.residuals, rcond=None)[0]
         scale = np.linalg.norm(left, axis=0) / np.sqrt(len(left))
-        return Respect(code, NAMES[code], self._tested.chance(left / scale), *self._relative(np.asarray(differences)))
+        chance = self._tested.chance(left / scale)
+        if self._fitted.coupling is None:  # the factors are of no parameter of the model
+            return Respect(code, f"the torque differs {NAMES[code]}", chance)
+        return Respect(code, NAMES[code], chance, *self._relative(np.asarray(differences)))
 
     def _suspects(self, share: float) -> tuple[Suspect, ...]:
         """Return the effects that explain most of the predicted part, the best first."""
@@ -207,10 +211,21 @@ class _Tests:
         return np.array([attenuated, stiffness * min(longest, drawn)])
 
     def _relative(self, changes: Array) -> tuple[float, float]:
-        """Return changes (2,) of Kc and Bc relative to them; infinite ones count as zero."""
-        values = np.abs(self._fitted.values)
-        first, second = np.divide(changes, values, out=np.zeros(2), where=values > 0.0).tolist()
+        """Return changes (2,) of Kc and Bc relative to their scale; where that is zero they count as zero."""
+        first, second = np.divide(changes, self._scale, out=np.zeros(2), where=self._scale > 0.0).tolist()
         return first, second
+
+    @property
+    def _scale(self) -> Array:
+        """What changes of Kc and Bc (2,) are relative to: their values, or half the interval of one that is zero."""
+        values = np.abs(self._fitted.values)
+        return np.where(values > 0.0, values, self._at_zero)
+
+    @property
+    def _at_zero(self) -> Array:
+        """Half the intervals of Kc and Bc (2,), SI, where they stand at their bound, zero; else 0."""
+        values, half_width = np.abs(self._fitted.values), np.asarray(self._fitted.half_width)
+        return np.where((values == 0.0) & np.isfinite(half_width), half_width, 0.0)
 
     def _sizes(
         self, respects: tuple[Respect, ...], suspects: tuple[Suspect, ...], torque: float, *, explained: bool
@@ -229,12 +244,12 @@ class _Tests:
         if found:
             return np.asarray(np.max(found, axis=0), dtype=np.float64)
         alone = np.linalg.norm(_apart(self._coupling), axis=0) / np.sqrt(len(self._coupling))
-        own = np.abs(self._fitted.values) * alone
+        own = self._scale * alone
         return np.asarray(np.divide(torque, own, out=np.zeros(2), where=own > 0.0))
 
     def _is_outside(self, sizes: Array) -> bool:
-        values = np.abs(self._fitted.values)
-        return bool((sizes * values > np.maximum(self._fitted.half_width, _ACCURATE * values)).any())
+        scale = self._scale
+        return bool((sizes * scale > np.maximum(self._fitted.half_width, _ACCURATE * scale)).any())
 
     def _correlation(self) -> tuple[Array, Array]:
         """The correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -68,6 +69,8 @@ class LackOfFit:
     Kc, Bc: the size of the misfit, relative. It is the largest change by a suspect or half the difference between
     parts; without either, the change that would make the torque that is predicted. outside: whether that leaves the
     interval of Kc or Bc.
+    at_zero: half the intervals of Kc and Bc, SI, where their values are zero, to which all changes of them are relative
+    then; else 0.
     correlation (l, 2): of the residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual, N m, in
     cells of deflection (rows, rising) and rate (columns, rising) with equal counts; NaN in empty cells.
     """
@@ -85,6 +88,7 @@ class LackOfFit:
     predicted: float = 0.0
     unexplained: float = 0.0
     of_noise: bool = False
+    at_zero: tuple[float, float] = (0.0, 0.0)
 
     def beside_noise(self, added: Array) -> LackOfFit:
         """Return the result with `of_noise` set, by how the prediction grows when the errors of the motion double.
@@ -119,8 +123,17 @@ class LackOfFit:
 
     @property
     def _grave(self) -> list[str]:
-        sizes = zip(("Kc", "Bc"), (self.Kc, self.Bc), _GRAVE, strict=True)
+        sizes = zip(("Kc", "Bc"), (self.Kc, self.Bc), self._limits(_GRAVE), strict=True)
         return [name for name, size, most in sizes if size > most]
+
+    def _limits(self, relative: tuple[float, float]) -> tuple[float, float]:
+        """Return limits for Kc and Bc, relative; that of one which is zero is half its interval."""
+        first, second = (1.0 if half > 0.0 else most for most, half in zip(relative, self.at_zero, strict=True))
+        return first, second
+
+    def change(self, of: int, size: float) -> float:
+        """Return a relative change of Kc (0) or Bc (1) in SI where its value is zero; NaN where it is not."""
+        return size * self.at_zero[of] if self.at_zero[of] > 0.0 else math.nan
 
     @property
     def failed(self) -> tuple[Respect, ...]:
@@ -156,7 +169,8 @@ class LackOfFit:
     @property
     def _is_small(self) -> bool:
         """Whether it is below the accuracy of real sensors, in Kc and Bc or in the torque."""
-        return (self.Kc <= _SMALL[0] and self.Bc <= _SMALL[1]) or self.unexplained <= _ACCURATE
+        first, second = self._limits(_SMALL)
+        return (self.Kc <= first and self.Bc <= second) or self.unexplained <= _ACCURATE
 
     @property
     def _is_vague(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -13,12 +13,23 @@ from hil.cli.progress import progress
 from hil.cli.terminal import UNTRUSTWORTHY, out, print_diagnostics, print_json, say
 from hil.errors import WrongUse
 
+if TYPE_CHECKING:
+    from hil.api.analysis import IdentificationResult
+
 
 def refuse_with_each(given: Mapping[str, Any]) -> None:
     """Raise WrongUse for an option that belongs to one identification. given: by name, None where it was not given."""
     for name, value in given.items():
         if value is not None:
             raise WrongUse(f"--{name} belongs to one identification: leave it out, or --each")
+
+
+def meets(found: IdentificationResult, required: tuple[str, ...]) -> bool:
+    """Return whether the parameters required may be trusted; a single one must be in the model, and this says so."""
+    if len(required) == 1 and required[0] not in found.parameters:
+        say(f"error: model {found.model} has no {required[0]}, which --require asks for")
+        return False
+    return all(map(found.trusted, required))
 
 
 def identify_each(
@@ -39,5 +50,5 @@ def identify_each(
         if not as_json:
             out(f"{path}: {one}")
         print_diagnostics([replace(other, message=f"{path}: {other.message}") for other in one.diagnostics])
-    if not all(not isinstance(one, NoResult) and all(map(one.trusted, required)) for one in found):
+    if not all(not isinstance(one, NoResult) and meets(one, required) for one in found):
         raise typer.Exit(UNTRUSTWORTHY)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ga.evolution.evolution import PRESETS
+from hil.cli import app
 from hil.errors import WrongUse
 from hil.identification.compare import compare
 from hil.identification.identify import Search, identify
@@ -57,7 +59,18 @@ def test_one_without_kc_and_bc_that_does_not_describe_the_recording_is_not_trust
     (misfit,) = (one for one in found.diagnostics if one.code == "misfit")
     assert misfit.is_error
     assert "so its parameters may be wrong" in misfit.message
+    assert not {"Kc", "Bc"}.intersection(re.findall(r"\w+", misfit.message))
     assert not found.trusted("stiff")
+
+
+@pytest.mark.parametrize(("required", "status"), [("Kc", 1), ("both", 0)])
+def test_a_parameter_that_is_required_and_missing_is_not_trusted(
+    make_recording: Maker, tmp_path: Path, capfd: pytest.CaptureFixture[str], required: str, status: int
+) -> None:
+    own = written(tmp_path, GOOD.replace("Kc", "stiff").replace("Bc", "damped"))
+    path = str(make_recording(noise=1e-4))
+    assert app.run(["identify", path, "--model", own, "--trials", "1", "--require", required]) == status
+    assert ("has no Kc, which --require asks for" in capfd.readouterr().err) is (status == 1)
 
 
 def test_its_validation_error_is_relative_to_the_torque(make_recording: Maker, tmp_path: Path) -> None:

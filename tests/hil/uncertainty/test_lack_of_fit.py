@@ -269,6 +269,22 @@ def test_where_the_encoder_has_its_zero_changes_nothing() -> None:
     assert moved_away.share == pytest.approx(here.share, rel=1e-3)
 
 
+@pytest.mark.parametrize(("half", "outside"), [(1e-4, True), (1.0, False)])
+def test_a_misfit_of_a_damping_of_zero_is_held_against_its_interval(half: float, *, outside: bool) -> None:
+    """Bc stands at its bound: dry friction, which the model lacks, would take damping off."""
+    torque = KC * X + 1e-3 * np.sign(V) + noise(1)
+    columns = LINEAR[:, [0, 2]]
+    residuals = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
+
+    found = lack_of_fit(Recorded(TIME, torque, X, V), Fitted(residuals, LINEAR, (0, 1), (KC, 0.0), (1.0, half)))
+
+    assert found is not None
+    assert found.outside is outside
+    assert found.at_zero == (0.0, half)
+    assert found.Bc * half > 3e-4
+    assert found.is_grave is outside
+
+
 def test_a_model_without_kc_and_bc_is_tested_too() -> None:
     torque = WRONG["quadratic-damping"] + noise(1)
     residuals = torque - LINEAR @ np.linalg.lstsq(LINEAR, torque, rcond=None)[0]
@@ -277,6 +293,7 @@ def test_a_model_without_kc_and_bc_is_tested_too() -> None:
 
     assert found is not None
     assert found.misfit
+    assert all(one.Kc is None for one in found.respects)
 
 
 def test_a_long_recording_is_judged_by_some_of_its_stretches() -> None:
