@@ -140,6 +140,17 @@ def _identified(
         described = _described(data, solution, evidence)
         fit, dynamic = tested(described), without_model(described)
         found = with_misfit(found, fit)
+        doubts: list[Diagnostic] = []
+        if not any(one.code == "implausible" for one in data.diagnostics):  # a wrong sign is the cause of all others
+            doubts = [
+                *_stationarity(data, solution),
+                *disagreement(evidence.names, evidence.scattered, [source.path for source in sources]),
+                *judge(evidence),
+                *rivals(steps, found),
+                *(deflection_diagnostics(evidence) or ignored_command(described, dynamic)),
+                *misfit_diagnostics(described, data.choice.model.name, fit, dynamic),
+                *outweighed_spring(described, fit),
+            ]
         return Identification(
             recordings=tuple(source.path for source in sources),
             model=data.choice.model,
@@ -155,17 +166,7 @@ def _identified(
             seconds=time.perf_counter() - began,
             search_seconds=solution.seconds,
             validation=evidence.holdout,
-            diagnostics=tuple(
-                stands
-                + data.diagnostics
-                + _stationarity(data, solution)
-                + disagreement(evidence.names, evidence.scattered, [source.path for source in sources])
-                + judge(evidence)
-                + rivals(steps, found)
-                + (deflection_diagnostics(evidence) or ignored_command(described, dynamic))
-                + misfit_diagnostics(described, data.choice.model.name, fit, dynamic)
-                + outweighed_spring(described, fit)
-            ),
+            diagnostics=tuple(stands + data.diagnostics + doubts),
             signals=data.signals,
             values=solution.values,
             fitted=data.used,

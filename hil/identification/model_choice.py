@@ -18,12 +18,11 @@ from hil.identification.selection import stepwise
 from hil.identification.selection.fits import LATE
 from hil.identification.selection.late import EARLIER, Alternative, Lateness
 from hil.identification.selection.stepwise import Selection, Step
+from hil.signals.plausibility import negative_stiffness
 from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
 
-_MOST_LEFT = 0.5  # of the torque's variance, which a coupling with a wrong sign may leave
-_SURE = 10.0  # standard errors of independent residuals, by which its stiffness is negative
 _STICKING = 1.25  # times the error of the other samples, from which the model does not describe the slow ones
 
 
@@ -102,7 +101,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
 
     Where a sign is wrong, no model is right, and the smallest shows it.
     """
-    if _has_wrong_sign(signals):
+    if negative_stiffness(signals.motion, signals.torque) is not None:
         return _named(parse("linear+offset"), signals)
     from_motor = [name for name, term in TERMS.items() if term.selection == "motor torque"]
     terms = (*CONSIDERED, *(from_motor if signals.torque_from == "motor" else ()))
@@ -131,22 +130,6 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         found = again if again.model.sticks else found
     model = found.model.anchored(signals.motion)
     return Choice(model, found.steps, sticking, found.delay, found.alternatives, found.lateness)
-
-
-def _has_wrong_sign(signals: Signals) -> bool:
-    """Whether stiffness and damping are negative, beside an inertia, and explain most of the torque: least squares."""
-    motion = signals.motion
-    if motion.has_one_frequency:  # an inertia is a negative stiffness there
-        return False
-    columns = np.stack([motion.dtheta, motion.dtheta_dot, motion.dtheta_ddot], axis=1)
-    columns = np.column_stack([columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), np.ones(len(motion))])
-    torque = signals.torque - motion.known
-    values, _, rank, _ = np.linalg.lstsq(columns, torque, rcond=None)
-    left = float(np.var(torque - columns @ values))
-    if rank < columns.shape[1] or left > _MOST_LEFT * float(np.var(torque)):
-        return False
-    errors = np.sqrt(left * np.diag(np.linalg.inv(columns.T @ columns)))
-    return bool(values[0] < -_SURE * errors[0] and values[1] < errors[1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Compare torque and deflection with the limits of the stand: a wrong unit shows in their size."""
+"""Whether torque and deflection can be those of a joint: a wrong unit shows in their size, a wrong sign in Kc."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.trajectory import Motion
 from hil import units
 from hil.diagnostics import Diagnostic
 from hil.stand.file import LimitsTable
+
+Array = NDArray[np.float64]
 
 GROSS = 3.0
 """Times a limit of the stand, above which a unit must be wrong."""
@@ -22,6 +25,9 @@ _TOLERANCE = 1.1  # a recorder turns the torque off a little beyond its limit
 _TURN = 2.0 * math.pi
 _ODD_STIFFNESS = 1000.0  # of what the limits suggest, in either direction
 _LEAST = 1e-3  # of a limit, below which a unit does not explain the readings
+_MOST_LEFT = 0.5  # of the torque's variance, which a coupling with a wrong sign may leave
+_SURE = 10.0  # standard errors of independent residuals, by which its stiffness is negative
+_ROWS = 50_000  # samples that are enough to see it
 _MISTAKEN: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "torque": ("mN*m", "N*m", "N*cm", "kgf*cm", "ozf*in", "uN*m", "gf*cm", "lbf*in"),
@@ -44,7 +50,7 @@ class Swing(NamedTuple):
         return (self.largest - self.least) / 2.0
 
     @classmethod
-    def of(cls, values: NDArray[np.float64], factor: float = 1.0) -> Self:
+    def of(cls, values: Array, factor: float = 1.0) -> Self:
         """Return the swing of the readings, (n,), that are numbers; 0 to 0 without one."""
         good = values[np.isfinite(values)]
         return cls(float(good.min()), float(good.max()), factor) if good.size else cls(0.0, 0.0, factor)
@@ -83,6 +89,42 @@ def implausible(torque: Swing, deflection: Swing, limits: LimitsTable | None) ->
 def excess(torque: Swing, deflection: Swing, limits: LimitsTable) -> float:
     """Return how many times its limit the torque or the deflection is, whichever is more."""
     return max(torque.half / limits.torque, deflection.half / limits.deflection)
+
+
+def negative_stiffness(motion: Motion, torque: Array) -> float | None:
+    """Return the stiffness, N m/rad, if it and the damping are negative and explain most of the torque (n,), N m.
+
+    It is that of least squares, beside an inertia and an offset. None where they are not: no sign is wrong then.
+    """
+    if motion.has_one_frequency:  # an inertia is a negative stiffness there
+        return None
+    rows = slice(None, None, max(1, len(motion) // _ROWS))
+    columns = np.stack([motion.dtheta, motion.dtheta_dot, motion.dtheta_ddot], axis=1)[rows]
+    columns = columns - columns.mean(axis=0)
+    sizes = np.linalg.norm(columns, axis=0)
+    rest = (torque - motion.known)[rows]
+    rest = rest - rest.mean()
+    if not (sizes > 0.0).all():
+        return None
+    columns = columns / sizes
+    values, _, rank, _ = np.linalg.lstsq(columns, rest, rcond=None)
+    left = float(np.var(rest - columns @ values))
+    if rank < columns.shape[1] or left > _MOST_LEFT * float(np.var(rest)):
+        return None
+    errors = np.sqrt(left * np.diag(np.linalg.inv(columns.T @ columns)))
+    negative = values[0] < -_SURE * errors[0] and values[1] < errors[1]
+    return float(values[0] / sizes[0]) if negative else None
+
+
+def wrong_sign(stiffness: float) -> Diagnostic:
+    """Return the error of a recording whose `negative_stiffness` that is, N m/rad."""
+    return Diagnostic(
+        "implausible",
+        f"Kc would be {stiffness:.3g} N m/rad, but it cannot be negative. A sign is wrong, so neither Kc nor Bc can be "
+        "identified: a positive torque must make a positive deflection. Import a table again with --torque-scale -1; "
+        "for hil record, correct the sign in the stand file (hil doctor --move finds it)",
+        is_error=True,
+    )
 
 
 def _beyond(name: str, dimension: str, swing: Swing, limit: float, unit: str) -> list[Diagnostic]:

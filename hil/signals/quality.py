@@ -15,7 +15,7 @@ from hil.recording.reader import Recording
 from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.own_rate import OwnRate
-from hil.signals.plausibility import Swing, implausible
+from hil.signals.plausibility import Swing, implausible, negative_stiffness, wrong_sign
 from hil.signals.prepare import Signals
 from hil.signals.savitzky_golay import kernel, local_polynomial, widest
 from hil.signals.slow_channel import Slower
@@ -40,7 +40,8 @@ class Quality:
     deflection: rad, peak to peak; deflection_lsb: rad, the smallest step seen. torque_noise: N m, standard deviation of
     the torque about a local polynomial. snr: dB, the torque's variance over that noise's; infinite without noise.
     slower: the sensors that are slower than the ticks. highest: Hz, up to where the joint moved. refused_rate: how a
-    recorded rate that is not used differs from the deflection's derivative.
+    recorded rate that is not used differs from the deflection's derivative. negative: the stiffness, N m/rad, where a
+    sign is wrong.
     """
 
     samples: int
@@ -56,6 +57,7 @@ class Quality:
     slower: tuple[Slower, ...] = ()
     highest: float = 0.0
     refused_rate: OwnRate | None = None
+    negative: float | None = None
 
 
 def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects) -> Quality:
@@ -65,6 +67,8 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
     torque = np.concatenate([stretch.as_read for stretch in stretches])
     variance = float(np.var(torque))
     saturated, late = _flagged(recording, Status.SATURATED, Status.LATE)
+    stiffnesses = [negative_stiffness(stretch.motion, stretch.torque) for stretch in stretches]
+    negative = [one for one in stiffnesses if one is not None]
     return Quality(
         samples=len(recording),
         defects=defects,
@@ -79,6 +83,7 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
         slower=stretches[0].slower,
         highest=max(stretch.band[1] for stretch in stretches),
         refused_rate=stretches[0].refused_rate,
+        negative=negative[0] if len(negative) == len(stretches) else None,
     )
 
 
@@ -89,6 +94,7 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
     """
     by_position = quality.torque_from == "motor" and recording.profile.get("mode") == "position"
     return [
+        *([] if quality.negative is None else [wrong_sign(quality.negative)]),
         *_unfinished(recording),
         *_unused_rows(quality),
         *([driven_by_position(is_error=True)] if by_position else []),

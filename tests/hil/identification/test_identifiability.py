@@ -137,10 +137,12 @@ def inverted(channels: dict[str, Array]) -> None:
 def test_a_wrong_sign_is_named_by_what_kc_would_be_and_no_number_is_negative(make_recording: Maker) -> None:
     found = identify([make_recording(change=inverted)], parse("linear"), SEARCH)
     assert all(number >= 0.0 for number in numbers_in(as_json(found)) if number is not None)
-    (said,) = [one for one in found.diagnostics if one.code == "implausible" and one.parameter == "Kc"]
+    (said,) = (one for one in found.diagnostics if one.is_error)
+    assert said.code == "implausible"
     assert "Kc would be -0.02 N m/rad" in said.message
     assert "A sign is wrong" in said.message
-    assert not found.trusted("Kc")
+    assert "--torque-scale -1" in said.message
+    assert not any(map(found.trusted, ("Kc", "Bc")))
     assert found.optimiser_gap < 1e-3
 
 
@@ -148,7 +150,7 @@ def test_a_wrong_sign_is_no_matter_of_model_selection(make_recording: Maker) -> 
     found = identify([make_recording(noise=1e-4, change=inverted)], None, SEARCH)
     assert found.model.name == "linear+offset"
     assert "A sign is wrong" in found.diagnostics[0].message
-    assert not {"inertia-in-torque", "misfit", "skew-implausible"}.intersection(one.code for one in found.diagnostics)
+    assert [one.code for one in found.diagnostics] == ["implausible"]
 
 
 def test_model_selection_never_includes_a_negative_friction(make_recording: Maker) -> None:

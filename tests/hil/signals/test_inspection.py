@@ -122,3 +122,12 @@ def test_an_option_of_hil_record_is_no_advice_for_an_imported_recording(tmp_path
     with pytest.raises(Untrustworthy, match="never changes") as refused:
         inspect(tmp_path / "b.h5")
     assert ("--amplitude" in str(refused.value)) == (kind != "imported")
+
+
+@pytest.mark.parametrize(("sign", "said"), [(-1.0, {"implausible": True}), (1.0, {})])
+def test_a_wrong_sign_makes_a_recording_unusable(make_recording: Maker, sign: float, said: dict[str, bool]) -> None:
+    def change(channels: dict[str, Array]) -> None:
+        channels["torque"] *= sign
+
+    assert codes(make_recording, noise=1e-4, change=change) == said
+    assert inspect(make_recording(noise=1e-4, change=change)).usable is (sign > 0.0)
