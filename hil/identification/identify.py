@@ -137,14 +137,15 @@ def _identified(
         evidence = _evidence(data, solution)
         found = estimates(evidence)
         steps = _with_result(data.choice.steps, found, solution)
-        described = _described(data, solution, evidence)
+        differing = disagreement(evidence.names, evidence.scattered, [source.path for source in sources])
+        described = _described(data, solution, evidence, differ=bool(differing))
         fit, dynamic = tested(described), without_model(described)
         found = with_misfit(found, fit)
         doubts: list[Diagnostic] = []
         if not any(one.code == "implausible" for one in data.diagnostics):  # a wrong sign is the cause of all others
             doubts = [
                 *_stationarity(data, solution),
-                *disagreement(evidence.names, evidence.scattered, [source.path for source in sources]),
+                *differing,
                 *judge(evidence),
                 *rivals(steps, found),
                 *(deflection_diagnostics(evidence) or ignored_command(described, dynamic)),
@@ -245,8 +246,8 @@ def _averaged(
     return values, half_width
 
 
-def _described(data: Dataset, solution: _Solution, evidence: Evidence) -> Described:
-    """The signals and the fit to them, to be tested."""
+def _described(data: Dataset, solution: _Solution, evidence: Evidence, *, differ: bool) -> Described:
+    """The signals and the fit to them, to be tested; differ: whether the recordings do."""
     columns, target = next(iter(solution.blocks())) if data.choice.model.nonlinear else data.in_memory
     return Described(
         model=data.choice.model,
@@ -257,6 +258,7 @@ def _described(data: Dataset, solution: _Solution, evidence: Evidence) -> Descri
         values=solution.values,
         half_width=evidence.errors.half_width + np.abs(evidence.values - solution.values),
         averaged=bool(data.choice.steps),
+        differing=data.edges if differ and data.whole else (),
     )
 
 

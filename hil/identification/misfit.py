@@ -55,6 +55,8 @@ class Described:
     signals: all samples (n,). kept (n,): those that the model describes. residuals (m,) N m and columns (m, p): of
     these m, the columns of its parameters. values and half_width (p,): of these and of their intervals.
     averaged: whether the intervals include the small effects that every bench has, so that these are no misfit.
+    differing: where each recording ends, in rows of these m, of pooled ones that differ, which is said already: no
+    effect that changes with time is to explain it. () where they do not differ.
     """
 
     model: SeparableModel
@@ -65,6 +67,7 @@ class Described:
     values: Array
     half_width: Array
     averaged: bool = False
+    differing: tuple[int, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -142,6 +145,8 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
     skew = names.index("skew") if "skew" in names else None
     if described.averaged:
         columns = np.concatenate([columns, *_of_every_bench(described, recorded, residuals, columns)], axis=1)
+    if described.differing and coupling is not None:
+        columns = np.concatenate([columns, _of_each_recording(described, columns[:, list(coupling)])], axis=1)
     columns = np.concatenate([columns, *_of_rounding(described.signals, residuals)], axis=1)
     kept = described.kept & described.signals.smooth  # the same samples, whatever errors are added
     included = frozenset(code for name, code in _TERMS.items() if name in names)
@@ -168,6 +173,17 @@ def _of_every_bench(described: Described, recorded: Recorded, residuals: Array, 
     codes = {code for name, code in _OF_EVERY_BENCH.items() if name in lacking}
     found = [column for one in EFFECTS if one.code in codes for column in one.signature(recorded, model)]
     return [one for one in found if _is_small(described, residuals, columns, one)]
+
+
+def _of_each_recording(described: Described, coupling: Array) -> Array:
+    """The columns (n, k) with which each recording has a Kc and a Bc of its own; coupling (n, 2): those of both.
+
+    Their means over the recordings stay those of the model.
+    """
+    count = len(described.differing)
+    at = np.searchsorted(described.differing, np.cumsum(described.kept) - 1, side="right").clip(0, count - 1)
+    weights = np.concatenate([np.eye(count - 1), -np.ones((1, count - 1))])[at]  # (n, count - 1)
+    return np.concatenate([weights * column[:, None] for column in coupling.T], axis=1)
 
 
 def _is_small(described: Described, residuals: Array, columns: Array, effect: Array) -> bool:

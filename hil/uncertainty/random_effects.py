@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _NORMAL = 1.959964  # half a 95 % interval in standard deviations
+_OUTSIDE = 0.005  # probability that one more measurement is as far from the others, to one side
 _STEPS = 200  # a step at least doubles a variance that is far too small: enough for 60 decades
 _ROUNDING = 1e-14
 
@@ -70,6 +71,19 @@ def between(values: Array, standard_errors: Array) -> Pooled:
         between_ci95=_between_interval(ones, values, standard_errors, fit.freedom),
         p_alike=float(chdtrc(fit.freedom, alike)),
     )
+
+
+def is_outside(value: float, values: Array, standard_error: float) -> bool:
+    """Return whether a measurement is outside the 99 % prediction interval of others (m,), m at least 2.
+
+    standard_error: of each alone. The others may differ among themselves: one that differs as they do is not outside.
+    Raises ValueError as `between`.
+    """
+    from scipy.special import stdtrit
+
+    pooled = between(values, np.full(len(values), standard_error))
+    deviation = float(np.sqrt(pooled.standard_error**2 + pooled.between**2 + standard_error**2))
+    return bool(abs(value - pooled.value) > -stdtrit(len(values) - 1, _OUTSIDE) * deviation)
 
 
 def drift(times: Array, values: Array, standard_errors: Array) -> Drift:

@@ -15,7 +15,7 @@ from hil.diagnostics import Diagnostic
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
 from hil.uncertainty.criteria import BETWEEN, COUPLING, DIFFERENT
-from hil.uncertainty.random_effects import between
+from hil.uncertainty.random_effects import between, is_outside
 
 Array = NDArray[np.float64]
 
@@ -69,8 +69,9 @@ def pooled_intervals(
 def disagreement(
     names: Sequence[str], components: Sequence[VarianceComponents | None], paths: Sequence[Path]
 ) -> list[Diagnostic]:
-    """Return a warning that names the recording which differs most from the others, where they differ in Kc or Bc.
+    """Return a diagnostic that names the recording which differs most from the others, where they differ in Kc or Bc.
 
+    It is an error where that recording is outside of what the others, which may differ too, predict.
     names (p,) and components (p,) of the parameters; paths (m,) of the recordings.
     """
     found = []
@@ -88,7 +89,10 @@ def disagreement(
             f"{name} of {paths[at]} differs by {values[at] / usual[at] - 1.0:+.1%} from {other}. The pooled {name} "
             "describes no recording. Leave that recording out, or compare them with hil compare"
         )
-        found.append(Diagnostic("recordings-differ", text, name))
+        others = np.delete(values, at)
+        others = others[np.isfinite(others)]
+        is_error = len(others) > 1 and is_outside(float(values[at]), others, one.within)
+        found.append(Diagnostic("recordings-differ", text, name, is_error=is_error))
     return found
 
 

@@ -351,6 +351,21 @@ def test_recordings_that_differ_by_their_units_are_said_to_differ(make_recording
         )
 
 
+@pytest.mark.parametrize(
+    ("stiffnesses", "is_error"),
+    [((0.02, 0.02, 0.022), True), ((0.02, 0.0202, 0.0204, 0.0206), False)],
+)
+def test_a_recording_that_the_others_do_not_predict_is_an_error_and_no_change_in_time(
+    make_recording: Maker, stiffnesses: tuple[float, ...], *, is_error: bool
+) -> None:
+    paths = [make_recording(f"{at}.h5", kc=kc, noise=1e-4, samples=3000, seed=at) for at, kc in enumerate(stiffnesses)]
+    found = identify(paths, parse("linear"), SEARCH)
+    (said,) = found.diagnostics
+    assert (said.code, said.parameter, said.is_error) == ("recordings-differ", "Kc", is_error)
+    assert found.trusted("Kc") is not is_error
+    assert found.trusted("Bc")
+
+
 def test_no_corner_is_named_where_there_is_none(make_recording: Maker) -> None:
     def nothing(channels: dict[str, Array]) -> None:
         channels["torque"] = 1e-4 * np.random.default_rng(0).standard_normal(len(channels["time"]))

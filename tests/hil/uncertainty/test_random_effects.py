@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2, linregress, t
 
 from hil.recording.reader import Array
-from hil.uncertainty.random_effects import between, drift
+from hil.uncertainty.random_effects import between, drift, is_outside
 
 
 def test_with_equal_errors_the_variances_are_those_of_the_analysis_of_variance() -> None:
@@ -118,3 +118,10 @@ def test_a_drift_needs_three_measurements_at_different_times() -> None:
         drift(np.arange(2.0), ones, ones)
     with pytest.raises(ValueError, match="same time"):
         drift(np.zeros(3), np.ones(3), np.ones(3))
+
+
+@pytest.mark.parametrize(("value", "outside"), [(1.3, True), (1.03, False)])
+def test_a_measurement_is_outside_where_the_others_do_not_predict_it(value: float, *, outside: bool) -> None:
+    others = np.array([1.0, 1.01, 1.02, 0.99])
+    assert is_outside(value, others, 1e-3) is outside
+    assert not is_outside(1.3, 10.0 * (others - 1.0) + 1.0, 1e-3)  # they differ as much
