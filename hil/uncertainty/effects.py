@@ -111,6 +111,10 @@ class Recorded:
         """Return the deflection, rad, about the middle of its range."""
         return self.deflection - 0.5 * float(self.deflection.max() + self.deflection.min())
 
+    def reach(self) -> float:
+        """Return half the range of the deflection, rad."""
+        return float(np.abs(self.centred()).max())
+
     def elapsed(self) -> Array:
         """Return the place (n,) of each sample in the whole, from -0.5 to 0.5: recordings may have been pooled."""
         return np.linspace(-0.5, 0.5, len(self))
@@ -138,6 +142,7 @@ class Effect:
     """An effect that residuals may look like. name: for people; advice: what to try, a model by its term in braces.
 
     in_deflection: whether it lies in the reading of the deflection, so that it moves Bc by way of a false skew.
+    takes_spring: whether it takes all of the spring's torque away over the range in which its column changes.
     """
 
     code: str
@@ -145,6 +150,7 @@ class Effect:
     advice: str
     signature: Signature
     in_deflection: bool = False
+    takes_spring: bool = False
 
     def remedy(self, terms: Sequence[str] = ("linear", "offset")) -> str:
         """Return the advice for a model of these terms, each term in braces beside those that it can stand beside."""
@@ -184,17 +190,24 @@ def _inertia(recorded: Recorded, _model: Array) -> list[Array]:
 
 
 def _hysteresis(recorded: Recorded, _model: Array) -> list[Array]:
-    reach = float(np.abs(recorded.centred()).max())
+    reach = recorded.reach()
     return [_columns(recorded.presliding(part * reach)) for part in _PARTS]
 
 
-def _gap(recorded: Recorded, _model: Array) -> list[Array]:
+def _from_middles(recorded: Recorded) -> list[Array]:
+    """The deflection, rad, about where the torque is small, and about the middle of its range."""
     angle, torque = recorded.centred(), np.abs(recorded.torque)
-    reach = float(np.abs(angle).max())
-    # its middle is where the torque is small, or that of the range
-    middles = (float(np.median(angle[torque <= np.quantile(torque, _SMALL)])), 0.0)
-    found = [(angle - middle, part * reach) for middle in middles for part in _GAPS]
+    return [angle - float(np.median(angle[torque <= np.quantile(torque, _SMALL)])), angle]
+
+
+def _gap(recorded: Recorded, _model: Array) -> list[Array]:
+    reach = recorded.reach()
+    found = [(values, part * reach) for values in _from_middles(recorded) for part in _GAPS]
     return [_columns(np.clip(values, -half, half)) for values, half in found]
+
+
+def _cubic(recorded: Recorded, _model: Array) -> list[Array]:
+    return [_columns(values**3) for values in _from_middles(recorded)]
 
 
 def _periodic(recorded: Recorded, _model: Array) -> list[Array]:
@@ -304,12 +317,13 @@ EFFECTS: Final = (
         "try --model {quadratic}, and record at several amplitudes: Bc then rises with them",
         lambda r, _m: [_columns(r.rate * np.abs(r.rate))],
     ),
-    Effect("cubic", "a spring that stiffens", "try --model {cubic}", lambda r, _m: [_columns(r.centred() ** 3)]),
+    Effect("cubic", "a spring that stiffens", "try --model {cubic}", _cubic),
     Effect(
         "backlash",
         "a gap or dead band",
         "try --model {backlash}, or {deadband} where the damper acts in the gap too",
         _gap,
+        takes_spring=True,
     ),
     Effect(
         "asymmetry",

@@ -30,6 +30,8 @@ _DENSE: Final = 40.0  # samples a period that are enough
 _PIECES: Final = 16  # stretches that are taken of longer recordings
 _AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
 _EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
+_OF_GAP: Final = (0.7, 1.5)  # times -Kc, the factor of a gap whose width or middle lies between those of the columns
+_NARROW: Final = 0.03  # of the largest deflection, half the width below which a gap may be narrower than its column
 _BY_CHANCE: Final = 0.01  # probability that an effect explains as much of nothing, from which it is no suspect
 _MOST_NOISE: Final = 4.0  # times what noise of the deflection's size adds to the residuals, that it may explain of them
 _ACCURATE: Final = 5e-4  # of Kc and Bc, within which the rate is known
@@ -179,9 +181,25 @@ class _Tests:
             share = 1.0 - float(np.sum((self._tested.residuals - left @ factors) ** 2)) / power
             if best is not None and share <= best.share:
                 continue
+            moved = self._moved(effect, (columns * self._kept) @ factors)
+            if effect.takes_spring and not self._takes_spring(columns, float(factors[0]), moved[0]):
+                continue
             if effect.in_deflection or self._tested.chance(left) < _BY_CHANCE:  # noise is always there
-                best = Suspect(effect, share, *self._moved(effect, (columns * self._kept) @ factors))
+                best = Suspect(effect, share, *moved)
         return best
+
+    def _takes_spring(self, columns: Array, factor: float, moved: float) -> bool:
+        """Return whether a gap's column (n, 1) has the factor of a gap, about -Kc, with which Kc is moved, relative.
+
+        A spring that curves resembles a gap in which a part of the spring is left. A gap narrower than the columns
+        has a smaller factor.
+        """
+        stiffness = self._fitted.values[0] + moved * float(self._scale[0])
+        if self._fitted.coupling is None:
+            return True
+        least, most = _OF_GAP
+        narrow = float(np.abs(columns).max()) < _NARROW * self._recorded.reach()
+        return (0.0 if narrow else least * stiffness) < -factor < most * stiffness
 
     def _moved(self, effect: Effect, torque: Array) -> tuple[float, float]:
         """Return the relative change of Kc and Bc if a torque (n,) is removed from the fit."""

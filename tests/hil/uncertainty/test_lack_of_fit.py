@@ -285,6 +285,24 @@ def test_a_misfit_of_a_damping_of_zero_is_held_against_its_interval(half: float,
     assert found.is_grave is outside
 
 
+def suspected(torque: Array) -> list[str]:
+    return [one.effect.code for one in judged(torque + noise(1)).suspects]
+
+
+@pytest.mark.parametrize("middle", [0.0, 0.04, 0.08])
+def test_a_spring_that_stiffens_is_no_gap(middle: float) -> None:
+    """A gap that takes a part of the spring away would fit nearly as well, or better about another middle."""
+    away = X - middle
+    assert suspected(KC * away + 3.0 * away**3 + BC * V) == ["cubic"]
+
+
+@pytest.mark.parametrize("middle", [0.0, 0.02])
+@pytest.mark.parametrize("half", [0.002, 0.006, 0.01, 0.03, 0.05])
+def test_a_gap_of_any_width_is_one(half: float, middle: float) -> None:
+    beyond = X - middle - np.clip(X - middle, -half, half)
+    assert "backlash" in suspected(KC * beyond + BC * V)
+
+
 def test_a_model_without_kc_and_bc_is_tested_too() -> None:
     torque = WRONG["quadratic-damping"] + noise(1)
     residuals = torque - LINEAR @ np.linalg.lstsq(LINEAR, torque, rcond=None)[0]
