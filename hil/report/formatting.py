@@ -11,6 +11,7 @@ from hil.diagnostics import Diagnostic
 if TYPE_CHECKING:  # rich costs 50 ms
     from rich.table import Table
 
+_PLAIN = (1e-3, 1e4)  # numbers between which no power is needed
 _PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
 
 
@@ -45,6 +46,16 @@ def rounded(half: float, *values: float) -> list[str]:
         return [f"{value:.5g}" for value in (*values, half)]
     decimals = -math.floor(math.log10(float(f"{half:.0e}")))
     return [f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}" for value in (*values, half)]  # without "-0"
+
+
+def rounded_in_thousands(half: float, *values: float) -> list[str]:
+    """Return what `rounded` does, with one power of a thousand where they are small or large: 18.91e-6 and 0.09e-6."""
+    largest = max((abs(value) for value in (*values, half) if math.isfinite(value)), default=0.0)
+    if not (math.isfinite(half) and half > 0.0) or _PLAIN[0] <= largest < _PLAIN[1]:
+        return rounded(half, *values)
+    exponent = 3 * math.floor(math.log10(largest) / 3.0)
+    found = rounded(half / 10.0**exponent, *(value / 10.0**exponent for value in values))
+    return [one if one in {"0", "nan"} else f"{one}e{exponent}" for one in found]
 
 
 def json_number(value: float) -> float | None:

@@ -12,8 +12,9 @@ import numpy as np
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.report.deflection import deflection_json, deflection_lines
-from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
+from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded, rounded_in_thousands
 from hil.report.lack_of_fit import dynamic_stiffness_json, dynamic_stiffness_table, lack_of_fit_json
+from hil.uncertainty.criteria import COUPLING
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -217,8 +218,9 @@ def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None,
     low, high = (end * factor for end in estimate.ci95)
     if not math.isfinite(low):
         return f"{estimate.value * factor:.5g}", None, "not identifiable", unit
-    value, half = rounded(estimate.half_width * factor, estimate.value * factor)
-    first, last, _ = rounded(0.05 * (high - low), low, high)
+    of = rounded if estimate.name in COUPLING else rounded_in_thousands
+    value, half = of(estimate.half_width * factor, estimate.value * factor)
+    first, last, _ = of(0.05 * (high - low), low, high)
     return value, half, f"{first} to {last}", unit
 
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hil.report.formatting import duration, engineering, people_unit, rounded
+from hil.report.formatting import duration, engineering, people_unit, rounded, rounded_in_thousands
 
 
 @pytest.mark.parametrize(
@@ -48,6 +48,20 @@ def test_a_value_is_rounded_to_the_first_digit_of_its_uncertainty(
     half: float, value: float, printed: list[str]
 ) -> None:
     assert rounded(half, value) == printed
+
+
+@pytest.mark.parametrize(
+    ("half", "value", "printed"),
+    [
+        (9.2e-8, 1.891e-5, ["18.91e-6", "0.09e-6"]),
+        (1e-4, 1e-5, ["0", "100e-6"]),
+        (3700.0, 10400.0, ["10e3", "4e3"]),
+        (0.0163, 17.7754, ["17.78", "0.02"]),
+        (0.0, 1e-5, ["1e-05", "0"]),
+    ],
+)
+def test_a_small_or_large_value_has_a_power_of_a_thousand(half: float, value: float, printed: list[str]) -> None:
+    assert rounded_in_thousands(half, value) == printed
 
 
 def test_delays_are_printed_in_milliseconds_on_any_joint() -> None:
