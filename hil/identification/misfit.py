@@ -13,6 +13,7 @@ from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
+from hil.identification.selection.held import damping_at, of_jerk
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.signals.torque_reading import seen_in_torque
@@ -45,6 +46,7 @@ _CHANGES = 0.03  # of K' over the band, from which it is said
 _ROUNDED = 0.01  # of the residuals' power, which rounding to counts must be for the tests to see it
 _MOST = 0.5  # of Kc and Bc, which a small effect leaves
 _ROWS = 20_000  # samples, of which it is seen how much of an effect there is
+_JUMPS = (0.0, 1.5)  # times its computed size, within which the torque of held set-points is one of these
 _OFF_GRID = 0.2  # counts, by which a reading in counts is off their grid at most
 
 
@@ -148,6 +150,7 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
     if described.differing and coupling is not None:
         columns = np.concatenate([columns, _of_each_recording(described, columns[:, list(coupling)])], axis=1)
     columns = np.concatenate([columns, *_of_rounding(described.signals, residuals)], axis=1)
+    columns = np.concatenate([columns, *_of_jumps(described, motion, residuals, columns)], axis=1)
     kept = described.kept & described.signals.smooth  # the same samples, whatever errors are added
     included = frozenset(code for name, code in _TERMS.items() if name in names)
     return recorded, Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
@@ -196,6 +199,20 @@ def _is_small(described: Described, residuals: Array, columns: Array, effect: Ar
     changes = np.linalg.lstsq(both, residuals[rows], rcond=None)[0]
     left = dict(zip(described.names, (changes[:-1] + (1.0 - _MOST) * described.values).tolist(), strict=True))
     return all(left[name] > 0.0 for name in ("Kc", "Bc") if name in left)
+
+
+def _of_jumps(described: Described, motion: Motion, residuals: Array, columns: Array) -> list[Array]:
+    """What set-points that are held until the next reading add (n, 1), N m; none where the residuals ask for another.
+
+    The jumps of the acceleration take a part off the rate that goes with rate, acceleration and jerk. Bc and a skew
+    take the first two. The size of the third follows from Bc and the step, so no other effect may hide behind it.
+    """
+    damping = damping_at(motion.dtheta_dot, dict(zip(described.names, described.values.tolist(), strict=True)))
+    jumps = -(damping * of_jerk(motion))[:, None]
+    rows = slice(None, None, max(1, len(residuals) // _ROWS))
+    both = np.concatenate([columns, jumps * described.kept[:, None]], axis=1)[rows]
+    size = float(np.linalg.lstsq(both, residuals[rows], rcond=None)[0][-1])
+    return [jumps] if _JUMPS[0] < size < _JUMPS[1] else []
 
 
 def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:

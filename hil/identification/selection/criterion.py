@@ -88,7 +88,11 @@ class Criterion:
 
     def ratio(self, one: Candidate, other: Candidate) -> float:
         """Return twice by how much the other model's logarithmic likelihood is higher, for independent residuals."""
-        return 4.0 * self.density * len(self.signs) * (one.fit.fitness - other.fit.fitness)
+        return self.gained(one.fit.fitness - other.fit.fitness)
+
+    def gained(self, better: float) -> float:
+        """Return the same for a fitness that is better by so much, N m."""
+        return 4.0 * self.density * len(self.signs) * better
 
     def correlation(self, fitted: Candidate, term: str) -> float:
         """Return the factor by which the residuals' correlation raises the variance of the term's parameters.

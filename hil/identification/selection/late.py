@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel
 from ga.model.polishing import polished
 from ga.model.separable import descend
@@ -18,6 +19,9 @@ from ga.model.terms import is_addable
 from ga.model.trajectory import FORGOTTEN
 from hil.identification.selection.criterion import STRONG, Criterion
 from hil.identification.selection.fits import LATE, Candidate, Fits
+from hil.identification.selection.held import damping_at, held, of_jerk
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import covariance
 from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
 
 Array = NDArray[np.float64]
@@ -112,7 +116,7 @@ class LateReading:
         of which is as likely.
         """
         if {*LATE, "mean"}.intersection(chosen.terms):
-            return ()
+            return self._behind_held_steps(chosen)
         longest = LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
         delays = longest * np.arange(1, _DELAYS + 1) / _DELAYS
         lags = 0.5 / math.pi / np.geomspace(CELLS[1], CELLS[0], _LAGS)
@@ -127,6 +131,45 @@ class LateReading:
             )
         except RuntimeError:  # no optimum can be proven
             return ()
+
+    def _behind_held_steps(self, chosen: Candidate) -> tuple[Lateness, ...]:
+        """Return Kc and Bc where not a skew but set-points that are held make the torque seem late; else nothing.
+
+        One bench in ten has such a drive.
+        """
+        others = tuple(term for term in chosen.terms if term != "skew")
+        if len(others) == len(chosen.terms) or {"lag", "mean", "inertia"}.intersection(others):
+            return ()
+        if not chosen.damping > 0.0:
+            return ()
+        columns, target = self._without_jerk(self.fits.candidate(others), chosen.values)
+        try:
+            values = least_absolute_deviations(columns, target).genes
+        except RuntimeError:  # no optimum can be proven
+            return ()
+        stiffness, damping, inertia = values[[0, 1, -1]].tolist()
+        variance = float(covariance(Blocks.of(columns, target), values).matrix[-1, -1])
+        step = float(np.median(np.diff(self.fits.motion.time)))
+        drive = held(inertia, damping, step, math.sqrt(max(0.0, variance)))
+        left = float(np.abs(target - columns @ values).mean())
+        ratio = self.criterion.gained(chosen.fit.fitness - left) / self.criterion.blurred(chosen, "skew")
+        if drive is None or not math.isfinite(variance) or _RARE - ratio > _UNLIKELY:
+            return ()
+        damping /= 1.0 - drive.size
+        return (Lateness(stiffness, damping, damping * drive.spread, _RARE - ratio),)
+
+    def _without_jerk(self, fitted: Candidate, values: Mapping[str, float]) -> tuple[Array, Array]:
+        """The columns (n, p + 1) of a model and an inertia, and the torque (n,), N m, without what goes with the jerk.
+
+        Both as far as the damper acts: not between the flanks of a gap, and more in fast motion where the damping is
+        quadratic. values: of the parameters, by name.
+        """
+        columns, target = fitted.problem.linearised(fitted.fit)
+        motion = self.fits.motion
+        acts = np.isclose(columns[:, 1], motion.dtheta_dot)
+        damping = np.where(acts, damping_at(motion.dtheta_dot, values), 0.0)
+        inertia = motion.dtheta_ddot * damping / values["Bc"]
+        return np.column_stack([columns, inertia]), target + damping * of_jerk(motion)
 
     def _with_usual_skew(self, chosen: Candidate) -> float:
         """Twice the logarithm of how much likelier the skew that every recorder has makes the model."""

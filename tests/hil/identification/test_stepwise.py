@@ -209,6 +209,15 @@ def test_a_lag_that_a_skew_hides_is_an_alternative() -> None:
     assert alternatives[found.model.name.replace("skew", "lag")] > 0.0  # the skew is there
 
 
+def test_a_skew_that_is_too_large_for_set_points_that_are_held_is_none() -> None:
+    moved = chirp(TIME - 1e-3)
+    motion = Motion(TIME, chirp(TIME).dtheta, chirp(TIME).rate, chirp(TIME).acceleration, np.zeros(SAMPLES))
+    noisy = linear(moved) + 5e-5 * np.random.default_rng(4).standard_normal(SAMPLES)
+    found = select(motion, noisy, HIGHEST, accounts=("skew",))
+    assert found.model.name == "linear+skew"
+    assert found.lateness == ()
+
+
 @pytest.mark.parametrize(("high", "times"), [(0.4, 17), (HIGHEST, 0)])
 def test_each_likely_time_by_which_a_reading_is_late_moves_bc_by_kc_times_it(high: float, times: int) -> None:
     """All 6 delays and 11 lags are possible in slow motion, and none in fast motion."""

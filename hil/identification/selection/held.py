@@ -1,0 +1,62 @@
+"""A drive that holds each set-point until the next one: what it does to the rate, and what that looks like.
+
+The acceleration of a drive of second order jumps where it takes a new set-point. If it takes one at each reading, the
+rate there is less than that of the smooth motion through all readings, by a twelfth of the jump times the step. No
+window and no low-pass can show this, because the readings are those of the smooth motion. In the torque it looks like
+less damping and a reading that is late by a few hundredths of a tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.trajectory import Motion
+
+Array = NDArray[np.float64]
+
+TWELFTH = 1.0 / 12.0
+_DAMPED = 0.75  # the damping ratio of a drive
+_SPREAD = 0.5  # of its square, relative: a standard deviation
+_MOST = 0.1  # of the rate, that a drive which the readings still follow takes off
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What the jumps take off Bc. size: the part of the rate that follows the rate itself; spread: of it, one standard
+    deviation.
+    """
+
+    size: float
+    spread: float
+
+
+def of_jerk(motion: Motion) -> Array:
+    """Return the part of the rate (n,), rad/s, that the jerk of a motion takes off where set-points are held.
+
+    With c the set-point of a drive of second order, of w rad/s and damping ratio z, the jump is w^2 times the step h of
+    dc/dt = v + 2 z/w a + j/w^2. So the rate lacks h^2/12 (w^2 v + 2 z w a + j), the last part of which is known.
+    """
+    step = float(np.median(np.diff(motion.time)))
+    return TWELFTH * step**2 * motion.changing(0.0).dtheta_ddot
+
+
+def damping_at(rate: Array, values: Mapping[str, float]) -> Array:
+    """Return by how much (n,), N m s/rad, the torque grows with a rate (n,) rad/s; values: the parameters by name."""
+    return values.get("Bc", 0.0) + 2.0 * values.get("B2", 0.0) * np.abs(rate)
+
+
+def held(inertia: float, damping: float, step: float, error: float) -> Held | None:
+    """Return what the jumps take off the rate of a joint that seems to have an inertia, kg m^2; None if they cannot.
+
+    damping: N m s/rad. step: s, between set-points. error: of the inertia, one standard deviation. With an inertia -J,
+    2 z w = 12 J/(Bc h^2), as in `of_jerk`.
+    """
+    speed = -inertia / (TWELFTH * damping * step) if damping > 0.0 else 0.0  # 2 z w h
+    size = TWELFTH * (speed / (2.0 * _DAMPED)) ** 2
+    if not (speed > 0.0 and size < _MOST):
+        return None
+    return Held(size, size * float(np.hypot(_SPREAD, 2.0 * error / inertia)))
