@@ -190,6 +190,17 @@ def test_the_summary_names_every_other_parameter_and_the_fit(make_recording: Mak
     assert f"{result.trials.evaluations} evaluations" in work
 
 
+def test_a_small_inertia_is_printed_with_a_power_of_a_thousand(make_recording: Maker) -> None:
+    def heavy(channels: dict[str, np.ndarray]) -> None:
+        rate = np.gradient(channels["dtheta"], channels["time"])
+        channels["torque"] += 2e-5 * np.gradient(rate, channels["time"])
+
+    result = found(make_recording(noise=1e-6, change=heavy), model="linear+inertia")
+    printed = re.search(r"J = ([\d.]+)e-6 ± [\d.]+e-(?:6|9) kg m\^2", summary_lines(result)[0])
+    assert printed is not None
+    assert float(printed[1]) == pytest.approx(20.0, rel=0.02)
+
+
 def test_the_truth_of_a_simulated_joint_is_held_against_the_interval(make_recording: Maker) -> None:
     result = found(make_recording(noise=2e-4))
     (low, high), (first, _) = result["Kc"].ci95, result["Bc"].ci95
