@@ -166,7 +166,7 @@ SHEATH: Final = Term(
     forgets=_loaded_at_first,
     needs="offset",
     excludes=(*CAPSTAN.excludes, "capstan", "dahl", "lugre", "boucwen"),
-    reason="sheath is capstan with a build-up, and has one law of it; beside a gap it is called gear",
+    reason="sheath is capstan with one law of build-up, and beside a gap its name is gear",
     selection="misfit",
 )
 

@@ -271,6 +271,14 @@ def test_friction_in_proportion_to_the_torque_that_builds_up_comes_back() -> Non
     assert at_once > 1.5 * fit(problem("linear+offset+sheath", torque)).fitness
 
 
+@pytest.mark.parametrize("name", ["linear+offset+sheath", "linear+offset+backlash+gear"])
+def test_a_load_that_remembers_is_that_of_all_samples_in_every_part_of_them(name: str) -> None:
+    model, rows = parse(name).anchored(MOTION), slice(2000, 4000, 7)
+    low, high = model.bounds(MOTION, highest=11.0)
+    nonlinear = low + 0.3 * (high - low)
+    assert np.array_equal(model.columns(MOTION.of(rows), nonlinear), model.columns(MOTION, nonlinear)[rows])
+
+
 def test_friction_of_a_gear_that_grows_with_the_torque_beyond_its_play_comes_back() -> None:
     """Beyond half the gap flanks push with T = Kc x + Bc v, or part; the friction is (Fd + mu T) z, with Dahl's z."""
     beyond = MOTION.dtheta - np.clip(MOTION.dtheta, -0.01, 0.03)

@@ -260,3 +260,15 @@ def test_a_column_that_drove_nothing_is_noticed_as_no_command(tmp_path: Path) ->
     found = as_table(path, {"time": "s", "torque": "N*m", "dtheta": "rad", "command": "V"}, wandering)
     assert any(one.code == "weak-command" for one in found.diagnostics)
     assert holds(found)
+
+
+def test_the_interval_of_bc_includes_what_rates_beside_jumps_of_the_acceleration_may_be_wrong_by(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half_width() -> float:
+        low, high = recorded(tmp_path / "a.h5", jerky, noise=2e-3, seed=3, model=None)["Bc"].ci95
+        return high - low
+
+    included = half_width()
+    monkeypatch.setattr("hil.identification.averaging.rate_beside_jumps", lambda *_: None)
+    assert included > 1.05 * half_width()
