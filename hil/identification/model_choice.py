@@ -108,8 +108,8 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     if linear_only:
         terms = tuple(term for term in terms if TERMS[term].linear)
     # in one triangle friction that builds up looks like a drift; Kc and Bc are averages with and without one anyway.
-    # Friction that grows with the load looks like a gap or a curve there
-    once = set() if signals.motion.repeats else {"drift", "softening", "sheath", "gear"}
+    # Friction that grows with the load looks like a curve there, but beside a gap it is seen
+    once = set() if signals.motion.repeats else {"drift", "softening", "sheath"}
     terms = tuple(term for term in terms if term not in once)
     # an inertia hides behind a skew, but where neither is enough it may be there, whoever read the torque
     rarer = () if linear_only else (*RARER, *(name for name, one in TERMS.items() if one.selection == "motor torque"))

@@ -94,3 +94,34 @@ def test_a_locked_gear_that_hardly_leaves_its_play_has_no_stiffness(tmp_path: Pa
     assert not found.trusted("Kc")
     message = next(one.message for one in found.diagnostics if one.code == "spring-outweighed")
     assert "Drive with several times the torque" in message
+
+
+def loaded(seed: int) -> tuple[Array, Array, Array]:
+    """Time, torque and angle of a gear that is turned up and down once in 20 s, against friction that grows with load.
+
+    Its 300 N m/rad act beyond a play of 30 mrad. Friction of 3 N m and a quarter of the spring's torque builds up over
+    4 mrad, from one step to the next.
+    """
+    rng, rate, finer, state = np.random.default_rng(seed), 200.0, 16, 0.0
+    way = np.arange(round(20.0 * rate) * finer) / (20.0 * rate * finer)
+    angle = 0.07 * np.interp(way, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
+    for cycles in rng.uniform(6.0, 100.0, 12):
+        angle += 3e-4 * rng.standard_normal() * np.sin(2.0 * np.pi * (cycles * way + rng.uniform()))
+    load = 300.0 * np.sign(angle) * np.maximum(np.abs(angle) - 0.015, 0.0)
+    states = np.empty(len(angle))
+    for at, moved in enumerate(np.diff(angle, prepend=angle[0]).tolist()):
+        ahead = 1.0 if moved > 0.0 else -1.0
+        states[at] = state = ahead + (state - ahead) * float(np.exp(-abs(moved) / 0.004))
+    torque = (load + (3.0 + 0.25 * np.abs(load)) * states)[::finer]
+    lsb = 2.0 * np.pi / 2.0**16
+    noise = 0.08 * rng.standard_normal(len(torque))
+    return np.arange(len(torque)) / rate, torque + noise, lsb * np.round(angle[::finer] / lsb)
+
+
+def test_friction_of_a_gear_that_grows_with_its_load_shows_in_one_triangle(tmp_path: Path) -> None:
+    found = identify([recording(tmp_path / "a.h5", *loaded(1))], None, SEARCH)
+    assert found.model.name == "linear+offset+backlash+gear"
+    assert found["Kc"].value == pytest.approx(300.0, rel=0.01)
+    assert found["Kc"].ci95[0] < 300.0 < found["Kc"].ci95[1]
+    assert found["mu"].value == pytest.approx(0.25, abs=0.02)
+    assert found.trusted("Kc")
