@@ -47,7 +47,7 @@ from hil.identification.misfit import (
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
-from hil.identification.selection.rivals import rivals
+from hil.identification.selection.rivals import with_rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.ahead import Progress
 from hil.signals.prepare import Signals
@@ -143,11 +143,12 @@ def _identified(
         found = with_misfit(found, fit)
         doubts: list[Diagnostic] = []
         if not any(one.code == "implausible" for one in data.diagnostics):  # a wrong sign is the cause of all others
+            found, undecided = with_rivals(steps, found)
             doubts = [
                 *_stationarity(data, solution),
                 *differing,
                 *judge(evidence),
-                *rivals(steps, found),
+                *undecided,
                 *(deflection_diagnostics(evidence) or ignored_command(described, dynamic)),
                 *misfit_diagnostics(described, data.choice.model.name, fit, dynamic),
                 *outweighed_spring(described, fit),

@@ -2,39 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ga.model.terms import TERMS
 from hil.diagnostics import Diagnostic
-from hil.identification.result import Estimate
+from hil.identification.result import Estimate, interval
 from hil.identification.selection.stepwise import Step
 from hil.uncertainty.criteria import EVIDENCE_AGAINST, narrow
 
 
-def rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> list[Diagnostic]:
-    """Return what is to know of each undecided term with which Kc or Bc would be outside its interval.
+def with_rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> tuple[tuple[Estimate, ...], list[Diagnostic]]:
+    """Return the estimates with what Kc and Bc would be with each undecided term in their intervals, and those terms.
 
-    Errors where an interval that holds these values too would be wider than one may be.
+    Errors, and the intervals as they were, where one that holds these values too would be wider than one may be.
     """
     undecided = [step for step in steps if not step.included and step.gain > EVIDENCE_AGAINST]
-    return [diagnostic for estimate in found[:2] for diagnostic in _rivals(undecided, estimate)]
+    pairs = [_with_rivals(undecided, estimate) for estimate in found[:2]]
+    return (*(one for one, _ in pairs), *found[2:]), [one for _, doubts in pairs for one in doubts]
 
 
-def _rivals(undecided: list[Step], estimate: Estimate) -> list[Diagnostic]:
+def _with_rivals(undecided: list[Step], estimate: Estimate) -> tuple[Estimate, list[Diagnostic]]:
     low, high = estimate.ci95
     values = {step.term: {"Kc": step.Kc, "Bc": step.Bc}[estimate.name] for step in undecided}
     outside = {term: value for term, value in values.items() if not low <= value <= high}
-    possible = [low, high, *(value for value in outside.values() if value > 0.0)]
+    likely = [value for value in outside.values() if value > 0.0]
+    possible = [low, high, *likely]
     is_wide = not narrow(0.5 * (max(possible) - min(possible)), estimate.value)
-    return [
+    doubts = [
         Diagnostic(
             "model-dependent",
             f"the data cannot decide whether {term} is present ({TERMS[term].meaning}). With it, {estimate.name} "
-            f"{_change(value, estimate)}, which is outside its interval. Record over a wider band or with a larger "
-            "amplitude",
+            f"{_change(value, estimate)}{_of_interval(value, is_wide=is_wide)}. Record over a wider band or with a "
+            "larger amplitude",
             estimate.name,
             is_error=is_wide and value > 0.0,
         )
         for term, value in outside.items()
     ]
+    if is_wide or not likely:
+        return estimate, doubts
+    half = max(estimate.half_width, *(abs(value - estimate.value) for value in likely))
+    return replace(estimate, ci95=interval(estimate.value, half, positive=estimate.positive)), doubts
+
+
+def _of_interval(value: float, *, is_wide: bool) -> str:
+    """What the interval has of the value, which it holds where that is possible and not too far away."""
+    return ", which is outside its interval" if is_wide or value <= 0.0 else "; its interval includes that"
 
 
 def _change(value: float, estimate: Estimate) -> str:

@@ -203,14 +203,18 @@ class _Steps:
         return beside and (law not in self.rare or fewer == 0 or set(own(law)) < set(own(term)))
 
     def to(self, chosen: Candidate) -> tuple[Step, ...]:
-        """Return the steps up to the chosen model, then one with each rejected term on top of it."""
+        """Return the steps up to the chosen model, then one with each rejected term.
+
+        That stands on top of the model, or as a richer law in the place of the one that it contains.
+        """
         nested = [self.fits.candidate(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
         found = [_step(nested[0], (float("nan"), float("nan")), included=True)]
         found += [_step(b, self.criterion.weighed(a, b, b.terms[-1]), included=True) for a, b in pairwise(nested)]
         for term in self.considered:
-            seen = self.fits.preview((*chosen.terms, term)) if is_addable(term, chosen.terms) else None
+            others = tuple(other for other in chosen.terms if not set(own(other)) < set(own(term)))
+            seen = self.fits.preview((*others, term)) if is_addable(term, others) else None
             if seen is not None and seen.fitness < _RIVAL * chosen.fit.fitness:
-                more = self.fits.candidate((*chosen.terms, term), beside=chosen)
+                more = self.fits.candidate((*others, term), beside=chosen)
                 found.append(_step(more, self.criterion.weighed(chosen, more, term), included=False))
         return tuple(found)
 

@@ -19,7 +19,7 @@ from hil.identification.doubts.identifiability import other_stiffness
 from hil.identification.evidence import span_met, span_of_stiffness
 from hil.identification.identify import Search, identify
 from hil.identification.result import Estimate, Identification, Repeatability
-from hil.identification.selection.rivals import rivals
+from hil.identification.selection.rivals import with_rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array
 from hil.report.identification import as_json
@@ -45,10 +45,11 @@ CHOSEN = step("linear", 2e-4, included=True)
 
 
 def test_a_term_that_would_move_a_parameter_out_of_its_interval_is_named() -> None:
-    (diagnostic,) = rivals((CHOSEN, step("skew", 2.1e-4)), FOUND)
+    (_, bc), (diagnostic,) = with_rivals((CHOSEN, step("skew", 2.1e-4)), FOUND)
     assert (diagnostic.code, diagnostic.parameter, diagnostic.is_error) == ("model-dependent", "Bc", False)
     assert "whether skew is present" in diagnostic.message
-    assert "+5.00%" in diagnostic.message
+    assert "changes by +5.00%; its interval includes that" in diagnostic.message
+    assert bc.ci95 == pytest.approx((1.9e-4, 2.1e-4))
 
 
 @pytest.mark.parametrize(("values", "errors"), [((2.7e-4, 1.4e-4), 0), ((2.8e-4, 1.2e-4), 2), ((2.7e-4, -1e-3), 0)])
@@ -56,7 +57,9 @@ def test_models_that_differ_as_much_as_an_interval_may_be_wide_are_an_error_wher
     values: tuple[float, float], errors: int
 ) -> None:
     """35 % of 0.2 mN m s/rad: half of what lies between the least and the largest Bc that is not negative."""
-    found = rivals((CHOSEN, *(step(name, value) for name, value in zip(("skew", "lag"), values, strict=True))), FOUND)
+    _, found = with_rivals(
+        (CHOSEN, *(step(name, value) for name, value in zip(("skew", "lag"), values, strict=True))), FOUND
+    )
     assert [one.code for one in found] == ["model-dependent"] * 2
     assert [one.is_error for one in found].count(True) == errors
 
@@ -64,12 +67,14 @@ def test_models_that_differ_as_much_as_an_interval_may_be_wide_are_an_error_wher
 @pytest.mark.parametrize(("half", "errors"), [(1e-6, 0), (5e-5, 1)])
 def test_a_wide_interval_leaves_less_room_for_another_model(half: float, errors: int) -> None:
     """0.3 mN m s/rad is 50 % more: from 25 % below to 50 % above is too much for one Bc."""
-    found = rivals((CHOSEN, step("skew", 3e-4)), (FOUND[0], estimate("Bc", 2e-4, half)))
+    (_, bc), found = with_rivals((CHOSEN, step("skew", 3e-4)), (FOUND[0], estimate("Bc", 2e-4, half)))
+    assert bc.half_width == pytest.approx(half if errors else 1e-4)
     assert [one.is_error for one in found].count(True) == errors
 
 
 def test_a_term_that_moves_nothing_or_has_strong_evidence_against_it_is_not() -> None:
-    assert not rivals((CHOSEN, step("skew", 2.005e-4), step("slack", 3e-4, gain=-7.0)), FOUND)
+    steps = (CHOSEN, step("skew", 2.005e-4), step("slack", 3e-4, gain=-7.0))
+    assert with_rivals(steps, FOUND) == (FOUND, [])
 
 
 def test_a_term_beside_a_parameter_of_zero_is_named_with_its_value() -> None:
@@ -77,7 +82,7 @@ def test_a_term_beside_a_parameter_of_zero_is_named_with_its_value() -> None:
         FOUND[0],
         Estimate("Bc", "N*m*s/rad", 0.0, (0.0, 1e-6), Repeatability(0.0, 0.0, 0.0), False, "low", (0.0, 1.0)),
     )
-    (diagnostic,) = rivals((CHOSEN, step("skew", 2.1e-4)), found)
+    _, (diagnostic,) = with_rivals((CHOSEN, step("skew", 2.1e-4)), found)
     assert "Bc would be 0.00021 N m s/rad, which is outside its interval" in diagnostic.message
 
 
