@@ -26,24 +26,24 @@ from ga.trials.trials import run_trials
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
-from hil.identification.averaging import averaged
+from hil.identification.averaging.average import averaged
 from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.doubts.identifiability import judge
+from hil.identification.doubts.misfit import misfit_diagnostics
+from hil.identification.doubts.outweighed_spring import outweighed_spring
 from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.fitting.bounds import bounds_for, narrowed
-from hil.identification.fitting.deflection import deflection_diagnostics, read_with_errors, summarised
+from hil.identification.fitting.deflection import (
+    deflection_diagnostics,
+    ignored_command,
+    read_with_errors,
+    summarised,
+)
+from hil.identification.fitting.described import Described, tested, without_model
 from hil.identification.fitting.exact import solved, unproven, without_signs
 from hil.identification.fitting.forecast import forecast
 from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
-from hil.identification.misfit import (
-    Described,
-    ignored_command,
-    misfit_diagnostics,
-    outweighed_spring,
-    tested,
-    without_model,
-)
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
@@ -149,7 +149,7 @@ def _identified(
                 *differing,
                 *judge(evidence),
                 *undecided,
-                *(deflection_diagnostics(evidence) or ignored_command(described, dynamic)),
+                *(deflection_diagnostics(evidence) or ignored_command(data.signals, dynamic)),
                 *misfit_diagnostics(described, data.choice.model.name, fit, dynamic),
                 *outweighed_spring(described, fit),
             ]

@@ -13,7 +13,7 @@ from ga.model.separable import Problem, SeparableModel, fit
 from ga.model.terms import CONSIDERED, RARER, TERMS
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
-from hil.identification.misfit import Described, tested
+from hil.identification.fitting.described import Described, tested
 from hil.identification.selection import stepwise
 from hil.identification.selection.fits import LATE
 from hil.identification.selection.late import EARLIER, Alternative, Lateness

@@ -1,1 +1,1 @@
-"""Doubts about a result: what the recording does not identify, and what it cannot distinguish."""
+"""Doubts about a result: what the recording does not identify or distinguish, and what the model lacks."""

@@ -1,1 +1,1 @@
-"""The parts of one fit: the bounds of its search, its exact optimum, its validation."""
+"""The parts of one fit: bounds of its search, exact optimum, validation, and whether it describes the recording."""

@@ -11,7 +11,8 @@ from hil.identification.model_choice import Coupling
 from hil.identification.result import Deflection
 from hil.signals.prepare import Signals
 from hil.uncertainty.criteria import COUPLING, INTERVAL
-from hil.uncertainty.instruments import DeflectionErrors, Fitted, deflection_errors
+from hil.uncertainty.dynamic_stiffness import DynamicStiffness
+from hil.uncertainty.instruments import DeflectionErrors, Fitted, deflection_errors, is_instrument
 
 Array = NDArray[np.float64]
 
@@ -92,6 +93,17 @@ def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
         text = f"{_cause(found)}. They are corrected with {how}: {moved}. To need less correction, {_REMEDY}"
         said.append(Diagnostic("deflection-noise", text))
     return said + _weak(found)
+
+
+def ignored_command(signals: Signals, found: DynamicStiffness | None) -> list[Diagnostic]:
+    """Return the warning that a command was recorded and not used, because the motion does not follow it."""
+    if found is None or found.instrument == "command" or not is_instrument(signals.command):
+        return []
+    text = (
+        "the motion does not follow the recorded command, so it is not used. Kc and Bc are less accurate where "
+        "the deflection is noisy. Record the set-point that was driven, or name its column with --command"
+    )
+    return [Diagnostic("weak-command", text)]
 
 
 def _weak(found: DeflectionErrors) -> list[Diagnostic]:

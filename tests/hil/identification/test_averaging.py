@@ -9,7 +9,9 @@ from ga.evolution.evolution import PRESETS
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.separable import Problem, fit
-from hil.identification import averaging
+from hil.identification.averaging import average, falling
+from hil.identification.averaging.average import Averaged
+from hil.identification.averaging.largest import Largest
 from hil.identification.identify import Search, identify
 from hil.identification.model_choice import Choice
 from hil.identification.selection.stepwise import Step
@@ -173,7 +175,7 @@ def with_friction(make_recording: Maker, rise: float, seed: int, form: str) -> t
     found = fit(Problem(model, signals.motion, signals.torque, *model.bounds(signals.motion, 9.0)).of(used))
     step = Step(model.name, "linear", 0.0, 0.0, np.nan, KC, BC, included=True, cost=0.0)
     choice, unchanged = Choice(model, (step,), sticking=True), {"Kc": 0.0, "Bc": 0.0}
-    bc = averaging.averaged(choice, signals, used, found.nonlinear, unchanged)["Bc"]
+    bc = average.averaged(choice, signals, used, found.nonlinear, unchanged)["Bc"]
     return bc.value / BC - 1.0, bc.half_width / BC
 
 
@@ -183,7 +185,7 @@ def test_the_interval_of_the_damping_holds_what_friction_that_falls_hides(
 ) -> None:
     """Models without such friction are sure of a damping that is too low by three times their interval."""
     found = [with_friction(make_recording, rise, 1, form) for rise in (0.0, 0.6)]
-    monkeypatch.setattr(averaging, "_FALLS_OVER", ())
+    monkeypatch.setattr(falling, "_FALLS_OVER", ())
     plain = [with_friction(make_recording, rise, 1, form) for rise in (0.0, 0.6)]
     assert all(abs(error) < half_width for error, half_width in found)
     assert abs(plain[0][0]) < plain[0][1]
@@ -200,16 +202,14 @@ def test_friction_that_falls_until_it_drives_the_joint_is_no_model(at_speed: flo
     values = least_absolute_deviations(columns, torque).genes
     likely = np.stack([np.zeros(3), np.full(3, np.inf)])
     sampling = covariance(Blocks.of(columns, torque), values)
-    largest = averaging._Largest(
-        parse("linear+coulomb"), (), ["Kc", "Bc", "Fc"], columns, torque, values, sampling, likely
-    )
-    assert bool(averaging._fallen(largest, 0.1 * fallen)) is possible
+    largest = Largest(parse("linear+coulomb"), (), ["Kc", "Bc", "Fc"], columns, torque, values, sampling, likely)
+    assert bool(falling._fallen(largest, 0.1 * fallen)) is possible
 
 
 def test_a_value_follows_no_unlikely_model_but_its_interval_reaches_it() -> None:
     """One chance in ten of an estimate that is ten half widths away."""
-    near, far = averaging.Averaged(1.0, 0.1), averaging.Averaged(2.0, 0.1)
-    found = averaging._mixed(np.array([0.9, 0.1]), [near, far])
+    near, far = Averaged(1.0, 0.1), Averaged(2.0, 0.1)
+    found = average._mixed(np.array([0.9, 0.1]), [near, far])
     assert found.value == pytest.approx(1.0, abs=0.01)
     assert found.value + found.half_width == pytest.approx(2.0, abs=0.05)
 
@@ -217,7 +217,7 @@ def test_a_value_follows_no_unlikely_model_but_its_interval_reaches_it() -> None
 @pytest.mark.parametrize("scale", [1e-5, 1.0, 1e3])
 def test_the_interval_of_one_model_is_its_own(scale: float) -> None:
     """To the last digits that are shown, in the smallest joints and the largest."""
-    one = averaging.Averaged(3.0 * scale, 0.02 * scale)
-    found = averaging._mixed(np.array([1.0]), [one])
+    one = Averaged(3.0 * scale, 0.02 * scale)
+    found = average._mixed(np.array([1.0]), [one])
     assert found.value == pytest.approx(one.value, rel=1e-9)
     assert found.half_width == pytest.approx(one.half_width, rel=1e-4)  # 1.96 is 1.959964

@@ -270,5 +270,5 @@ def test_the_interval_of_bc_includes_what_rates_beside_jumps_of_the_acceleration
         return high - low
 
     included = half_width()
-    monkeypatch.setattr("hil.identification.averaging.rate_beside_jumps", lambda *_: None)
+    monkeypatch.setattr("hil.identification.averaging.largest.rate_beside_jumps", lambda *_: None)
     assert included > 1.05 * half_width()

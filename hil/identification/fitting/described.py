@@ -1,24 +1,18 @@
-"""Whether the chosen model describes the recording, which effects it may lack, and the joint without any model."""
+"""A recording and the model fitted to it: whether the model describes it, and its stiffness without any model."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
-from hil.diagnostics import Diagnostic
 from hil.identification.selection.held import damping_at, of_jerk
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
-from hil.signals.torque_reading import seen_in_torque
 from hil.signals.windows import is_smooth
-from hil.uncertainty.criteria import narrow
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
 from hil.uncertainty.instruments import followed, is_instrument, linearised, noisier
@@ -27,7 +21,6 @@ from hil.uncertainty.misfit import LackOfFit
 
 Array = NDArray[np.float64]
 
-_RESPECTS = 3  # that a message names
 _OF_EVERY_BENCH = {"tau0": "offset", "drift": "drift", "skew": "skew", "Fc": "coulomb"}  # parameter and effect
 _TERMS = {  # parameters of terms that leave nothing of these effects: a Maxwell branch may leave another
     **_OF_EVERY_BENCH,
@@ -42,7 +35,6 @@ _TERMS = {  # parameters of terms that leave nothing of these effects: a Maxwell
     "Ks": "stiffness-drift",
 }
 _FOLLOWED = 0.02  # of the power of the deflection, which a motion that follows from the command may lack
-_CHANGES = 0.03  # of K' over the band, from which it is said
 _ROUNDED = 0.01  # of the residuals' power, which rounding to counts must be for the tests to see it
 _MOST = 0.5  # of Kc and Bc, which a small effect leaves
 _ROWS = 20_000  # samples, of which it is seen how much of an effect there is
@@ -106,6 +98,12 @@ def tested(described: Described) -> LackOfFit | None:
     before = described.linearised(motion)
     added = [np.mean([_added(described, before, one) for one in pair]) for pair in noisier(motion, signals.window)]
     return found.beside_noise(np.array(added))
+
+
+def without_model(described: Described) -> DynamicStiffness | None:
+    """Return the dynamic stiffness in the excited band; None where the recording is too short."""
+    signals = described.signals
+    return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
 
 
 def _of_errors(described: Described, followed: Array) -> Array:
@@ -234,175 +232,3 @@ def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:
     if signals.unfiltered is None or signals.window is None:
         return [found]
     return [np.stack([signals.window.alike(signals.motion.time, one) for one in found.T], axis=1)]
-
-
-def without_model(described: Described) -> DynamicStiffness | None:
-    """Return the dynamic stiffness in the excited band; None where the recording is too short."""
-    signals = described.signals
-    return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
-
-
-def ignored_command(described: Described, found: DynamicStiffness | None) -> list[Diagnostic]:
-    """Return the warning that a command was recorded and not used, because the motion does not follow it."""
-    if found is None or found.instrument == "command" or not is_instrument(described.signals.command):
-        return []
-    text = (
-        "the motion does not follow the recorded command, so it is not used. Kc and Bc are less accurate where "
-        "the deflection is noisy. Record the set-point that was driven, or name its column with --command"
-    )
-    return [Diagnostic("weak-command", text)]
-
-
-def misfit_diagnostics(
-    described: Described, model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None
-) -> list[Diagnostic]:
-    """Return the warning or error about a model of that name that does not describe its recording; none where it does.
-
-    Where the torque's readings show what was done to them, that comes first, and no term that looks like it.
-    """
-    if found is None or found.is_undecided:
-        return [_untested(model, found)]
-    if not found.misfit:
-        return []
-    signals = described.signals
-    longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
-    seen = seen_in_torque(signals, longest)
-    parts = [
-        _respects(model, found),
-        _consequence(found, described.names),
-        "" if seen else _remedy(described.model, found),
-        _frequencies(dynamic),
-    ]
-    message = ". ".join(part for part in parts if part)
-    is_grave = found.is_grave or not {"Kc", "Bc"} <= set(described.names)  # it has no other measure
-    misfit = Diagnostic("misfit", message, found.affected, is_error=is_grave)
-    return [Diagnostic("torque-reading", seen, found.affected, is_error=is_grave), misfit] if seen else [misfit]
-
-
-def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Diagnostic]:
-    """Return the error of a Kc that rests on less torque than the model leaves unexplained; none where it does not.
-
-    Friction, play and the other parameters can make most of what a spring that is hardly loaded does: Kc follows from
-    the rest of its torque. An effect that the model lacks may look like that rest: it would change Kc by the ratio of
-    the two. Noise is averaged away and does not: so a model that the tests do not reject is not doubted, and the noise
-    of the reading is not counted. A Kc of zero, its bound, is refused already, with what is wrong.
-    """
-    if found is None or not (found.misfit or found.is_undecided) or "Kc" not in described.names:
-        return []
-    if not described.values[described.names.index("Kc")] > 0.0:
-        return []
-    carried, left = _carried(described), _beyond_noise(described)
-    if narrow(left, carried):
-        return []
-    whole = float(np.std(described.signals.coupling_torque[described.kept]))
-    return [
-        Diagnostic(
-            "spring-outweighed",
-            f"of {whole:.2g} N m of torque (standard deviation), only {carried:.2g} N m follows from Kc alone, and not "
-            f"from friction, play or the rest of the model. The model leaves {left:.2g} N m unexplained, beyond the "
-            f"noise of the reading. An effect of that size can change Kc by {_percent(left / carried)}, whatever its "
-            "interval says. Drive with several times the torque, so that the spring carries most of it",
-            "Kc",
-            is_error=True,
-        )
-    ]
-
-
-def _carried(described: Described) -> float:
-    """The size of the spring's torque, N m r.m.s., without what the columns of the other parameters can make."""
-    at = described.names.index("Kc")
-    columns = described.columns[:: max(1, len(described.columns) // _ROWS)]
-    others, own = np.delete(columns, at, axis=1), columns[:, at]
-    sizes = np.linalg.norm(others, axis=0)
-    others = others[:, sizes > 0.0] / sizes[sizes > 0.0]
-    left = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
-    return abs(float(described.values[at])) * float(np.sqrt(np.mean(left**2)))
-
-
-def _beyond_noise(described: Described) -> float:
-    """The size of the residuals without the noise of the reading, N m r.m.s.
-
-    Noise is what differs between readings that follow each other; of it a low-pass lets its part of the band through.
-    """
-    signals, residuals = described.signals, np.zeros(len(described.signals))
-    residuals[described.kept] = described.residuals
-    differences = np.diff(signals.as_read - signals.torque + residuals)
-    differences = differences[described.kept[1:] & described.kept[:-1]]
-    low_pass = signals.window.low_pass if signals.window else None
-    passed = 1.0 if low_pass is None or signals.unfiltered is None else min(1.0, 2.0 * low_pass.cut * low_pass.step)
-    noise = 0.5 * passed * float(np.mean(differences**2)) if len(differences) else 0.0
-    return float(np.sqrt(max(0.0, float(np.mean(described.residuals**2)) - noise)))
-
-
-def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
-    """Return the warning that the recording is too short for the tests, or that they can decide nothing by it."""
-    seen = f", but the motion predicts {100.0 * found.share:.0f} % of its residuals" if found else ""
-    return Diagnostic(
-        "misfit-untested",
-        f"the recording is too short to test model {model}{seen}. Kc and Bc may include effects that the model leaves "
-        "out. Record for longer",
-    )
-
-
-def _respects(model: str, found: LackOfFit) -> str:
-    compared = [one for one in found.failed if one.Kc is not None]
-    differing = [f"{one.name} (Kc by {_size(found, 0, one.Kc)}, Bc by {_size(found, 1, one.Bc)})" for one in compared]
-    plain = [one.name for one in found.failed if one.Kc is None and one.code != "any"]
-    respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
-    said = "".join(f"{one}; " for one in respects[:_RESPECTS])
-    return (
-        f"model {model} does not describe this recording: {said}the motion predicts {100.0 * found.share:.0f} % of the "
-        "residuals"
-    )
-
-
-def _consequence(found: LackOfFit, names: Sequence[str]) -> str:
-    left = f"It leaves out {100.0 * found.unexplained:.2g} % of the torque"
-    if not {"Kc", "Bc"} <= set(names):
-        return f"{left}, so its parameters may be wrong"
-    if found.explains_too_little:
-        return f"{left}, so Kc and Bc mean nothing"
-    return f"Kc may be wrong by {_size(found, 0, found.Kc)} and Bc by {_size(found, 1, found.Bc)}" + (
-        "; their intervals include this" if found.outside else ""
-    )
-
-
-def _size(found: LackOfFit, of: int, size: float | None, *, sign: str = "") -> str:
-    """A relative change of Kc (0) or Bc (1), in its unit where the value is zero; sign: "+", to print its sign."""
-    absolute = found.change(of, size or 0.0)
-    if math.isfinite(absolute):
-        return f"{absolute if sign else abs(absolute):{sign}.2g} {('N m/rad', 'N m s/rad')[of]}"
-    return f"{100.0 * (size or 0.0):{sign}.{1 - of}f} %" if sign else _percent(size)
-
-
-def _percent(size: float | None) -> str:
-    size = abs(size or 0.0)
-    return "more than 100 %" if size > 1.0 else f"{100.0 * size:.2g} %"
-
-
-def _remedy(model: SeparableModel, found: LackOfFit) -> str:
-    """What the residuals look like, with the model or experiment to try."""
-    if not found.suspects:
-        return "No known effect explains the residuals. Look at them with --report, and at K'(f) with --verbose"
-    has_coupling = {"Kc", "Bc"} <= {one.name for one in (*model.linear, *model.nonlinear)}
-    terms = [model.name.split("+")] if isinstance(model, CouplingModel) else []
-    looks = [
-        f"{one.effect.name} (with it Kc {_size(found, 0, one.Kc, sign='+')}, Bc {_size(found, 1, one.Bc, sign='+')})"
-        if has_coupling
-        else one.effect.name
-        for one in found.suspects
-    ]
-    return f"The residuals look like {' or '.join(looks)}: {found.suspects[0].effect.remedy(*terms)}"
-
-
-def _frequencies(dynamic: DynamicStiffness | None) -> str:
-    """How K' changes over the band, where it does."""
-    if dynamic is None:
-        return ""
-    bands = dynamic.bands
-    low, high = float(bands.stiffness[0]), float(bands.stiffness[-1])
-    error = float(np.hypot(bands.stiffness_half_width[0], bands.stiffness_half_width[-1]))
-    if len(bands.frequency) < 2 or abs(high - low) < max(error, _CHANGES * abs(low)):
-        return ""
-    first, last = float(bands.frequency[0]), float(bands.frequency[-1])
-    return f"Without a model, Kc is {low:.3g} N m/rad at {first:.3g} Hz and {high:.3g} N m/rad at {last:.3g} Hz"

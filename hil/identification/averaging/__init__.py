@@ -1,0 +1,1 @@
+"""Kc and Bc averaged over the models that the data cannot decide between."""

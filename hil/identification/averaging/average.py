@@ -1,0 +1,209 @@
+"""Kc and Bc averaged over the models that the data cannot decide between, so that the interval includes the choice.
+
+Model selection leaves out what is not significant, but no bench is without offset, drift, friction and skew: the
+interval given the selected model is too narrow. The average is over that model with and without those effects, and the
+terms without strong evidence for or against them. Of these, one that a bench seldom has, a spring that curves, weighs
+in the value as model selection judges it: noise often looks a little like a cubic spring, which moves Kc by far more
+than its error. An offset and a skew are always there, the latter of a size that one recorder can produce, because the
+two readings of one tick never have quite the same age.
+
+A reading that is late is known by how it stiffens fast motion, and so does a viscoelastic branch that relaxes faster
+than the joint moved. Any part of what looks late may be that, in one joint of ten, and is then not missing from Bc.
+
+An angle that passed a filter which the torque did not looks like one that is read late, and exactly like an inertia: of
+each model with an inertia in place of a skew, both readings are in the average.
+
+In slow motion a late reading is less damping and shows in nothing else. Where none is selected, each likely time by
+which it may be late stands beside the model, with its likelihood.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from ga.model.coupling import CouplingModel
+from ga.model.terms import CONSIDERED, PARAMETERS, TERMS
+from hil.identification.averaging.falling import falling
+from hil.identification.averaging.largest import BENCH, Largest, contains, largest_model, own_values
+from hil.identification.fitting.deflection import read_with_errors
+from hil.identification.model_choice import Choice
+from hil.identification.selection.late import Alternative
+from hil.identification.selection.stepwise import Step
+from hil.signals.prepare import Signals
+from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, dampings_behind_filter
+from hil.uncertainty.model_average import AKAIKE, average
+
+Array = NDArray[np.float64]
+
+_NORMAL = 1.96  # half a 95 % interval in standard errors
+_RELAXING = (1.0 / 11.0 / 3.0) ** 0.5  # one joint in ten: any part of what looks late, a standard deviation
+_PLACES = 2**44  # steps of a range, to one of which a quantile is found
+
+
+@dataclass(frozen=True, slots=True)
+class Averaged:
+    """An estimate averaged over models, SI: its value and half its 95 % interval, given the noise and the choice."""
+
+    value: float
+    half_width: float
+
+
+def averaged(
+    choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinear: Array, change: Mapping[str, float]
+) -> dict[str, Averaged]:
+    """Return Kc and Bc averaged over models around the selected one; {} where the larger ones cannot be fitted.
+
+    used (n,): the samples that it is fitted to. nonlinear (q,): its nonlinear parameters. change: by which errors of
+    the deflection are taken off its parameters, SI, by name; of a larger model other changes are.
+    """
+    if not (choice.steps and isinstance(choice.model, CouplingModel)):
+        return {}
+    kept = replace(signals, motion=signals.motion.of(used), torque=signals.torque[used], jerked=None)
+    doubtful = {
+        step.term: AKAIKE if step.term in BENCH else step.cost
+        for step in choice.steps
+        if step.term in CONSIDERED and _is_doubtful(step)
+    }
+    selected = Alternative(choice.model, nonlinear, 0.0)
+    own = dict(zip((one.name for one in choice.model.nonlinear), nonlinear.tolist(), strict=True))
+    seems_filtered = own.get("skew", 0.0) < 0.0 and signals.torque_from == "given"
+    found, criteria = [], []
+
+    def of_selected(larger: Largest) -> Array:
+        return np.array([change.get(name, 0.0) for name in larger.names])
+
+    def of_larger(larger: Largest) -> Array:
+        return _by_errors(larger, signals, used)
+
+    for one in (selected, *choice.alternatives):
+        # an alternative may be far off, and with it what errors would do to its parameters
+        is_own = one is selected and any(change.values())
+        around = _around(one, doubtful, kept, of_larger if is_own else of_selected)
+        if not around and one is selected:
+            return {}
+        if one is not selected and seems_filtered:
+            around += _behind_filter(one, around, kept)
+        found += [values for values, _ in around]
+        criteria += [one.criterion + more for _, more in around]
+    for late in choice.lateness:
+        stiff, damped = (found[0][name].half_width for name in COUPLING)
+        damped = float(np.hypot(damped, _NORMAL * late.spread))
+        found.append({"Kc": Averaged(late.Kc + change["Kc"], stiff), "Bc": Averaged(late.Bc + change["Bc"], damped)})
+        criteria.append(late.criterion)
+    weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
+    weights /= weights.sum()
+    mixed = {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}
+    hidden = mixed["Kc"].value * _late(choice.model, nonlinear)
+    bc = mixed["Bc"]
+    return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, _NORMAL * _RELAXING * hidden)))}
+
+
+def _behind_filter(
+    one: Alternative, around: Sequence[tuple[dict[str, Averaged], float]], data: Signals
+) -> list[tuple[dict[str, Averaged], float]]:
+    """The estimates of a model with an inertia, read as those of a joint whose angle passed a filter; [] without one.
+
+    The torque of both is the same (`damping_behind_filter`), so that neither is likelier. Of two filters the faster one
+    is meant: a slow one would be known.
+    """
+    inertia = own_values(one, data).get("J", 0.0) if "inertia" in one.model.name.split("+") else 0.0
+    found = []
+    for mean, criterion in around:
+        stiff, damped = mean["Kc"], mean["Bc"]
+        behind = dampings_behind_filter(stiff.value, damped.value, inertia)
+        if not behind:
+            continue
+        # by how much it changes with the damping that is seen, and it is no more than that
+        gain = behind[-1] / max(behind[-1] - behind[0], 1e-300)
+        half_width = min(gain * damped.half_width, damped.half_width + damped.value)
+        found.append((mean | {"Bc": Averaged(behind[-1], half_width)}, criterion))
+    return found
+
+
+def _late(model: CouplingModel, nonlinear: Array) -> float:
+    """By how much, s, the torque reading is late in a model with nonlinear parameters (q,)."""
+    names = [parameter.name for parameter in model.nonlinear]
+    return float(sum(abs(nonlinear[names.index(name)]) for name in ("skew", "lag") if name in names))
+
+
+def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
+    """The median of a mixture of normal estimates with weights (m,) of sum one, and how far its middle 95 % reaches.
+
+    Its standard deviation would not do: a model that is as likely as one in ten, and far away, is as far outside. Its
+    mean, and the middle of that interval, would follow such a model where nothing speaks for it.
+    """
+    values, errors = (np.array(of) for of in zip(*((one.value, one.half_width) for one in found), strict=True))
+    low, high = float(np.min(values - 2.0 * errors)), float(np.max(values + 2.0 * errors))
+    step = (high - low) / _PLACES  # scipy.optimize would take a tenth of a run to import
+
+    def beyond(share: float) -> float:
+        def below(place: int) -> float:
+            return float(weights @ ndtr(_NORMAL * (low + place * step - values) / errors))
+
+        return low + step * bisect_left(range(_PLACES), share, key=below)
+
+    least, value, most = beyond(0.025), beyond(0.5), beyond(0.975)
+    return Averaged(value, max(most - value, value - least))
+
+
+def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Array:
+    """The change (p,) by which errors of the deflection are taken off the parameters of the larger model."""
+    found, count = np.zeros(len(larger.values)), len(larger.model.parameters)
+    sampling = larger.sampling
+    half_width = (sampling.quantile * np.sqrt(np.maximum(np.diag(sampling.matrix), 0.0)))[:count]
+    errors = read_with_errors(larger.model, signals, used, larger.values[:count], half_width)
+    if errors is not None:
+        found[:count] = errors.change
+    return found
+
+
+def _around(
+    model: Alternative, doubtful: Mapping[str, float], data: Signals, by_errors: Callable[[Largest], Array]
+) -> list[tuple[dict[str, Averaged], float]]:
+    """Kc and Bc averaged over one model with and without the effects that every bench has; [] where none can be.
+
+    Then those of models with friction that falls, each with Akaike's criterion less that of the first. doubtful: the
+    terms that the data do not decide on, and the cost of each. by_errors: the change of all parameters by which errors
+    of the deflection are taken off them.
+    """
+    largest = largest_model(model, tuple(doubtful), data)
+    if largest is None or not contains(largest, model, data):
+        return []
+    found = [(largest, 0.0), *falling(largest, data.motion)]
+    change = by_errors(largest)
+    means = [(_mean(replace(one, values=one.values + change), doubtful), criterion) for one, criterion in found]
+    return [one for one in means if one[0]] if means[0][0] else []
+
+
+def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged]:
+    """Kc and Bc averaged over all models in the largest; {} where none is possible."""
+    names, sampling = largest.names, largest.sampling
+    costs = largest.costs(doubtful)
+    found = average(
+        largest.values,
+        sampling.matrix,
+        {at: costs[name] for at, name in enumerate(names) if name in costs},
+        # the model's own terms were found possible without what is added: a skew beside an inertia takes it over
+        [at for at, name in enumerate(names) if name in costs and PARAMETERS[name].positive],
+        largest.likely,
+        bounded=[names.index(name) for name in COUPLING],
+    )
+    if found is None:
+        return {}
+    return {
+        name: Averaged(float(found.values[at]), float(sampling.quantile[at] * found.errors[at]))
+        for at, name in enumerate(names)
+        if name in COUPLING
+    }
+
+
+def _is_doubtful(step: Step) -> bool:
+    """Whether the evidence for or against the term of a step is not strong."""
+    term = TERMS[step.term]
+    return term.linear and term.selection != "smallest" and abs(step.gain) < -EVIDENCE_AGAINST

@@ -1,0 +1,173 @@
+"""The largest of the models that are averaged over: it contains all others, and its fit gives theirs.
+
+A spring that curves is selected with the curve that fits best, and no spring follows one of these curves exactly: the
+stiffness at zero deflection depends on which.
+
+Dry friction never turns at once: what holds it is about as stiff as the coupling, so that it builds up over some Fc/Kc
+(Dahl 1976), which stiffens small motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.lad.exact import least_absolute_deviations
+from ga.model.coupling import CouplingModel, parse
+from ga.model.friction import slowest
+from ga.model.separable import Problem
+from ga.model.terms import PARAMETERS, TERMS, is_addable
+from ga.model.trajectory import Motion
+from hil.identification.fitting.jumps import rate_beside_jumps
+from hil.identification.selection.late import Alternative
+from hil.signals.prepare import Signals
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import Covariance, covariance
+from hil.uncertainty.criteria import COUPLING, TICK_SHARE
+from hil.uncertainty.model_average import AKAIKE
+
+Array = NDArray[np.float64]
+
+_ALWAYS = ("offset", "skew")
+BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
+_CURVES = ("cubic", "quintic", "progressive")  # a spring that curves has no more reason to follow one of them
+_PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
+_SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
+
+
+@dataclass(frozen=True, eq=False)
+class Largest:
+    """The fit of the model that contains all others: values (p,) of the parameters `names`, and the terms added.
+
+    The names are those of the model's parameters, and the one of friction that builds up, where it is added.
+
+    columns (n, p) and target (n,), N m: of the linear problem around it. likely (2, p): as of `average`.
+    """
+
+    model: CouplingModel
+    added: tuple[str, ...]
+    names: list[str]
+    columns: Array
+    target: Array
+    values: Array
+    sampling: Covariance
+    likely: Array
+
+    @property
+    def added_names(self) -> list[str]:
+        """The names of the parameters of the terms added."""
+        return [name for term in self.added for name in _own(term)]
+
+    def costs(self, doubtful: Mapping[str, float]) -> dict[str, float]:
+        """The cost of each parameter that a model may do without: of the terms added, and of the doubtful ones.
+
+        doubtful: the terms that the data do not decide on, and the cost of each. Where they do not decide whether the
+        spring curves at all, no other curve is likelier than the one in doubt.
+        """
+        curving = max((cost for term, cost in doubtful.items() if term in _CURVES), default=AKAIKE)
+        found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
+        return {name: cost for term, cost in (found | dict(doubtful)).items() for name in _own(term)}
+
+
+def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> Largest | None:
+    """The largest model in which each added term can be distinguished from the others; None where there is none.
+
+    It is linearised at the fit of the smaller one: what is added is small, and would wander off together with a lag.
+    """
+    chosen = smaller.model.name.split("+")
+    added: list[str] = []
+    curves = _CURVES if {*_CURVES, "asymmetric"}.intersection(chosen) else ()
+    hidden = {"coulomb"} if slowest(data.motion) == 0.0 else set()  # its sign would be that of the rate's noise
+    # a short lag differs from a skew by less than what estimates both at once
+    hidden |= {"skew"} if "lag" in chosen else set()
+    for term in (*BENCH, *doubtful, *curves):
+        added += [term] if is_addable(term, (*chosen, *added)) and term not in hidden else []
+    start = {parameter.name: parameter.absent for parameter in PARAMETERS.values()}
+    start |= dict(zip((one.name for one in smaller.model.nonlinear), smaller.nonlinear.tolist(), strict=True))
+    while True:
+        larger = parse("+".join((*chosen, *added))).anchored(data.motion)
+        problem = Problem(larger, data.motion, data.torque, *larger.bounds(data.motion, data.band[1]))
+        try:
+            fit = problem.solve(np.array([start[p.name] for p in larger.nonlinear], dtype=np.float64))
+            names = [parameter.name for parameter in larger.parameters]
+            columns, target = problem.linearised(fit)
+            if (building := _building_up(dict(zip(names, fit.values, strict=True)), data.motion)) is not None:
+                names, columns = [*names, _PRESLIDING], np.column_stack([columns, building])
+            first = np.append(fit.values, np.zeros(len(names) - len(fit.values)))
+            values = least_absolute_deviations(columns, target, first).genes
+        except RuntimeError:  # some columns are dependent
+            return None
+        sampling = covariance(Blocks.of(columns, target), values)
+        alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in _own(term))]
+        if not alike:
+            likely = _likely(added, names, data.motion)
+            sampling = _with_jumps(sampling, columns, float(values[names.index("Bc")]), data)
+            return Largest(larger, tuple(added), names, columns, target, values, sampling, likely)
+        added.remove(alike[-1])
+
+
+def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Signals) -> Covariance:
+    """The covariance with what rates beside jumps of the acceleration do to the parameters of columns (n, p)."""
+    missing = rate_beside_jumps(data.motion, data.command)
+    if missing is None:
+        return sampling
+    moved = np.linalg.lstsq(columns, damping * missing, rcond=None)[0]
+    return replace(sampling, matrix=sampling.matrix + np.outer(moved, moved))
+
+
+def _likely(added: Sequence[str], names: Sequence[str], motion: Motion) -> Array:
+    """What each parameter is likely to be, and a standard deviation of that, (2, p)."""
+    likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
+    if "skew" in added:
+        likely[1, names.index("skew")] = TICK_SHARE * float(np.median(np.diff(motion.time)))
+    if _PRESLIDING in names:
+        likely[:, names.index(_PRESLIDING)] = 1.0
+    return likely
+
+
+def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
+    """The torque (n,), N m, by which friction that builds up over Fc/Kc differs from one that turns at once.
+
+    None where the model, whose values are given by name, has no Coulomb friction, or that is too short to be seen.
+    """
+    friction, stiffness = values.get("Fc", 0.0), values["Kc"]
+    if friction <= 0.0 or stiffness <= 0.0:
+        return None
+    whole, rows = motion.whole
+    seen = whole.delayed(values.get("skew", 0.0))
+    found = friction * (seen.presliding(friction / stiffness) - np.sign(seen.dtheta_dot))[rows]
+    return found if np.count_nonzero(np.abs(found) > _SEEN * friction) >= _FEWEST else None
+
+
+def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
+    """Return whether the larger fit, with what was added set to zero, is the smaller fit, within its interval.
+
+    Both are of the same data. Where they differ, the error of the larger one does not say how its parameters move
+    together (residuals that last longer than what is averaged over), and an average would lead away from both.
+    """
+    own = own_values(smaller, data)
+    names, matrix = largest.names, largest.sampling.matrix
+    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING) if name in names]
+    if not added:
+        return True
+    gain = np.linalg.lstsq(matrix[np.ix_(added, added)], matrix[added], rcond=None)[0]  # (added, p)
+    restricted = largest.values - largest.values[added] @ gain
+    variance = matrix.diagonal() - np.einsum("ap,ap->p", matrix[added], gain)
+    with np.errstate(invalid="ignore"):  # one that is not distinct has no reach, as beside a factor of zero
+        reach = largest.sampling.quantile * np.sqrt(np.maximum(variance, 0.0))
+    return all(abs(restricted[names.index(name)] - own[name]) <= reach[names.index(name)] for name in COUPLING)
+
+
+def own_values(one: Alternative, data: Signals) -> dict[str, float]:
+    """The linear parameters of a model, SI, by name, at its nonlinear ones."""
+    columns = one.model.columns(data.motion, one.nonlinear)
+    target = one.model.target(data.motion, data.torque, one.nonlinear)
+    values = least_absolute_deviations(columns, target).genes.tolist()
+    return dict(zip((parameter.name for parameter in one.model.linear), values, strict=True))
+
+
+def _own(term: str) -> tuple[str, ...]:
+    return tuple(parameter.name for parameter in TERMS[term].parameters)

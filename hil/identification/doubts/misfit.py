@@ -1,0 +1,120 @@
+"""A model that does not describe its recording: in which respects, by how much, and what to try."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ga.model.coupling import CouplingModel, parse
+from ga.model.separable import SeparableModel
+from hil.diagnostics import Diagnostic
+from hil.identification.fitting.described import Described
+from hil.signals.torque_reading import seen_in_torque
+from hil.uncertainty.dynamic_stiffness import DynamicStiffness
+from hil.uncertainty.misfit import LackOfFit
+
+_RESPECTS = 3  # that a message names
+_CHANGES = 0.03  # of K' over the band, from which it is said
+
+
+def misfit_diagnostics(
+    described: Described, model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None
+) -> list[Diagnostic]:
+    """Return the warning or error about a model of that name that does not describe its recording; none where it does.
+
+    Where the torque's readings show what was done to them, that comes first, and no term that looks like it.
+    """
+    if found is None or found.is_undecided:
+        return [_untested(model, found)]
+    if not found.misfit:
+        return []
+    signals = described.signals
+    longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
+    seen = seen_in_torque(signals, longest)
+    parts = [
+        _respects(model, found),
+        _consequence(found, described.names),
+        "" if seen else _remedy(described.model, found),
+        _frequencies(dynamic),
+    ]
+    message = ". ".join(part for part in parts if part)
+    is_grave = found.is_grave or not {"Kc", "Bc"} <= set(described.names)  # it has no other measure
+    misfit = Diagnostic("misfit", message, found.affected, is_error=is_grave)
+    return [Diagnostic("torque-reading", seen, found.affected, is_error=is_grave), misfit] if seen else [misfit]
+
+
+def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
+    """Return the warning that the recording is too short for the tests, or that they can decide nothing by it."""
+    seen = f", but the motion predicts {100.0 * found.share:.0f} % of its residuals" if found else ""
+    return Diagnostic(
+        "misfit-untested",
+        f"the recording is too short to test model {model}{seen}. Kc and Bc may include effects that the model leaves "
+        "out. Record for longer",
+    )
+
+
+def _respects(model: str, found: LackOfFit) -> str:
+    compared = [one for one in found.failed if one.Kc is not None]
+    differing = [f"{one.name} (Kc by {_size(found, 0, one.Kc)}, Bc by {_size(found, 1, one.Bc)})" for one in compared]
+    plain = [one.name for one in found.failed if one.Kc is None and one.code != "any"]
+    respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
+    said = "".join(f"{one}; " for one in respects[:_RESPECTS])
+    return (
+        f"model {model} does not describe this recording: {said}the motion predicts {100.0 * found.share:.0f} % of the "
+        "residuals"
+    )
+
+
+def _consequence(found: LackOfFit, names: Sequence[str]) -> str:
+    left = f"It leaves out {100.0 * found.unexplained:.2g} % of the torque"
+    if not {"Kc", "Bc"} <= set(names):
+        return f"{left}, so its parameters may be wrong"
+    if found.explains_too_little:
+        return f"{left}, so Kc and Bc mean nothing"
+    return f"Kc may be wrong by {_size(found, 0, found.Kc)} and Bc by {_size(found, 1, found.Bc)}" + (
+        "; their intervals include this" if found.outside else ""
+    )
+
+
+def _size(found: LackOfFit, of: int, size: float | None, *, sign: str = "") -> str:
+    """A relative change of Kc (0) or Bc (1), in its unit where the value is zero; sign: "+", to print its sign."""
+    absolute = found.change(of, size or 0.0)
+    if math.isfinite(absolute):
+        return f"{absolute if sign else abs(absolute):{sign}.2g} {('N m/rad', 'N m s/rad')[of]}"
+    return f"{100.0 * (size or 0.0):{sign}.{1 - of}f} %" if sign else percent(size)
+
+
+def percent(size: float | None) -> str:
+    """Return the size of a relative change for people."""
+    size = abs(size or 0.0)
+    return "more than 100 %" if size > 1.0 else f"{100.0 * size:.2g} %"
+
+
+def _remedy(model: SeparableModel, found: LackOfFit) -> str:
+    """What the residuals look like, with the model or experiment to try."""
+    if not found.suspects:
+        return "No known effect explains the residuals. Look at them with --report, and at K'(f) with --verbose"
+    has_coupling = {"Kc", "Bc"} <= {one.name for one in (*model.linear, *model.nonlinear)}
+    terms = [model.name.split("+")] if isinstance(model, CouplingModel) else []
+    looks = [
+        f"{one.effect.name} (with it Kc {_size(found, 0, one.Kc, sign='+')}, Bc {_size(found, 1, one.Bc, sign='+')})"
+        if has_coupling
+        else one.effect.name
+        for one in found.suspects
+    ]
+    return f"The residuals look like {' or '.join(looks)}: {found.suspects[0].effect.remedy(*terms)}"
+
+
+def _frequencies(dynamic: DynamicStiffness | None) -> str:
+    """How K' changes over the band, where it does."""
+    if dynamic is None:
+        return ""
+    bands = dynamic.bands
+    low, high = float(bands.stiffness[0]), float(bands.stiffness[-1])
+    error = float(np.hypot(bands.stiffness_half_width[0], bands.stiffness_half_width[-1]))
+    if len(bands.frequency) < 2 or abs(high - low) < max(error, _CHANGES * abs(low)):
+        return ""
+    first, last = float(bands.frequency[0]), float(bands.frequency[-1])
+    return f"Without a model, Kc is {low:.3g} N m/rad at {first:.3g} Hz and {high:.3g} N m/rad at {last:.3g} Hz"
