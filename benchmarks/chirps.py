@@ -31,7 +31,8 @@ from ga.model.coupling import parse as coupling  # noqa: E402
 from hil.acquisition import excitation  # noqa: E402
 from hil.acquisition.interrupt import StopRequest  # noqa: E402
 from hil.acquisition.recorder import Recorder, tick_count  # noqa: E402
-from hil.identification.identify import Search, identify  # noqa: E402
+from hil.identification.fitting.solution import Search  # noqa: E402
+from hil.identification.identify import identify  # noqa: E402
 from hil.identification.result import Identification  # noqa: E402
 from hil.recording.writer import Header, RecordingWriter  # noqa: E402
 from hil.stand.file import parse  # noqa: E402

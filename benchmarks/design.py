@@ -24,7 +24,8 @@ from hil.acquisition.excitation import Profile
 from hil.acquisition.run import run
 from hil.experiment_design.advice import described
 from hil.experiment_design.assessment import Assessment, assess, task_of
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.stand.file import SIMULATED, Stand, parse
 
 RATE = 500.0

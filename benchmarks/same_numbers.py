@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from hil.report.identification import upgraded
+from hil.report.identification_json import upgraded
 
 ROOT = Path(__file__).resolve().parent.parent
 STAND = """

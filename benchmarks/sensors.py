@@ -21,7 +21,8 @@ from page import machine, write_section
 from scipy import signal
 
 from hil.errors import Untrustworthy
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.recording.writer import Header, write
 
 Array = NDArray[np.float64]

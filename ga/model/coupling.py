@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.model.friction import beside_rest, slowest, smoothing, turns_unseen
 from ga.model.memory import without_beginnings
 from ga.model.record import Parameter, Regressors, Term
+from ga.model.sticking import beside_rest, slowest, smoothing, turns_unseen
 from ga.model.terms import TERMS, canonical
 
 if TYPE_CHECKING:

@@ -18,12 +18,12 @@ from hil.identification import user_model
 from hil.identification.compare import Comparison, Repeated
 from hil.identification.each import Task, identified
 from hil.identification.each import identify_each as identify_spread
-from hil.identification.identify import Search
+from hil.identification.fitting.solution import Search
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Identification
 from hil.report import comparison as comparison_report
 from hil.report import identification as identification_report
-from hil.report import identification_page
+from hil.report import identification_json, identification_page
 from hil.report.pictures import files, result
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class IdentificationResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON object of `hil identify --json`."""
-        return identification_report.as_json(self.identification)
+        return identification_json.as_json(self.identification)
 
     def plot(self) -> Figure:
         """Return a picture: the torque with its model, the residuals, the loop and the diagnostic checks."""
@@ -120,7 +120,7 @@ class NoResult(Untrustworthy):
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON object of `hil identify --json`, whose values are null."""
-        return identification_report.unusable_json(self.recordings, self.model, self.preset, self.seed, str(self))
+        return identification_json.unusable_json(self.recordings, self.model, self.preset, self.seed, str(self))
 
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
         """Write the report, which says why, as `IdentificationResult.report`. Raises WrongUse."""

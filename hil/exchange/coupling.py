@@ -12,7 +12,7 @@ from typing import Any
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.input import read_text
-from hil.report.identification import upgraded
+from hil.report.identification_json import upgraded
 
 _LARGEST = 1 << 26  # bytes of a result
 _REPRESENTED = frozenset({"linear", "coulomb"}) | {"offset", "drift", "skew", "lag", "mean"}  # but for two, of sensors

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hil.errors import Untrustworthy, WrongUse
+from hil.identification.fitting.solution import Search
 from hil.identification.fixture import identify_without_fixture
-from hil.identification.identify import Search, identify
+from hil.identification.identify import identify
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Identification
 from hil.identification.user_model import of_package

@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from ga.bounds import Bounds
-from ga.evolution.evolution import PRESETS, Settings
-from ga.lad.exact import Optimum
-from ga.lad.out_of_core import Reduced
 from ga.model.record import Parameter, positive_among
-from ga.model.separable import Problem, descend
-from ga.trials.checkpoint import WrongCheckpoint
-from ga.trials.nonlinear import search_nonlinear
-from ga.trials.outcome import Trials
-from ga.trials.trials import run_trials
 from hil.diagnostics import Diagnostic
-from hil.errors import WrongUse
 from hil.first_run import compiled_ahead
 from hil.identification.averaging.average import averaged
 from hil.identification.dataset import Dataset, open_dataset
@@ -32,7 +20,6 @@ from hil.identification.doubts.identifiability import judge
 from hil.identification.doubts.misfit import misfit_diagnostics
 from hil.identification.doubts.outweighed_spring import outweighed_spring
 from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
-from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.deflection import (
     deflection_diagnostics,
     ignored_command,
@@ -40,8 +27,8 @@ from hil.identification.fitting.deflection import (
     summarised,
 )
 from hil.identification.fitting.described import Described, tested, without_model
-from hil.identification.fitting.exact import solved, unproven, without_signs
-from hil.identification.fitting.forecast import forecast
+from hil.identification.fitting.exact import without_signs
+from hil.identification.fitting.solution import Search, Solution, solve
 from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
 from hil.identification.model_choice import Choice, Coupling, choose
@@ -53,52 +40,13 @@ from hil.recording.ahead import Progress
 from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources
 from hil.signals.windows import RATE_ACCURACY
-from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
 from hil.uncertainty.instruments import DeflectionErrors
 from hil.uncertainty.stationarity import disagreement, pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
 
-_TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
 _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable motion
-
-
-@dataclass(frozen=True, slots=True)
-class Search:
-    """The settings of a search. bounds: the parameters whose range was given, SI.
-
-    trials: independent searches; None: the paper's 30, or 5 for a model with nonlinear parameters.
-    checkpoint: a file that keeps the state of the search; where it exists, the search continues from it.
-    """
-
-    preset: str = "default"
-    settings: Settings = PRESETS["default"]
-    trials: int | None = None
-    seed: int = 0
-    workers: int = os.cpu_count() or 1
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    checkpoint: Path | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Solution:
-    """The result of the search and of the exact solution.
-
-    values (p + q,): of the exact solution. gap: the optimiser's, relative. low and high (p + q,): the bounds of the
-    parameters that were searched, NaN for the others. columns (m, p + q): of the signals. blocks: the linear problem
-    around the solution.
-    """
-
-    values: Array
-    optimum: Optimum
-    gap: float
-    low: Array
-    high: Array
-    trials: Trials
-    seconds: float
-    columns: Array
-    blocks: Blocks
 
 
 def identify(
@@ -133,7 +81,7 @@ def _identified(
         return choose(model, signals, linear_only=not whole or search.preset == "paper")
 
     with open_dataset(sources, chosen, progress, rest=rest_for(model)) as data:
-        solution = (_nonlinear if data.choice.model.nonlinear else _linear)(data, search, progress)
+        solution = solve(data, search, progress)
         evidence = _evidence(data, solution)
         found = estimates(evidence)
         steps = _with_result(data.choice.steps, found, solution)
@@ -179,7 +127,7 @@ def _identified(
         )
 
 
-def _evidence(data: Dataset, solution: _Solution) -> Evidence:
+def _evidence(data: Dataset, solution: Solution) -> Evidence:
     """The intervals, the validation and the gap, by which the result is judged."""
     parameters = (*data.choice.model.linear, *data.choice.model.nonlinear)
     sampling = confidence_intervals(solution.blocks, solution.values)
@@ -229,7 +177,7 @@ def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
 
 
 def _averaged(
-    data: Dataset, solution: _Solution, half_width: Array, deflection: DeflectionErrors | None
+    data: Dataset, solution: Solution, half_width: Array, deflection: DeflectionErrors | None
 ) -> tuple[Array, Array]:
     """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected.
 
@@ -247,7 +195,7 @@ def _averaged(
     return values, half_width
 
 
-def _described(data: Dataset, solution: _Solution, evidence: Evidence, *, differ: bool) -> Described:
+def _described(data: Dataset, solution: Solution, evidence: Evidence, *, differ: bool) -> Described:
     """The signals and the fit to them, to be tested; differ: whether the recordings do."""
     columns, target = next(iter(solution.blocks())) if data.choice.model.nonlinear else data.in_memory
     return Described(
@@ -263,7 +211,7 @@ def _described(data: Dataset, solution: _Solution, evidence: Evidence, *, differ
     )
 
 
-def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: _Solution) -> tuple[Step, ...]:
+def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: Solution) -> tuple[Step, ...]:
     """The steps of model selection, the last included one with the values of the result.
 
     Model selection sees the samples before those where the joint may stick are left out, and of a recording that does
@@ -276,94 +224,11 @@ def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: _So
     return (*steps[:last], final, *steps[last + 1 :])
 
 
-def _stationarity(data: Dataset, solution: _Solution) -> list[Diagnostic]:
+def _stationarity(data: Dataset, solution: Solution) -> list[Diagnostic]:
     """The check of Kc over each recording; left out where the samples would have to be read from disk again for it."""
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
     return stationarity_errors(solution.blocks, data.edges, names.index("Kc")) if data.whole and "Kc" in names else []
 
 
-def _linear(data: Dataset, search: Search, progress: Progress | None) -> _Solution:
-    """The solution of a model that is linear in its parameters: all of them are searched."""
-    columns, torque = data.in_memory
-    bounds = bounds_for(data.choice.model, search.bounds, columns, torque, papers=search.preset == "paper")
-    reduced = solved(data.blocks, positive_among(data.choice.model.linear))
-    began = time.perf_counter()
-    trials = _search(data, reduced, bounds, search, progress)
-    seconds = time.perf_counter() - began
-    optimum, gap = reduced.compared(trials.best)
-    return _Solution(optimum.genes, optimum, gap, bounds.low, bounds.high, trials, seconds, columns, data.blocks)
-
-
-def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> _Solution:
-    """The solution of a model with nonlinear parameters: they are searched, and the linear ones solved for exactly."""
-    model, motion = data.choice.model, data.signals.motion
-    if search.checkpoint is not None:
-        names = ", ".join(_names(model.nonlinear))
-        raise WrongUse(f"--checkpoint: the search for {names} takes seconds and is not saved: leave the option out")
-    unbounded, p = np.full(len(model.linear), np.nan), len(model.linear)
-    low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
-    low, high = narrowed(low, high, search.bounds, (*model.linear, *model.nonlinear), model.name)
-    _check_population(search, len(model.nonlinear))
-    problem = Problem(model, motion, data.signals.torque, low[p:], high[p:]).of(data.used)
-    began = time.perf_counter()
-    trials, best = search_nonlinear(
-        problem,
-        search.settings,
-        trials=search.trials or _NONLINEAR_TRIALS,
-        seed=search.seed,
-        workers=search.workers,
-        progress=None if progress is None else partial(progress, "searching"),
-    )
-    seconds = time.perf_counter() - began
-    try:
-        # the best trial is among them, so that none is ever better than the optimum it is compared with
-        near = problem.solve(best.nonlinear) if model.linear else descend(problem, best.nonlinear)
-        exact = min(near, best, key=lambda found: found.fitness)
-    except RuntimeError as error:
-        raise unproven(error) from error
-    columns, target = problem.linearised(exact)
-    blocks = Blocks.of(columns, target)
-    gap = exact.optimum.relative_gap(best.fitness)
-    return _Solution(exact.values, exact.optimum, gap, low, high, trials, seconds, columns, blocks)
-
-
-def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, progress: Progress | None) -> Trials:
-    """The trials on the data, or on the reduced data where they do not fit in memory; fitness in N m of the whole.
-
-    Raises WrongUse for a population that is too small, or a checkpoint that is of another search or cannot be written.
-    """
-    _check_population(search, len(bounds.low))
-    columns, torque = data.in_memory if data.whole else (reduced.columns, reduced.torque)
-    if progress is not None and search.settings.scheme == "steady-state":
-        many, workers = search.trials or _TRIALS, search.workers
-        forecast(columns, torque, bounds, search.settings, trials=many, workers=workers, progress=progress)
-    try:
-        trials = run_trials(
-            columns,
-            torque,
-            bounds,
-            search.settings,
-            trials=search.trials or _TRIALS,
-            seed=search.seed,
-            workers=search.workers,
-            start=None if data.whole else reduced.start,
-            progress=None if progress is None else partial(progress, "searching"),
-            stop=lambda: False,  # given one, the search ends at Ctrl-C and keeps its result
-            checkpoint=search.checkpoint,
-        )
-    except WrongCheckpoint as error:
-        raise WrongUse(f"--checkpoint: {error}") from None
-    except OSError as error:
-        raise WrongUse(f"--checkpoint {search.checkpoint}: {error.strerror}: name another file") from error
-    return trials if data.whole else trials.scaled(reduced.share)
-
-
 def _names(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:
     return tuple(parameter.name for parameter in parameters)
-
-
-def _check_population(search: Search, count: int) -> None:
-    try:
-        search.settings.population_for(count)
-    except ValueError as error:
-        raise WrongUse(f"--population: {error}") from None

@@ -14,7 +14,8 @@ from ga.fitness.engine import REPAID, WORTHWHILE
 from ga.model.coupling import parse as parse_model
 from hil.acquisition import excitation
 from hil.acquisition.run import run
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.recording.ahead import Progress
 from hil.recording.output import next_free

@@ -13,7 +13,6 @@ from hil.recording.channels import units_of
 from hil.recording.reader import Recording
 from hil.report.html_page import Page, Picture, Section, table_rows, write
 from hil.report.identification import (
-    as_json,
     bands_table,
     estimates_table,
     headline,
@@ -22,6 +21,7 @@ from hil.report.identification import (
     repeatability_table,
     verdicts,
 )
+from hil.report.identification_json import as_json
 from hil.report.lack_of_fit import distortion_lines
 from hil.report.pictures.recording import recording_figure
 from hil.report.pictures.result import pictures

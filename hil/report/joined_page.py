@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from hil.diagnostics import Diagnostic
 from hil.report.formatting import people_unit, rounded
 from hil.report.html_page import Page, Picture, Section, write
-from hil.report.identification import as_json, headline, milli
+from hil.report.identification import headline, milli
+from hil.report.identification_json import as_json
 from hil.report.pictures.result import fit_pictures
 from hil.report.provenance import provenance
 

@@ -20,7 +20,8 @@ from ga.model import terms
 from ga.model.coupling import parse
 from hil.acquisition import excitation
 from hil.cli.app import run
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.recording.reader import Recording
 from hil.stand.devices import BACKENDS, Device
 

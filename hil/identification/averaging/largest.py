@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
-from ga.model.friction import slowest
 from ga.model.separable import Problem
+from ga.model.sticking import slowest
 from ga.model.terms import PARAMETERS, TERMS, is_addable
 from ga.model.trajectory import Motion
 from hil.identification.fitting.jumps import rate_beside_jumps

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.friction import is_hidden, looks_like_spring
+from ga.model.sticking import is_hidden, looks_like_spring
 from hil.diagnostics import Diagnostic
 from hil.identification.evidence import Evidence
 from hil.uncertainty.criteria import (

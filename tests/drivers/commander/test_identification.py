@@ -18,7 +18,8 @@ from ga.model.coupling import parse as model
 from hil.acquisition import excitation
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand.file import parse

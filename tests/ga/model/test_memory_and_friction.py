@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from ga.model.coupling import CouplingModel, parse
-from ga.model.friction import is_hidden, looks_like_spring
 from ga.model.polishing import polished
 from ga.model.separable import Fit, Problem, descend, fit
+from ga.model.sticking import is_hidden, looks_like_spring
 from ga.model.terms import TERMS, is_addable
 from ga.model.trajectory import Motion
 

@@ -12,11 +12,12 @@ from ga.model.separable import Problem, fit
 from hil.identification.averaging import average, falling
 from hil.identification.averaging.average import Averaged
 from hil.identification.averaging.largest import Largest
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.model_choice import Choice
 from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array, Recording
-from hil.report.identification import as_json
+from hil.report.identification_json import as_json
 from hil.signals.prepare import prepare
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import covariance

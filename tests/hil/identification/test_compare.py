@@ -18,7 +18,7 @@ from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table
 from hil.exchange.row_filter import RowFilter
 from hil.identification.compare import Comparison, compare
-from hil.identification.identify import Search
+from hil.identification.fitting.solution import Search
 from hil.identification.result import Estimate, Repeatability, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.signals.source import open_sources

@@ -16,7 +16,8 @@ from hil.cli.app import run
 from hil.identification import dataset
 from hil.identification.compare import compare
 from hil.identification.dataset import open_dataset
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.model_choice import Choice
 from hil.identification.result import Identification
 from hil.recording.ahead import Progress

@@ -12,7 +12,8 @@ from scipy.special import erf
 
 from ga.model.coupling import parse
 from hil.exchange.importer import Column, import_table
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.model_choice import choose
 from hil.identification.result import Identification
 from hil.recording.reader import Array, Recording

@@ -14,7 +14,8 @@ from scipy.signal import butter, cont2discrete, lfilter
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.selection.held import held
 from hil.recording.reader import Array
 

@@ -17,12 +17,13 @@ from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
 from hil.identification.doubts.identifiability import other_stiffness
 from hil.identification.evidence import span_met, span_of_stiffness
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.selection.rivals import with_rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array
-from hil.report.identification import as_json
+from hil.report.identification_json import as_json
 from hil.signals.inspection import inspect
 
 from ..conftest import Maker

@@ -13,7 +13,8 @@ from scipy.signal import cont2discrete
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.recording.reader import Array
 
 from ..conftest import Maker

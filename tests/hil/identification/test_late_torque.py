@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.recording.reader import Array
 

@@ -12,8 +12,9 @@ from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
 from hil.identification.evidence import UNLOADED_PLACE
+from hil.identification.fitting.solution import Search
 from hil.identification.fitting.unloaded import Unloaded, unloaded
-from hil.identification.identify import Search, identify
+from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.recording.writer import Header, write
 from hil.signals.defects import Defects

@@ -12,7 +12,8 @@ from ga.evolution.evolution import PRESETS
 from hil.cli import app
 from hil.errors import WrongUse
 from hil.identification.compare import compare
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.user_model import load
 
 from ..conftest import Maker

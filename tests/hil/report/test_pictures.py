@@ -9,7 +9,8 @@ import pytest
 from matplotlib.patches import Rectangle
 
 from ga.model.coupling import parse
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.recording.writer import Header, write
 from hil.report.pictures.result import pictures

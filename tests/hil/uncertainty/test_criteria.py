@@ -15,7 +15,8 @@ from hil.acquisition import excitation
 from hil.acquisition.run import run
 from hil.experiment_design.advice import of_profile
 from hil.experiment_design.assessment import assess, task_of
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.stand.file import SIMULATED, parse
 from hil.uncertainty.criteria import friction_likeness
 

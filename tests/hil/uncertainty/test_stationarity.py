@@ -10,7 +10,8 @@ import pytest
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
 from hil.errors import WrongUse
-from hil.identification.identify import Search, identify
+from hil.identification.fitting.solution import Search
+from hil.identification.identify import identify
 from hil.identification.result import Identification
 
 from ..conftest import Maker

@@ -1,0 +1,163 @@
+"""The solution of one model: the genetic search, and the exact optimum beside it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.bounds import Bounds
+from ga.evolution.evolution import PRESETS, Settings
+from ga.lad.exact import Optimum
+from ga.lad.out_of_core import Reduced
+from ga.model.record import positive_among
+from ga.model.separable import Problem, descend
+from ga.trials.checkpoint import WrongCheckpoint
+from ga.trials.nonlinear import search_nonlinear
+from ga.trials.outcome import Trials
+from ga.trials.trials import run_trials
+from hil.errors import WrongUse
+from hil.identification.dataset import Dataset
+from hil.identification.fitting.bounds import bounds_for, narrowed
+from hil.identification.fitting.exact import solved, unproven
+from hil.identification.fitting.forecast import forecast
+from hil.recording.ahead import Progress
+from hil.uncertainty.blocks import Blocks
+
+Array = NDArray[np.float64]
+
+_TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """The settings of a search. bounds: the parameters whose range was given, SI.
+
+    trials: independent searches; None: the paper's 30, or 5 for a model with nonlinear parameters.
+    checkpoint: a file that keeps the state of the search; where it exists, the search continues from it.
+    """
+
+    preset: str = "default"
+    settings: Settings = PRESETS["default"]
+    trials: int | None = None
+    seed: int = 0
+    workers: int = os.cpu_count() or 1
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    checkpoint: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """The result of the search and of the exact solution.
+
+    values (p + q,): of the exact solution. gap: the optimiser's, relative. low and high (p + q,): the bounds of the
+    parameters that were searched, NaN for the others. columns (m, p + q): of the signals. blocks: the linear problem
+    around the solution.
+    """
+
+    values: Array
+    optimum: Optimum
+    gap: float
+    low: Array
+    high: Array
+    trials: Trials
+    seconds: float
+    columns: Array
+    blocks: Blocks
+
+
+def solve(data: Dataset, search: Search, progress: Progress | None) -> Solution:
+    """Search the parameters of the chosen model, and solve for its exact optimum.
+
+    Raises WrongUse where the search cannot be what was asked for, and Untrustworthy where no optimum could be proven.
+    """
+    return (_nonlinear if data.choice.model.nonlinear else _linear)(data, search, progress)
+
+
+def _linear(data: Dataset, search: Search, progress: Progress | None) -> Solution:
+    """The solution of a model that is linear in its parameters: all of them are searched."""
+    columns, torque = data.in_memory
+    bounds = bounds_for(data.choice.model, search.bounds, columns, torque, papers=search.preset == "paper")
+    reduced = solved(data.blocks, positive_among(data.choice.model.linear))
+    began = time.perf_counter()
+    trials = _search(data, reduced, bounds, search, progress)
+    seconds = time.perf_counter() - began
+    optimum, gap = reduced.compared(trials.best)
+    return Solution(optimum.genes, optimum, gap, bounds.low, bounds.high, trials, seconds, columns, data.blocks)
+
+
+def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> Solution:
+    """The solution of a model with nonlinear parameters: they are searched, and the linear ones solved for exactly."""
+    model, motion = data.choice.model, data.signals.motion
+    if search.checkpoint is not None:
+        names = ", ".join(parameter.name for parameter in model.nonlinear)
+        raise WrongUse(f"--checkpoint: the search for {names} takes seconds and is not saved: leave the option out")
+    unbounded, p = np.full(len(model.linear), np.nan), len(model.linear)
+    low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
+    low, high = narrowed(low, high, search.bounds, (*model.linear, *model.nonlinear), model.name)
+    _check_population(search, len(model.nonlinear))
+    problem = Problem(model, motion, data.signals.torque, low[p:], high[p:]).of(data.used)
+    began = time.perf_counter()
+    trials, best = search_nonlinear(
+        problem,
+        search.settings,
+        trials=search.trials or _NONLINEAR_TRIALS,
+        seed=search.seed,
+        workers=search.workers,
+        progress=None if progress is None else partial(progress, "searching"),
+    )
+    seconds = time.perf_counter() - began
+    try:
+        # the best trial is among them, so that none is ever better than the optimum it is compared with
+        near = problem.solve(best.nonlinear) if model.linear else descend(problem, best.nonlinear)
+        exact = min(near, best, key=lambda found: found.fitness)
+    except RuntimeError as error:
+        raise unproven(error) from error
+    columns, target = problem.linearised(exact)
+    blocks = Blocks.of(columns, target)
+    gap = exact.optimum.relative_gap(best.fitness)
+    return Solution(exact.values, exact.optimum, gap, low, high, trials, seconds, columns, blocks)
+
+
+def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, progress: Progress | None) -> Trials:
+    """The trials on the data, or on the reduced data where they do not fit in memory; fitness in N m of the whole.
+
+    Raises WrongUse for a population that is too small, or a checkpoint that is of another search or cannot be written.
+    """
+    _check_population(search, len(bounds.low))
+    columns, torque = data.in_memory if data.whole else (reduced.columns, reduced.torque)
+    if progress is not None and search.settings.scheme == "steady-state":
+        many, workers = search.trials or _TRIALS, search.workers
+        forecast(columns, torque, bounds, search.settings, trials=many, workers=workers, progress=progress)
+    try:
+        trials = run_trials(
+            columns,
+            torque,
+            bounds,
+            search.settings,
+            trials=search.trials or _TRIALS,
+            seed=search.seed,
+            workers=search.workers,
+            start=None if data.whole else reduced.start,
+            progress=None if progress is None else partial(progress, "searching"),
+            stop=lambda: False,  # given one, the search ends at Ctrl-C and keeps its result
+            checkpoint=search.checkpoint,
+        )
+    except WrongCheckpoint as error:
+        raise WrongUse(f"--checkpoint: {error}") from None
+    except OSError as error:
+        raise WrongUse(f"--checkpoint {search.checkpoint}: {error.strerror}: name another file") from error
+    return trials if data.whole else trials.scaled(reduced.share)
+
+
+def _check_population(search: Search, count: int) -> None:
+    try:
+        search.settings.population_for(count)
+    except ValueError as error:
+        raise WrongUse(f"--population: {error}") from None
