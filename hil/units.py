@@ -81,6 +81,9 @@ COMMON: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """The units that messages propose, by dimension."""
 
+NO_UNIT = "1"
+"""The unit of a pure number in files and JSON."""
+
 _ALL: Mapping[str, str] = MappingProxyType({**SI, **LEVER, **DRIVES})
 
 _DEFINITIONS = """
@@ -136,6 +139,17 @@ _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\
 _LONGEST = 40  # characters of a unit; what is longer is no unit
 _MOST_READINGS = 512  # of one text
 _SHORT = 4  # letters: what is longer is a word, such as "milliseconds", which small letters do not change
+
+
+def with_unit(number: str, unit: str) -> str:
+    """Return a number with its unit as people read it: "3 N m/rad"; a pure number, of unit "1" or "", has none."""
+    read = printed(unit)
+    return f"{number} {read}" if read else number
+
+
+def printed(unit: str) -> str:
+    """Return a unit as people read it: "N m/rad" for "N*m/rad", and "" for that of a pure number."""
+    return "" if unit == NO_UNIT else unit.replace("*", " ")
 
 
 def factor(dimension: str, unit: str) -> float:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 from hil.exchange.coupling import Coupling
+from hil.units import NO_UNIT
 
 SCHEMA = "hil-coupling/1"
 _FREE_FREQUENCY = 100.0  # Hz at which the coupling swings with the placeholder of the motor's inertia
@@ -99,7 +100,8 @@ def c_header(coupling: Coupling) -> str:
         "",
     ]
     for name, (value, unit) in coupling.parameters.items():
-        lines.append(f"#define HIL_{re.sub(r'[^A-Za-z0-9]', '_', name).upper()} {_number(value)} /* {_safe(unit)} */")
+        comment = "" if unit == NO_UNIT else f" /* {_safe(unit)} */"
+        lines.append(f"#define HIL_{re.sub(r'[^A-Za-z0-9]', '_', name).upper()} {_number(value)}{comment}")
     return "\n".join([*lines, "", "#endif", ""])
 
 

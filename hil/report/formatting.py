@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from hil import units
 from hil.diagnostics import Diagnostic
 
 if TYPE_CHECKING:  # rich costs 50 ms
@@ -16,12 +17,15 @@ _PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
 
 
 def people_unit(unit: str, *, milli: bool) -> tuple[float, str]:
-    """Return the factor to the printed unit of a parameter, and that unit: ms; mN m if `milli`, as in the paper."""
+    """Return the factor to the printed unit of a parameter, and that unit: ms; mN m if `milli`, as in the paper.
+
+    The unit of a pure number is "".
+    """
     if unit == "s":
         return 1e3, "ms"
     if milli and unit.startswith("N*m"):
-        return 1e3, ("mN m" + unit.removeprefix("N*m")).replace("*", " ")
-    return 1.0, unit.replace("*", " ")
+        return 1e3, units.printed("m" + unit)
+    return 1.0, units.printed(unit)
 
 
 def engineering(value: float, unit: str, digits: int = 3) -> str:

@@ -12,6 +12,7 @@ from hil.report.deflection import deflection_lines
 from hil.report.formatting import people_unit, plain_table, rounded, rounded_in_thousands
 from hil.report.lack_of_fit import dynamic_stiffness_table
 from hil.uncertainty.criteria import COUPLING
+from hil.units import with_unit
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -40,10 +41,10 @@ def _verdict(found: Identification, estimate: Estimate) -> str:
     codes = [code for code in found.doubts(estimate.name) if code != "two-stiffnesses" or not estimate.depends_on]
     doubts = f" (not to be trusted: {', '.join(dict.fromkeys(codes))})" if codes else ""
     if estimate.depends_on is not None:
-        return f"{estimate.name} = {interval} {unit} (depends on the {estimate.depends_on}){doubts}"
+        return f"{estimate.name} = {with_unit(interval, unit)} (depends on the {estimate.depends_on}){doubts}"
     if not estimate.identifiable or half is None:
-        return f"{estimate.name} = {value} {unit} (not identifiable)"
-    return f"{estimate.name} = {value} ± {half} {unit}{doubts}"
+        return f"{estimate.name} = {with_unit(value, unit)} (not identifiable)"
+    return f"{estimate.name} = {with_unit(f'{value} ± {half}', unit)}{doubts}"
 
 
 def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None, str, str]:
@@ -164,7 +165,7 @@ def _truth_line(found: Identification, estimate: Estimate, true: float) -> str:
     low, high = estimate.ci95
     holds = "holds" if low <= true <= high else "does not hold"
     _, _, interval, _ = printed(found, estimate)
-    said = f"true {estimate.name} of the simulated joint: {true * factor:.5g} {unit}"
+    said = f"true {estimate.name} of the simulated joint: {with_unit(f'{true * factor:.5g}', unit)}"
     return f"{said}; the interval, {interval}, {holds} it"
 
 
@@ -180,7 +181,8 @@ def _component_lines(found: Identification) -> list[str]:
     pooled = [(estimate, estimate.components) for estimate in found.estimates[:2] if estimate.components is not None]
     return [
         f"{estimate.name}, standard deviation between the {len(found.recordings)} recordings: "
-        f"{components.between * factor:.2g} {unit}; within one: {components.within * factor:.2g} {unit}"
+        f"{with_unit(f'{components.between * factor:.2g}', unit)}; "
+        f"within one: {with_unit(f'{components.within * factor:.2g}', unit)}"
         for estimate, components in pooled
         for factor, unit in [people_unit(estimate.unit, milli=milli(found))]
     ]

@@ -22,6 +22,7 @@ from hil.uncertainty.criteria import (
     distinguishable,
     narrow,
 )
+from hil.units import with_unit
 
 Array = NDArray[np.float64]
 
@@ -139,7 +140,7 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
         found.append(Diagnostic("not-identifiable", _why_not(evidence, at), name, is_error=is_error))
     elif negative is not None:
         text = (
-            f"{name} would be {negative:.3g} {_unit(evidence, at)}, but it cannot be negative. "
+            f"{name} would be {with_unit(f'{negative:.3g}', evidence.parameters[at].unit)}, but it cannot be negative. "
             f"{_IMPLAUSIBLE.get(name, 'Bc is wrong by the same torque. Leave the term out')}"
             f"{'' if evidence.selected or name == 'Kc' else ', or try --model auto'}"
         )
@@ -199,16 +200,18 @@ def _alike(evidence: Evidence, at: int) -> str:
 
 def _too_wide(evidence: Evidence, at: int) -> str:
     """Return why the interval of the parameter is too wide, and the remedy."""
-    name, unit, scatter = evidence.names[at], _unit(evidence, at), evidence.scattered[at]
+    name, unit, scatter = evidence.names[at], evidence.parameters[at].unit, evidence.scattered[at]
     if scatter is not None and scatter.between > BETWEEN * scatter.within:
         return (
-            f"{name} is not identifiable: it differs between the recordings by {scatter.between:.2g} {unit} (standard "
-            f"deviation), and the error of one recording is only {scatter.within:.2g} {unit}. Find the recording that "
+            f"{name} is not identifiable: it differs between the recordings by "
+            f"{with_unit(f'{scatter.between:.2g}', unit)} (standard deviation), and the error of one recording is only "
+            f"{with_unit(f'{scatter.within:.2g}', unit)}. Find the recording that "
             "differs with hil compare, and pool only recordings of one joint in the same units"
         )
     if evidence.selected and evidence.exact[1][at] < 0.5 * abs(evidence.exact[0][at]):
         return _by_the_choice(evidence, at)
-    wide = f"it is {evidence.values[at]:.3g} ± {evidence.errors.half_width[at]:.2g} {unit} (95 %)"
+    half = evidence.errors.half_width[at]
+    wide = f"it is {with_unit(f'{evidence.values[at]:.3g} ± {half:.2g}', unit)} (95 %)"
     if name == "Bc" and evidence.has_friction:
         return f"Bc cannot be distinguished from friction: {wide}. {_corner(evidence)}{SEVERAL_SPEEDS}"
     corner = _corner(evidence) if name == "Bc" else ""
@@ -217,7 +220,7 @@ def _too_wide(evidence: Evidence, at: int) -> str:
 
 def _by_the_choice(evidence: Evidence, at: int) -> str:
     """Return the value by the selected model alone, for a parameter on which likely models disagree, and the remedy."""
-    name, unit = evidence.names[at], _unit(evidence, at)
+    name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = (float(of[at]) for of in evidence.exact)
     if {"skew", "lag", "window"} & set(evidence.names):
         cause = "A late torque reading looks like a viscoelastic coupling that relaxes fast. Drive faster (--band)"
@@ -226,14 +229,10 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
         cause = "In slow motion, a torque cell that lags looks like less damping. Drive faster (--band)"
         known = "nothing delays the torque"
     return (
-        f"{name} depends on the model: model {evidence.model.name} gives {value:.3g} ± {half:.2g} {unit}, and other "
-        f"models that fit equally well give other values. {cause}. If you know that {known}, name --model "
-        f"{evidence.model.name}"
+        f"{name} depends on the model: model {evidence.model.name} gives "
+        f"{with_unit(f'{value:.3g} ± {half:.2g}', unit)}, and other models that fit equally well give other "
+        f"values. {cause}. If you know that {known}, name --model {evidence.model.name}"
     )
-
-
-def _unit(evidence: Evidence, at: int) -> str:
-    return evidence.parameters[at].unit.replace("*", " ")
 
 
 def _corner(evidence: Evidence) -> str:

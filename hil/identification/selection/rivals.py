@@ -9,6 +9,7 @@ from hil.diagnostics import Diagnostic
 from hil.identification.result import Estimate, interval
 from hil.identification.selection.stepwise import Step
 from hil.uncertainty.criteria import EVIDENCE_AGAINST, narrow
+from hil.units import with_unit
 
 
 def with_rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> tuple[tuple[Estimate, ...], list[Diagnostic]]:
@@ -52,5 +53,5 @@ def _of_interval(value: float, *, is_wide: bool) -> str:
 
 def _change(value: float, estimate: Estimate) -> str:
     if not estimate.value:
-        return f"would be {value:.3g} {estimate.unit.replace('*', ' ')}"
+        return f"would be {with_unit(f'{value:.3g}', estimate.unit)}"
     return f"changes by {value / estimate.value - 1.0:+.2%}"

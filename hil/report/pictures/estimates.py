@@ -10,6 +10,7 @@ import numpy as np
 from hil.report.formatting import people_unit
 from hil.report.identification import milli, printed
 from hil.report.pictures.canvas import canvas, literal, plain_ticks
+from hil.units import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +40,7 @@ def intervals_text(found: Identification) -> str:
     parts = []
     for estimate in _known(found):
         _, _, interval, unit = printed(found, estimate)
-        parts.append(f"{estimate.name} {interval} {unit}")
+        parts.append(f"{estimate.name} {with_unit(interval, unit)}")
     return f"95 % intervals: {'; '.join(parts)}." if parts else "No parameter has an interval."
 
 

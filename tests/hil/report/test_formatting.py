@@ -7,6 +7,7 @@ import math
 import pytest
 
 from hil.report.formatting import duration, engineering, people_unit, rounded, rounded_in_thousands
+from hil.units import with_unit
 
 
 @pytest.mark.parametrize(
@@ -14,6 +15,13 @@ from hil.report.formatting import duration, engineering, people_unit, rounded, r
 )
 def test_a_duration_has_a_unit_of_its_size(seconds: float, printed: str) -> None:
     assert duration(seconds) == printed
+
+
+@pytest.mark.parametrize("milli", [False, True])
+def test_a_pure_number_has_no_unit(*, milli: bool) -> None:
+    assert people_unit("1", milli=milli) == (1.0, "")
+    assert with_unit("0.18", "1") == with_unit("0.18", "") == "0.18"
+    assert with_unit("3", "N*m*s/rad") == "3 N m s/rad"
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from hil.errors import WrongUse
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.result import Identification
+from hil.recording.reader import Array
 from hil.report.html_page import check_page_name
 from hil.report.identification import (
     estimates_table,
@@ -28,6 +30,7 @@ from hil.report.identification import (
 )
 from hil.report.identification_json import as_json
 from hil.report.identification_page import write_page
+from hil.report.pictures.estimates import intervals_text
 from hil.report.pictures.result import figure
 
 from ..conftest import Maker
@@ -162,6 +165,23 @@ def test_a_small_inertia_is_printed_with_a_power_of_a_thousand(make_recording: M
     printed = re.search(r"J = ([\d.]+)e-6 ± [\d.]+e-(?:6|9) kg m\^2", summary_lines(result)[0])
     assert printed is not None
     assert float(printed[1]) == pytest.approx(20.0, rel=0.02)
+
+
+def test_no_unit_is_printed_after_a_pure_number(make_recording: Maker, tmp_path: Path) -> None:
+    def rubs(channels: dict[str, Array]) -> None:
+        pulled = np.abs(channels["torque"]) * np.sign(np.gradient(channels["dtheta"]))
+        channels["torque"] = channels["torque"] + 0.18 * pulled
+
+    result = found(make_recording(noise=2e-5, change=rubs), trials=1, model="linear+offset+capstan")
+    unit_of_one = re.compile(r"mu\b[^;,|]*\d 1\b|\[1\]")
+    page = write_page(result, tmp_path / "a.html", force=False).read_text()
+    shown = Console(width=200, record=True, file=StringIO())
+    shown.print(estimates_table(result), repeatability_table(result))
+    for text in (*summary_lines(result), intervals_text(result), shown.export_text()):
+        assert not unit_of_one.search(text)
+    assert re.search(r"mu = 0\.1\d+ ± 0\.0\d+(,|$)", summary_lines(result)[0])
+    assert re.search(r"mu = 0\.1\d+ ± [^ ]+ 1\b", page) is None
+    assert as_json(result)["parameters"]["mu"]["unit"] == "1"
 
 
 def test_the_truth_of_a_simulated_joint_is_held_against_the_interval(make_recording: Maker) -> None:
