@@ -28,16 +28,26 @@ class Diagnostic:
         return {"code": self.code, "parameter": self.parameter, "message": self.message}
 
 
-def driven_by_position(*, is_error: bool) -> Diagnostic:
+def again(words: str, options: str, *, imported: bool) -> str:
+    """Return how to record again: in words, and with the options of `hil record` that do it.
+
+    imported: whether a table of another program was imported. Its user has no such options, so that they are left out.
+    """
+    return words if imported else f"{words} ({options})"
+
+
+def driven_by_position(*, is_error: bool, imported: bool = False) -> Diagnostic:
     """Return the diagnostic for motor torque that was read while the drive held positions.
 
     The Bc of the simulated joint comes out near zero then. is_error: for a result; a run to come is only warned of.
+    imported: as `again`.
     """
+    chirp = again("Drive a chirp of torque", "--mode torque --profile chirp", imported=imported)
     return Diagnostic(
         "motor-side",
         "the torque is the motor's, and its drive held positions. Between two ticks the drive's own loop changes the "
         "torque, and the readings do not show it. Kc is nearly right, but Bc is not that of the joint "
-        "(docs/position_loop.md). Record with --mode torque --profile chirp, or with a torque cell at the joint",
+        f"(docs/position_loop.md). {chirp}, or record with a torque cell at the joint",
         "Bc",
         is_error=is_error,
     )

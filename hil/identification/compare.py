@@ -137,7 +137,7 @@ def _name(model: Coupling | None) -> str:
 
 def _origin(source: Source) -> tuple[datetime | None, bool]:
     """When a recording was made, None where it is not known; and whether it was imported, at another time."""
-    if source.recording.profile.get("kind") == "imported":
+    if source.recording.imported:
         return None, True
     try:
         moment = datetime.fromisoformat(str(source.recording.attributes.get("created", "")))

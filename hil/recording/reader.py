@@ -118,6 +118,11 @@ class Recording:
             self._file.close()
             raise
 
+    @property
+    def imported(self) -> bool:
+        """Whether it was made from a table of another program."""
+        return self.profile.get("kind") == "imported"
+
     def _try_out(self) -> None:
         """Read all but the rows in a copy of this process: the HDF5 library can hang or crash on a damaged file."""
         answer = in_child(self._refusal, processor=_TRIAL_TIME, memory=_TRIAL_MEMORY)

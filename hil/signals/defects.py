@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.servo import Status
+from hil.diagnostics import again
 from hil.errors import Untrustworthy
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
@@ -195,7 +196,7 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
             f"{name}: the torque never changes: no Kc or Bc can be estimated; check the torque sensor and its unit"
         )
     if np.ptp(dtheta) < _STILL_ANGLE:
-        larger = "record a motion of the joint" if recording.profile.get("kind") == "imported" else "raise --amplitude"
+        larger = again("record a motion of the joint", "--amplitude", imported=recording.imported)
         raise Untrustworthy(
             f"{name}: the deflection never changes: no Kc or Bc can be estimated; {larger} or free the cable"
         )

@@ -116,13 +116,15 @@ def negative_stiffness(motion: Motion, torque: Array) -> float | None:
     return float(values[0] / sizes[0]) if negative else None
 
 
-def wrong_sign(stiffness: float) -> Diagnostic:
-    """Return the error of a recording whose `negative_stiffness` that is, N m/rad."""
+def wrong_sign(stiffness: float, *, imported: bool) -> Diagnostic:
+    """Return the error of a recording whose `negative_stiffness` that is, N m/rad; imported: from a table."""
+    remedy = "Import the table again with --torque-scale -1, or with --dtheta-scale -1 if the angle is wrong"
+    if not imported:
+        remedy = "Correct the sign in the stand file (hil doctor --move finds it), and record again"
     return Diagnostic(
         "implausible",
         f"Kc would be {stiffness:.3g} N m/rad, but it cannot be negative. A sign is wrong, so neither Kc nor Bc can be "
-        "identified: a positive torque must make a positive deflection. Import a table again with --torque-scale -1; "
-        "for hil record, correct the sign in the stand file (hil doctor --move finds it)",
+        f"identified: a positive torque must make a positive deflection. {remedy}",
         is_error=True,
     )
 

@@ -48,7 +48,7 @@ class Signals:
     ticks. command (n,): the set-points at these times, None where they were not recorded. refused_rate: how a recorded
     rate differs from the deflection's derivative, so that it is not used. unfiltered (n,): N m, the torque as it was
     read where that is another. jerked (n,): whether each is beside a jump of the acceleration, so that its rate or
-    acceleration is not known; None: none.
+    acceleration is not known; None: none. imported: whether a table of another program is among what was recorded.
     """
 
     motion: Motion
@@ -63,6 +63,7 @@ class Signals:
     refused_rate: OwnRate | None = None
     unfiltered: Array | None = None
     jerked: NDArray[np.bool_] | None = None
+    imported: bool = False
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -108,20 +109,23 @@ def joined(parts: list[Signals]) -> Signals:
         command=np.concatenate(commands) if len(commands) == len(parts) else None,
         unfiltered=np.concatenate([part.as_read for part in parts]),
         jerked=None if known.all() else ~known,
+        imported=any(part.imported for part in parts),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Which channels are read: the motor's torque or the joint's, a recorded rate or the deflection's slope, whether
-    the torque has times of its own, how torque and deflection show a sensor that is slower than the ticks, and why a
-    recorded rate is not used.
+    """Which channels are read: the motor's torque or the joint's, a recorded rate or the deflection's slope.
+
+    own_time: whether the torque has times of its own. imported: whether they are those of a table. torque, dtheta: how
+    they show a sensor that is slower than the ticks. refused: why a recorded rate is not used.
     """
 
     stand: StandTable | None
     motor_side: bool
     rate_given: bool
     own_time: bool
+    imported: bool
     torque: Kind | None = None
     dtheta: Kind | None = None
     refused: OwnRate | None = None
@@ -210,7 +214,9 @@ def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
 
     from_motor = stand is not None and stand.torque_source == "motor" and present("motor_torque")
     rate_given = present("dtheta_dot") and not present("motor_position")
-    return _Columns(stand, from_motor, rate_given, own_time=not from_motor and present("joint_time"))
+    return _Columns(
+        stand, from_motor, rate_given, own_time=not from_motor and present("joint_time"), imported=recording.imported
+    )
 
 
 def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
@@ -260,6 +266,7 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
         refused_rate=columns.refused,
         jerked=jerked,
         unfiltered=_at_joint(usable.torque[kept], columns) if is_filtered else None,
+        imported=columns.imported,
     )
 
 

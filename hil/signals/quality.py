@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.servo import Status
-from hil.diagnostics import Diagnostic, driven_by_position, lateness
+from hil.diagnostics import Diagnostic, again, driven_by_position, lateness
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals.defects import Defects
@@ -92,14 +92,15 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
 
     limits: of the stand that it was made on, None where they are not known.
     """
+    imported = recording.imported
     by_position = quality.torque_from == "motor" and recording.profile.get("mode") == "position"
     return [
-        *([] if quality.negative is None else [wrong_sign(quality.negative)]),
+        *([] if quality.negative is None else [wrong_sign(quality.negative, imported=imported)]),
         *_unfinished(recording),
-        *_unused_rows(quality),
-        *([driven_by_position(is_error=True)] if by_position else []),
-        *_weaknesses(quality, _larger(recording)),
-        *(_slow(one, quality.highest) for one in quality.slower),
+        *_unused_rows(quality, imported=imported),
+        *([driven_by_position(is_error=True, imported=imported)] if by_position else []),
+        *_weaknesses(quality, imported=imported),
+        *(_slow(one, quality.highest, imported=imported) for one in quality.slower),
         *([quality.refused_rate.diagnostic()] if quality.refused_rate else []),
         *implausible(_swing(quality.torque), _swing(quality.deflection), limits),
         *lateness(quality.late, quality.samples),
@@ -119,7 +120,7 @@ def _unfinished(recording: Recording) -> list[Diagnostic]:
     ]
 
 
-def _unused_rows(quality: Quality) -> list[Diagnostic]:
+def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
     defects, rows, found = quality.defects, quality.samples, []
     if defects.lost:
         lost = f"{defects.lost} of {rows} replies were lost and are left out: hil doctor shows how often"
@@ -137,9 +138,11 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
         )
         found.append(Diagnostic("angle-frozen", text))
     if defects.clipped:
+        softer = again("Drive with less torque", "--amplitude", imported=imported)
         text = (
             f"the torque is at the end of its sensor's range in {defects.clipped} of {rows} rows. These rows are left "
-            "out; Kc and Bc come from the other rows. Lower --amplitude, or widen the sensor's range"
+            f"out; Kc and Bc come from the other rows. {softer}, or "
+            "widen the sensor's range"
         )
         found.append(Diagnostic("torque-clipped", text))
     if defects.spikes:
@@ -158,10 +161,12 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
         gaps = f"{defects.near_gaps} rows beside a gap have no rate and are left out: record without a pause"
         found.append(Diagnostic("near-gaps", gaps))
     if defects.jerked > _MANY_JERKED * rows:
+        smoother = again(
+            "Drive a multisine or a chirp, or read the sensors more often", "--profile, --rate", imported=imported
+        )
         text = (
             f"the acceleration jumps beside {defects.jerked} of {rows} rows, so their rate or acceleration is not "
-            "known. These rows are left out; Kc and Bc come from the other rows. Use --profile multisine or chirp, or "
-            "a higher --rate"
+            f"known. These rows are left out; Kc and Bc come from the other rows. {smoother}"
         )
         found.append(Diagnostic("acceleration-jumps", text))
     if defects.coarse_clock:
@@ -175,18 +180,15 @@ def _unused_rows(quality: Quality) -> list[Diagnostic]:
     return found
 
 
-def _larger(recording: Recording) -> str:
-    """Return how to get a larger motion: the option of `hil record` means nothing to who recorded it otherwise."""
-    return "record a larger motion" if recording.profile.get("kind") == "imported" else "raise --amplitude"
-
-
-def _weaknesses(quality: Quality, larger: str) -> list[Diagnostic]:
+def _weaknesses(quality: Quality, *, imported: bool) -> list[Diagnostic]:
+    larger = again("record a larger motion", "--amplitude", imported=imported)
     counts, found = quality.deflection / quality.deflection_lsb, []
     lost, saturated = quality.defects.lost / quality.samples, quality.saturated / quality.samples
     if lost > _MANY_LOST:
         found.append(Diagnostic("many-lost", f"{lost:.1%} of the replies were lost: check cable and baud rate"))
     if saturated > _MANY_SATURATED:
-        text = f"the torque limit cut the command in {saturated:.1%} of the rows: lower --amplitude"
+        softer = again("drive with less torque", "--amplitude", imported=imported)
+        text = f"the torque limit cut the command in {saturated:.1%} of the rows: {softer}"
         found.append(Diagnostic("saturated", text))
     if counts < _FEW_COUNTS:
         text = f"the deflection spans {counts:.0f} counts of the encoder: {larger}"
@@ -197,7 +199,7 @@ def _weaknesses(quality: Quality, larger: str) -> list[Diagnostic]:
     return found
 
 
-def _slow(one: Slower, highest: float) -> Diagnostic:
+def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
     shown = "each repeated until the next" if one.kind == "held" else "joined by straight lines"
     text = (
         f"the sensor of the {one.channel} has {1.0 / one.step:.3g} readings a second, {shown}, and the recording has "
@@ -207,7 +209,7 @@ def _slow(one: Slower, highest: float) -> Diagnostic:
         return Diagnostic(
             "slow-angle",
             f"{text}. The joint moves at up to {highest:.3g} Hz, too fast for these readings, so Kc and Bc are wrong. "
-            "Read the encoder more often, or lower --band",
+            f"Read the encoder more often, or {again('move the joint more slowly', '--band', imported=imported)}",
             is_error=True,
         )
     text += ". Only the sensor's own readings are used"

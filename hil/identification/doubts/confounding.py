@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.sticking import is_hidden, looks_like_spring
-from hil.diagnostics import Diagnostic
+from hil.diagnostics import Diagnostic, again
 from hil.identification.evidence import Evidence
 from hil.uncertainty.criteria import (
     FRICTION,
@@ -19,13 +19,16 @@ from hil.uncertainty.criteria import (
 
 Array = NDArray[np.float64]
 
-SEVERAL_SPEEDS = "Drive at several speeds (--profile chirp or multisine over two octaves)"
-"""The remedy where one speed hides an effect."""
-
 _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
 _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
 _CURVED = {"cubic", "quintic", "progressive", "asymmetric"}  # the terms of a spring that curves or bends
 _RUBS = {"coulomb", "dahl", "lugre", "boucwen", "capstan", "sheath", "gear"}  # and those of friction
+
+
+def several_speeds(evidence: Evidence) -> str:
+    """Return the remedy where one speed hides an effect."""
+    imported = evidence.signals.imported
+    return again("Drive at several speeds over two octaves", "--profile chirp or multisine", imported=imported)
 
 
 def confounded(evidence: Evidence) -> list[Diagnostic]:
@@ -41,10 +44,17 @@ def _inertia(evidence: Evidence) -> list[Diagnostic]:
     inertia = float(evidence.values[evidence.names.index("J")])
     text = (
         f"the torque includes an inertia of {inertia:.2g} kg m^2, so it is likely the motor's torque and not the "
-        "joint's. The model has a term for the inertia, so Kc is not affected. Import the torque with "
-        "--motor-torque, and set motor_inertia in the stand file"
+        "joint's. The model has a term for the inertia, so Kc is not affected. If it is the motor's, "
+        f"{_as_motors(evidence)}"
     )
     return [Diagnostic("inertia-in-torque", text, "Kc")]
+
+
+def _as_motors(evidence: Evidence) -> str:
+    """Return how to say that the torque is the motor's: of a table, or of a stand."""
+    if evidence.signals.imported or evidence.signals.torque_from == "given":
+        return "import it with --motor-torque, and set motor_inertia in the stand file"
+    return 'set torque_source = "motor" and motor_inertia in the stand file'
 
 
 def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
@@ -61,8 +71,8 @@ def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
     text = (
         f"the torque includes an inertia of {inertia:.2g} kg m^2, or the angle passed a filter that the torque did "
         f"not: both fit alike. Bc is {damping:.3g} N m s/rad with an inertia, and {either} behind a filter of the "
-        "angle; Kc is the same. Record the angle without the drive's filter. If the torque is the motor's, import it "
-        "with --motor-torque, and set motor_inertia in the stand file"
+        "angle; Kc is the same. Record the angle without the drive's filter. If the torque is the motor's, "
+        f"{_as_motors(evidence)}"
     )
     known = f". If you know that there is an inertia, name --model {evidence.model.name}" if evidence.selected else ""
     return [Diagnostic("filtered-angle", text + known, "Bc", is_error=evidence.selected)]
@@ -81,7 +91,7 @@ def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
     text = (
         "the joint moved at one frequency. There, a part of the stiffness that relaxes looks like more stiffness and "
         "damping, and an inertia (if the torque is the motor's) like less stiffness. Kc and Bc are those at this "
-        f"frequency. {SEVERAL_SPEEDS}"
+        f"frequency. {several_speeds(evidence)}"
     )
     known = f". If you know that the joint has neither, name --model {evidence.model.name}" if selected else ""
     return [Diagnostic("one-frequency", text + known, None if selected else "Kc", is_error=selected)]
@@ -108,10 +118,11 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
         fits = f"has the torque of more {parts}, in this motion at every sample"
     else:
         return []
+    smooth = again("Drive a multisine or a chirp", "--profile", imported=evidence.signals.imported)
     text = (
         "the joint rests at one place after each move up, and at another after each move down. Dry friction that holds "
-        f"it there {fits}. Kc and Bc may be wrong. Use --profile multisine or chirp. If you know that there is no "
-        f"friction, name --model {evidence.model.name}"
+        f"it there {fits}. Kc and Bc may be wrong. {smooth}. If you know that there is no friction, name --model "
+        f"{evidence.model.name}"
     )
     return [Diagnostic("friction-at-rest", text, is_error=True)]
 

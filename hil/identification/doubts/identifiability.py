@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ga.model.terms import PARAMETERS
 from ga.trials.outcome import Trials
-from hil.diagnostics import Diagnostic
-from hil.identification.doubts.confounding import SEVERAL_SPEEDS, confounded
+from hil.diagnostics import Diagnostic, again
+from hil.identification.doubts.confounding import confounded, several_speeds
 from hil.identification.evidence import UNLOADED_PLACE, Evidence, sliding, span_of_stiffness
 from hil.uncertainty.criteria import (
     BETWEEN,
@@ -148,7 +148,7 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
     elif name == "Bc" and evidence.friction_likeness > ONE_SPEED:
         text = (
             "the joint moved at one speed, where dry friction looks like damping. The model has no term for friction, "
-            f"so Bc includes most of any friction. {SEVERAL_SPEEDS}"
+            f"so Bc includes most of any friction. {several_speeds(evidence)}"
             f"{'' if evidence.selected else ', and try --model auto'}"
         )
         found.append(Diagnostic("one-speed", text, name))
@@ -168,7 +168,7 @@ def _why_not(evidence: Evidence, at: int) -> str:
     if not evidence.columns[:, at].any():
         return f"{name} is not identifiable: nothing in this recording excites it"
     if name == "Bc" and evidence.friction_likeness >= LIKE_FRICTION:
-        return f"Bc cannot be distinguished from dry friction: the joint moved at one speed. {SEVERAL_SPEEDS}"
+        return f"Bc cannot be distinguished from dry friction: the joint moved at one speed. {several_speeds(evidence)}"
     if distinguishable(float(evidence.errors.half_width[at]), float(evidence.errors.inflation[at])):
         if evidence.parameters[at].presence:
             return f"{name} may be zero: its 95 % interval includes zero. Leave its term out of --model"
@@ -181,10 +181,12 @@ def _alike(evidence: Evidence, at: int) -> str:
     name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
     constant = float(evidence.values[evidence.names.index("tau1")]) if "tau1" in evidence.names else 0.0
     if name in {"Kc", "K1"} and constant > 1.0 / (2.0 * np.pi * low):
+        seconds = f"Hold a load for at least {5.0 * constant:.2g} s"
+        hold = again(seconds, "--profile steps at a low --band", imported=evidence.signals.imported)
         return (
             f"{name} is not identifiable: a part of the stiffness relaxes in about {constant:.2g} s (tau1), but the "
-            f"slowest motion was at {low:.2g} Hz. Hold a load for at least {5.0 * constant:.2g} s (--profile steps at "
-            "a low --band). In the band of this recording, use K'(f) of --verbose"
+            f"slowest motion was at {low:.2g} Hz. {hold}. In the band of this recording, use "
+            "K'(f) of --verbose"
         )
     norms = np.linalg.norm(columns, axis=0)
     alike = np.abs(columns.T @ columns[:, at]) / np.where(norms > 0.0, norms, 1.0) / norms[at]
@@ -192,9 +194,13 @@ def _alike(evidence: Evidence, at: int) -> str:
     other = evidence.names[int(np.argmax(alike))]
     pair = " from ".join(f"{one} ({PARAMETERS[one].meaning})" if one in PARAMETERS else one for one in (name, other))
     extra = [one for one in (name, other) if one not in COUPLING]
-    return (
-        f"the band of this recording, {low:.3g} to {high:.3g} Hz, does not distinguish {pair}. Drive at several speeds "
-        "over a wider band (--profile chirp or multisine)" + (f", or leave out the term of {extra[0]}" if extra else "")
+    wider = again(
+        "Drive at several speeds over a wider band",
+        "--profile chirp or multisine, --band",
+        imported=evidence.signals.imported,
+    )
+    return f"the band of this recording, {low:.3g} to {high:.3g} Hz, does not distinguish {pair}. {wider}" + (
+        f", or leave out the term of {extra[0]}" if extra else ""
     )
 
 
@@ -213,9 +219,10 @@ def _too_wide(evidence: Evidence, at: int) -> str:
     half = evidence.errors.half_width[at]
     wide = f"it is {with_unit(f'{evidence.values[at]:.3g} ± {half:.2g}', unit)} (95 %)"
     if name == "Bc" and evidence.has_friction:
-        return f"Bc cannot be distinguished from friction: {wide}. {_corner(evidence)}{SEVERAL_SPEEDS}"
-    corner = _corner(evidence) if name == "Bc" else ""
-    return f"{name} is not identifiable: {wide}. {corner}Excite it more (--band, --amplitude)"
+        return f"Bc cannot be distinguished from friction: {wide}. {_corner(evidence)}{several_speeds(evidence)}"
+    corner, imported = _corner(evidence) if name == "Bc" else "", evidence.signals.imported
+    more = again("Move the joint faster, or with a larger amplitude", "--band, --amplitude", imported=imported)
+    return f"{name} is not identifiable: {wide}. {corner}{more}"
 
 
 def _by_the_choice(evidence: Evidence, at: int) -> str:
@@ -223,15 +230,16 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
     name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = (float(of[at]) for of in evidence.exact)
     if {"skew", "lag", "window"} & set(evidence.names):
-        cause = "A late torque reading looks like a viscoelastic coupling that relaxes fast. Drive faster (--band)"
+        cause = "A late torque reading looks like a viscoelastic coupling that relaxes fast"
         known = "the torque cell or its filter is that late"
     else:
-        cause = "In slow motion, a torque cell that lags looks like less damping. Drive faster (--band)"
+        cause = "In slow motion, a torque cell that lags looks like less damping"
         known = "nothing delays the torque"
+    faster = again("Move the joint faster", "--band", imported=evidence.signals.imported)
     return (
         f"{name} depends on the model: model {evidence.model.name} gives "
         f"{with_unit(f'{value:.3g} ± {half:.2g}', unit)}, and other models that fit equally well give other "
-        f"values. {cause}. If you know that {known}, name --model {evidence.model.name}"
+        f"values. {cause}. {faster}. If you know that {known}, name --model {evidence.model.name}"
     )
 
 

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 _SAID = (5e-3, 0.03)  # changes of Kc and Bc, relative, from which they are a warning
 _FEW = {"instruments": 5.0, "simulation": 10.0, "none": 10.0}  # counts, below which Bc is wrong whatever is done
 _FIRST_ORDER = 0.15  # a simulated change, relative, from which the simulation is too rough
+_IMPORTED = ", or name its column with --command"
 _REMEDY = "use a larger amplitude or a finer encoder"
 
 
@@ -101,7 +102,7 @@ def ignored_command(signals: Signals, found: DynamicStiffness | None) -> list[Di
         return []
     text = (
         "the motion does not follow the recorded command, so it is not used. Kc and Bc are less accurate where "
-        "the deflection is noisy. Record the set-point that was driven, or name its column with --command"
+        f"the deflection is noisy. Record the set-point that was driven{_IMPORTED if signals.imported else ''}"
     )
     return [Diagnostic("weak-command", text)]
 
