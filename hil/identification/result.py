@@ -178,6 +178,11 @@ class Identification:
         return known and not self.doubts(name)
 
     @property
+    def sign_is_wrong(self) -> bool:
+        """Whether torque or angle has the wrong sign: then no number of the result means anything."""
+        return any(one.code == "implausible" and one.parameter is None for one in self.diagnostics)
+
+    @property
     def trustworthy(self) -> bool:
         """Whether there is no error among the diagnostics."""
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)

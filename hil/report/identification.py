@@ -37,6 +37,8 @@ def verdicts(found: Identification) -> list[str]:
 
 
 def _verdict(found: Identification, estimate: Estimate) -> str:
+    if found.sign_is_wrong:
+        return f"{estimate.name} (not identifiable: a sign is wrong)"
     value, half, interval, unit = printed(found, estimate)
     codes = [code for code in found.doubts(estimate.name) if code != "two-stiffnesses" or not estimate.depends_on]
     doubts = f" (not to be trusted: {', '.join(dict.fromkeys(codes))})" if codes else ""
@@ -135,7 +137,16 @@ def identification_lines(found: Identification) -> list[str]:
 
 
 def summary_lines(found: Identification) -> list[str]:
-    """Return the lines below the answer: the model, the fit, corrections of Kc and Bc if there are any, the work."""
+    """Return the lines below the answer: the model, the fit, corrections of Kc and Bc if there are any, the work.
+
+    Where a sign is wrong, model and fit are those of another joint, and only the work is left.
+    """
+    work = (
+        f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
+        f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s; more with --verbose"
+    )
+    if found.sign_is_wrong:
+        return [work]
     factor, unit = people_unit("N*m", milli=milli(found))
     others = [_verdict(found, estimate) for estimate in found.estimates[2:]]
     chosen = f", selected from {len(found.steps)} candidates" if found.steps else ""
@@ -147,8 +158,7 @@ def summary_lines(found: Identification) -> list[str]:
         *_component_lines(found),
         *(deflection_lines(found.deflection) if found.deflection and found.deflection.method != "none" else []),
         *_fixture_lines(found),
-        f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
-        f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s; more with --verbose",
+        work,
     ]
 
 

@@ -94,12 +94,13 @@ def excess(torque: Swing, deflection: Swing, limits: LimitsTable) -> float:
 def negative_stiffness(motion: Motion, torque: Array) -> float | None:
     """Return the stiffness, N m/rad, if it and the damping are negative and explain most of the torque (n,), N m.
 
-    It is that of least squares, beside an inertia and an offset. None where they are not: no sign is wrong then.
+    It is that of least squares, beside an inertia and an offset. None where they are not: no sign is wrong then. At one
+    frequency an inertia is a negative stiffness, but no negative damping, so that the latter must be as sure.
     """
-    if motion.has_one_frequency:  # an inertia is a negative stiffness there
-        return None
+    one_frequency = motion.has_one_frequency
     rows = slice(None, None, max(1, len(motion) // _ROWS))
-    columns = np.stack([motion.dtheta, motion.dtheta_dot, motion.dtheta_ddot], axis=1)[rows]
+    inertia = () if one_frequency else (motion.dtheta_ddot,)
+    columns = np.stack([motion.dtheta, motion.dtheta_dot, *inertia], axis=1)[rows]
     columns = columns - columns.mean(axis=0)
     sizes = np.linalg.norm(columns, axis=0)
     rest = (torque - motion.known)[rows]
@@ -112,7 +113,7 @@ def negative_stiffness(motion: Motion, torque: Array) -> float | None:
     if rank < columns.shape[1] or left > _MOST_LEFT * float(np.var(rest)):
         return None
     errors = np.sqrt(left * np.diag(np.linalg.inv(columns.T @ columns)))
-    negative = values[0] < -_SURE * errors[0] and values[1] < errors[1]
+    negative = values[0] < -_SURE * errors[0] and values[1] < (-_SURE if one_frequency else 1.0) * errors[1]
     return float(values[0] / sizes[0]) if negative else None
 
 

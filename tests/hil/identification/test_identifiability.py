@@ -23,6 +23,7 @@ from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.selection.rivals import with_rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array
+from hil.report.identification import headline, summary_lines
 from hil.report.identification_json import as_json
 from hil.signals.inspection import inspect
 
@@ -157,6 +158,16 @@ def test_a_wrong_sign_is_no_matter_of_model_selection(make_recording: Maker) -> 
     assert found.model.name == "linear+offset"
     assert "A sign is wrong" in found.diagnostics[0].message
     assert [one.code for one in found.diagnostics] == ["implausible"]
+
+
+@pytest.mark.parametrize("model", [None, "linear", "linear+offset+coulomb+skew"])
+def test_a_wrong_sign_is_the_answer_and_no_value_stands_beside_it(make_recording: Maker, model: str | None) -> None:
+    found = identify([make_recording(noise=1e-4, change=inverted)], None if model is None else parse(model), SEARCH)
+    wrong = "(not identifiable: a sign is wrong)"
+    assert headline(found) == f"Kc {wrong},  Bc {wrong}"
+    assert [one.code for one in found.diagnostics if one.is_error] == ["implausible"]
+    (work,) = summary_lines(found)
+    assert work.startswith("excited band")
 
 
 def test_model_selection_never_includes_a_negative_friction(make_recording: Maker) -> None:

@@ -132,3 +132,18 @@ def test_a_wrong_sign_makes_a_recording_unusable(make_recording: Maker, sign: fl
 
     assert codes(make_recording, noise=1e-4, change=change) == said
     assert inspect(make_recording(noise=1e-4, change=change)).usable is (sign > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "wrong"), [(0.02, 2e-4, False), (-0.02, -2e-4, True), (-0.02, 2e-4, False)]
+)
+def test_at_one_frequency_an_inertia_is_no_wrong_sign(
+    make_recording: Maker, stiffness: float, damping: float, *, wrong: bool
+) -> None:
+    def change(channels: dict[str, Array]) -> None:
+        speed = 20.0
+        angle, rate = 0.2 * np.sin(speed * channels["time"]), 0.2 * speed * np.cos(speed * channels["time"])
+        noise = 1e-4 * np.random.default_rng(0).standard_normal(len(angle))
+        channels |= {"dtheta": angle, "torque": stiffness * angle + damping * rate + noise}
+
+    assert ("implausible" in codes(make_recording, change=change)) is wrong
