@@ -1,8 +1,8 @@
 """Many independent searches for a model's nonlinear parameters, the linear ones solved for exactly inside.
 
 Each runs the `default` scheme on some hundred rows, where one evaluation costs a fraction of a millisecond, until its
-population has gathered at one local minimum, and descends from there, on more rows and then on all: trials that end in
-different local minima differ, others hardly.
+population has gathered at one local minimum or, of a single parameter, until the best no longer falls. It descends from
+there, on more rows and then on all: trials that end in different local minima differ, others hardly.
 """
 
 from __future__ import annotations
@@ -36,6 +36,12 @@ if TYPE_CHECKING:
 
 _TOLERANCE: Final = 1e-2
 """Spread of the population's fitness at which it has gathered at one local minimum."""
+
+_IDLE: Final = 10
+_GAINED: Final = 1e-2
+"""Generations in which the best fitness falls by less than this part of it, after which a search for one parameter has
+found its local minimum: the descent from there needs no population that has gathered. Of several parameters the
+direction to a narrow minimum is to be found first, which may take longer."""
 
 _POLL: Final = 0.1
 
@@ -105,20 +111,23 @@ def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None
 
 def _run(trial: _Trial, problem: Problem, thin: Problem, cancelled: threading.Event) -> None:
     search, near, began = trial.search, None, time.thread_time()
-    while not search.done:
-        if cancelled.is_set():
-            break
+    while not (is_over := search.done or _is_idle(trial.record, len(problem.low))) and not cancelled.is_set():
         points = search.ask()
         fits = [solve_or_none(thin, point, near) for point in points]
         near = min((fit for fit in (*fits, near) if fit), key=lambda fit: fit.fitness, default=None)
         search.tell(points, [fit.fitness if fit else np.inf for fit in fits])
         trial.record.append(search.best_fitness)
-    if search.done:
+    if is_over:
         some = problem.thinned()
         trial.fit = compass_search(
             problem, descend(problem, compass_search(some, descend(some, search.best)).nonlinear)
         )
     trial.seconds = time.thread_time() - began
+
+
+def _is_idle(record: list[float], count: int) -> bool:
+    """Return whether the best fitness of a search for one parameter, of `count`, no longer falls."""
+    return count == 1 and len(record) > _IDLE and record[-1 - _IDLE] <= (1.0 + _GAINED) * record[-1]
 
 
 def _outcome(running: list[_Trial], problem: Problem) -> tuple[Trials, Fit]:

@@ -23,6 +23,7 @@ _ACCURATE: Final = 5e-4  # of the torque's deviation, to which its readings and 
 _PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
 _OF_NOISE: Final = 0.5  # of what is predicted: where errors explain less, something else is there too
 _AGAIN: Final = 1.5  # times its own power: of twice the errors regressors with all predict 2, and of the first half 0.5
+_NEXT_TO_NOTHING: Final = 0.05  # of the same, up to which what errors add is far from explaining it
 _SCATTER: Final = 2.0  # standard deviations by which noise may leave more than it does on average
 _UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint
 
@@ -102,6 +103,10 @@ class LackOfFit:
         doubt = 0.0 if self._grave else _SCATTER * added.std(ddof=1)
         left = self.predicted**2 - (added.mean() + doubt) / _AGAIN
         return replace(self, of_noise=bool(left < min(_SHARE / self.share, _OF_NOISE) * self.predicted**2))
+
+    def is_far_beyond_noise(self, added: float) -> bool:
+        """Return whether errors that add so much power, (N m)^2, as they are doubled, explain next to nothing of it."""
+        return self.share > 0.0 and added < _NEXT_TO_NOTHING * self.predicted**2
 
     @property
     def affected(self) -> str | None:

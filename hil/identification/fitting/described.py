@@ -39,6 +39,7 @@ _ROUNDED = 0.01  # of the residuals' power, which rounding to counts must be for
 _MOST = 0.5  # of Kc and Bc, which a small effect leaves
 _ROWS = 20_000  # samples, of which it is seen how much of an effect there is
 _JUMPS = (0.0, 1.5)  # times its computed size, within which the torque of held set-points is one of these
+_ENOUGH = 2  # pairs of simulated errors, by which it is known that they are far too small
 _OFF_GRID = 0.2  # counts, by which a reading in counts is off their grid at most
 
 
@@ -95,8 +96,11 @@ def tested(described: Described) -> LackOfFit | None:
         return found if without is None or without.misfit else without
     if signals.window is None or motion.part_of is not None:
         return found
-    before = described.linearised(motion)
-    added = [np.mean([_added(described, before, one) for one in pair]) for pair in noisier(motion, signals.window)]
+    before, added = described.linearised(motion), list[float]()
+    for pair in noisier(motion, signals.window):
+        added.append(float(np.mean([_added(described, before, one) for one in pair])))
+        if len(added) == _ENOUGH and found.is_far_beyond_noise(max(added)):
+            return found
     return found.beside_noise(np.array(added))
 
 

@@ -201,6 +201,15 @@ def test_the_search_comes_to_the_bottom_whatever_the_number_of_workers() -> None
     assert alone == pytest.approx(np.tile(exact, (3, 1)), rel=1e-4)
 
 
+@pytest.mark.parametrize("name", ["linear+skew", "linear+maxwell", "linear+dahl"])
+def test_a_search_for_one_parameter_ends_early_and_every_trial_at_the_lowest_minimum(name: str) -> None:
+    asked = problem(name, skewed(2e-3))
+    trials, best = search_nonlinear(asked, PRESETS["default"], trials=6, seed=1, workers=1)
+    assert trials.evaluations < 6 * 250
+    assert best.fitness <= fit(asked).fitness * (1.0 + 1e-9)
+    assert trials.fitness == pytest.approx(np.full(6, best.fitness), rel=1e-6)
+
+
 def test_the_search_counts_its_work_and_tells_how_far_it_is() -> None:
     shares: list[float] = []
     asked = problem("linear+skew", skewed(2e-3))

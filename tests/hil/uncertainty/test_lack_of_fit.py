@@ -167,6 +167,15 @@ def test_what_grows_with_the_errors_of_the_deflection_as_they_do_is_no_misfit() 
     assert not small.beside_noise(of_a_tenth).of_noise
 
 
+def test_a_misfit_that_errors_hardly_explain_is_known_from_the_first_of_them() -> None:
+    found = judged(relaxed(0.2, 0.03) + PLAIN + noise(0))
+    next_to_nothing = 0.04 * found.predicted**2
+
+    assert found.is_far_beyond_noise(next_to_nothing)
+    assert found.beside_noise(np.full(4, next_to_nothing)) == replace(found, of_noise=False)
+    assert not found.is_far_beyond_noise(0.1 * found.predicted**2)
+
+
 def test_errors_that_explain_a_misfit_only_by_chance_excuse_none_that_would_move_kc_by_much() -> None:
     found = judged(relaxed(0.2, 0.03) + PLAIN + noise(0))
     scattered = found.predicted**2 * np.array([0.7, 1.0, 1.6, 1.9])  # 1.3 on average, and 1.5 would be enough
