@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_no_refcount
+from ga.compiled import compiled_no_refcount, compiled_within
 from ga.lad.simplex import OPTIMAL, Basis, Matrix, Room, Vector, invert, room_for, step_down
 
 DISTINCT: Final = 1e-3
@@ -85,19 +85,47 @@ def _descended(rows: Matrix, target: Vector, start: Vector, spread: float) -> tu
     r, n = rows.shape
     pull, reach, open_rows, near = np.zeros(r), np.inf, None, rows
     if spread < np.inf:
-        residual = target - np.einsum("kn,k->n", rows, start)  # a linear-algebra library would use threads
-        reach = spread * float(np.mean(np.abs(residual))) * np.sqrt(r / n)
-        # within `reach` of the start the others keep their sign (Cauchy-Schwarz): together they are one linear term
-        settled = np.abs(residual) > reach * np.sqrt(np.einsum("kn,kn->n", rows, rows))
-        signs = np.where(settled, np.sign(residual), 0.0)
-        pull = np.einsum("nk,n->k", np.ascontiguousarray(rows.T), signs)  # one after the other, as in a descent
-        open_rows = np.flatnonzero(~settled)
+        open_rows = np.empty(n, np.int64)
+        reach, count = settle(rows, target, start, spread, np.empty(n), pull, open_rows)
+        open_rows = open_rows[:count]
         near, target = rows.take(open_rows, axis=1), target[open_rows]
     basis, room = np.zeros(r, np.int64), room_for(len(target), r)
     if step_down(near, target, pull, start, basis, room) != OPTIMAL:
         return None
     basis = basis if open_rows is None else open_rows[basis]
     return (basis, room) if np.linalg.norm(room.point - start) <= reach else None
+
+
+@compiled_no_refcount
+def settle(  # noqa: PLR0917 - compiled functions take their parts by position
+    rows: Matrix, target: Vector, start: Vector, spread: float, residual: Vector, pull: Vector, open_rows: Basis
+) -> tuple[float, int]:
+    """Fill in the rows whose residual may change its sign near the start, and add up those of the others by theirs.
+
+    Within the distance returned the others keep their sign (Cauchy-Schwarz): together they are one linear term. Also
+    returned: how many may change it. residual (n,): working space.
+    """
+    r, n = rows.shape
+    total, count = 0.0, 0
+    for i in range(n):
+        met = 0.0
+        for k in range(r):
+            met += rows[k, i] * start[k]
+        residual[i] = target[i] - met
+        total += abs(residual[i])
+    reach = spread * total / n * np.sqrt(r / n)
+    for i in range(n):
+        power = 0.0
+        for k in range(r):
+            power += rows[k, i] * rows[k, i]
+        if abs(residual[i]) > reach * np.sqrt(power):
+            sign = 1.0 if residual[i] > 0.0 else -1.0
+            for k in range(r):
+                pull[k] += sign * rows[k, i]
+        else:
+            open_rows[count] = i
+            count += 1
+    return reach, count
 
 
 @compiled_no_refcount
@@ -121,9 +149,10 @@ def measure(  # noqa: PLR0917 - compiled functions take their parts by position
     for i in range(n if size > 0.0 else 0):
         target[i] = torque[i] / size
         for k in range(p):
-            scaled[i, k] = columns[i, k] / scale[k]
+            part = columns[i, k] / scale[k]
+            scaled[i, k] = part
             for j in range(k + 1):
-                gram[k, j] += scaled[i, k] * scaled[i, j] / n
+                gram[k, j] += part * scaled[i, j] / n
     return size
 
 
@@ -171,24 +200,40 @@ def sum_by_sign(  # noqa: PLR0917 - compiled functions take their parts by posit
 ) -> bool:
     """Add up the scaled columns by the signs of the residuals outside the basis; False if one is zero to rounding."""
     p, n = rows.shape
-    most = 0.0
+    most, met = 0.0, _next_met(basis, 0, n)
     for k in range(p):
         entry = 0.0
         for j in range(p):
             entry += abs(inverse[k, j] * target[basis[j]])
         most = max(most, entry)  # entries of the point that cancel have an error too
+    largest = 2.0 * p * np.sqrt(n) * most  # no entry of a column whose squares are 1 on average is above sqrt(n)
     for i in range(n):
-        left, reach, is_met = target[i], abs(target[i]), False
+        if i == met:
+            met = _next_met(basis, i + 1, n)
+            continue
+        left = target[i]
         for k in range(p):
             left -= rows[k, i] * point[k]
-            reach += abs(rows[k, i]) * most
-            is_met |= basis[k] == i
-        if not is_met and abs(left) <= ROUNDING * reach:
-            return False
-        sign = 0.0 if is_met else 1.0 if left > 0.0 else -1.0
+        if abs(left) <= ROUNDING * (abs(target[i]) + largest):
+            reach = abs(target[i])
+            for k in range(p):
+                reach += abs(rows[k, i]) * most
+            if abs(left) <= ROUNDING * reach:
+                return False
+        sign = 1.0 if left > 0.0 else -1.0
         for k in range(p):
             sums[k] += sign * scaled[i, k]
     return True
+
+
+@compiled_within
+def _next_met(basis: Basis, first: int, n: int) -> int:
+    """The first of the rows of the basis that is not before another one; n where there is none."""
+    found = n
+    for k in range(basis.size):
+        if first <= basis[k] < found:
+            found = basis[k]
+    return found
 
 
 @compiled_no_refcount
