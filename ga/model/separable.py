@@ -226,20 +226,23 @@ def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({}
     if not found:
         raise RuntimeError("for no nonlinear parameters were the columns different enough")
     found.sort(key=_fitness)
-    best = descend(problem, found[0].nonlinear, _NEARLY)
-    for other in _other_starts(problem, best, found):
+    first, best = _descent(problem, found[0].nonlinear, _NEARLY)
+    for other in _other_starts(problem, first, best, found):
         best = min(best, descend(problem, other.nonlinear, _NEARLY), key=_fitness)
     return best
 
 
-def _other_starts(problem: Problem, best: Fit, starts: list[Fit]) -> list[Fit]:
-    """The next start where the descent from the best, the first of them, gained nothing; and the best one inside.
+def _other_starts(problem: Problem, first: Fit, best: Fit, starts: list[Fit]) -> list[Fit]:
+    """The next start where the descent from the first of them gained nothing; and the best one inside.
 
+    first and best: the fits at the beginning and at the end of that descent.
     Starts alike, as those of a gap of zero wherever its middle is, are one. A delay and a damping can stand for each
     other to the second order, one of the two negative: where a descent ends at a bound, the optimum may be one that
     none keeps from it.
     """
-    is_stuck = best.fitness > _ALIKE * problem.solve(starts[0].nonlinear, best).fitness
+    if problem.model.needs_ratio:  # with the ratio at the end
+        first = problem.solve(first.nonlinear, best)
+    is_stuck = best.fitness > _ALIKE * first.fitness
     others = [one for one in starts if _ALIKE * one.fitness > starts[0].fitness][:1] if is_stuck else []
     inside = [one for one in starts[1:] if _is_inside(problem, one)]
     return others if _is_inside(problem, best) or inside[:1] == others else others + inside[:1]
@@ -270,8 +273,13 @@ def descend(problem: Problem, start: Array, converged: float = _CONVERGED) -> Fi
 
     converged: the part of the fitness that a step gains, and of the bounds' width that it is long, at the end.
     """
+    return _descent(problem, start, converged)[1]
+
+
+def _descent(problem: Problem, start: Array, converged: float) -> tuple[Fit, Fit]:
+    """Return the fit at the start, and what `descend` returns."""
     solved = problem._solved(np.clip(start, problem.low, problem.high))
-    count = problem.low.size
+    first, count = solved.fit, problem.low.size
     for _ in range(_STEPS if count else 0):
         best = solved.fit
         try:
@@ -285,7 +293,7 @@ def descend(problem: Problem, start: Array, converged: float = _CONVERGED) -> Fi
         solved, gained = better, best.fitness - better.fit.fitness
         if gained <= converged * solved.fit.fitness:
             break
-    return solved.fit
+    return first, solved.fit
 
 
 def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:

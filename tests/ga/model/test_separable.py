@@ -73,7 +73,7 @@ def test_starts_without_a_gap_are_one_wherever_its_middle_is() -> None:
         for gap, centre in ((0.0, 0.0), (0.0, 0.05), (0.0, -0.05), (0.3, -0.1))
     )
     assert pytest.approx(closed.fitness, rel=1e-9) == alike.fitness < gaping.fitness
-    assert gaping in _other_starts(asked, moved, [closed, alike, gaping])
+    assert gaping in _other_starts(asked, closed, moved, [closed, alike, gaping])
 
 
 @pytest.mark.parametrize("skew", [-3e-3, 2e-3])
