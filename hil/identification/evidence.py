@@ -23,6 +23,7 @@ from hil.uncertainty.stationarity import VarianceComponents
 Array = NDArray[np.float64]
 
 UNLOADED_PLACE = "unloaded place"
+DEFLECTION = "deflection"
 """What the Kc of a spring that curves depends on, where nobody knows where the joint is unloaded."""
 
 _NONE = (0.0, 0.0)  # the size of a misfit in a parameter that is neither Kc nor Bc

@@ -137,9 +137,10 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
     values, chosen = _averaged(data, solution, sampling.half_width, deflection)
     # the interval that is reported may be narrower than that of the selected model
     given = (_names(parameters), solution.values, np.minimum(sampling.half_width, chosen))
-    span = (span_met(data.signals.motion, *given) if data.choice.steps else None) or data.place.span(
-        dict(zip(given[0], solution.values.tolist(), strict=True))
-    )
+    fitted, motion = dict(zip(given[0], solution.values.tolist(), strict=True)), data.signals.motion
+    span = data.place.span(fitted)
+    if data.choice.steps:
+        span = span_met(motion, *given) or data.place.beside_turn(fitted, float(np.ptp(motion.dtheta))) or span
     if span is not None:
         values[0] += 0.5 * (span[0] + span[1]) - solution.values[0]  # Kc
         chosen[0] += 0.5 * (span[1] - span[0])

@@ -11,7 +11,7 @@ from ga.model.terms import PARAMETERS
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic, again
 from hil.identification.doubts.confounding import confounded, several_speeds
-from hil.identification.evidence import UNLOADED_PLACE, Evidence, sliding, span_of_stiffness
+from hil.identification.evidence import DEFLECTION, UNLOADED_PLACE, Evidence, sliding, span_of_stiffness
 from hil.uncertainty.criteria import (
     BETWEEN,
     COUPLING,
@@ -66,8 +66,8 @@ def other_stiffness(
 ) -> list[Diagnostic]:
     """Return a diagnostic for each second stiffness of a model with these values (SI, by name of the parameter).
 
-    deflected: rad, r.m.s., of the motion. model: its name. spans: what Kc depends on ("amplitude", "direction") if the
-    interval of Kc spans both stiffnesses.
+    deflected: rad, r.m.s., of the motion. model: its name. spans: what Kc depends on ("amplitude", "direction" or
+    "deflection") if the interval of Kc spans both stiffnesses.
     """
     found = []
     if (before := sliding(values, deflected)) is not None:
@@ -80,8 +80,8 @@ def other_stiffness(
         use = "The Kc here is that of large motion. For motion between, use K'(f) of --verbose"
         text += remedy if spans == "amplitude" else use
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "amplitude"))
-    if "Ka" in values and (span := span_of_stiffness(values, sliding_only=True)) is not None:
-        soft, stiff, _ = span
+    if "Ka" in values and (spans == DEFLECTION or span_of_stiffness(values, sliding_only=True) is not None):
+        soft, stiff = (values["Kc"] + side * abs(values["Ka"]) for side in (-1.0, 1.0))
         text = (
             f"Kc is {stiff:.3g} N m/rad on one side of {values['turn']:.3g} rad and {soft:.3g} N m/rad on the other. "
             "The joint has two springs, or a gap or a slack tendon of which it reached only one end. "
@@ -90,7 +90,12 @@ def other_stiffness(
             "The interval of Kc spans both. Move the joint beyond both ends of the gap, or name --model "
             "linear+offset+slack or linear+offset+deadband"
         )
-        text += remedy if spans == "direction" else "The Kc here is their mean"
+        if spans == DEFLECTION:
+            remedy = (
+                "It is unloaded beside that place. The interval of Kc spans both. For the mean of both, name --model "
+                f"{model}"
+            )
+        text += remedy if spans in ("direction", DEFLECTION) else "The Kc here is their mean"
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "direction"))
     if {"Kc", "K1", "tau1"} <= set(values):
         fast = values["Kc"] + values["K1"] + values.get("K2", 0.0)

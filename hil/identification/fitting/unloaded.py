@@ -21,7 +21,7 @@ from numpy.polynomial import Legendre, Polynomial
 from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
-from hil.identification.evidence import UNLOADED_PLACE, Span
+from hil.identification.evidence import DEFLECTION, UNLOADED_PLACE, Span
 from hil.identification.model_choice import Coupling
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Signals
@@ -61,6 +61,20 @@ class Unloaded:
         slope = Polynomial([values["Kc"], 2.0 * progressive, 3.0 * cubic, 0.0, 5.0 * quintic])
         found = slope(np.linspace(self.low, self.high, 101))
         return float(found.min()), float(found.max()), "" if self.agreed else UNLOADED_PLACE
+
+    def beside_turn(self, values: Mapping[str, float], motion: float) -> Span | None:
+        """Return the stiffness of both sides, N m/rad, where it changes at a place that is not the unloaded one.
+
+        Then these are no two directions from rest, and their mean is the stiffness of nothing. None otherwise, and
+        where the unloaded place is not known. values: as of `span`; motion: the range of the deflection, rad.
+        """
+        if not {"Ka", "turn"} <= set(values) or not self.agreed:
+            return None
+        nearest = min(max(values["turn"], self.low), self.high)
+        if abs(values["turn"] - nearest) <= _NEAR * motion:
+            return None
+        half = abs(values["Ka"])
+        return values["Kc"] - half, values["Kc"] + half, DEFLECTION
 
 
 Rest = Callable[[Signals], Unloaded]

@@ -129,3 +129,20 @@ def test_the_place_where_a_stiffness_changes_counts_from_the_encoders_zero(tmp_p
 
     assert found["turn"].value == pytest.approx(2.0, abs=1e-3)
     assert held(found)
+
+
+@pytest.mark.parametrize("knee", [0.0, 0.03])
+def test_kc_spans_both_stiffnesses_of_a_spring_that_changes_beside_its_unloaded_place(
+    tmp_path: Path, knee: float
+) -> None:
+    """At that place they are the stiffnesses of two directions, and Kc is their mean."""
+    deflection, rate = moved(0.0)
+    torque = cubic(deflection, rate) - K3 * deflection**3 + 0.1 * np.maximum(deflection - knee, 0.0)
+
+    found = recorded(tmp_path / "a.h5", deflection, torque)
+
+    low, high = found["Kc"].ci95
+    assert (low < KC < high) is (knee > 0.0)
+    assert 0.5 * (low + high) == pytest.approx(KC + 0.05, rel=0.01)
+    assert ("two-stiffnesses" in [one.code for one in found.diagnostics]) is (knee > 0.0)
+    assert found.trustworthy
