@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
 from ga.model.coupling import CouplingModel
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS
@@ -91,11 +91,13 @@ def averaged(
             around += _behind_filter(one, around, kept)
         found += [values for values, _ in around]
         criteria += [one.criterion + more for _, more in around]
+    # one bench in so many: the odds are against all the models together
+    together = 2.0 * float(logsumexp(-0.5 * np.array(criteria)))
     for late in choice.lateness:
         stiff, damped = (found[0][name].half_width for name in COUPLING)
         damped = float(np.hypot(damped, _NORMAL * late.spread))
         found.append({"Kc": Averaged(late.Kc + change["Kc"], stiff), "Bc": Averaged(late.Bc + change["Bc"], damped)})
-        criteria.append(late.criterion)
+        criteria.append(late.criterion - together)
     weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     weights /= weights.sum()
     mixed = {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}

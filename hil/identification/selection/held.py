@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ from ga.model.trajectory import Motion
 Array = NDArray[np.float64]
 
 TWELFTH = 1.0 / 12.0
+DRIVES: Final = tuple(np.geomspace(4.0, 64.0, 9).tolist())
+"""The natural frequencies of drives, Hz, each half octave of which is as likely."""
+
 _DAMPED = 0.75  # the damping ratio of a drive
 _SPREAD = 0.5  # of its square, relative: a standard deviation
 _MOST = 0.1  # of the rate, that a drive which the readings still follow takes off
@@ -40,8 +44,23 @@ def of_jerk(motion: Motion) -> Array:
     With c the set-point of a drive of second order, of w rad/s and damping ratio z, the jump is w^2 times the step h of
     dc/dt = v + 2 z/w a + j/w^2. So the rate lacks h^2/12 (w^2 v + 2 z w a + j), the last part of which is known.
     """
-    step = float(np.median(np.diff(motion.time)))
-    return TWELFTH * step**2 * motion.changing(0.0).dtheta_ddot
+    return TWELFTH * _step(motion) ** 2 * motion.changing(0.0).dtheta_ddot
+
+
+def taken_off(motion: Motion, frequency: float) -> Array | None:
+    """Return the rate (n,), rad/s, that a drive of that natural frequency, Hz, takes off a motion, as in `of_jerk`.
+
+    None where that is so much that the readings would not follow the drive.
+    """
+    speed = 2.0 * np.pi * frequency * _step(motion)  # w h
+    if TWELFTH * speed**2 > _MOST:
+        return None
+    of_acceleration = 2.0 * TWELFTH * _DAMPED * speed * _step(motion)
+    return TWELFTH * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
+
+
+def _step(motion: Motion) -> float:
+    return float(np.median(np.diff(motion.time)))
 
 
 def damping_at(rate: Array, values: Mapping[str, float]) -> Array:

@@ -19,10 +19,11 @@ from ga.model.terms import is_addable
 from ga.model.trajectory import FORGOTTEN
 from hil.identification.selection.criterion import STRONG, Criterion
 from hil.identification.selection.fits import LATE, Candidate, Fits
-from hil.identification.selection.held import damping_at, held, of_jerk
+from hil.identification.selection.held import DRIVES, damping_at, held, of_jerk, taken_off
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import covariance
 from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
+from hil.uncertainty.model_average import AKAIKE
 
 Array = NDArray[np.float64]
 
@@ -105,7 +106,27 @@ class LateReading:
             Alternative(one.anchored, one.fit.nonlinear, self._akaike(chosen, one, alike))
             for one in found
             if set(one.terms) != set(chosen.terms)
-        )
+        ) + self._with_the_skew_of_a_recorder(chosen)
+
+    def _with_the_skew_of_a_recorder(self, chosen: Candidate) -> tuple[Alternative, ...]:
+        """Return the model without its skew, to which averages over models add one as every recorder has it.
+
+        That one, of standard deviation p, is in nine benches of ten: chance and noise that lasts make a longer one of
+        it. With the skew s that was found and its error e, it is likelier by what is left of s^2/e^2.
+        """
+        others = tuple(term for term in chosen.terms if term != "skew")
+        if len(others) == len(chosen.terms) or {"lag", "mean"}.intersection(others):
+            return ()
+        without = self._with(others)
+        if without is None:
+            return ()
+        square = self.criterion.ratio(without, chosen) / self.criterion.blurred(chosen, "skew")
+        if not square > 0.0:
+            return ()
+        found, usual = chosen.values["skew"], TICK_SHARE * float(np.median(np.diff(self.fits.motion.time)))
+        error = abs(found) / math.sqrt(square)
+        criterion = found**2 / (error**2 + usual**2) + math.log1p((usual / error) ** 2) - AKAIKE - _RARE
+        return (Alternative(without.anchored, without.fit.nonlinear, criterion),)
 
     def lateness(self, chosen: Candidate) -> tuple[Lateness, ...]:
         """Return Kc and Bc for each likely delay and lag where a model has neither; else nothing.
@@ -124,11 +145,12 @@ class LateReading:
         possible = [one for one in likely if one[0] in self.accounts and is_addable(one[0], chosen.terms)]
         try:
             usual = _RARE + self._with_usual_skew(chosen) if possible else 0.0
-            return tuple(
+            by_time = tuple(
                 late
                 for term, times, many in possible
                 for late in self._late_by(chosen, term, times, usual + 2.0 * math.log(many))
             )
+            return (*by_time, *self._behind_any_drive(chosen, usual))
         except RuntimeError:  # no optimum can be proven
             return ()
 
@@ -142,7 +164,11 @@ class LateReading:
             return ()
         if not chosen.damping > 0.0:
             return ()
-        columns, target = self._without_jerk(self.fits.candidate(others), chosen.values)
+        without = self.fits.candidate(others)
+        damping = self._damping(without, chosen.values)
+        columns, target = without.problem.linearised(without.fit)
+        columns = np.column_stack([columns, self.fits.motion.dtheta_ddot * damping / chosen.damping])
+        target = target + damping * of_jerk(self.fits.motion)
         try:
             values = least_absolute_deviations(columns, target).genes
         except RuntimeError:  # no optimum can be proven
@@ -158,18 +184,36 @@ class LateReading:
         damping /= 1.0 - drive.size
         return (Lateness(stiffness, damping, damping * drive.spread, _RARE - ratio),)
 
-    def _without_jerk(self, fitted: Candidate, values: Mapping[str, float]) -> tuple[Array, Array]:
-        """The columns (n, p + 1) of a model and an inertia, and the torque (n,), N m, without what goes with the jerk.
+    def _behind_any_drive(self, chosen: Candidate, usual: float) -> Iterator[Lateness]:
+        """Kc and Bc behind set-points that are held, for each likely drive; usual: as of `_with_usual_skew`.
 
-        Both as far as the damper acts: not between the flanks of a gap, and more in fast motion where the damping is
-        quadratic. values: of the parameters, by name.
+        What the drive takes off the rate looks like less damping in slow motion, and hardly like a late reading.
         """
-        columns, target = fitted.problem.linearised(fitted.fit)
-        motion = self.fits.motion
-        acts = np.isclose(columns[:, 1], motion.dtheta_dot)
-        damping = np.where(acts, damping_at(motion.dtheta_dot, values), 0.0)
-        inertia = motion.dtheta_ddot * damping / values["Bc"]
-        return np.column_stack([columns, inertia]), target + damping * of_jerk(motion)
+        if "skew" not in self.accounts or "inertia" in chosen.terms or not chosen.damping > 0.0:
+            return
+        columns, target = chosen.problem.linearised(chosen.fit)
+        damping, blurred = self._damping(chosen, chosen.values), self.criterion.blurred(chosen, "linear")
+        before, rare = chosen.damping, usual + 2.0 * math.log(len(DRIVES))
+        for frequency in DRIVES:
+            if (off := taken_off(self.fits.motion, frequency)) is None:
+                return
+            late = target + damping * off
+            values = least_absolute_deviations(columns, late, chosen.fit.values).genes
+            left = float(np.abs(late - columns @ values).mean())
+            criterion = rare - self.criterion.gained(chosen.fit.fitness - left) / blurred
+            if criterion > _UNLIKELY:
+                return
+            stiffness, found = values[:2].tolist()
+            yield Lateness(stiffness, found, abs(found - before) / 12.0**0.5, criterion)
+            before = found
+
+    def _damping(self, fitted: Candidate, values: Mapping[str, float]) -> Array:
+        """The damping (n,), N m s/rad, of each sample, by the values of the parameters.
+
+        There is none where the damper does not act, as between the flanks of a gap.
+        """
+        rate = self.fits.motion.dtheta_dot
+        return np.where(np.isclose(fitted.columns[:, 1], rate), damping_at(rate, values), 0.0)
 
     def _with_usual_skew(self, chosen: Candidate) -> float:
         """Twice the logarithm of how much likelier the skew that every recorder has makes the model."""
@@ -238,12 +282,14 @@ class LateReading:
     def _relaxing(self, chosen: Candidate, others: tuple[str, ...]) -> Candidate | None:
         """The model with a branch that relaxes faster than the joint moved, in place of a late torque reading.
 
-        Both stiffen fast motion, and the branch is a damper besides. None is much stiffer than Kc, and none stands
-        alone: without a damper beside it, it has the form of a lag, which has a parameter less.
+        Both stiffen fast motion, and the branch is a damper besides. A delay d, which hides Kc d of Bc, stiffens as
+        much as K1 = Bc d/tau1^2, which damps by K1 tau1. None is much stiffer than Kc, so that this is sqrt(2 Kc Bc d)
+        at most. None stands alone: without a damper beside it, it has the form of a lag, which has a parameter less.
         """
         values = chosen.values
         late = sum(abs(values.get(term, 0.0)) for term in LATE)
-        if not is_addable("maxwell", others) or late * values["Kc"] < _FELT * values["Bc"]:
+        hidden = late * values["Kc"] / values["Bc"] if values["Bc"] > 0.0 else math.inf
+        if not is_addable("maxwell", others) or hidden + math.sqrt(_STIFFEST * hidden) < _FELT:
             return None
         terms = (*others, "maxwell")
         if self.fits.fitness(terms) == np.inf:

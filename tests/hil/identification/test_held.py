@@ -14,9 +14,10 @@ from scipy.signal import butter, cont2discrete, lfilter
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
+from ga.model.trajectory import Motion
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
-from hil.identification.selection.held import held
+from hil.identification.selection.held import held, taken_off
 from hil.recording.reader import Array
 
 from ..conftest import Maker
@@ -44,9 +45,9 @@ def noise() -> Array:
     return np.asarray(0.25 * found / np.abs(found).max())
 
 
-def sines(time: Array) -> tuple[Array, Array]:
-    """A sum of sines of 0.5 to 12 Hz and its rate at times (n,) s, SI."""
-    omega = 2.0 * np.pi * np.geomspace(0.5, 12.0, 15)
+def sines(time: Array, fastest: float = 12.0) -> tuple[Array, Array]:
+    """A sum of sines of 0.5 Hz to the fastest, Hz, and its rate at times (n,) s, SI."""
+    omega = 2.0 * np.pi * np.geomspace(0.5, fastest, 15)
     waves = 0.03 * np.exp(1j * (np.outer(time, omega) + np.random.default_rng(3).uniform(0.0, 2.0 * np.pi, 15)))
     return waves.sum(axis=1).imag, (1j * omega * waves).sum(axis=1).imag
 
@@ -83,6 +84,31 @@ def test_the_interval_of_bc_holds_set_points_that_a_smooth_motion_hides(make_rec
     assert low < BC < high
     own_low, own_high = identify([path], parse("linear+skew"), SEARCH)["Bc"].ci95
     assert not own_low < BC < own_high
+
+
+@pytest.mark.parametrize(("fastest", "selected"), [(6.0, "linear"), (8.0, "linear+skew")])
+def test_bc_is_not_confidently_wrong_where_slow_motion_hardly_shows_such_a_drive(
+    make_recording: Maker, fastest: float, selected: str
+) -> None:
+    """It takes 0.7 to 0.9 % off Bc, with and without a skew in the model."""
+    angle, rate = driven(sines(np.arange(0.0, SAMPLES) * STEP, fastest)[0], 30.0)
+    found = identify([recorded(make_recording, angle, KC * angle + BC * rate)], None, SEARCH)
+    assert found.model.name == selected
+    low, high = found["Bc"].ci95
+    assert abs(0.5 * (low + high) - BC) < 1.5 * 0.5 * (high - low)
+    assert high - low < 0.06 * BC
+
+
+def test_what_a_drive_takes_off_the_rate_is_the_jump_of_the_acceleration_times_a_twelfth_of_the_step() -> None:
+    """Of a drive with a damping ratio of 0.75, and of none that the readings would not follow."""
+    time, omega, drive = np.arange(0.0, 1000.0) * STEP, 2.0 * np.pi * 3.0, 2.0 * np.pi * 16.0
+    sine, cosine = np.sin(omega * time), np.cos(omega * time)
+    motion = Motion(time, sine, omega * cosine, -(omega**2) * sine, np.zeros_like(time))
+    jump = STEP * drive**2 * (omega * cosine - 1.5 / drive * omega**2 * sine - omega**3 / drive**2 * cosine)
+    off = taken_off(motion, 16.0)
+    assert off is not None
+    assert off[50:-50] == pytest.approx(STEP / 12.0 * jump[50:-50], rel=1e-3, abs=1e-4)
+    assert taken_off(motion, 100.0) is None
 
 
 @pytest.mark.parametrize(("inertia", "expected"), [(-1.0, True), (1.0, False), (-100.0, False)])
