@@ -19,6 +19,7 @@ which it may be late stands beside the model, with its likelihood.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -170,17 +171,30 @@ def _around(
 ) -> list[tuple[dict[str, Averaged], float]]:
     """Kc and Bc averaged over one model with and without the effects that every bench has; [] where none can be.
 
-    Then those of models with friction that falls, each with Akaike's criterion less that of the first. doubtful: the
-    terms that the data do not decide on, and the cost of each. by_errors: the change of all parameters by which errors
-    of the deflection are taken off them.
+    Then those of models with friction that falls, each with Akaike's criterion less that of the first. Where the larger
+    model does not contain the smaller one, its average would lead away from both: the values are those of the smaller
+    one, with the error of the average and the distance from it. doubtful: the terms that the data do not decide on, and
+    the cost of each. by_errors: the change of all parameters by which errors of the deflection are taken off them.
     """
     largest = largest_model(model, tuple(doubtful), data)
-    if largest is None or not contains(largest, model, data):
+    if largest is None:
         return []
     found = [(largest, 0.0), *falling(largest, data.motion)]
     change = by_errors(largest)
     means = [(_mean(replace(one, values=one.values + change), doubtful), criterion) for one, criterion in found]
-    return [one for one in means if one[0]] if means[0][0] else []
+    if not means[0][0]:
+        return []
+    means = [one for one in means if one[0]]
+    if contains(largest, model, data):
+        return means
+    own = own_values(model, data)
+    values = {name: own[name] + float(change[largest.names.index(name)]) for name in COUPLING}
+    return [({name: _about(values[name], mean[name]) for name in COUPLING}, more) for mean, more in means]
+
+
+def _about(value: float, mean: Averaged) -> Averaged:
+    """A value with the error of an average elsewhere, and the distance from it."""
+    return Averaged(value, math.hypot(mean.half_width, mean.value - value))
 
 
 def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged]:
@@ -191,10 +205,11 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
         largest.values,
         sampling.matrix,
         {at: costs[name] for at, name in enumerate(names) if name in costs},
-        # the model's own terms were found possible without what is added: a skew beside an inertia takes it over
+        # the model's own terms were found possible without what is added: a skew beside an inertia takes it over, and
+        # the inertia is then zero
         [at for at, name in enumerate(names) if name in costs and PARAMETERS[name].positive],
         largest.likely,
-        bounded=[names.index(name) for name in COUPLING],
+        bounded=[names.index(one.name) for one in largest.model.linear if one.positive and one.name not in costs],
     )
     if found is None:
         return {}

@@ -20,6 +20,8 @@ from ga.model.memory import falls
 from ga.model.terms import PARAMETERS
 from ga.model.trajectory import Motion
 from hil.identification.averaging.largest import Largest
+from hil.identification.selection.criterion import by_rate, density_at_zero
+from hil.signals.deflection_noise import smallest_step
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import covariance
 from hil.uncertainty.model_average import without_positive
@@ -76,9 +78,17 @@ def _fallen(largest: Largest, column: Array) -> list[tuple[Largest, float]]:
         return []
     sampling = replace(sampling, matrix=matrix, quantile=sampling.quantile[:-1], distinct=sampling.distinct[:-1])
     known = np.stack([np.zeros(len(fewer)), np.full(len(fewer), np.inf)])  # used already
-    return [
-        (replace(largest, values=fewer, sampling=sampling, likely=known), criterion + 2.0 * math.log(len(_FALLS_OVER)))
-    ]
+    fallen = replace(largest, values=fewer, sampling=sampling, likely=known)
+    return [(fallen, criterion / _blurred(columns, values, largest.target) + 2.0 * math.log(len(_FALLS_OVER)))]
+
+
+def _blurred(columns: Array, values: Array, target: Array) -> float:
+    """The factor by which errors of the rate make the likelihood of a fit less certain.
+
+    columns (n, p), values (p,), target (n,) N m: of the fit.
+    """
+    density = density_at_zero(target - columns @ values, 0.5 * smallest_step(target))
+    return 1.0 + by_rate(len(target), density, float(np.mean(np.abs(target))))
 
 
 def _rubs(name: str) -> bool:

@@ -163,10 +163,9 @@ def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
 
 def own_values(one: Alternative, data: Signals) -> dict[str, float]:
     """The linear parameters of a model, SI, by name, at its nonlinear ones."""
-    columns = one.model.columns(data.motion, one.nonlinear)
-    target = one.model.target(data.motion, data.torque, one.nonlinear)
-    values = least_absolute_deviations(columns, target).genes.tolist()
-    return dict(zip((parameter.name for parameter in one.model.linear), values, strict=True))
+    bounds = one.model.bounds(data.motion, data.band[1])
+    values = Problem(one.model, data.motion, data.torque, *bounds).solve(one.nonlinear).values.tolist()
+    return dict(zip((parameter.name for parameter in one.model.linear), values, strict=False))
 
 
 def _own(term: str) -> tuple[str, ...]:

@@ -116,8 +116,7 @@ class Criterion:
         What the rate is wrong by lasts as long as the recording, however many samples see it: two models that differ by
         less cannot be ranked.
         """
-        inexact = 2.0 * self.density * _EXPLAINED * self.size
-        return self.correlation(fitted, term) + len(self.signs) * inexact**2
+        return self.correlation(fitted, term) + by_rate(len(self.signs), self.density, self.size)
 
     def likeliest(self, smaller: Candidate, paying: list[Candidate]) -> Candidate:
         """Return the plainest of some larger models, the last term of each paying, that the data cannot rank.
@@ -159,6 +158,19 @@ class Criterion:
         return self._gain(ratio, share * len(self.signs), alike, _more_parameters(smaller, larger)) > 0.0
 
 
+def by_rate(count: int, density: float, size: float) -> float:
+    """Return by how much errors of the rate blur the likelihood of `count` samples; arguments as of `Criterion`."""
+    return count * (2.0 * density * _EXPLAINED * size) ** 2
+
+
+def density_at_zero(residuals: Array, least: float) -> float:
+    """Return the density of residuals (n,), N m, at zero, 1/(N m); least: N m, within which they are rounded."""
+    near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
+    near = max(near, least)
+    inside = np.count_nonzero(np.abs(residuals) <= near)
+    return inside / (2.0 * near * len(residuals)) if near > 0.0 else np.inf
+
+
 def criterion_of(
     fits: Fits, considered: tuple[str, ...], start: tuple[str, ...], *, doubted: bool = False
 ) -> Criterion:
@@ -168,15 +180,12 @@ def criterion_of(
     """
     richest = _richest(fits, considered, start)
     columns, residuals = fits.linearised(richest)
-    near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
-    near = max(near, 0.5 * smallest_step(fits.torque))  # a joint at rest repeats one count, and one residual
-    inside = np.count_nonzero(np.abs(residuals) <= near)
     signs = np.sign(residuals)
     return Criterion(
         richest,
         signs=signs,
         fitted=measure([(columns, signs)]).fitted,
-        density=inside / (2.0 * near * len(residuals)) if near > 0.0 else np.inf,
+        density=density_at_zero(residuals, 0.5 * smallest_step(fits.torque)),  # a joint at rest repeats one count
         size=float(np.mean(np.abs(fits.torque))),
         smooth=fits.smooth,
         choices=len(considered),

@@ -9,12 +9,13 @@ from ga.evolution.evolution import PRESETS
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.separable import Problem, fit
-from hil.identification.averaging import average, falling
+from hil.identification.averaging import average, falling, largest
 from hil.identification.averaging.average import Averaged
 from hil.identification.averaging.largest import Largest
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.model_choice import Choice
+from hil.identification.selection.late import Alternative
 from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array, Recording
 from hil.report.identification_json import as_json
@@ -175,6 +176,40 @@ def test_a_skew_that_chance_may_have_made_leaves_the_damping_without_it_in_the_i
     assert low < without < high
 
 
+@pytest.mark.parametrize("form", ["capstan", "backlash"])
+def test_averages_are_held_against_the_values_of_the_fit_whatever_its_columns_depend_on(
+    make_recording: Maker, form: str
+) -> None:
+    """Flanks part where Bc/Kc says, and friction in proportion to the load weighs the residuals."""
+
+    def change(channels: dict[str, Array]) -> None:
+        sweep(channels, 0.0, 1)
+        angle, rate = channels["dtheta"], channels["dtheta_dot"]
+        noise, beyond = channels["torque"] - KC * angle - BC * rate, angle - np.clip(angle, -0.02, 0.02)
+        pushed, carried = KC * beyond + BC * rate, KC * angle + BC * rate
+        gap, rubbing = np.where(beyond * pushed > 0.0, pushed, 0.0), carried + 0.15 * np.abs(carried) * np.sign(rate)
+        channels["torque"] = noise + (gap if form == "backlash" else rubbing)
+
+    with Recording(make_recording(change=change)) as recording:
+        signals = prepare(recording, None)
+    model = parse(f"linear+offset+{form}").anchored(signals.motion)
+    bounds = model.bounds(signals.motion, signals.band[1])
+    found = fit(Problem(model, signals.motion, signals.torque, *bounds))
+    own = largest.own_values(Alternative(model, found.nonlinear, 0.0), signals)
+    assert list(own.values()) == pytest.approx(found.optimum.genes.tolist(), rel=1e-6, abs=1e-9)
+
+
+def test_an_average_that_leads_away_from_the_model_widens_the_interval_and_leaves_the_value(
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(average, "contains", lambda *_: False)
+    bc = identify([make_recording(change=lambda channels: sweep(channels, 0.0, 1))], None, SEARCH)["Bc"]
+    assert bc.conditional is not None
+    (low, high), (least, most) = bc.ci95, bc.conditional.ci95
+    assert 0.5 * (low + high) == pytest.approx(bc.conditional.value, abs=0.1 * (high - low))
+    assert high - low > 1.2 * (most - least)
+
+
 def test_the_interval_of_a_spring_that_curves_holds_that_its_curve_is_no_cubic(make_recording: Maker) -> None:
     def stiffens(channels: dict[str, Array]) -> None:
         angle = channels["dtheta"]
@@ -237,6 +272,40 @@ def test_friction_that_falls_until_it_drives_the_joint_is_no_model(at_speed: flo
     sampling = covariance(Blocks.of(columns, torque), values)
     largest = Largest(parse("linear+coulomb"), (), ["Kc", "Bc", "Fc"], columns, torque, values, sampling, likely)
     assert bool(falling._fallen(largest, 0.1 * fallen)) is possible
+
+
+def test_an_inertia_that_a_skew_beside_it_makes_negative_is_none() -> None:
+    """Kc and Bc are then those without it: no joint has a negative inertia."""
+    time = np.linspace(0.0, 20.0, 4000)
+    waves = [np.exp(1j * (w * time + w)) for w in (3.0, 7.1, 19.0, 43.0)]
+    angle, rate, acceleration = (
+        sum((1j * w) ** order * wave for w, wave in zip((3.0, 7.1, 19.0, 43.0), waves, strict=True)).real
+        for order in range(3)
+    )
+    noise = 1e-2 * np.random.default_rng(0).standard_normal(4000)
+    torque = 0.3 * angle + 3e-3 * rate - 2e-5 * acceleration + noise
+
+    def mean(*columns: Array, terms: str, names: list[str]) -> dict[str, Averaged]:
+        stacked = np.column_stack(columns)
+        values = least_absolute_deviations(stacked, torque).genes
+        sampling = covariance(Blocks.of(stacked, torque), values)
+        likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
+        whole = Largest(parse(terms), (), names, stacked, torque, values, sampling, likely)
+        return average._mean(whole, {})
+
+    without = mean(angle, rate, terms="linear", names=["Kc", "Bc"])
+    beside = mean(angle, rate, acceleration, terms="linear+inertia", names=["Kc", "Bc", "J"])
+    for name in ("Kc", "Bc"):
+        assert beside[name].value == pytest.approx(without[name].value, abs=0.5 * without[name].half_width)
+
+
+def test_errors_of_the_rate_decide_between_no_models() -> None:
+    """It is known to 0.03 % of the torque: of a fit that is this good the likelihood says nothing."""
+    rng = np.random.default_rng(0)
+    column, noise = rng.standard_normal((10_000, 1)), rng.standard_normal(10_000)
+    found = [falling._blurred(column, np.ones(1), column[:, 0] + size * noise) for size in (0.1, 1e-4)]
+    assert found[0] == pytest.approx(1.0, abs=0.1)
+    assert found[1] > 1000.0
 
 
 def test_a_value_follows_no_unlikely_model_but_its_interval_reaches_it() -> None:
