@@ -207,7 +207,7 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
         {at: costs[name] for at, name in enumerate(names) if name in costs},
         # the model's own terms were found possible without what is added: a skew beside an inertia takes it over, and
         # the inertia is then zero
-        [at for at, name in enumerate(names) if name in costs and PARAMETERS[name].positive],
+        [at for at, name in enumerate(names) if name in costs and _is_positive(name)],
         largest.likely,
         bounded=[names.index(one.name) for one in largest.model.linear if one.positive and one.name not in costs],
     )
@@ -218,6 +218,11 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
         for at, name in enumerate(names)
         if name in COUPLING
     }
+
+
+def _is_positive(name: str) -> bool:
+    """Whether a name is of a parameter that cannot be negative; a nuisance parameter may be."""
+    return name in PARAMETERS and PARAMETERS[name].positive
 
 
 def _is_doubtful(step: Step) -> bool:

@@ -35,6 +35,7 @@ _ALWAYS = ("offset", "skew")
 BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
 _CURVES = ("cubic", "quintic", "progressive")  # a spring that curves has no more reason to follow one of them
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
+_SEVENTH = "seventh"  # another, of the next power of the deflection beside K5
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
 
 
@@ -69,7 +70,8 @@ class Largest:
         """
         curving = max((cost for term, cost in doubtful.items() if term in _CURVES), default=AKAIKE)
         found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
-        return {name: cost for term, cost in (found | dict(doubtful)).items() for name in _own(term)}
+        costs = {name: cost for term, cost in (found | dict(doubtful)).items() for name in _own(term)}
+        return costs | ({_SEVENTH: AKAIKE} if _SEVENTH in self.names else {})
 
 
 def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> Largest | None:
@@ -96,6 +98,9 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
             columns, target = problem.linearised(fit)
             if (building := _building_up(dict(zip(names, fit.values, strict=True)), data.motion)) is not None:
                 names, columns = [*names, _PRESLIDING], np.column_stack([columns, building])
+            if "quintic" in chosen:  # what a cubic does not describe follows no power exactly
+                seventh = columns[:, names.index("K5")] * data.motion.dtheta**2
+                names, columns = [*names, _SEVENTH], np.column_stack([columns, seventh])
             first = np.append(fit.values, np.zeros(len(names) - len(fit.values)))
             values = least_absolute_deviations(columns, target, first).genes
         except RuntimeError:  # some columns are dependent
@@ -150,7 +155,7 @@ def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
     """
     own = own_values(smaller, data)
     names, matrix = largest.names, largest.sampling.matrix
-    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING) if name in names]
+    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING, _SEVENTH) if name in names]
     if not added:
         return True
     gain = np.linalg.lstsq(matrix[np.ix_(added, added)], matrix[added], rcond=None)[0]  # (added, p)

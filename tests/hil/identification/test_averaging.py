@@ -222,6 +222,19 @@ def test_the_interval_of_a_spring_that_curves_holds_that_its_curve_is_no_cubic(m
     assert high - low > 1.05 * (most - least)
 
 
+def test_the_interval_of_kc_holds_that_a_spring_which_saturates_follows_no_power(make_recording: Maker) -> None:
+    """The torque of a tanh: with powers up to the fifth Kc is 0.2 % too low, twice its interval."""
+
+    def saturates(channels: dict[str, Array]) -> None:
+        angle = channels["dtheta"]
+        channels["torque"] += 0.02 * (0.3 * np.tanh(angle / 0.3) - angle)
+
+    found = identify([make_recording(samples=4000, noise=2e-5, seed=2, change=saturates)], None, SEARCH)
+    assert found.model.name == "linear+cubic+quintic"
+    low, high = found["Kc"].ci95
+    assert low < 0.02 < high
+
+
 def with_friction(make_recording: Maker, rise: float, seed: int, form: str) -> tuple[float, float]:
     """The error of Bc and half its interval, parts of Bc, of a model with friction that does not fall.
 
