@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, ndtr
+from scipy.special import ndtr
 
 from ga.model.coupling import CouplingModel
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS
@@ -79,26 +79,29 @@ def averaged(
     def of_selected(larger: Largest) -> Array:
         return np.array([change.get(name, 0.0) for name in larger.names])
 
+    by_errors: dict[tuple[str, ...], Array] = {}
+
     def of_larger(larger: Largest) -> Array:
-        return _by_errors(larger, signals, used)
+        names = tuple(larger.names)
+        if names not in by_errors:
+            by_errors[names] = _by_errors(larger, signals, used)
+        return by_errors[names]
 
     for one in (selected, *choice.alternatives):
-        # an alternative may be far off, and with it what errors would do to its parameters
-        is_own = one is selected and any(change.values())
-        around = _around(one, doubtful, kept, of_larger if is_own else of_selected)
+        # an alternative with other terms may be far off, and with it what errors would do to its parameters
+        is_own = one.model.name == choice.model.name
+        around = _around(one, doubtful, kept, of_larger if is_own and any(change.values()) else of_selected)
         if not around and one is selected:
             return {}
-        if one is not selected and seems_filtered:
+        if not is_own and seems_filtered:
             around += _behind_filter(one, around, kept)
         found += [values for values, _ in around]
         criteria += [one.criterion + more for _, more in around]
-    # one bench in so many: the odds are against all the models together
-    together = 2.0 * float(logsumexp(-0.5 * np.array(criteria)))
     for late in choice.lateness:
         stiff, damped = (found[0][name].half_width for name in COUPLING)
         damped = float(np.hypot(damped, _NORMAL * late.spread))
         found.append({"Kc": Averaged(late.Kc + change["Kc"], stiff), "Bc": Averaged(late.Bc + change["Bc"], damped)})
-        criteria.append(late.criterion - together)
+        criteria.append(late.criterion)
     weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     weights /= weights.sum()
     mixed = {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}

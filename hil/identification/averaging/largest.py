@@ -108,7 +108,7 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
         sampling = covariance(Blocks.of(columns, target), values)
         alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in _own(term))]
         if not alike:
-            likely = _likely(added, names, data.motion)
+            likely = _likely(names, data.motion, usual_skew="skew" in added or smaller.usual_skew)
             sampling = _with_jumps(sampling, columns, float(values[names.index("Bc")]), data)
             return Largest(larger, tuple(added), names, columns, target, values, sampling, likely)
         added.remove(alike[-1])
@@ -123,10 +123,13 @@ def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Sign
     return replace(sampling, matrix=sampling.matrix + np.outer(moved, moved))
 
 
-def _likely(added: Sequence[str], names: Sequence[str], motion: Motion) -> Array:
-    """What each parameter is likely to be, and a standard deviation of that, (2, p)."""
+def _likely(names: Sequence[str], motion: Motion, *, usual_skew: bool) -> Array:
+    """What each parameter is likely to be, and a standard deviation of that, (2, p).
+
+    usual_skew: whether the skew is no larger than every recorder has it.
+    """
     likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
-    if "skew" in added:
+    if usual_skew:
         likely[1, names.index("skew")] = TICK_SHARE * float(np.median(np.diff(motion.time)))
     if _PRESLIDING in names:
         likely[:, names.index(_PRESLIDING)] = 1.0

@@ -9,7 +9,6 @@ less damping and a reading that is late by a few hundredths of a tick.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -24,18 +23,7 @@ DRIVES: Final = tuple(np.geomspace(4.0, 64.0, 9).tolist())
 """The natural frequencies of drives, Hz, each half octave of which is as likely."""
 
 _DAMPED = 0.75  # the damping ratio of a drive
-_SPREAD = 0.5  # of its square, relative: a standard deviation
 _MOST = 0.1  # of the rate, that a drive which the readings still follow takes off
-
-
-@dataclass(frozen=True, slots=True)
-class Held:
-    """What the jumps take off Bc. size: the part of the rate that follows the rate itself; spread: of it, one standard
-    deviation.
-    """
-
-    size: float
-    spread: float
 
 
 def of_jerk(motion: Motion) -> Array:
@@ -66,16 +54,3 @@ def _step(motion: Motion) -> float:
 def damping_at(rate: Array, values: Mapping[str, float]) -> Array:
     """Return by how much (n,), N m s/rad, the torque grows with a rate (n,) rad/s; values: the parameters by name."""
     return values.get("Bc", 0.0) + 2.0 * values.get("B2", 0.0) * np.abs(rate)
-
-
-def held(inertia: float, damping: float, step: float, error: float) -> Held | None:
-    """Return what the jumps take off the rate of a joint that seems to have an inertia, kg m^2; None if they cannot.
-
-    damping: N m s/rad. step: s, between set-points. error: of the inertia, one standard deviation. With an inertia -J,
-    2 z w = 12 J/(Bc h^2), as in `of_jerk`.
-    """
-    speed = -inertia / (TWELFTH * damping * step) if damping > 0.0 else 0.0  # 2 z w h
-    size = TWELFTH * (speed / (2.0 * _DAMPED)) ** 2
-    if not (speed > 0.0 and size < _MOST):
-        return None
-    return Held(size, size * float(np.hypot(_SPREAD, 2.0 * error / inertia)))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel
@@ -19,9 +18,7 @@ from ga.model.terms import is_addable
 from ga.model.trajectory import FORGOTTEN
 from hil.identification.selection.criterion import STRONG, Criterion
 from hil.identification.selection.fits import LATE, Candidate, Fits
-from hil.identification.selection.held import DRIVES, damping_at, held, of_jerk, taken_off
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import covariance
+from hil.identification.selection.held import DRIVES, damping_at, taken_off
 from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
 from hil.uncertainty.model_average import AKAIKE
 
@@ -31,7 +28,8 @@ EARLIER: Final = (*LATE, "inertia")
 """Why a torque reading may be late, or may seem to be early."""
 
 _STIFFEST, _FELT = 2.0, 0.1  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
-_DELAYS, _LAGS, _SKEWS = 3, 11, 5  # every half tick of each sign, every half octave, and of a normal distribution
+_DELAYS, _LAGS = 3, 11  # every half tick of each sign, and every half octave
+_NARROW = 4.0  # twice the fall of the logarithmic likelihood at a skew, from which a parabola may end before it
 _UNLIKELY = 30.0  # twice the logarithm of the odds against a time, from which longer ones weigh nothing
 _RARE = 2.0 * math.log(10.0)  # in Akaike's criterion: one joint in ten relaxes faster than it moves, or is read late
 
@@ -40,11 +38,14 @@ _RARE = 2.0 * math.log(10.0)  # in Akaike's criterion: one joint in ten relaxes 
 class Alternative:
     """A model that may stand in place of the one selected, its nonlinear parameters (q,), SI, and Akaike's criterion of
     it less that of the one selected.
+
+    usual_skew: whether its skew is no larger than every recorder has it.
     """
 
     model: CouplingModel
     nonlinear: Array
     criterion: float
+    usual_skew: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +110,7 @@ class LateReading:
         ) + self._with_the_skew_of_a_recorder(chosen)
 
     def _with_the_skew_of_a_recorder(self, chosen: Candidate) -> tuple[Alternative, ...]:
-        """Return the model without its skew, to which averages over models add one as every recorder has it.
+        """Return the model with a skew as every recorder has it.
 
         That one, of standard deviation p, is in nine benches of ten: chance and noise that lasts make a longer one of
         it. With the skew s that was found and its error e, it is likelier by what is left of s^2/e^2.
@@ -126,7 +127,7 @@ class LateReading:
         found, usual = chosen.values["skew"], TICK_SHARE * float(np.median(np.diff(self.fits.motion.time)))
         error = abs(found) / math.sqrt(square)
         criterion = found**2 / (error**2 + usual**2) + math.log1p((usual / error) ** 2) - AKAIKE - _RARE
-        return (Alternative(without.anchored, without.fit.nonlinear, criterion),)
+        return (Alternative(chosen.anchored, chosen.fit.nonlinear, criterion, usual_skew=True),)
 
     def lateness(self, chosen: Candidate) -> tuple[Lateness, ...]:
         """Return Kc and Bc for each likely delay and lag where a model has neither; else nothing.
@@ -136,95 +137,83 @@ class LateReading:
         has a delay, of up to `LONGEST_SKEW` ticks, and one in ten a cell whose bandwidth is one of `CELLS`, each octave
         of which is as likely.
         """
+        try:
+            return tuple(self._instead_of_the_skew(chosen) if "skew" in chosen.terms else self._late(chosen))
+        except RuntimeError:  # no optimum can be proven
+            return ()
+
+    def _late(self, chosen: Candidate) -> Iterator[Lateness]:
+        """Kc and Bc with each likely delay, lag and drive of a model without a skew."""
         if {*LATE, "mean"}.intersection(chosen.terms):
-            return self._behind_held_steps(chosen)
+            return
         longest = LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
         delays = longest * np.arange(1, _DELAYS + 1) / _DELAYS
         lags = 0.5 / math.pi / np.geomspace(CELLS[1], CELLS[0], _LAGS)
         likely = (("skew", delays, 2 * _DELAYS), ("skew", -delays, 2 * _DELAYS), ("lag", lags, _LAGS))
         possible = [one for one in likely if one[0] in self.accounts and is_addable(one[0], chosen.terms)]
-        try:
-            usual = _RARE + self._with_usual_skew(chosen) if possible else 0.0
-            by_time = tuple(
-                late
-                for term, times, many in possible
-                for late in self._late_by(chosen, term, times, usual + 2.0 * math.log(many))
-            )
-            return (*by_time, *self._behind_any_drive(chosen, usual))
-        except RuntimeError:  # no optimum can be proven
-            return ()
+        if possible:
+            usual = _RARE + self._with_usual_skew(chosen)
+            for term, times, many in possible:
+                yield from self._late_by(chosen, term, times, usual + 2.0 * math.log(many))
+            yield from self._behind_any_drive(chosen, usual)
 
-    def _behind_held_steps(self, chosen: Candidate) -> tuple[Lateness, ...]:
-        """Return Kc and Bc where not a skew but set-points that are held make the torque seem late; else nothing.
-
-        One bench in ten has such a drive.
-        """
+    def _instead_of_the_skew(self, chosen: Candidate) -> Iterator[Lateness]:
+        """Kc and Bc where not a skew but set-points that are held make the torque seem late: both are in one of ten."""
         others = tuple(term for term in chosen.terms if term != "skew")
-        if len(others) == len(chosen.terms) or {"lag", "mean", "inertia"}.intersection(others):
-            return ()
-        if not chosen.damping > 0.0:
-            return ()
-        without = self.fits.candidate(others)
-        damping = self._damping(without, chosen.values)
-        columns, target = without.problem.linearised(without.fit)
-        columns = np.column_stack([columns, self.fits.motion.dtheta_ddot * damping / chosen.damping])
-        target = target + damping * of_jerk(self.fits.motion)
-        try:
-            values = least_absolute_deviations(columns, target).genes
-        except RuntimeError:  # no optimum can be proven
-            return ()
-        stiffness, damping, inertia = values[[0, 1, -1]].tolist()
-        variance = float(covariance(Blocks.of(columns, target), values).matrix[-1, -1])
-        step = float(np.median(np.diff(self.fits.motion.time)))
-        drive = held(inertia, damping, step, math.sqrt(max(0.0, variance)))
-        left = float(np.abs(target - columns @ values).mean())
-        ratio = self.criterion.gained(chosen.fit.fitness - left) / self.criterion.blurred(chosen, "skew")
-        if drive is None or not math.isfinite(variance) or _RARE - ratio > _UNLIKELY:
-            return ()
-        damping /= 1.0 - drive.size
-        return (Lateness(stiffness, damping, damping * drive.spread, _RARE - ratio),)
+        without = self._with(others) if len(others) < len(chosen.terms) else None
+        if without is not None and not {"lag", "mean"}.intersection(others):
+            lost = self.criterion.ratio(without, chosen) / self.criterion.blurred(chosen, "skew")
+            yield from self._behind_any_drive(without, lost - AKAIKE)
 
-    def _behind_any_drive(self, chosen: Candidate, usual: float) -> Iterator[Lateness]:
-        """Kc and Bc behind set-points that are held, for each likely drive; usual: as of `_with_usual_skew`.
+    def _behind_any_drive(self, fitted: Candidate, rare: float) -> Iterator[Lateness]:
+        """Kc and Bc behind set-points that are held, for each likely drive; rare: twice the log odds against any.
 
-        What the drive takes off the rate looks like less damping in slow motion, and hardly like a late reading.
+        fitted: the model without a skew. What a drive takes off the rate looks like a late reading of a few hundredths
+        of a tick, and in slow motion like less damping.
         """
-        if "skew" not in self.accounts or "inertia" in chosen.terms or not chosen.damping > 0.0:
+        if "skew" not in self.accounts or "inertia" in fitted.terms or not fitted.damping > 0.0:
             return
-        columns, target = chosen.problem.linearised(chosen.fit)
-        damping, blurred = self._damping(chosen, chosen.values), self.criterion.blurred(chosen, "linear")
-        before, rare = chosen.damping, usual + 2.0 * math.log(len(DRIVES))
+        columns, target = fitted.problem.linearised(fitted.fit)
+        damping, blurred = self._damping(fitted), self.criterion.blurred(fitted, "linear")
+        before, rare = fitted.damping, rare + 2.0 * math.log(len(DRIVES))
         for frequency in DRIVES:
             if (off := taken_off(self.fits.motion, frequency)) is None:
                 return
             late = target + damping * off
-            values = least_absolute_deviations(columns, late, chosen.fit.values).genes
+            values = least_absolute_deviations(columns, late, fitted.fit.values).genes
             left = float(np.abs(late - columns @ values).mean())
-            criterion = rare - self.criterion.gained(chosen.fit.fitness - left) / blurred
-            if criterion > _UNLIKELY:
-                return
+            criterion = rare - self.criterion.gained(fitted.fit.fitness - left) / blurred
             stiffness, found = values[:2].tolist()
-            yield Lateness(stiffness, found, abs(found - before) / 12.0**0.5, criterion)
+            if criterion < _UNLIKELY:
+                yield Lateness(stiffness, found, abs(found - before) / 12.0**0.5, criterion)
             before = found
 
-    def _damping(self, fitted: Candidate, values: Mapping[str, float]) -> Array:
-        """The damping (n,), N m s/rad, of each sample, by the values of the parameters.
+    def _damping(self, fitted: Candidate) -> Array:
+        """The damping (n,), N m s/rad, of each sample.
 
         There is none where the damper does not act, as between the flanks of a gap.
         """
         rate = self.fits.motion.dtheta_dot
-        return np.where(np.isclose(fitted.columns[:, 1], rate), damping_at(rate, values), 0.0)
+        return np.where(np.isclose(fitted.columns[:, 1], rate), damping_at(rate, fitted.values), 0.0)
 
     def _with_usual_skew(self, chosen: Candidate) -> float:
-        """Twice the logarithm of how much likelier the skew that every recorder has makes the model."""
-        tick, terms = float(np.median(np.diff(self.fits.motion.time))), (*chosen.terms, "skew")
+        """Twice the logarithm of how much likelier the skew that every recorder has makes the model.
+
+        The logarithmic likelihood is a parabola of the skew, through its values at zero and at one skew of each sign:
+        that of a usual recorder, and again a shorter one where the data know it much better.
+        """
+        usual, terms = TICK_SHARE * float(np.median(np.diff(self.fits.motion.time))), (*chosen.terms, "skew")
         if "skew" not in self.accounts or not is_addable("skew", chosen.terms):
             return 0.0
-        places, weights = np.polynomial.hermite_e.hermegauss(_SKEWS)
-        found = [self.fits.with_value(terms, chosen, TICK_SHARE * tick * place) for place in places.tolist()]
-        blurred = self.criterion.blurred(found[-1], "skew")
-        ratios = np.array([self.criterion.ratio(chosen, one) / blurred for one in found])
-        return float(2.0 * logsumexp(0.5 * ratios, b=weights / weights.sum()))
+        skew, bend = usual, _NARROW
+        for _ in range(2):
+            skew *= math.sqrt(_NARROW / max(bend, _NARROW))
+            early, late = (self.fits.with_value(terms, chosen, sign * skew) for sign in (-1.0, 1.0))
+            less, more = (self.criterion.ratio(chosen, one) for one in (early, late))
+            blurred = self.criterion.blurred(late, "skew")
+            slope, bend = 0.5 * (more - less) / blurred, max(0.0, -0.5 * (more + less) / blurred)
+        share = (usual / skew) ** 2  # of the usual skew's variance in that of the one tried
+        return float(0.25 * slope**2 / (bend + 1.0 / share) - math.log1p(bend * share))
 
     def _late_by(self, chosen: Candidate, term: str, times: Array, rare: float) -> Iterator[Lateness]:
         """Kc and Bc for each of the times (m,), s, the shortest first, up to one that is impossible or too unlikely."""

@@ -17,7 +17,7 @@ from ga.model.coupling import parse
 from ga.model.trajectory import Motion
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
-from hil.identification.selection.held import held, taken_off
+from hil.identification.selection.held import taken_off
 from hil.recording.reader import Array
 
 from ..conftest import Maker
@@ -109,14 +109,3 @@ def test_what_a_drive_takes_off_the_rate_is_the_jump_of_the_acceleration_times_a
     assert off is not None
     assert off[50:-50] == pytest.approx(STEP / 12.0 * jump[50:-50], rel=1e-3, abs=1e-4)
     assert taken_off(motion, 100.0) is None
-
-
-@pytest.mark.parametrize(("inertia", "expected"), [(-1.0, True), (1.0, False), (-100.0, False)])
-def test_held_set_points_look_like_a_small_negative_inertia(inertia: float, expected: bool) -> None:
-    """A drive of 196 rad/s and a damping ratio of 0.75 takes (w h)^2/12 of the rate off, 1.3 %."""
-    as_one = BC * STEP**2 / 12.0 * 1.5 * 196.0
-    found = held(inertia * as_one, BC, STEP, 0.0)
-    assert (found is not None) == expected
-    if found is not None:
-        assert found.size == pytest.approx((196.0 * STEP) ** 2 / 12.0)
-        assert found.spread == pytest.approx(0.5 * found.size)

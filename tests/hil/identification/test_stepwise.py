@@ -218,18 +218,20 @@ def test_a_skew_that_is_too_large_for_set_points_that_are_held_is_none() -> None
     assert found.lateness == ()
 
 
-@pytest.mark.parametrize(("high", "times"), [(0.4, 17), (HIGHEST, 0)])
-def test_each_likely_time_by_which_a_reading_is_late_moves_bc_by_kc_times_it(high: float, times: int) -> None:
-    """All 6 delays and 11 lags are possible in slow motion, and none in fast motion."""
+@pytest.mark.parametrize(("high", "times", "drives"), [(0.4, 17, 5), (HIGHEST, 0, 0)])
+def test_each_likely_time_by_which_a_reading_is_late_moves_bc_by_kc_times_it(
+    high: float, times: int, drives: int
+) -> None:
+    """All 6 delays, 11 lags and 5 drives are possible in slow motion, and none in fast motion."""
     moved = chirp(TIME, high=high)
     motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
     torque = KC * moved.dtheta + 4.0 * BC * moved.rate + 2e-4 * np.random.default_rng(4).standard_normal(SAMPLES)
     found = select(motion, torque, high, rarer=("lag",), accounts=LATE)
     assert found.model.name == "linear"
-    assert len(found.lateness) == times
+    assert len(found.lateness) == times + drives
     ticks, octaves = np.array([0.5, 1.0, 1.5, -0.5, -1.0, -1.5]), 2.0 ** (0.5 * np.arange(11))
     expected = KC * np.concatenate([ticks / RATE, octaves / (2.0 * np.pi * 480.0)])
-    assert [one.Bc - found.values[1] for one in found.lateness] == pytest.approx(expected[:times], rel=0.05)
+    assert [one.Bc - found.values[1] for one in found.lateness[:times]] == pytest.approx(expected[:times], rel=0.05)
 
 
 def test_a_branch_beside_a_mean_is_not_replaced_by_a_lag_which_excludes_it() -> None:
@@ -472,3 +474,23 @@ def test_a_gap_as_wide_as_the_errors_at_an_end_of_the_motion_is_none(gap: float,
     problem = Problem(model, motion, linear(moved), *model.bounds(motion, HIGHEST))
     found = Candidate(terms, model, problem, problem.solve(np.array([gap, centre])), np.empty(0), error=1e-3)
     assert found.is_impossible("backlash") is is_error
+
+
+@pytest.mark.parametrize(("noise", "delay"), [(2e-4, 6e-4), (2e-4, 0.0), (2e-6, 1e-4)])
+def test_the_skew_of_a_recorder_makes_a_model_likelier_by_the_integral_over_all_of_them(
+    noise: float, delay: float
+) -> None:
+    """A tenth of a tick, one standard deviation, also where the data know the skew to a small part of that."""
+    moved, tick = chirp(TIME), 1.0 / RATE
+    torque = linear(chirp(TIME - delay)) + noise * np.random.default_rng(0).standard_normal(SAMPLES)
+    fits = Fits(Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES)), torque, HIGHEST)
+    late = LateReading(fits, criterion.criterion_of(fits, ("offset", "skew"), ("linear",)), LATE)
+    chosen = fits.candidate(("linear",))
+    skews = delay + 3e-5 * noise / 2e-4 * np.arange(-60.0, 61.0)
+    tried = [fits.with_value(("linear", "skew"), chosen, skew) for skew in skews.tolist()]
+    blurred = late.criterion.blurred(tried[0], "skew")
+    likelier = np.exp(0.5 * np.array([late.criterion.ratio(chosen, one) for one in tried]) / blurred - 200.0)
+    usual = 0.1 * tick
+    density = np.exp(-0.5 * (skews / usual) ** 2) / (usual * math.sqrt(2.0 * math.pi))
+    expected = 2.0 * (200.0 + math.log(float((likelier * density).sum() * (skews[1] - skews[0]))))
+    assert late._with_usual_skew(chosen) == pytest.approx(expected, abs=1.5, rel=0.1)
