@@ -47,11 +47,18 @@ CHOSEN = step("linear", 2e-4, included=True)
 
 
 def test_a_term_that_would_move_a_parameter_out_of_its_interval_is_named() -> None:
-    (_, bc), (diagnostic,) = with_rivals((CHOSEN, step("skew", 2.1e-4)), FOUND)
+    found, (diagnostic,) = with_rivals((CHOSEN, step("skew", 2.1e-4)), FOUND)
+    assert found == FOUND
     assert (diagnostic.code, diagnostic.parameter, diagnostic.is_error) == ("model-dependent", "Bc", False)
     assert "whether skew is present" in diagnostic.message
-    assert "changes by +5.00%; its interval includes that" in diagnostic.message
+    assert "changes by +5.00%, which is outside its interval" in diagnostic.message
+
+
+def test_an_interval_includes_the_value_with_a_rarer_term_that_no_average_weighs() -> None:
+    (kc, bc), (diagnostic,) = with_rivals((CHOSEN, step("lugre", 2.1e-4)), FOUND)
+    assert kc == FOUND[0]
     assert bc.ci95 == pytest.approx((1.9e-4, 2.1e-4))
+    assert "changes by +5.00%, which is in its interval" in diagnostic.message
 
 
 @pytest.mark.parametrize(("values", "errors"), [((2.7e-4, 1.4e-4), 0), ((2.8e-4, 1.2e-4), 2), ((2.7e-4, -1e-3), 0)])
@@ -69,7 +76,7 @@ def test_models_that_differ_as_much_as_an_interval_may_be_wide_are_an_error_wher
 @pytest.mark.parametrize(("half", "errors"), [(1e-6, 0), (5e-5, 1)])
 def test_a_wide_interval_leaves_less_room_for_another_model(half: float, errors: int) -> None:
     """0.3 mN m s/rad is 50 % more: from 25 % below to 50 % above is too much for one Bc."""
-    (_, bc), found = with_rivals((CHOSEN, step("skew", 3e-4)), (FOUND[0], estimate("Bc", 2e-4, half)))
+    (_, bc), found = with_rivals((CHOSEN, step("lugre", 3e-4)), (FOUND[0], estimate("Bc", 2e-4, half)))
     assert bc.half_width == pytest.approx(half if errors else 1e-4)
     assert [one.is_error for one in found].count(True) == errors
 
