@@ -101,7 +101,7 @@ class LateReading:
         In slow motion any of them is a damping: a model without one may have the fit, and not the damping.
         """
         found = self._others(chosen) if "mean" not in chosen.terms else []
-        both = [(one, term) for one in (chosen, *found) for term in EARLIER if term in one.terms]
+        both = [(one, term) for one in (chosen, *found) for term in (*EARLIER, "maxwell") if term in one.terms]
         alike = max((self.criterion.blurred(one, term) for one, term in both), default=1.0)
         return tuple(
             Alternative(one.anchored, one.fit.nonlinear, self._akaike(chosen, one, alike))

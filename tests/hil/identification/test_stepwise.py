@@ -494,3 +494,16 @@ def test_the_skew_of_a_recorder_makes_a_model_likelier_by_the_integral_over_all_
     density = np.exp(-0.5 * (skews / usual) ** 2) / (usual * math.sqrt(2.0 * math.pi))
     expected = 2.0 * (200.0 + math.log(float((likelier * density).sum() * (skews[1] - skews[0]))))
     assert late._with_usual_skew(chosen) == pytest.approx(expected, abs=1.5, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_noise_that_lasts_is_no_branch_in_place_of_a_skew(seed: int) -> None:
+    """A branch that relaxes slowly follows a random walk, whose samples are no independent evidence."""
+    moved = chirp(TIME)
+    walk = np.cumsum(np.random.default_rng(seed).standard_normal(SAMPLES))
+    torque = linear(chirp(TIME - 1e-3)) + 3e-4 * (walk - walk.mean()) / walk.std()
+    fits = Fits(Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES)), torque, HIGHEST)
+    late = LateReading(fits, criterion.criterion_of(fits, ("offset", "skew"), ("linear",)), LATE)
+    branch = [one for one in late.alternatives(fits.candidate(("linear", "skew"))) if "maxwell" in one.model.name]
+    assert all(one.criterion > -10.0 for one in branch)
+    assert branch
