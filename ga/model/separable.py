@@ -202,14 +202,17 @@ def at_least_contained(problem: Problem, found: Fit, near: Mapping[str, float] =
 
 
 def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Iterator[Array]:
-    """The nonlinear parameters (q,) of the models contained, as far as they are within the bounds."""
-    parameters = problem.model.nonlinear
-    smaller = [near.get(parameter.name, parameter.absent) for parameter in parameters]
-    values = found.nonlinear
-    without = [[*values[:k], parameter.absent, *values[k + 1 :]] for k, parameter in enumerate(parameters)]
-    for contained in (smaller, *without):
-        nonlinear = np.array(contained, dtype=np.float64)
-        if np.all((nonlinear >= problem.low) & (nonlinear <= problem.high)):  # NaN, where no value removes one, is not
+    """The nonlinear parameters (q,) of the models contained, as far as they are within the bounds.
+
+    A parameter that no value removes keeps its own: another one of its term removes both.
+    """
+    parameters, values = problem.model.nonlinear, found.nonlinear.tolist()
+    absent = [value if one.absent is None else one.absent for one, value in zip(parameters, values, strict=True)]
+    smaller = [near.get(one.name, gone) for one, gone in zip(parameters, absent, strict=True)]
+    without = [[*values[:k], gone, *values[k + 1 :]] for k, gone in enumerate(absent)]
+    for contained in dict.fromkeys(map(tuple, (smaller, *without))):
+        nonlinear = np.array(contained)
+        if contained != tuple(values) and np.all((nonlinear >= problem.low) & (nonlinear <= problem.high)):
             yield nonlinear
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
-from ga.model.separable import Fit, Problem, best_start, descend, fit, local_minimum
+from ga.model.separable import Fit, Problem, at_least_contained, best_start, descend, fit, local_minimum
 from ga.model.terms import TERMS
 from ga.model.trajectory import Motion
 from hil.signals.windows import is_smooth
@@ -24,6 +24,7 @@ FOLDS = 10
 """Blocks in time, two of which at a time are held out."""
 
 _STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
+_ALIKE = 1e-9  # of a fitness, within which two are the same
 _MARGIN = 1e-4  # of a range, within which a value is at its end
 _OUTERMOST = 6.0  # standard deviations from the outermost reading, within which a gap fits errors of a joint at rest
 
@@ -66,6 +67,11 @@ class Candidate:
         """Return the fit to some of the samples (n,), with the nonlinear parameters of all."""
         part = self.problem.of(rows)
         return replace(self, problem=part, fit=part.solve(self.fit.nonlinear, self.fit))
+
+    def is_worse_than_contained(self, smaller: Candidate) -> bool:
+        """Return whether the fit is worse than that of a model with some of its parameters: it ended too early."""
+        is_contained = set(smaller.values) < set(self.values)
+        return is_contained and smaller.fit.fitness < (1.0 - _ALIKE) * self.fit.fitness
 
     @property
     def columns(self) -> Array:
@@ -186,12 +192,15 @@ class Fits:
 
         Raises RuntimeError where its columns are too much alike.
         """
-        if terms not in self._fitted:
+        near, known = _named(beside.model, beside.fit) if beside else {}, self._fitted.get(terms)
+        if known is None:
             problem, seen = self._problem(terms), self._previews.get(frozenset(terms))
-            near = _named(beside.model, beside.fit) if beside else {}
             found = fit(problem, near) if seen is None else local_minimum(problem, seen.nonlinear, near)
-            held_out = _held_out(problem, found)
-            self._fitted[terms] = Candidate(terms, _model(terms), problem, found, held_out, self.error)
+        elif beside is not None and known.is_worse_than_contained(beside):
+            problem, found = known.problem, at_least_contained(known.problem, known.fit, near)
+        else:
+            return known
+        self._fitted[terms] = Candidate(terms, _model(terms), problem, found, _held_out(problem, found), self.error)
         return self._fitted[terms]
 
     def with_value(self, terms: tuple[str, ...], smaller: Candidate, value: float) -> Candidate:

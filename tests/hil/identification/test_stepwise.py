@@ -278,6 +278,19 @@ def test_friction_that_builds_up_falls_with_the_rate_only_where_it_does(rise: fl
     assert found.values[0] == pytest.approx(KC, rel=0.01)
 
 
+def test_a_richer_law_is_held_against_the_model_in_the_place_of_the_law_that_it_contains() -> None:
+    """`lugre` with no rise is `dahl`: it fits no worse, and does not pay for its two parameters more."""
+    moved, motion = slow()
+    torque = KC * moved.dtheta + BC * moved.rate + sheathed(moved, 0.02)
+    torque += 2e-5 * np.random.default_rng(2).standard_normal(len(torque))
+    found = select(motion, torque, 0.5, (), rarer=("dahl", "lugre"), describes=lambda *_: False)
+    chosen, rejected = found.steps[-2:]
+    assert (chosen.model, rejected.model) == ("linear+dahl", "linear+lugre")
+    assert not rejected.included
+    assert rejected.fitness <= 1.0001 * chosen.fitness
+    assert rejected.gain < 0.0
+
+
 def test_friction_that_falls_with_speed_pays_with_the_damping_at_its_bound() -> None:
     moved, motion = slow()
     torque = KC * moved.dtheta + sheathed(moved, 0.02) - BC * moved.rate
