@@ -25,6 +25,7 @@ _OF_NOISE: Final = 0.5  # of what is predicted: where errors explain less, somet
 _AGAIN: Final = 1.5  # times its own power: of twice the errors regressors with all predict 2, and of the first half 0.5
 _NEXT_TO_NOTHING: Final = 0.05  # of the same, up to which what errors add is far from explaining it
 _SCATTER: Final = 2.0  # standard deviations by which noise may leave more than it does on average
+_IN_STEP: Final = 0.25  # of what errors add on average, above which their scatter is that of roundings that repeat
 _UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint
 
 
@@ -66,7 +67,8 @@ class LackOfFit:
 
     share: part of the residuals' power that is predicted in unseen blocks; predicted: its size, N m r.m.s.;
     unexplained: the same, relative to the torque's standard deviation. of_noise: whether noise of the deflection
-    explains the prediction.
+    explains the prediction. in_step: whether it does so only because roundings to counts repeat with the motion, and
+    add much by chance; the size of the misfit is then a part of the intervals.
     Kc, Bc: the size of the misfit, relative. It is the largest change by a suspect or half the difference between
     parts; without either, the change that would make the torque that is predicted. outside: whether that leaves the
     interval of Kc or Bc.
@@ -89,20 +91,30 @@ class LackOfFit:
     predicted: float = 0.0
     unexplained: float = 0.0
     of_noise: bool = False
+    in_step: bool = False
     at_zero: tuple[float, float] = (0.0, 0.0)
 
-    def beside_noise(self, added: Array) -> LackOfFit:
+    def beside_noise(self, added: Array, *, counted: bool = False) -> LackOfFit:
         """Return the result with `of_noise` set, by how the prediction grows when the errors of the motion double.
 
         added (k,): the growth of the predicted power, (N m)^2, in k simulations. With a wrong model the prediction
         does not grow; with errors it does (Cook and Stefanski 1994). The growth scatters where the motion rests or
-        repeats. The scatter is allowed for unless Kc or Bc would be wrong by much.
+        repeats. The scatter is allowed for unless Kc or Bc would be wrong by much, and then too if the errors are
+        counts (counted) whose rounding adds far more in one place of their grid than in another.
         """
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
-        doubt = 0.0 if self._grave else _SCATTER * added.std(ddof=1)
-        left = self.predicted**2 - (added.mean() + doubt) / _AGAIN
-        return replace(self, of_noise=bool(left < min(_SHARE / self.share, _OF_NOISE) * self.predicted**2))
+        mean, scatter = float(added.mean()), float(added.std(ddof=1))
+        doubt = 0.0 if self._grave else _SCATTER * scatter
+        if self._is_explained(mean + doubt):
+            return replace(self, of_noise=True)
+        in_step = counted and scatter > _IN_STEP * mean and self._is_explained(mean + _SCATTER * scatter)
+        return replace(self, of_noise=in_step, in_step=in_step)
+
+    def _is_explained(self, added: float) -> bool:
+        """Return whether errors that add so much power, (N m)^2, as they are doubled, explain the prediction."""
+        left = self.predicted**2 - added / _AGAIN
+        return left < min(_SHARE / self.share, _OF_NOISE) * self.predicted**2
 
     def is_far_beyond_noise(self, added: float) -> bool:
         """Return whether errors that add so much power, (N m)^2, as they are doubled, explain next to nothing of it."""
@@ -169,7 +181,7 @@ class LackOfFit:
     @property
     def in_intervals(self) -> tuple[float, float]:
         """The amounts, relative, by which the intervals of Kc and Bc grow because of the misfit."""
-        return (self.Kc, self.Bc) if self.misfit or self._is_small or self._is_vague else (0.0, 0.0)
+        return (self.Kc, self.Bc) if self.misfit or self.in_step or self._is_small or self._is_vague else (0.0, 0.0)
 
     @property
     def _is_small(self) -> bool:

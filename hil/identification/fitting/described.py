@@ -81,27 +81,43 @@ class Described:
 def tested(described: Described) -> LackOfFit | None:
     """Test the fit; None where the recording is too short."""
     signals, motion = described.signals, _without_errors(described.signals)
-    columns = None if motion is signals.motion else described.linearised(motion)
+    if motion is signals.motion:
+        return _tested_as_read(described)
+    found = _tested_without_errors(described, motion)
+    if found is None or not found.misfit or not (signals.window and signals.window.count):
+        return found
+    # roundings that repeat with the motion stand in the residuals, also beside a motion without errors
+    as_read = _tested_as_read(described)
+    return as_read if as_read is not None and not as_read.misfit else found
+
+
+def _tested_without_errors(described: Described, motion: Motion) -> LackOfFit | None:
+    """Test the fit with a motion (n,) that follows from the command."""
+    columns = described.linearised(motion)
     recorded, fitted = _held_against(described, motion, columns)
-    if columns is not None:
-        # where the acceleration jumps no low-pass gives the rate, which only a motion without noise shows
-        smooth = is_smooth(motion)
-        fitted = replace(fitted, kept=smooth if fitted.kept is None else fitted.kept & smooth)
+    # where the acceleration jumps no low-pass gives the rate, which only a motion without noise shows
+    smooth = is_smooth(motion)
+    fitted = replace(fitted, kept=smooth if fitted.kept is None else fitted.kept & smooth)
     found = lack_of_fit(recorded, fitted)
     if found is None or not found.misfit:
         return found
-    if columns is not None:
-        beside = np.column_stack([fitted.columns, _of_errors(described, columns)])
-        without = lack_of_fit(recorded, replace(fitted, columns=beside))
-        return found if without is None or without.misfit else without
-    if signals.window is None or motion.part_of is not None:
+    beside = np.column_stack([fitted.columns, _of_errors(described, columns)])
+    without = lack_of_fit(recorded, replace(fitted, columns=beside))
+    return found if without is None or without.misfit else without
+
+
+def _tested_as_read(described: Described) -> LackOfFit | None:
+    """Test the fit with the motion as it was read, and hold a misfit against what errors of the reading predict."""
+    signals, motion = described.signals, described.signals.motion
+    found = lack_of_fit(*_held_against(described, motion, None))
+    if found is None or not found.misfit or signals.window is None or motion.part_of is not None:
         return found
     before, added = described.linearised(motion), list[float]()
     for pair in noisier(motion, signals.window):
         added.append(float(np.mean([_added(described, before, one) for one in pair])))
         if len(added) == _ENOUGH and found.is_far_beyond_noise(max(added)):
             return found
-    return found.beside_noise(np.array(added))
+    return found.beside_noise(np.array(added), counted=signals.window.count > 0.0)
 
 
 def without_model(described: Described) -> DynamicStiffness | None:

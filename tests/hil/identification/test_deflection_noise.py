@@ -143,14 +143,32 @@ def test_a_low_pass_makes_no_misfit_of_jumps_that_the_torque_has(
     assert holds(found)
 
 
-@pytest.mark.parametrize(("motion", "bits", "seed"), [(quick, 12, 2), (jerky, 13, 1)])
+@pytest.mark.parametrize(
+    ("motion", "bits", "seed", "commanded"),
+    [
+        (quick, 12, 2, True),
+        (jerky, 13, 1, True),
+        (quick, 11, 2, True),
+        (quick, 12, 3, True),
+        (quick, 12, 3, False),
+        (jerky, 11, 1, False),
+    ],
+)
 def test_counts_of_a_joint_that_rests_at_two_angles_are_no_misfit(
-    tmp_path: Path, motion: Motion, bits: int, seed: int
+    tmp_path: Path, motion: Motion, bits: int, seed: int, commanded: bool
 ) -> None:
     """Every reading at rest is wrong by the same, and every transition is rounded alike: both go with the motion."""
-    found = recorded(tmp_path / "a.h5", motion, bits=bits, seed=seed)
+    found = recorded(tmp_path / "a.h5", motion, bits=bits, seed=seed, commanded=commanded)
     assert not misfits(found)
     assert holds(found)
+
+
+@pytest.mark.parametrize(("motion", "bits"), [(quick, 11), (jerky, 12)])
+@pytest.mark.parametrize("commanded", [True, False])
+def test_counts_that_go_with_the_motion_hide_no_friction_that_the_model_lacks(
+    tmp_path: Path, motion: Motion, bits: int, commanded: bool
+) -> None:
+    assert misfits(recorded(tmp_path / "a.h5", motion, bits=bits, friction=5e-3, commanded=commanded))
 
 
 @pytest.mark.parametrize("commanded", [True, False])
