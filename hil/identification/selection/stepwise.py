@@ -129,7 +129,9 @@ def select(
     rare = _likeliest(fits, rarer, tuple(dict.fromkeys(steps.passed)))
     more = (*terms, *rare)
     noise = criterion_of(fits, more, steps.criterion.richest, doubted=True)
-    steps = _Steps(fits, noise, more, _LIKELY, rare, lambda one: describes(one, False), errors)
+    # a small one may have been hidden by what the steps include, and one that is linear is fitted in no time
+    small = tuple(term for term in rarer if term not in rare and TERMS[term].linear)
+    steps = _Steps(fits, noise, more, _LIKELY, rare, lambda one: describes(one, False), errors, small)
     richer = steps.plainest(steps.forward(fits.candidate(smallest)))
     chosen = richer if set(rarer).intersection(richer.terms) else usual
     late = LateReading(fits, steps.criterion, accounts)
@@ -143,6 +145,7 @@ class _Steps:
     rare: those of them that are considered because a model without them does not describe the recording. is_enough:
     whether a model with one does, as it stands. Further terms may then be made of the errors of the deflection, rad,
     and rate, rad/s, which a filter or a delay takes out; the tests of the fit leave samples out that may show others.
+    beside: terms that no step includes, and that are held against the chosen model too.
     passed: the models that the steps came by.
     """
 
@@ -153,6 +156,7 @@ class _Steps:
     rare: tuple[str, ...] = ()
     is_enough: Callable[[Selection], bool] = lambda _selection: False
     errors: tuple[float, float] = (0.0, 0.0)
+    beside: tuple[str, ...] = ()
     passed: list[tuple[str, ...]] = field(default_factory=list, init=False)
     _enough: dict[Candidate, bool] = field(default_factory=dict, init=False)
 
@@ -210,7 +214,7 @@ class _Steps:
         nested = [self.fits.candidate(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
         found = [_step(nested[0], (float("nan"), float("nan")), included=True)]
         found += [_step(b, self.criterion.weighed(a, b, b.terms[-1]), included=True) for a, b in pairwise(nested)]
-        for term in self.considered:
+        for term in (*self.considered, *self.beside):
             others = tuple(other for other in chosen.terms if not set(own(other)) < set(own(term)))
             seen = self.fits.preview((*others, term)) if is_addable(term, others) else None
             if seen is not None and seen.fitness < _RIVAL * chosen.fit.fitness:

@@ -291,6 +291,21 @@ def test_a_richer_law_is_held_against_the_model_in_the_place_of_the_law_that_it_
     assert rejected.gain < 0.0
 
 
+def test_a_small_linear_term_is_held_against_the_model_whatever_hid_it_before() -> None:
+    """Beside a dead band no step comes to damping that grows with the rate: other terms lower the fitness more."""
+    moved = chirp(TIME)
+    pushed = np.sign(moved.dtheta) * np.maximum(np.abs(moved.dtheta) - 0.05, 0.0)
+    torque = KC * pushed + BC * moved.rate + 3e-7 * moved.rate * np.abs(moved.rate)
+    torque += 2e-4 * np.random.default_rng(1).standard_normal(SAMPLES)
+    motion = Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES), rate_noise=0.02)
+    rarer = ("deadband", "asymmetric", "dahl", "progressive", "quadratic", "softening")
+    found = select(motion, torque, HIGHEST, rarer=rarer, describes=lambda *_: False)
+    assert found.model.name == "linear+offset+deadband"
+    rejected = {step.term: step for step in found.steps if not step.included}
+    assert "quadratic" in rejected
+    assert rejected["quadratic"].Bc < found.values[1]
+
+
 def test_friction_that_falls_with_speed_pays_with_the_damping_at_its_bound() -> None:
     moved, motion = slow()
     torque = KC * moved.dtheta + sheathed(moved, 0.02) - BC * moved.rate
