@@ -200,3 +200,22 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
         raise Untrustworthy(
             f"{name}: the deflection never changes: no Kc or Bc can be estimated; {larger} or free the cable"
         )
+
+
+def refuse_few(recording: Recording, left: int, defects: Defects) -> None:
+    """Raise Untrustworthy where only so few rows of a recording are left, with what most of the others lack."""
+    if left >= FEWEST:
+        return
+    softer = again("drive with less torque", "--amplitude", imported=recording.imported)
+    causes = [
+        (defects.clipped, "have a torque at the end of its sensor's range", f"{softer}, or widen the sensor's range"),
+        (defects.near_gaps, "lie beside a gap, so that they have no rate", "record without a pause"),
+        (defects.lost, "are lost replies", "check cable and baud rate"),
+        (defects.not_numbers, "hold no number", "look at them with hil export"),
+        (defects.frozen, "have an angle that stood still", "check the encoder and its cable"),
+    ]
+    count, lack, remedy = max(causes, key=lambda cause: cause[0])
+    why = f": {count} rows {lack}. To identify Kc and Bc, {remedy}" if count else ": record for longer"
+    raise Untrustworthy(
+        f"{recording.path}: {left} of {len(recording)} rows can be used, and Kc and Bc need at least {FEWEST}{why}"
+    )

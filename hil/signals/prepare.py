@@ -23,7 +23,7 @@ from hil.recording.ahead import ahead
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import unwrapped
-from hil.signals.defects import FEWEST, Defects, UsableRows, refuse_hopeless, usable_rows
+from hil.signals.defects import FEWEST, Defects, UsableRows, refuse_few, refuse_hopeless, usable_rows
 from hil.signals.own_rate import OwnRate, refused_rate
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Kind, Readings, Slower
@@ -130,6 +130,11 @@ class _Columns:
     dtheta: Kind | None = None
     refused: OwnRate | None = None
 
+    @property
+    def torque_from(self) -> str:
+        """Where the torque comes from, as `Signals` says it."""
+        return "motor" if self.motor_side else ("given" if self.stand is None else "joint")
+
     def rows_of(self, recording: Recording, start: int, stop: int) -> UsableRows:
         """Return the usable rows from `start` to `stop`."""
         torque = "motor_torque" if self.motor_side else "torque"
@@ -165,7 +170,9 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     # of a part of a recording it would not be known by how many turns it is off
     dtheta, wraps = unwrapped(usable.dtheta, usable.torque)
     usable = replace(usable, dtheta=dtheta, wraps=wraps)
-    return _signals(usable, *columns.seeing(usable), (0, len(recording)))
+    found = _signals(usable, *columns.seeing(usable), (0, len(recording)))
+    refuse_few(recording, len(found), found.defects)
+    return found
 
 
 class LongRecording:
@@ -179,12 +186,18 @@ class LongRecording:
         self._columns, self._window = columns.seeing(first)
 
     def glimpse(self, parts: int = 16, rows: int = 1 << 14) -> list[Signals]:
-        """Return some stretches, spread evenly over the recording."""
+        """Return some stretches with usable rows, spread evenly over the recording.
+
+        Raises Untrustworthy where there are none.
+        """
         length = len(self._recording)
         parts = max(1, min(parts, length // rows))  # samples that were seen twice would count as more evidence
         starts = np.linspace(0, max(0, length - rows), parts).astype(int).tolist()
         stretches = (self._columns.rows_of(self._recording, start, start + rows) for start in starts)
-        return [_signals(usable, self._columns, self._window, (0, length)) for usable in stretches]
+        found = [_signals(usable, self._columns, self._window, (0, length)) for usable in stretches]
+        left = [one for one in found if len(one) >= FEWEST]
+        refuse_few(self._recording, sum(len(one) for one in left), joined(found).defects)
+        return left
 
     def stream(self, block: int = 1 << 18) -> Iterator[Signals]:
         """Yield the signals of `prepare`, from `block` rows and so many neighbours that every window is whole."""
@@ -221,6 +234,8 @@ def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
 
 def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
     """Return the signals of the usable rows within `rows` of the file; the other rows only fill their windows."""
+    if len(usable.row) < FEWEST:
+        return _nothing(usable, columns, window, rows)
     (stamps, _), angle = usable.stamps, usable.readings(usable.dtheta, columns.dtheta)
     time, dtheta = angle.time, angle.value
     if columns.rate_given:
@@ -261,12 +276,25 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
         band=window.band,
         rate_window=0.0 if columns.rate_given else (2 * window.slope + 1) * window.step,
         window=None if columns.rate_given else window,
-        torque_from="motor" if columns.motor_side else ("given" if columns.stand is None else "joint"),
+        torque_from=columns.torque_from,
         slower=slow_channel.slower(columns.torque, own, columns.dtheta, angle, stamps),
         refused_rate=columns.refused,
         jerked=jerked,
         unfiltered=_at_joint(usable.torque[kept], columns) if is_filtered else None,
         imported=columns.imported,
+    )
+
+
+def _nothing(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
+    """The signals of rows of which next to none can be used, as of a block in which no reply came."""
+    none, left = np.empty(0), int(np.count_nonzero(within(usable.row, rows)))
+    return Signals(
+        motion=Motion(none, none, none, none, none),
+        torque=none,
+        defects=replace(usable.defects(rows), near_gaps=left),
+        band=window.band,
+        rate_window=0.0,
+        torque_from=columns.torque_from,
     )
 
 

@@ -28,6 +28,8 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
     A clock that ticks every 15.6 ms gives several rows one stamp; their order is known and their spacing is even to
     within the loop's own jitter. The rows of the last stamp continue at the rate of the rows before.
     """
+    if len(time) < 2:
+        return time, False
     near = _together(time)
     starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > near)))
     even, coarse = _before_rounding(time, near), (len(time) - len(starts)) > _COARSE * len(time)

@@ -61,6 +61,26 @@ def test_on_disk_and_in_memory_give_the_same_answer(recordings: list[Path], monk
         assert one.identifiable == other.identifiable
 
 
+def test_blocks_on_disk_in_which_no_row_can_be_used_are_passed_over_and_counted(
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a cable was out for minutes: such a block has no window, no rate and no columns."""
+
+    def unplugged(channels: dict[str, Array]) -> None:
+        channels["torque"][4000:8000] = np.nan
+
+    path = make_recording(samples=12_000, noise=2e-4, change=unplugged)
+    whole = identified([path])
+    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    monkeypatch.setattr(LongRecording, "stream", partialmethod(LongRecording.stream, block=500))
+    monkeypatch.setattr(LongRecording, "glimpse", partialmethod(LongRecording.glimpse, parts=6, rows=500))
+    parts = identified([path])
+    assert parts.optimum == pytest.approx(whole.optimum, rel=1e-10)
+    assert parts.samples == whole.samples
+    (lost,) = (one.message for one in parts.diagnostics if one.code == "not-a-number")
+    assert lost.startswith("4000 of 12000 rows hold no number")
+
+
 def test_only_a_part_of_what_is_on_disk_is_held_in_memory(
     recordings: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
 from hil.signals.defects import clipped
-from hil.signals.prepare import prepare
+from hil.signals.prepare import LongRecording, prepare
 
 from ..conftest import Maker
 
@@ -61,3 +64,54 @@ def test_the_rate_beside_a_clipped_torque_is_that_of_the_whole_motion(make_recor
     np.testing.assert_allclose(np.linalg.lstsq(columns, signals.torque, rcond=None)[0], [0.02, 2e-4], rtol=1e-3)
     assert signals.defects.clipped > 0.08 * (len(signals) + signals.defects.clipped)
     assert signals.defects.near_gaps < 0.05 * len(signals)
+
+
+def in_bursts(channels: dict[str, Array]) -> None:
+    channels["time"] += 5.0 * np.median(np.diff(channels["time"])) * (np.arange(len(channels["time"])) // 7)
+
+
+def mostly_no_numbers(channels: dict[str, Array]) -> None:
+    channels["torque"][np.arange(len(channels["torque"])) % 16 > 5] = np.nan
+
+
+def clipped_at_rest(channels: dict[str, Array]) -> None:
+    """The joint passes in few rows from one range of angles to another; the torque of both is beyond its sensor's."""
+    at = np.arange(len(channels["time"]))
+    angle = np.clip(20.0 * np.sin(at / 20.0), -1.0, 1.0) + 0.3 * np.sin(at / 170.0)
+    channels["dtheta"] = np.convolve(np.pad(angle, 3, mode="edge"), np.full(7, 1.0 / 7.0), mode="valid")
+    channels["torque"] = np.clip(noisy(0.02 * channels["dtheta"]), -0.01, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (in_bursts, "rows lie beside a gap, so that they have no rate. To identify Kc and Bc, record without a pause"),
+        (mostly_no_numbers, "rows hold no number"),
+        (clipped_at_rest, "end of its sensor's range. To identify Kc and Bc, drive with less torque"),
+    ],
+)
+def test_a_recording_with_too_few_rows_left_is_refused_with_what_most_of_them_lack(
+    make_recording: Maker, change: Callable[[dict[str, Array]], None], reason: str
+) -> None:
+    with (
+        Recording(make_recording(change=change)) as recording,
+        pytest.raises(Untrustworthy, match=f"rows can be used, and Kc and Bc need at least 16: .*{reason}"),
+    ):
+        prepare(recording, None)
+
+
+def test_a_long_recording_with_too_few_rows_left_is_refused_before_it_is_read(make_recording: Maker) -> None:
+    with Recording(make_recording(change=mostly_no_numbers)) as recording:
+        long = LongRecording(recording, None)
+        with pytest.raises(Untrustworthy, match="rows hold no number"):
+            long.glimpse(rows=500)
+
+
+def test_a_stretch_of_a_long_recording_without_usable_rows_is_left_out(make_recording: Maker) -> None:
+    def half(channels: dict[str, Array]) -> None:
+        channels["torque"][: len(channels["torque"]) // 2] = np.nan
+
+    with Recording(make_recording(change=half)) as recording:
+        stretches = LongRecording(recording, None).glimpse(parts=4, rows=300)
+        assert len(stretches) == 2
+        assert min(float(one.motion.time[0]) for one in stretches) > 0.4 * float(recording.channel("time")[-1])
