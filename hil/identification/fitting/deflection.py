@@ -9,6 +9,7 @@ from hil.diagnostics import Diagnostic
 from hil.identification.evidence import Evidence
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Deflection
+from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.uncertainty.criteria import COUPLING, INTERVAL
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 _SAID = (5e-3, 0.03)  # changes of Kc and Bc, relative, from which they are a warning
 _FEW = {"instruments": 5.0, "simulation": 10.0, "none": 10.0}  # counts, below which Bc is wrong whatever is done
 _FIRST_ORDER = 0.15  # a simulated change, relative, from which the simulation is too rough
+_LOOKED = 1 << 16  # readings of the torque that show its counts
 _IMPORTED = ", or name its column with --command"
 _REMEDY = "use a larger amplitude or a finer encoder"
 
@@ -50,6 +52,7 @@ def read_with_errors(
             decisive=tuple(places),
             window=window,
             command=signals.command,
+            torque_count=smallest_step(signals.as_read[:_LOOKED]),
         )
     )
 

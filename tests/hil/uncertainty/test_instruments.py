@@ -160,6 +160,38 @@ def binary(time: Array, settled: float) -> tuple[Array, Array]:
     return before + (after - before) * 0.5 * (1.0 - np.cos(np.pi * part)), rate
 
 
+def test_a_torque_in_counts_widens_the_interval_of_kc_where_the_joint_rests() -> None:
+    """The least sum of absolute errors is at a count of the torque at rest, however much noise there is."""
+    angle, rate = binary(np.arange(10_000) / 500.0, settled=0.06)
+    time, count, noise = np.arange(10_000) / 500.0, 1e-3, np.random.default_rng(0).standard_normal(10_000)
+    off, half, narrow = [], [], []
+    for stiffness in 0.3 * (1.0 + 1e-3 * np.arange(12)):
+        torque = count * np.round((stiffness * angle + 3e-3 * rate + 0.7e-3 * noise) / count)
+        window = window_for(time, angle, torque)
+        motion, sound = Motion(time, *window.moved(time, angle), np.zeros(len(time))), window.sound(time)
+        model = parse("linear").anchored(motion)
+        columns = model.columns(motion)[sound]
+        genes = least_absolute_deviations(columns, torque[sound]).genes
+        narrow.append(confidence_intervals(Blocks.of(columns, torque[sound]), genes).half_width)
+        fit = Fitted(
+            model, motion, torque, sound, genes, np.zeros(0), narrow[-1], (0, 1), window, None, torque_count=count
+        )
+        half.append(deflection_errors(fit).half_width)
+        off.append(genes - [stiffness, 3e-3])
+    kc, sampled, widened = (np.array(values)[:, 0] for values in (off, narrow, half))
+    assert np.count_nonzero(np.abs(kc) > sampled) >= 4
+    assert np.count_nonzero(np.abs(kc) > np.hypot(sampled, widened)) <= 1
+    assert np.all(widened < 3.0 * np.sqrt(np.mean(kc**2)) * 1.96)
+    assert np.all(np.array(half)[:, 1] < 0.02 * 3e-3)
+
+
+def test_a_torque_in_counts_widens_no_interval_of_a_joint_that_does_not_rest() -> None:
+    fit = fitted(0.0)
+    count = 1e-4
+    counted = replace(fit, torque=count * np.round(fit.torque / count), torque_count=count)
+    assert np.all(deflection_errors(counted).half_width < 0.1 * fit.half_width)
+
+
 def rounded(angle: Array, rate: Array, count: float, noise: float) -> Fitted:
     """The fit to a spring and a damper at 500 Hz, read in counts, rad; noise: N m, of the torque."""
     time, read = np.arange(len(angle)) / 500.0, count * np.round(angle / count)
@@ -173,12 +205,17 @@ def rounded(angle: Array, rate: Array, count: float, noise: float) -> Fitted:
     return Fitted(model, motion, torque, sound, genes, np.zeros(0), half, (0, 1), window, angle)
 
 
-def test_a_joint_that_rests_at_two_angles_has_the_rounding_of_both_in_its_interval() -> None:
-    """Two angles 2 x apart, each wrong by up to half a count: Kc by its 1.96/sqrt(6) of a count over 2 x."""
+@pytest.mark.parametrize(
+    ("middle", "counts"), [(0.0, 1.0), (0.05, 1.959964 / np.sqrt(6.0))], ids=["opposite", "any two"]
+)
+def test_a_joint_that_rests_at_two_angles_has_the_rounding_of_both_in_its_interval(
+    middle: float, counts: float
+) -> None:
+    """Two angles 2 x apart, each wrong by up to half a count: opposite ones by opposite amounts, others by chance."""
     count, at = 2.0 * np.pi / 2**14, 0.2
-    found = deflection_errors(rounded(*binary(np.arange(10_000) / 500.0, 0.06), count, 1e-3))
-    expected = TRUE[0] * 1.959964 * count / np.sqrt(6.0) / (2.0 * at)
-    assert found.half_width[0] == pytest.approx(expected, rel=0.1)
+    angle, rate = binary(np.arange(10_000) / 500.0, 0.06)
+    found = deflection_errors(rounded(angle + middle, rate, count, 1e-3))
+    assert found.half_width[0] == pytest.approx(TRUE[0] * counts * count / (2.0 * at), rel=0.1)
 
 
 def test_a_joint_that_never_rests_has_no_rounding_at_rest() -> None:
