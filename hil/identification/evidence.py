@@ -16,7 +16,7 @@ from hil.identification.result import Conditional, Estimate, Repeatability, Vali
 from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
 from hil.uncertainty.criteria import COUPLING, DIFFERENT, LIKE_FRICTION, distinguishable, friction_likeness, narrow
-from hil.uncertainty.instruments import DeflectionErrors
+from hil.uncertainty.deflection.correction import DeflectionErrors
 from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 

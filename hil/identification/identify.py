@@ -41,7 +41,7 @@ from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources
 from hil.signals.windows import RATE_ACCURACY
 from hil.uncertainty.confidence import confidence_intervals
-from hil.uncertainty.instruments import DeflectionErrors
+from hil.uncertainty.deflection.correction import DeflectionErrors
 from hil.uncertainty.stationarity import disagreement, pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]

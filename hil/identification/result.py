@@ -15,8 +15,8 @@ from hil.diagnostics import Diagnostic
 from hil.identification.model_choice import Coupling
 from hil.identification.selection.stepwise import Step
 from hil.signals.prepare import Signals
+from hil.uncertainty.deflection.correction import Method
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
-from hil.uncertainty.instruments import Method
 from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 

@@ -12,8 +12,10 @@ from hil.identification.result import Deflection
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.uncertainty.criteria import COUPLING, INTERVAL
+from hil.uncertainty.deflection.correction import DeflectionErrors, deflection_errors
+from hil.uncertainty.deflection.fitted import Fitted
+from hil.uncertainty.deflection.instruments import is_instrument
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
-from hil.uncertainty.instruments import DeflectionErrors, Fitted, deflection_errors, is_instrument
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,11 @@ from hil.identification.selection.held import damping_at, of_jerk
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.signals.windows import is_smooth
+from hil.uncertainty.deflection.fitted import linearised
+from hil.uncertainty.deflection.instruments import followed, is_instrument
+from hil.uncertainty.deflection.simulation import noisier
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
-from hil.uncertainty.instruments import followed, is_instrument, linearised, noisier
 from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit, predicted
 from hil.uncertainty.misfit import LackOfFit
 

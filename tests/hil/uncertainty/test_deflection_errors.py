@@ -15,7 +15,9 @@ from hil.recording.reader import Array
 from hil.signals.windows import window_for
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
-from hil.uncertainty.instruments import Fitted, deflection_errors, noisier
+from hil.uncertainty.deflection.correction import deflection_errors
+from hil.uncertainty.deflection.fitted import Fitted
+from hil.uncertainty.deflection.simulation import noisier
 
 TRUE = np.array([0.3, 3e-3])
 RATE = 60.0  # Hz: so near the band that a low-pass cannot take the noise away

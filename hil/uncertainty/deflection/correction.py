@@ -1,0 +1,91 @@
+"""Correct the parameters for errors of the deflection: by instrumental variables, or by a simulation of the errors.
+
+Noise and counts of the deflection stand in the regressors, so that a fit makes Kc and Bc too small. Where the command
+was recorded, it takes the errors off; else what as many errors again do is simulated. Both act on the model linearised
+at its exact optimum, and so on nonlinear parameters too. Nothing is changed where the change is small beside the
+intervals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.signals.deflection_noise import FEW_COUNTS
+from hil.uncertainty.deflection.fitted import Fitted
+from hil.uncertainty.deflection.instruments import by_command
+from hil.uncertainty.deflection.rounding import rounded_at_rest
+from hil.uncertainty.deflection.simulation import is_in_step, simulated_change
+
+Array = NDArray[np.float64]
+
+_FEWEST: Final = 400  # samples, below which nothing is corrected
+_NOTHING: Final = 2e-5  # of the power of deflection and rate, below which their errors are not looked at
+_WEAK: Final = 0.25  # of the information without instruments, below which they are too weak
+
+Method = Literal["none", "simulation", "instruments"]
+
+
+@dataclass(frozen=True, eq=False)
+class DeflectionErrors:
+    """The errors of the deflection and what was done about them.
+
+    noise: rad, standard deviation of the readings' errors. counts: of the encoder, peak to peak. low_pass: Hz, of the
+    low-pass that the deflection went through, None for none. method: of the change. change (p + q,), SI: what is added
+    to the parameters; half_width (p + q,): half the 95 % interval of it, and of roundings that go with the motion.
+    predicted (p + q,), SI: the change by simulation. strength: 1 for a command that the motion follows, to 0; None
+    where it was not recorded or not needed.
+    """
+
+    noise: float
+    counts: float
+    low_pass: float | None
+    method: Method
+    change: Array
+    half_width: Array
+    predicted: Array
+    strength: float | None = None
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether there is a command, and the motion does not follow it."""
+        return self.strength is not None and self.strength < _WEAK
+
+
+def deflection_errors(fitted: Fitted) -> DeflectionErrors:
+    """Return what the errors of the deflection do to the parameters, and the change by which they are corrected."""
+    part, window, nothing = fitted.part(), fitted.window, np.zeros(len(fitted.half_width))
+    counts = float(np.ptp(fitted.motion.dtheta)) / window.count if window.count else np.inf
+    low_pass = window.low_pass.cut if window.low_pass else None
+    sound = window.sound(part.motion.time) & part.used
+    rounded = rounded_at_rest(part, sound)
+    found = DeflectionErrors(window.of_deflection, counts, low_pass, "none", nothing, rounded, nothing)
+    if np.count_nonzero(sound) < _FEWEST or not _disturbed(part):
+        return found
+    simulated, spread = simulated_change(part, sound)
+    if counts < FEW_COUNTS or (window.count and is_in_step(part, sound, spread)):
+        rounded = np.maximum(rounded, spread)
+    found = replace(found, predicted=simulated.values, half_width=rounded)
+    instruments = by_command(part, sound)
+    # noise that is not white is more than its floor says, which only the command shows
+    is_shown = instruments is not None and instruments[1] >= _WEAK and fitted.shows(instruments[0])
+    if not fitted.matters(simulated.values) and not is_shown:
+        return found
+    if instruments is not None:
+        found = replace(found, strength=instruments[1])
+    change = simulated if instruments is None or found.is_weak else instruments[0]
+    method: Method = "simulation" if change is simulated else "instruments"
+    return replace(found, method=method, change=change.values, half_width=np.hypot(change.half_width, rounded))
+
+
+def _disturbed(part: Fitted) -> bool:
+    window, motion = part.window, part.motion
+    passed = window.low_pass.amplification()[0] if window.low_pass else 1.0
+    shares = (
+        (passed * window.of_deflection) ** 2 / max(float(np.var(motion.dtheta)), 1e-300),
+        window.noise**2 / max(float(np.var(motion.dtheta_dot)), 1e-300),
+    )
+    return max(shares) > _NOTHING

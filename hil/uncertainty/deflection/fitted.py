@@ -1,0 +1,128 @@
+"""A model at its exact optimum, and its motion with other readings of the deflection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.separable import SeparableModel
+from ga.model.trajectory import Motion
+from hil.signals.windows import Window
+
+Array = NDArray[np.float64]
+
+_SAMPLES: Final = 40_000  # in a row, that are looked at
+_MATTERS: Final = 0.1  # of half an interval, from which a change is made
+_SURE: Final = 2.0  # times half its interval, beyond which a change is no chance
+_CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A model at its exact optimum, SI. torque (n,) N m as read; used (n,): the samples that it was fitted to.
+
+    genes (p,), nonlinear (q,): its parameters. half_width (p + q,): of their intervals. decisive: the places of the
+    parameters that decide whether anything is changed. command (n,): None where it was not recorded. torque_count:
+    N m, the smallest step between two readings of the torque.
+    """
+
+    model: SeparableModel
+    motion: Motion
+    torque: Array
+    used: NDArray[np.bool_]
+    genes: Array
+    nonlinear: Array
+    half_width: Array
+    decisive: tuple[int, ...]
+    window: Window
+    command: Array | None
+    torque_count: float = 0.0
+
+    def part(self) -> Fitted:
+        """Return the fit on samples in a row from the middle of the recording."""
+        first = max(0, (len(self.motion) - _SAMPLES) // 2)
+        rows = slice(first, first + _SAMPLES)
+        motion = replace(self.motion.of(rows), part_of=None)
+        motion = replace(motion, starts=tuple(sorted({0, *(at for at in motion.starts if at < len(motion))})))
+        command = None if self.command is None else self.command[rows]
+        return replace(self, motion=motion, torque=self.torque[rows], used=self.used[rows], command=command)
+
+    def linearised(self, motion: Motion) -> tuple[Array, Array]:
+        """Return columns (n, p + q) and residuals (n,) N m of the model for another motion."""
+        columns = linearised(self.model, motion, self.genes, self.nonlinear)
+        left = self.model.target(motion, self.torque, self.nonlinear) - columns[:, : len(self.genes)] @ self.genes
+        return columns, left
+
+    def matters(self, change: Array) -> bool:
+        """Return whether a change (p + q,) is large enough beside the intervals to be made."""
+        at = list(self.decisive)
+        return bool((np.abs(change[at]) > _MATTERS * self.half_width[at]).any())
+
+    def shows(self, change: Change) -> bool:
+        """Return whether a change is large enough to be made and larger than its own error (Hausman 1978)."""
+        return self.matters(np.where(np.abs(change.values) > _SURE * change.half_width, change.values, 0.0))
+
+
+def linearised(model: SeparableModel, motion: Motion, genes: Array, nonlinear: Array) -> Array:
+    """Return how the torque of a motion (n,) changes with genes (p,) and nonlinear parameters (q,): (n, p + q)."""
+    lag = max(0.0, float(genes[1] / genes[0])) if model.needs_ratio and genes[0] > 0.0 else 0.0
+    columns = model.columns(motion, nonlinear, lag)
+    return np.concatenate([columns, model.jacobian(motion, nonlinear, genes, lag)], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A change of the parameters (p + q,), and half the 95 % interval of it."""
+
+    values: Array
+    half_width: Array
+
+
+def behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Array, Array]:
+    """Readings (n,) behind the window, with slope and curvature; zero in stretches that are too short for it."""
+    found = np.zeros((3, len(motion)))
+    for part in stretches(motion):
+        if window.low_pass is not None or part.stop - part.start > 2 * window.widest:
+            found[:, part] = window.moved(motion.time[part], readings[part])
+    value, slope, curvature = np.nan_to_num(found)
+    return value, slope, curvature
+
+
+def stretches(motion: Motion) -> list[slice]:
+    """Return the samples of each stretch of a motion."""
+    return [slice(first, last) for first, last in pairwise([*motion.starts, len(motion)]) if last > first]
+
+
+def moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
+    """The motion with more deflection, rate and acceleration (n,); the motor's own torque follows the latter two."""
+    value, slope, curvature = more
+    own = np.stack([motion.dtheta_dot, motion.dtheta_ddot], axis=1)
+    share = np.linalg.lstsq(own, motion.known, rcond=None)[0] if motion.known.any() else np.zeros(2)
+    return replace(
+        motion,
+        dtheta=motion.dtheta + value,
+        dtheta_dot=motion.dtheta_dot + slope,
+        dtheta_ddot=motion.dtheta_ddot + curvature,
+        known=motion.known + np.stack([slope, curvature], axis=1) @ share,
+        part_of=None,
+    )
+
+
+def solved(columns: Array, instruments: Array, left: Array) -> Array:
+    """Return the change of the parameters (p + q,) that makes the residuals (n,) orthogonal to the instruments."""
+    sizes = np.linalg.norm(columns, axis=0)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    gram = (instruments / sizes).T @ (columns / sizes)
+    found = np.linalg.lstsq(gram, (instruments / sizes).T @ clipped(left), rcond=1e-12)[0]
+    return np.asarray(found / sizes)
+
+
+def clipped(left: Array) -> Array:
+    """Return residuals (n,) N m clipped as in Huber's (1964) estimate, scaled so that a step has full length."""
+    limit = _CLIPPED * 1.4826 * float(np.median(np.abs(left)))
+    inside = float(np.mean(np.abs(left) < limit))
+    return np.asarray(np.clip(left, -limit, limit) / max(0.5, inside))

@@ -1,0 +1,62 @@
+"""The correction of the parameters by instrumental variables, where the command was recorded.
+
+The motion that follows from the command by a short filter is free of the readings' errors, and the model's columns for
+it are instruments (Young 2011; Pintelon and Schoukens 2012, section 2.7). The command need not be what was driven, only
+go with it: how well it does is measured by how much less certain the instruments make the parameters.
+"""
+
+from __future__ import annotations
+
+from typing import Final, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.trajectory import Motion
+from hil.signals.windows import Window
+from hil.uncertainty.deflection.fitted import Change, Fitted, behind, clipped, moved
+from hil.uncertainty.effects import Recorded
+
+Array = NDArray[np.float64]
+
+_DELAYS: Final = (-1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the filter from command to motion, in eighths of a period
+_BLOCKS: Final = 32  # in time, of which the error of a change is estimated
+_NORMAL: Final = 1.959964
+
+
+def by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, float] | None:
+    """Return the correction by the instruments, and their strength; None without a command."""
+    if not is_instrument(part.command):
+        return None
+    motion = followed(part.motion, part.window, part.command, sound)
+    columns, left = (of[sound] for of in part.linearised(part.motion))
+    instruments, residuals = part.linearised(motion)[0][sound], clipped(left)
+    sizes = np.linalg.norm(columns, axis=0)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    z, x = instruments / sizes, columns / sizes
+    across, own = np.linalg.pinv(z.T @ x), np.linalg.pinv(x.T @ x)
+    at = list(part.decisive)
+    less_certain = np.diag(across @ (z.T @ z) @ across.T)[at] / np.maximum(np.diag(own)[at], 1e-300)
+    each = (z @ across.T - x @ own) * residuals[:, None]
+    sums = np.add.reduceat(each, np.arange(_BLOCKS) * len(each) // _BLOCKS, axis=0)
+    error = np.sqrt(_BLOCKS * np.var(sums, axis=0, ddof=1))
+    change = Change(each.sum(axis=0) / sizes, _NORMAL * error / sizes)
+    return change, float(min(1.0, 1.0 / max(float(less_certain.max()), 1e-300)))
+
+
+def is_instrument(command: Array | None) -> TypeGuard[Array]:
+    """Return whether set-points (n,) were recorded and change."""
+    return command is not None and bool(np.isfinite(command).all()) and float(np.ptp(command)) > 0.0
+
+
+def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.bool_]) -> Motion:
+    """Return the motion that follows from the command (n,) by a filter of a few delays, fitted where sound (n,)."""
+    unit = 1.0 / (8.0 * window.band[1])
+    recorded = Recorded(motion.time, motion.known, motion.dtheta, motion.dtheta_dot, motion.starts)
+    parts = behind(window, motion, command - command.mean())
+    value, *rates = (np.stack([recorded.delayed(one, lag * unit) for lag in _DELAYS], axis=1) for one in parts)
+    value = value - value[sound].mean(axis=0)
+    middle = float(motion.dtheta[sound].mean())
+    weights = np.linalg.lstsq(value[sound], motion.dtheta[sound] - middle, rcond=1e-9)[0]
+    less = (middle + value @ weights - motion.dtheta, *(of @ weights for of in rates))
+    return moved(motion, (less[0], less[1] - motion.dtheta_dot, less[2] - motion.dtheta_ddot))

@@ -1,0 +1,74 @@
+"""What rounding to counts does to the parameters where the joint rests."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from hil.uncertainty.deflection.fitted import Fitted, moved
+
+Array = NDArray[np.float64]
+
+_STILL: Final = 0.1  # of a count, by which readings behind a low-pass differ at most where the joint rests
+_WITHIN: Final = 0.25  # of a count, by which the torque of the model differs at most among like ones in a row
+_RESTS: Final = 10  # like readings in a row, from which it rests
+_NORMAL: Final = 1.959964
+
+
+def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
+    """Return half the 95 % intervals (p + q,) of what rounding does where the joint rests.
+
+    All readings of one angle or torque at rest are wrong by the same, somewhere within half a count, which no average
+    takes away. Noise does not either for a torque in counts: the least sum of absolute errors is at one of its counts.
+    Opposite readings may be wrong by opposite amounts, which change Kc by the same.
+    """
+    motion, count = part.motion, part.window.count
+    columns, left = part.linearised(motion)
+    torque = part.torque - left
+    at_rest = _is_still(motion.dtheta, _STILL * count), _is_within(torque, _WITHIN * part.torque_count)
+    found = np.zeros(len(part.half_width))
+    for still, values, step in zip(at_rest, (motion.dtheta, torque), (count, part.torque_count), strict=True):
+        rows = still & sound
+        if rows.any():
+            own = _influence(columns, sound)[:, rows[sound]]
+            own = own * np.sign(values[rows]) * (_per_rad(part, left)[rows] if values is motion.dtheta else 1.0)
+            level = np.unique(np.abs(np.round(values[rows] / step)), return_inverse=True)[1]
+            of_level = np.array([np.bincount(level, weights=one) for one in own])
+            most = 0.5 * np.abs(of_level).sum(axis=1)
+            likely = _NORMAL / np.sqrt(12.0) * np.linalg.norm(of_level, axis=1)
+            found = np.hypot(found, step * np.minimum(most, likely))
+    return found
+
+
+def _influence(columns: Array, sound: NDArray[np.bool_]) -> Array:
+    """Return by how much each parameter changes with the torque of each sound sample, (p + q, m)."""
+    sizes = np.linalg.norm(columns[sound], axis=0)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    return np.asarray(np.linalg.pinv(columns[sound] / sizes) / sizes[:, None])
+
+
+def _per_rad(part: Fitted, left: Array) -> Array:
+    """Return the torque (n,), N m, by which an error of 1 rad in the deflection changes the residuals (n,)."""
+    count, zero = part.window.count, np.zeros((2, len(part.motion)))
+    one_off = moved(part.motion, (np.full(len(part.motion), count), *zero))
+    return np.asarray((left - part.linearised(one_off)[1]) / count)
+
+
+def _is_still(dtheta: Array, most: float) -> NDArray[np.bool_]:
+    """Return whether each reading (n,) rad is among some that differ by less than `most`, rad, from one to the next."""
+    alike = np.concatenate([[False], np.abs(np.diff(dtheta)) < most])
+    run = np.cumsum(~alike)  # the number of the run of like readings that each is in
+    return np.asarray(np.bincount(run)[run] >= _RESTS)
+
+
+def _is_within(values: Array, most: float) -> NDArray[np.bool_]:
+    """Return whether each value (n,) is among some in a row that differ by less than `most`."""
+    found = np.zeros(len(values), dtype=bool)
+    if len(values) >= _RESTS:
+        first = np.flatnonzero(np.ptp(sliding_window_view(values, _RESTS), axis=1) < most)
+        for later in range(_RESTS):
+            found[first + later] = True
+    return found

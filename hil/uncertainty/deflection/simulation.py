@@ -1,0 +1,127 @@
+"""Errors of the deflection that are simulated: what as many again do to the parameters, and to the tests of the fit.
+
+Noise and counts of the deflection stand in the regressors (errors in variables: Soderstrom 2007). What as many errors
+again add to the parameters is taken off them (Cook and Stefanski 1994).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.trajectory import Motion
+from hil.signals.savitzky_golay import local_polynomial
+from hil.signals.windows import Window, is_smooth
+from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, solved, stretches
+
+Array = NDArray[np.float64]
+
+_PAIRS: Final = 4  # of simulated errors, of either sign
+_LEVEL: Final = 0.3  # of a simulated change, half the interval of its size: the errors' level is not known better
+_WIDER: Final = 1.25  # of a window, the next wider one, whose rate beside a jerk is wrong by as much more
+_IN_STEP: Final = 2.5  # times their scatter in any other order, from which roundings go with the motion
+_NORMAL: Final = 1.959964
+
+
+def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Array]:
+    """Return the correction, found by adding as many errors again, and 1.96 times its standard deviation.
+
+    The interval has that scatter already, unless it is of a rounding in step with the motion.
+    """
+    added = _added(part, sound, _errors(part.motion, part.window))
+    means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
+    change = -means.mean(axis=0)
+    error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
+    return Change(change, np.hypot(_LEVEL * change, _NORMAL * error)), _scatter(added)
+
+
+def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
+    """Return whether roundings change Kc or Bc by far more than the same errors in any other order.
+
+    Motion that repeats is rounded alike each time. spread (p + q,): of `simulated_change`.
+    """
+    rng = np.random.default_rng(1)
+    shuffled = _added(part, sound, (rng.permutation(one) for one in _errors(part.motion, part.window)))
+    at = list(part.decisive)
+    return bool((spread[at] > _IN_STEP * _scatter(shuffled)[at]).any())
+
+
+def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
+    """Yield pairs of motions with as many errors again of deflection and rate, of either sign, each time others."""
+    smoothed = _smoothed_away(motion, window)
+    for errors in _errors(motion, window):
+        more, less = _more(motion, window, errors)
+        yield (
+            replace(more, dtheta_dot=more.dtheta_dot + smoothed),
+            replace(less, dtheta_dot=less.dtheta_dot - smoothed),
+        )
+
+
+def _added(part: Fitted, sound: NDArray[np.bool_], errors: Iterable[Array]) -> Array:
+    """Return what errors (n,) rad add to the parameters, (k, 2, p + q): for each, and for it with the other sign."""
+
+    def step(motion: Motion) -> Array:
+        columns, left = part.linearised(motion)
+        return solved(columns[sound], columns[sound], left[sound])
+
+    without = step(part.motion)
+    return np.array([[step(moved) - without for moved in _more(part.motion, part.window, one)] for one in errors])
+
+
+def _scatter(added: Array) -> Array:
+    """Return half the 95 % intervals (p + q,) of what errors add at random: with the other sign it is the opposite."""
+    return np.asarray(_NORMAL * np.sqrt(np.mean((0.5 * (added[:, 0] - added[:, 1])) ** 2, axis=0)))
+
+
+def _more(motion: Motion, window: Window, errors: Array) -> tuple[Motion, Motion]:
+    """Return the motion with more errors (n,) rad in its readings, and with the same of the other sign."""
+    more = np.array(behind(window, motion, errors))
+    if window.low_pass is None:
+        for part in stretches(motion):  # near its ends a local polynomial has many times the noise
+            more[:, part.start : part.start + window.widest] = 0.0
+            more[:, max(part.start, part.stop - window.widest) : part.stop] = 0.0
+    return moved(motion, (more[0], more[1], more[2])), moved(motion, (-more[0], -more[1], -more[2]))
+
+
+def _errors(motion: Motion, window: Window) -> Iterator[Array]:
+    """Errors (n,) rad as the readings may have them: noise, then rounding to counts."""
+    rng, count, span = np.random.default_rng(0), window.count, float(np.ptp(motion.dtheta))
+    # counts that are rounded once more would follow from the angle
+    smooth = motion.dtheta.copy()
+    for part in stretches(motion):
+        if part.stop - part.start > 2 * window.slope:
+            fit = local_polynomial(motion.time[part], motion.dtheta[part], window.slope, 0)
+            smooth[part] = np.where(np.isfinite(fit), fit, motion.dtheta[part])
+    beside = np.sqrt(max(0.0, window.of_deflection**2 - count**2 / 12.0))
+    for _ in range(_PAIRS):
+        noise = beside * rng.standard_normal(len(motion))
+        if count > 0.0:
+            # where the motion turns within a count decides how the rounding goes with it, and is not known
+            true = smooth * (1.0 + count / span * rng.uniform(-1.0, 1.0)) + noise + count * rng.random()
+            noise = noise + count * np.round(true / count) - true
+        yield noise
+
+
+def _smoothed_away(motion: Motion, window: Window) -> Array:
+    """Return the part of the rate (n,), rad/s, that the window smooths away, from the rates of two wider windows.
+
+    The changes grow by one factor, as a geometric series, of which the window's own error is all that comes before.
+    """
+    first, second = np.zeros((2, len(motion)))
+    if window.low_pass is not None:  # flat up to where the deflection's noise hides all
+        return first
+    wider = [max(window.slope + more, int(_WIDER**more * window.slope)) for more in (1, 2)]
+    for part in stretches(motion):
+        inside = slice(part.start + wider[1], part.stop - wider[1])
+        if inside.stop > inside.start:
+            near = [local_polynomial(motion.time[part], motion.dtheta[part], half, 1) for half in wider]
+            once, twice = (np.nan_to_num(rate)[wider[1] : -wider[1]] for rate in near)
+            first[inside], second[inside] = motion.dtheta_dot[inside] - once, once - twice
+    ratio = float(first @ second) / max(float(second @ second), 1e-300)
+    ratio = min(max(ratio, 0.0), 1.0 / _WIDER)
+    sure = is_smooth(motion)  # no test looks at the others
+    return np.asarray(np.where(sure, ratio / (1.0 - ratio) * first, 0.0))
