@@ -16,6 +16,7 @@ _SEVERAL = 3  # jumps, from which a range that is no turn is certain
 _USUAL = 5.0  # times the usual step of the torque, up to which it goes on at a jump
 _LONGEST = 0.5  # s without any change, from which on a reading may be frozen
 _MOVED = 0.3  # of the torque's range, that it covers while the reading is frozen
+_MOST = (0.02, 0.98)  # quantiles of it then: an inertia's torque comes before the first count
 _ODD = 20.0  # times the usual distance from its neighbours' cubic, or counts, from which a reading may be wrong
 _BESIDE = 65  # readings around one, by which that distance is usual there
 _ALONE = 0.1  # of its distance, that the neighbours' may be once it is put right
@@ -116,5 +117,5 @@ def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     usual = float(lasted.sum() - lasted.max()) / (len(lasted) - 1)
     for at in np.flatnonzero(lasted > max(_LONGEST, _SLOWER * usual)).tolist():
         rows = slice(int(edges[at]) + 1, int(edges[at + 1]))
-        found[rows] = np.ptp(torque[rows]) > _MOVED * np.ptp(torque)
+        found[rows] = np.ptp(np.quantile(torque[rows], _MOST)) > _MOVED * np.ptp(torque)
     return found

@@ -90,6 +90,14 @@ def test_a_pause_is_not_frozen() -> None:
     assert not frozen(TIME, np.sin(held), 0.2 * np.sin(held) + 1e-3 * np.sin(50.0 * TIME)).any()
 
 
+def test_a_rest_that_ends_with_the_torque_of_an_inertia_is_not_frozen() -> None:
+    """The torque of a step comes at once, and the angle has not moved by a count yet."""
+    moving = np.where((TIME > 3.0) & (TIME < 4.0), 3.0, TIME)
+    torque = 0.2 * np.sin(moving)
+    torque[(TIME > 3.995) & (TIME < 4.0)] += 0.3
+    assert not frozen(TIME, np.sin(moving), torque).any()
+
+
 def test_coarse_counts_are_not_frozen() -> None:
     slow = 0.3 * np.sin(2.0 * np.pi * 0.1 * TIME)
 
