@@ -202,9 +202,9 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
         )
 
 
-def refuse_few(recording: Recording, left: int, defects: Defects) -> None:
-    """Raise Untrustworthy where only so few rows of a recording are left, with what most of the others lack."""
-    if left >= FEWEST:
+def refuse_none(recording: Recording, left: int, defects: Defects) -> None:
+    """Raise Untrustworthy where no row of a recording is left, with what most of them lack."""
+    if left:
         return
     softer = again("drive with less torque", "--amplitude", imported=recording.imported)
     causes = [
@@ -215,7 +215,5 @@ def refuse_few(recording: Recording, left: int, defects: Defects) -> None:
         (defects.frozen, "have an angle that stood still", "check the encoder and its cable"),
     ]
     count, lack, remedy = max(causes, key=lambda cause: cause[0])
-    why = f": {count} rows {lack}. To identify Kc and Bc, {remedy}" if count else ": record for longer"
-    raise Untrustworthy(
-        f"{recording.path}: {left} of {len(recording)} rows can be used, and Kc and Bc need at least {FEWEST}{why}"
-    )
+    why = f"{count} rows {lack}. To identify Kc and Bc, {remedy}" if count else "record for longer"
+    raise Untrustworthy(f"{recording.path}: none of {len(recording)} rows can be used: {why}")
