@@ -32,12 +32,17 @@ def run(*words: str) -> str:
     return output.getvalue()
 
 
+def record(path: Path, seed: int, profile: str = "chirp") -> None:
+    """Record the default stand as the README does."""
+    run("record", "--backend", "sim", "--profile", profile, "--seed", str(seed), "-o", str(path))
+
+
 def identified(seed: int, profile: str) -> dict[str, Any]:
     """Return the JSON object of one recording of the default stand."""
     with tempfile.TemporaryDirectory() as folder:
-        path = str(Path(folder) / "run.h5")
-        run("record", "--backend", "sim", "--profile", profile, "--seed", str(seed), "-o", path)
-        found: dict[str, Any] = json.loads(run("identify", path, "--json", "--trials", "1", "--workers", "1"))
+        path = Path(folder) / "run.h5"
+        record(path, seed, profile)
+        found: dict[str, Any] = json.loads(run("identify", str(path), "--json", "--trials", "1", "--workers", "1"))
         return found
 
 
@@ -67,7 +72,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--profile", default="chirp")
+    parser.add_argument("--profile", default="chirp", help="the README's is a chirp")
     options = parser.parse_args()
     found = [identified(seed, options.profile) for seed in range(options.first, options.first + options.seeds)]
     lines, met = table(found)

@@ -255,3 +255,11 @@ def test_one_command_goes_on_with_the_study_and_writes_the_page(study: Study, tm
     page = (tmp_path / "docs" / "accuracy.md").read_text()
     assert page.count("\n| clean | closed form | 2 | ") == 1
     assert (tmp_path / "docs" / "pictures" / "truth-linear.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_default_stand_is_a_bench_that_is_held_against_its_own_truth(study: Study) -> None:
+    row = study.truth_benches.judge(study.truth_benches.Job(9001, "default stand"))
+    assert row["status"] == 0
+    assert not row["wrong"]
+    assert 0.0 < abs(row["errors"]["Kc"][0]) < 0.01
+    assert 0.0 < abs(row["errors"]["Bc"][0]) < 0.03
