@@ -14,6 +14,7 @@ import canopen
 import pytest
 from canopen.objectdictionary import export_od, import_od
 from canopen.profiles.p402 import BaseNode402
+from canopen.sdo.client import SdoClient
 
 from sim_backend.wire.can_families import cia402 as serve
 from sim_backend.wire.canbus.bus import CanBus
@@ -38,6 +39,14 @@ def until(done: Callable[[], bool]) -> None:
 
 def says(sdo: Any, state: int) -> bool:
     return bool(sdo[0x6041].raw & 0x6F == state)
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine an answer may take longer than the 0.3 to 0.8 s that the library waits for it."""
+    monkeypatch.setattr(SdoClient, "RESPONSE_TIMEOUT", 10.0)
+    for name in ("SWITCH_STATE_SINGLE", "SWITCH_STATE_FINAL", "SWITCH_OP_MODE", "RESET_FAULT"):
+        monkeypatch.setattr(BaseNode402, f"TIMEOUT_{name}", 10.0)
 
 
 @pytest.fixture
