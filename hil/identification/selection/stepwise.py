@@ -22,6 +22,7 @@ from ga.model.trajectory import Motion
 from hil.identification.selection.criterion import PLAINEST_FIRST, Criterion, criterion_of
 from hil.identification.selection.fits import Candidate, Fits, own
 from hil.identification.selection.late import Alternative, Lateness, LateReading
+from hil.uncertainty.model_average import AKAIKE
 
 Array = NDArray[np.float64]
 
@@ -217,10 +218,16 @@ class _Steps:
         for term in (*self.considered, *self.beside):
             others = tuple(other for other in chosen.terms if not set(own(other)) < set(own(term)))
             seen = self.fits.preview((*others, term)) if is_addable(term, others) else None
-            if seen is not None and seen.fitness < _RIVAL * chosen.fit.fitness:
+            if seen is None or not seen.fitness < _RIVAL * chosen.fit.fitness:
+                continue
+            if term in self.considered or self._may_pay(chosen, seen):
                 more = self.fits.candidate((*others, term), beside=chosen)
                 found.append(_step(more, self.criterion.weighed(chosen, more, term), included=False))
         return tuple(found)
+
+    def _may_pay(self, chosen: Candidate, seen: Fit) -> bool:
+        """Whether a fit to some of the samples is better than that of the chosen model by what Akaike asks for."""
+        return self.criterion.gained(self.fits.fitness(chosen.terms) - seen.fitness) > AKAIKE
 
     def _larger(self, smaller: Candidate) -> Candidate | None:
         """The model with one more term that pays, the one that predicts held-out blocks best; None if none."""
