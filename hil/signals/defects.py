@@ -202,7 +202,7 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
         )
 
 
-def refuse_none(recording: Recording, left: int, defects: Defects) -> None:
+def refuse_without_rows(recording: Recording, left: int, defects: Defects) -> None:
     """Raise Untrustworthy where no row of a recording is left, with what most of them lack."""
     if left:
         return

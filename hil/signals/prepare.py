@@ -23,7 +23,7 @@ from hil.recording.ahead import ahead
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import unwrapped
-from hil.signals.defects import FEWEST, Defects, UsableRows, refuse_hopeless, refuse_none, usable_rows
+from hil.signals.defects import FEWEST, Defects, UsableRows, refuse_hopeless, refuse_without_rows, usable_rows
 from hil.signals.own_rate import OwnRate, refused_rate
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Kind, Readings, Slower
@@ -171,7 +171,7 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     dtheta, wraps = unwrapped(usable.dtheta, usable.torque)
     usable = replace(usable, dtheta=dtheta, wraps=wraps)
     found = _signals(usable, *columns.seeing(usable), (0, len(recording)))
-    refuse_none(recording, len(found), found.defects)
+    refuse_without_rows(recording, len(found), found.defects)
     return found
 
 
@@ -196,7 +196,7 @@ class LongRecording:
         stretches = (self._columns.rows_of(self._recording, start, start + rows) for start in starts)
         found = [_signals(usable, self._columns, self._window, (0, length)) for usable in stretches]
         left = [one for one in found if len(one)]
-        refuse_none(self._recording, sum(len(one) for one in left), joined(found).defects)
+        refuse_without_rows(self._recording, sum(len(one) for one in left), joined(found).defects)
         return left
 
     def stream(self, block: int = 1 << 18) -> Iterator[Signals]:
