@@ -39,6 +39,11 @@ Law = Callable[[Motion, float, float], Array]
 """The torque (n,) N m of a coupling for a motion, Kc N m/rad and Bc N m s/rad."""
 
 
+def spring_and_damper(m: Motion, k: float, b: float) -> Array:
+    """The plain coupling."""
+    return k * m.deflection + b * m.rate
+
+
 @dataclass(frozen=True, slots=True)
 class Bench:
     """One bench; SI. kind: "multisine", "chirp", "prbs", "walk" or "ramp". law: the coupling. rate: Hz, of the samples.
@@ -53,7 +58,7 @@ class Bench:
     """
 
     kind: str = "multisine"
-    law: Law = field(default=lambda m, k, b: k * m.deflection + b * m.rate)
+    law: Law = field(default=spring_and_damper)
     stiffness: float = KC
     damping: float = BC
     peak: float = PEAK
@@ -280,11 +285,11 @@ def bouc_wen(share: float, yielding: float) -> Law:
     return law
 
 
-def capstan(share: float) -> Law:
-    """Friction of `share` of the torque that the tendon carries."""
+def capstan(share: float, pulled: Law = spring_and_damper) -> Law:
+    """Friction of `share` of the torque that the tendon carries, which is that of the law `pulled`."""
 
     def law(m: Motion, k: float, b: float) -> Array:
-        carried = k * m.deflection + b * m.rate
+        carried = pulled(m, k, b)
         return np.asarray(carried + share * np.abs(carried) * np.tanh(m.rate / 1e-2))
 
     return law
@@ -365,7 +370,7 @@ def drawn(seed: int) -> tuple[str, Bench]:
         torque_noise=stiffness * peak * 10.0 ** rng.uniform(-3.0, -1.7),
         colour=str(rng.choice(["white", "ar", "heavy"])),
     )
-    names = sorted(rng.choice(list(_EFFECTS), 2, replace=False).tolist())
+    names = sorted(rng.choice(list(_EFFECTS), 2, replace=False).tolist(), key=_order)
     for name in names:
         bench = _EFFECTS[name](bench, rng)
     return " and ".join(names), bench
@@ -394,7 +399,7 @@ _EFFECTS: Mapping[str, _Drawn] = {
             *(np.array([1.0, 1.3]) * r.uniform(0.01, 0.1) * b.stiffness * b.peak), r.uniform(0.01, 0.1) * b.peak, b.peak
         ),
     ),
-    "capstan": lambda b, r: _also(b, capstan(r.uniform(0.03, 0.2))),
+    "capstan": lambda b, r: replace(b, law=capstan(r.uniform(0.03, 0.2), b.law)),
     "quadratic": lambda b, r: _also(b, quadratic(r.uniform(0.1, 1.0) * b.damping / (30.0 * b.peak))),
     "dead band": lambda b, r: _also(b, dead_band(r.uniform(0.02, 0.2) * b.peak)),
     "fading": lambda b, r: _also(b, fading(r.uniform(-0.2, 0.2))),
@@ -405,6 +410,15 @@ _EFFECTS: Mapping[str, _Drawn] = {
     "far zero": lambda b, r: replace(b, zero=r.uniform(-6.0, 6.0)),
 }
 """What a bench may have, drawn at random in proportion to it."""
+
+_CARRIED = {"cubic", "dead band", "fading", "quadratic", "viscoelastic"}
+"""The effects whose torque the tendon carries, so that the friction in its sheath is in proportion to it."""
+
+
+def _order(effect: str) -> tuple[bool, bool, str]:
+    """What the tendon carries comes first, then its own friction, then all others."""
+    return effect not in _CARRIED, effect != "capstan", effect
+
 
 _ONE = Bench()
 

@@ -109,12 +109,12 @@ class CouplingModel:
     @property
     def needs_ratio(self) -> bool:
         """Whether the columns depend on Bc/Kc: where flanks part and how friction acts, the torque's sign says."""
-        return any(term.contact is not None for term in self.terms)
+        return any(term.contact is not None or term.load is not None for term in self.terms)
 
     @cached_property
     def bends(self) -> tuple[bool, ...]:
         """Whether each term's torque is no linear filter of the motion."""
-        beyond = any(term.remaining is not None or term.contact is not None for term in self.terms)
+        beyond = self.needs_ratio or any(term.remaining is not None for term in self.terms)
         return tuple(term.bends or (beyond and term.pushed is not None) for term in self.terms)
 
     @cached_property
@@ -124,7 +124,7 @@ class CouplingModel:
     @cached_property
     def _load_remembers(self) -> bool:
         """Whether the torque of spring and damper depends on earlier samples, too."""
-        return any(term.contact is not None and term.forgets is not None for term in self.terms)
+        return any(term.load is not None and term.forgets is not None for term in self.terms)
 
     def anchored(self, motion: Motion) -> CouplingModel:
         """Return the model with origin and slowest rate of this motion, so that it is one model for every part of it.
@@ -291,16 +291,18 @@ class CouplingModel:
 
     def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
         """The motion, seen as it was the delay before, beyond the gap or slack."""
-        angle, contact, softness = seen.dtheta, np.ones(len(motion)), self.smoothing or 0.0
+        angle, contact, load, softness = seen.dtheta, np.ones(len(motion)), None, self.smoothing or 0.0
         for term, values in self._valued(nonlinear):
             if term.remaining is not None:
                 angle = term.remaining(angle, values)
         for term, values in self._valued(nonlinear):
             if term.contact is not None:
-                own = term.contact(angle, seen, lag, softness, values)
+                own = term.contact(angle, seen, lag)
                 angle, contact = angle * own, contact * own
+            if term.load is not None:
+                load = term.load(angle, seen, lag, softness, values)
         elapsed = motion.time - (self.origin or 0.0)
-        return Regressors(elapsed, seen, angle, contact, softness, self.middle or 0.0, np.empty(0))
+        return Regressors(elapsed, seen, angle, contact, load, softness, self.middle or 0.0, np.empty(0))
 
     def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
         """Each term, whether it bends, and its own of the parameters (q,); without them only those that have none."""
@@ -315,7 +317,8 @@ class CouplingModel:
         for term, _, own in self._present(nonlinear):
             count = sum(not parameter.nonlinear for parameter in term.parameters)
             if term.pushed is not None:
-                parts.append(term.pushed(replace(regressors, own=own), genes[at : at + count], moved))
+                part = term.pushed(replace(regressors, own=own), genes[at : at + count], moved)
+                parts.append(regressors.loaded(term, part))
             at += count
         return np.asarray(sum(parts[1:], start=parts[0]))
 
@@ -330,6 +333,7 @@ class CouplingModel:
                 found = term.columns(own)
             elif term.rates is not None and changing is not None:
                 found = term.rates(own, changing[reaches])
+            found = tuple(own.loaded(term, column) for column in found)
             columns += [seen.passed(column, bends=bends) for column in found] if reaches else found
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
 

@@ -159,7 +159,7 @@ CAPSTAN: Final = Term(
     ),
     bounds=capstan_bounds,
     remaining=lambda angle, values: angle - values[1],
-    contact=_loaded,
+    load=_loaded,
     needs="offset",
     excludes=("backlash", "deadband", "slack"),
     reason="where a gap is open, the tendon carries no torque that could make friction",
@@ -173,6 +173,7 @@ QUADRATIC: Final = Term(
     (Parameter("B2", "N*m*s^2/rad^2", "quadratic damping", presence=True, positive=True),),
     columns=_square,
     rates=_squaring,
+    carried=True,
     selection="misfit",
 )
 

@@ -66,7 +66,8 @@ class Regressors:
     """The signals (n,) that columns are made of.
 
     time: s since the model's origin. motion: as the torque reading saw it. angle: rad, the deflection beyond gap or
-    slack, times contact. contact: what the torque of spring and damper is multiplied by: 1, and 0 where flanks part.
+    slack, times contact. contact: 1, and 0 where flanks part. load: what friction in proportion to the load multiplies
+    the torque of spring and damper by; None without such friction.
     smoothing: rad/s, the v_s of friction. middle: s, the time in the middle of the recording. own: the nonlinear
     parameters of the term whose columns are computed.
     """
@@ -75,13 +76,20 @@ class Regressors:
     motion: Motion
     angle: Array
     contact: Array
+    load: Array | None
     smoothing: float
     middle: float
     own: Array
 
     def of(self, rows: NDArray[np.int64] | slice, motion: Motion) -> Regressors:
         """Return those of some of the samples, of which the motion is given."""
-        return replace(self, time=self.time[rows], motion=motion, angle=self.angle[rows], contact=self.contact[rows])
+        load = None if self.load is None else self.load[rows]
+        angle, contact = self.angle[rows], self.contact[rows]
+        return replace(self, time=self.time[rows], motion=motion, angle=angle, contact=contact, load=load)
+
+    def loaded(self, term: Term, column: Array) -> Array:
+        """Return a column (n,) of a term, with the friction in proportion to its torque."""
+        return column * self.load if term.carried and self.load is not None else column
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +103,9 @@ class Term:
     its parameter; or gives cell, what a torque (n,) or columns (n, p) become in the torque cell, for a motion, these
     and its parameters; or gives remaining, the deflection (n,) that its parameters leave, and shifts, how much of the
     deflection is taken away per unit of each; or only shapes its columns.
-    contact, (n,), multiplies the torque of spring and damper, for remaining deflection, motion, Bc/Kc in s, v_s and its
-    parameters. forgets: where the torque depends on earlier samples too, what is left (n,) at each sample of the state
+    contact, (n,), whether flanks touch, for remaining deflection, motion and Bc/Kc in s. load, (n,), multiplies the
+    torque that is carried, for these, v_s and the term's parameters; carried: whether the term is part of that torque.
+    forgets: where the torque depends on earlier samples too, what is left (n,) at each sample of the state
     that its stretch began with, which is unknown; for a motion and the term's parameters.
     needs: the term without which it means nothing. excludes: the terms that it cannot stand beside, and why.
     bends: whether its torque is no linear filter of the motion, so that it changes in one that torque and motion pass.
@@ -117,7 +126,9 @@ class Term:
     cell: Callable[[Motion, Array, Array], Array] | None = None
     remaining: Callable[[Array, Array], Array] | None = None
     shifts: Callable[[Array], tuple[Array, ...]] | None = None
-    contact: Callable[[Array, Motion, float, float, Array], Array] | None = None
+    contact: Callable[[Array, Motion, float], Array] | None = None
+    load: Callable[[Array, Motion, float, float, Array], Array] | None = None
+    carried: bool = False
     forgets: Callable[[Motion, Array], Array] | None = None
     needs: str = ""
     excludes: tuple[str, ...] = ()

@@ -67,7 +67,7 @@ def _slack_shifts(angle: Array) -> tuple[Array, ...]:
     return (np.sign(angle),)
 
 
-def _pushing_only(angle: Array, motion: Motion, lag: float, _smoothing: float, _values: Array) -> Array:
+def _pushing_only(angle: Array, motion: Motion, lag: float) -> Array:
     import numpy as np
 
     return np.asarray((angle * (angle + lag * motion.dtheta_dot) > 0.0).astype(np.float64))
@@ -143,6 +143,7 @@ def _branch(number: int, needs: str) -> Term:
         columns=lambda r: (_unrelaxed(r, r.angle),),
         rates=_relaxing,
         pushed=lambda r, genes, moved: genes[0] * _unrelaxed(r, moved),
+        carried=True,
         bounds=_relaxation_bounds,
         forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
         needs=needs,
@@ -163,6 +164,7 @@ LINEAR: Final = Term(
     pushed=lambda _r, genes, moved: genes[0] * moved,
     selection="smallest",
     bends=False,
+    carried=True,
 )
 
 CUBIC: Final = Term(
@@ -173,6 +175,7 @@ CUBIC: Final = Term(
     rates=lambda r, c: (3.0 * r.angle**2 * c.dtheta,),
     pushed=lambda r, genes, moved: 3.0 * genes[0] * r.angle**2 * moved,
     confusable=("backlash", "slack", "deadband"),
+    carried=True,
 )
 
 QUINTIC: Final = Term(
@@ -184,6 +187,7 @@ QUINTIC: Final = Term(
     pushed=lambda r, genes, moved: 5.0 * genes[0] * r.angle**2 * r.angle**2 * moved,
     needs="cubic",
     selection="misfit",
+    carried=True,
 )
 
 ASYMMETRIC: Final = Term(
@@ -204,6 +208,7 @@ ASYMMETRIC: Final = Term(
     columns=_beside_turn,
     rates=_turning,
     bounds=_turn_bounds,
+    carried=True,
     needs="offset",
     excludes=_GAPS,
     reason="a gap has its own flanks, whose stiffness is one (asymmetric)",
@@ -218,6 +223,7 @@ PROGRESSIVE: Final = Term(
     columns=lambda r: (r.angle**2,),
     rates=lambda r, c: (2.0 * r.angle * c.dtheta,),
     pushed=lambda r, genes, moved: 2.0 * genes[0] * r.angle * moved,
+    carried=True,
     needs="offset",
     selection="misfit",
 )
@@ -229,6 +235,7 @@ SOFTENING: Final = Term(
     columns=lambda r: ((r.time - r.middle) * r.angle,),
     rates=lambda r, c: ((r.time - r.middle) * c.dtheta * r.contact,),
     pushed=lambda r, genes, moved: genes[0] * (r.time - r.middle) * moved,
+    carried=True,
     selection="misfit",
 )
 

@@ -102,13 +102,21 @@ class Criterion:
         """
         if (fitted, term) in self._correlations:
             return self._correlations[fitted, term]
-        found = 1.0
-        for _, alone in fitted.own_columns(*(fitted.terms if self.doubted else (term,))):
-            power = float(alone @ alone)
-            spectrum = replace(measure([(alone[:, None], self.signs)]), fitted=self.fitted)
-            found = max(found, float(spectrum.covariance[0, 0]) / power) if power > 0.0 else np.inf
+        found = max((1.0, *(self._correlation(alone) for _, alone in fitted.own_columns(term))))
+        if self.doubted:
+            # a term that the new one makes idle may have a column of zeros, which says nothing about the new one
+            others = fitted.own_columns(*(other for other in fitted.terms if other != term))
+            found = max(found, *(self._correlation(alone) for _, alone in others if alone.any()))
         self._correlations[fitted, term] = found
         return found
+
+    def _correlation(self, alone: Array) -> float:
+        """The same of one parameter: its column (n,), as far as no other has it; infinite where nothing is left."""
+        power = float(alone @ alone)
+        if power <= 0.0:
+            return math.inf
+        spectrum = replace(measure([(alone[:, None], self.signs)]), fitted=self.fitted)
+        return float(spectrum.covariance[0, 0]) / power
 
     def blurred(self, fitted: Candidate, term: str) -> float:
         """Return the factor by which a likelihood ratio is less certain: of correlation, and of the rate.

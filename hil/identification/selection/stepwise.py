@@ -120,20 +120,21 @@ def select(
     Raises RuntimeError where not even the smallest model can be fitted.
     """
     fits, smallest = Fits(motion, torque, highest, errors[0]), _smallest(terms)
-    steps = _Steps(fits, criterion_of(fits, terms, smallest), terms)
+    noise = criterion_of(fits, terms, smallest)
+    steps = _Steps(fits, noise, terms, is_enough=lambda one: describes(one, False), errors=errors)
     usual = steps.forward(fits.candidate(smallest))
     late = LateReading(fits, steps.criterion, accounts)
     if not rarer:
         return Selection(usual, steps, late)
     if describes(Selection(usual), True):
         return Selection(late.instead_of_skew(usual), steps, late)
-    rare = _likeliest(fits, rarer, tuple(dict.fromkeys(steps.passed)))
-    more = (*terms, *rare)
-    noise = criterion_of(fits, more, steps.criterion.richest, doubted=True)
-    # a small one may have been hidden by what the steps include, and one that is linear is fitted in no time
-    small = tuple(term for term in rarer if term not in rare and TERMS[term].linear)
-    steps = _Steps(fits, noise, more, _LIKELY, rare, lambda one: describes(one, False), errors, small)
+    likely = _likeliest(fits, rarer, tuple(dict.fromkeys(steps.passed)))
+    steps = steps.with_rarer(likely, rarer)
     richer = steps.plainest(steps.forward(fits.candidate(smallest)))
+    if set(rarer).intersection(richer.terms) and not describes(Selection(richer), True):
+        # another effect may show only beside the one found
+        steps = steps.with_rarer((*likely, *_likeliest(fits, rarer, (richer.terms,))), rarer)
+        richer = steps.plainest(steps.forward(fits.candidate(smallest)))
     chosen = richer if set(rarer).intersection(richer.terms) else usual
     late = LateReading(fits, steps.criterion, accounts)
     return Selection(late.instead_of_branch(chosen), steps, late)
@@ -160,6 +161,17 @@ class _Steps:
     beside: tuple[str, ...] = ()
     passed: list[tuple[str, ...]] = field(default_factory=list, init=False)
     _enough: dict[Candidate, bool] = field(default_factory=dict, init=False)
+
+    def with_rarer(self, likely: tuple[str, ...], rarer: tuple[str, ...]) -> _Steps:
+        """Return the steps among the usual terms and those likely of the rarer ones.
+
+        A small one may have been hidden by what the steps include, and one that is linear is fitted in no time.
+        """
+        likely = tuple(dict.fromkeys(likely))
+        considered = (*(term for term in self.considered if term not in self.rare), *likely)
+        noise = criterion_of(self.fits, considered, self.criterion.richest, doubted=True)
+        small = tuple(term for term in rarer if term not in likely and TERMS[term].linear)
+        return _Steps(self.fits, noise, considered, _LIKELY, likely, self.is_enough, self.errors, small)
 
     def forward(self, chosen: Candidate) -> Candidate:
         """Return the model after the steps from one chosen, each with the term that pays most, without those idle."""
@@ -260,7 +272,7 @@ class _Steps:
         return found
 
     def _is_described(self, one: Candidate) -> bool:
-        """Whether a model is enough; the tests of its fit take as long as some steps, and are asked for twice."""
+        """Whether a model is enough; its tests take as long as some steps, and are asked for twice."""
         if one not in self._enough:
             self._enough[one] = self.is_enough(Selection(one))
         return self._enough[one]
@@ -310,7 +322,7 @@ def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...]
     containing = {term: [other for other in terms if set(own(other)) < set(own(term))] for term in terms}
     for term in (term for term in terms if not containing[term]):
         larger = [with_another(less, term, complete=True) for less in models]
-        larger = [more for more in larger if is_addable(term, more[:-1])]
+        larger = [more for more in larger if term not in more[:-1] and is_addable(term, more[:-1])]
         lowest[term] = min((fits.fitness(more) for more in larger if not fits.is_rejected(more)), default=np.inf)
     likely = sorted((term for term in lowest if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY]
     return (*likely, *(term for term in terms if containing[term] and _is_richer_law(term, containing[term], likely)))

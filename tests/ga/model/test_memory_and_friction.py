@@ -251,6 +251,31 @@ def test_friction_in_proportion_to_the_torque_comes_back(rest: float) -> None:
     assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("term", "added"),
+    [
+        ("cubic", {"K3": 60.0}),
+        ("quadratic", {"B2": 2e-3}),
+        ("softening", {"Ks": 0.01}),
+        ("maxwell", {"K1": 0.3, "tau1": 0.05}),
+    ],
+)
+def test_a_tendon_rubs_in_proportion_to_all_that_it_carries(term: str, added: dict[str, float]) -> None:
+    """A curve, a branch or another damping is part of the torque that its sheath takes mu of."""
+    angle, rate, middle = MOTION.dtheta, MOTION.dtheta_dot, 0.5 * (MOTION.time[0] + MOTION.time[-1])
+    more = {
+        "cubic": 60.0 * angle**3,
+        "quadratic": 2e-3 * rate * np.abs(rate),
+        "softening": 0.01 * (MOTION.time - middle) * angle,
+        "maxwell": 0.3 * (angle - steady_lag(MOTION.time, 0.05)),
+    }
+    carried = KC * angle + BC * rate + more[term]
+    torque = carried + 0.15 * np.abs(carried) * np.sign(rate) + 0.01 + NOISES
+    found = identified(f"linear+offset+{term}+capstan", torque)
+    expected = {"Kc": KC, "Bc": BC, "mu": 0.15, "rest": 0.0, "tau0": 0.01} | added
+    assert found == pytest.approx(expected, rel=0.05, abs=1e-3)
+
+
 def built_up(reach: float, start: float) -> Array:
     """Dahl's state (n,) of the motion, from another one than zero, step by step through its interpolated deflection."""
     fine = np.interp(np.arange(50 * len(MOTION) - 49) / 50.0, np.arange(len(MOTION)), MOTION.time)

@@ -306,6 +306,38 @@ def test_a_small_linear_term_is_held_against_the_model_whatever_hid_it_before() 
     assert rejected["quadratic"].Bc < found.values[1]
 
 
+def test_a_term_that_makes_an_earlier_one_idle_is_still_judged_by_its_own_column() -> None:
+    """With friction in proportion to the load, friction that falls with the rate is zero, and so is a column of it."""
+    moved = chirp(TIME)
+    torque = linear(moved) + (1e-3 + 0.1 * np.abs(linear(moved))) * np.sign(moved.rate)
+    torque += 5e-5 * np.random.default_rng(1).standard_normal(SAMPLES)
+    motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
+    fits, terms = Fits(motion, torque, HIGHEST), ("coulomb", "stribeck", "capstan")
+    smaller = fits.candidate(("linear", "offset", "coulomb", "stribeck"))
+    larger = fits.candidate(("linear", "offset", "coulomb", "stribeck", "capstan"))
+    assert larger.values["Fs"] == 0.0
+    doubted = criterion.criterion_of(fits, terms, ("linear", "offset"), doubted=True)
+    assert math.isfinite(doubted.correlation(larger, "capstan"))
+    assert doubted.pays(smaller, larger, "capstan")
+    assert not doubted.pays(fits.candidate(("linear", "offset", "coulomb", "capstan")), larger, "stribeck")
+
+
+def test_another_effect_is_looked_for_beside_the_one_found() -> None:
+    """Friction in proportion to the load hides an inertia: three other terms lower the fitness more than it."""
+    moved = chirp(TIME)
+    carried = linear(moved)
+    torque = carried + 0.15 * np.abs(carried) * np.sign(moved.rate) + 2e-7 * moved.acceleration
+    torque += 2e-5 * np.random.default_rng(1).standard_normal(SAMPLES)
+    motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
+    rarer = ("stribeck", "dahl", "quintic", "softening", "maxwell", "capstan", "inertia")
+
+    def describes(found: Selection, _averaged: bool) -> bool:
+        return {"capstan", "inertia"} <= set(found.chosen.terms)
+
+    found = select(motion, torque, HIGHEST, rarer=rarer, describes=describes)
+    assert found.model.name == "linear+offset+inertia+capstan"
+
+
 def test_friction_that_falls_with_speed_pays_with_the_damping_at_its_bound() -> None:
     moved, motion = slow()
     torque = KC * moved.dtheta + sheathed(moved, 0.02) - BC * moved.rate
