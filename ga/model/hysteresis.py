@@ -165,7 +165,7 @@ SHEATH: Final = Term(
     load=_loaded,
     forgets=_loaded_at_first,
     needs="offset",
-    excludes=(*CAPSTAN.excludes, "capstan", "dahl", "lugre", "boucwen"),
+    excludes=(*CAPSTAN.excludes, "deadband", "capstan", "dahl", "lugre", "boucwen"),
     reason="sheath is capstan with one law of build-up, and beside a gap its name is gear",
     selection="misfit",
 )

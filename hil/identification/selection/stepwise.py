@@ -133,8 +133,9 @@ def select(
     richer = steps.plainest(steps.forward(fits.candidate(smallest)))
     if set(rarer).intersection(richer.terms) and not describes(Selection(richer), True):
         # another effect may show only beside the one found
-        steps = steps.with_rarer((*likely, *_likeliest(fits, rarer, (richer.terms,))), rarer)
-        richer = steps.plainest(steps.forward(fits.candidate(smallest)))
+        more = steps.with_rarer((*likely, *_likeliest(fits, rarer, (richer.terms,))), rarer)
+        found = more.plainest(more.forward(fits.candidate(smallest)))
+        steps, richer = (more, found) if describes(Selection(found), True) else (steps, richer)
     chosen = richer if set(rarer).intersection(richer.terms) else usual
     late = LateReading(fits, steps.criterion, accounts)
     return Selection(late.instead_of_branch(chosen), steps, late)

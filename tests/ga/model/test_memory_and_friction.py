@@ -276,6 +276,15 @@ def test_a_tendon_rubs_in_proportion_to_all_that_it_carries(term: str, added: di
     assert found == pytest.approx(expected, rel=0.05, abs=1e-3)
 
 
+def test_a_tendon_rubs_beside_a_dead_band_in_which_only_its_damper_pulls() -> None:
+    beyond = np.sign(MOTION.dtheta) * np.maximum(np.abs(MOTION.dtheta) - 0.01, 0.0)
+    carried = KC * (beyond - 0.02) + BC * MOTION.dtheta_dot
+    torque = carried + 0.15 * np.abs(carried) * np.sign(MOTION.dtheta_dot) + 0.01 + NOISES
+    found = identified("linear+offset+deadband+capstan", torque)
+    expected = {"Kc": KC, "Bc": BC, "gap": 0.02, "centre": 0.0, "mu": 0.15, "rest": 0.02, "tau0": 0.01}
+    assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
+
+
 def built_up(reach: float, start: float) -> Array:
     """Dahl's state (n,) of the motion, from another one than zero, step by step through its interpolated deflection."""
     fine = np.interp(np.arange(50 * len(MOTION) - 49) / 50.0, np.arange(len(MOTION)), MOTION.time)
