@@ -32,6 +32,7 @@ _DELAYS, _LAGS = 3, 11  # every half tick of each sign, and every half octave
 _NARROW = 4.0  # twice the fall of the logarithmic likelihood at a skew, from which a parabola may end before it
 _UNLIKELY = 30.0  # twice the logarithm of the odds against a time, from which longer ones weigh nothing
 _RARE = 2.0 * math.log(10.0)  # in Akaike's criterion: one joint in ten relaxes faster than it moves, or is read late
+_APART = 2.0 * math.log(3.0)  # the same of a motor's torque, which another device reads than the joint's angle
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +136,8 @@ class LateReading:
         Where the motion is slow the data hardly decide on the time: the one that fits best may be far from the right
         one, early, or at a bound. Every likely time is therefore fitted, and weighs by its likelihood. One bench in ten
         has a delay, of up to `LONGEST_SKEW` ticks, and one in ten a cell whose bandwidth is one of `CELLS`, each octave
-        of which is as likely.
+        of which is as likely. Of torques with an inertia, which hides what a delay adds to fast motion, one in three has
+        each.
         """
         try:
             return tuple(self._instead_of_the_skew(chosen) if "skew" in chosen.terms else self._late(chosen))
@@ -152,7 +154,8 @@ class LateReading:
         likely = (("skew", delays, 2 * _DELAYS), ("skew", -delays, 2 * _DELAYS), ("lag", lags, _LAGS))
         possible = [one for one in likely if one[0] in self.accounts and is_addable(one[0], chosen.terms)]
         if possible:
-            usual = _RARE + self._with_usual_skew(chosen)
+            rare = _APART if "inertia" in chosen.terms else _RARE
+            usual = rare + self._with_usual_skew(chosen)
             for term, times, many in possible:
                 yield from self._late_by(chosen, term, times, usual + 2.0 * math.log(many))
             yield from self._behind_any_drive(chosen, usual)
