@@ -85,12 +85,13 @@ class Motion:
 
     @property
     def passes(self) -> int:
-        """The number of times that the joint went from the lower quarter of its range to the upper one, or back."""
+        """The number of times that the joint went through one quarter of its range, there or back: the most of any."""
         import numpy as np
 
-        centred = self.dtheta - 0.5 * (self.dtheta.min() + self.dtheta.max())
-        outer = np.abs(centred) > 0.5 * np.abs(centred).max()
-        return int(np.count_nonzero(np.diff(np.sign(centred[outer]))))
+        least, span = float(self.dtheta.min()), float(np.ptp(self.dtheta))
+        middles = least + span * np.arange(0.125, 0.9, 0.125)
+        through = [centred[np.abs(centred) > 0.125 * span] for centred in self.dtheta - middles[:, None]]
+        return max(int(np.count_nonzero(np.diff(np.sign(one)))) for one in through)
 
     @property
     def repeats(self) -> bool:

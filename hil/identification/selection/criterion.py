@@ -106,7 +106,7 @@ class Criterion:
         if self.doubted:
             # a term that the new one makes idle may have a column of zeros, which says nothing about the new one
             others = fitted.own_columns(*(other for other in fitted.terms if other != term))
-            found = max(found, *(self._correlation(alone) for _, alone in others if alone.any()))
+            found = max((found, *(self._correlation(alone) for _, alone in others if alone.any())))
         self._correlations[fitted, term] = found
         return found
 

@@ -136,8 +136,8 @@ class LateReading:
         Where the motion is slow the data hardly decide on the time: the one that fits best may be far from the right
         one, early, or at a bound. Every likely time is therefore fitted, and weighs by its likelihood. One bench in ten
         has a delay, of up to `LONGEST_SKEW` ticks, and one in ten a cell whose bandwidth is one of `CELLS`, each octave
-        of which is as likely. Of torques with an inertia, which hides what a delay adds to fast motion, one in three has
-        each.
+        of which is as likely. Of torques with an inertia, which hides what a delay adds to fast motion, one in three
+        has each.
         """
         try:
             return tuple(self._instead_of_the_skew(chosen) if "skew" in chosen.terms else self._late(chosen))

@@ -135,13 +135,15 @@ def test_noise_that_hides_which_samples_are_slow_leaves_none_out() -> None:
     assert not choose(model_of("linear+coulomb"), noisy, linear_only=False).sticking
 
 
-def test_the_passes_of_a_joint_are_counted_from_end_to_end_of_its_range() -> None:
-    """A triangle passes once, whatever it does around the middle."""
+def test_the_passes_of_a_joint_are_counted_through_one_quarter_of_its_range() -> None:
+    """A triangle passes there and back, whatever else it does; a joint that wanders seldom goes from end to end."""
     time = np.linspace(0.0, 1.0, 1000)
     triangle = np.interp(time, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0]) + 0.1 * np.sin(300.0 * time)
     none = np.zeros(1000)
-    assert Motion(time, triangle, none, none, none).passes == 1
-    assert Motion(time, 3.0 + np.sin(10.0 * np.pi * time), none, none, none).passes == 9
+    assert Motion(time, triangle, none, none, none).passes == 2
+    assert Motion(time, 3.0 + np.sin(10.0 * np.pi * time), none, none, none).passes == 10
+    wandering = np.interp(time, np.linspace(0.0, 1.0, 8), [0.0, 0.7, 0.1, 0.75, 0.15, 1.0, 0.6, 0.9])
+    assert Motion(time, wandering, none, none, none).passes == 5
 
 
 @pytest.mark.parametrize(("periods", "included"), [(1, False), (4, True)])

@@ -320,6 +320,7 @@ def test_a_term_that_makes_an_earlier_one_idle_is_still_judged_by_its_own_column
     assert math.isfinite(doubted.correlation(larger, "capstan"))
     assert doubted.pays(smaller, larger, "capstan")
     assert not doubted.pays(fits.candidate(("linear", "offset", "coulomb", "capstan")), larger, "stribeck")
+    assert doubted.correlation(fits.candidate(("linear",)), "linear") >= 1.0  # where there is no other term
 
 
 def test_another_effect_is_looked_for_beside_the_one_found() -> None:
