@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from hil.report.formatting import engineering, json_number
@@ -34,5 +35,5 @@ def deflection_lines(one: Deflection | None) -> list[str]:
     if one.method == "none":
         left = ", ".join(f"{name} {100.0 * size:+.1g} %" for name, size in one.predicted.items())
         return [f"{noise}; the rest does not matter ({left})"]
-    before = ", ".join(f"{name} {100.0 * size:+.2g} %" for name, size in one.before.items())
+    before = ", ".join(f"{name} {100.0 * size:+.2g} %" for name, size in one.before.items() if isfinite(size))
     return [f"{noise}; Kc and Bc are corrected with {_METHODS[one.method]} (before: {before})"]

@@ -159,11 +159,17 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
 
 
 def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Array:
-    """The change (p,) by which errors of the deflection are taken off the parameters of the larger model."""
+    """The change (p,) by which errors of the deflection are taken off the parameters of the larger model.
+
+    Its fit is that of the problem linearised at a smaller model, and may end beyond the bounds, where nothing can be
+    computed: it is taken at them.
+    """
     found, count = np.zeros(len(larger.values)), len(larger.model.parameters)
+    values, linear = larger.values[:count].copy(), len(larger.model.linear)
+    values[linear:] = np.clip(values[linear:], *larger.model.bounds(signals.motion, signals.band[1]))
     sampling = larger.sampling
     half_width = (sampling.quantile * np.sqrt(np.maximum(np.diag(sampling.matrix), 0.0)))[:count]
-    errors = read_with_errors(larger.model, signals, used, larger.values[:count], half_width)
+    errors = read_with_errors(larger.model, signals, used, values, half_width)
     if errors is not None:
         found[:count] = errors.change
     return found

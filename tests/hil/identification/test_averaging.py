@@ -312,6 +312,26 @@ def test_an_inertia_that_a_skew_beside_it_makes_negative_is_none() -> None:
         assert beside[name].value == pytest.approx(without[name].value, abs=0.5 * without[name].half_width)
 
 
+def test_errors_of_the_deflection_are_computed_within_the_bounds_where_the_largest_fit_ends_beyond_them(
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is the fit of a linear problem, in which a branch may come to relax in less than no time."""
+    with Recording(make_recording(change=lambda channels: sweep(channels, 0.0, 1))) as recording:
+        signals = prepare(recording, None)
+    model = parse("linear+maxwell").anchored(signals.motion)
+    values, columns = np.array([KC, BC, 0.1 * KC, -0.1]), np.zeros((len(signals.motion), 4))
+    sampling = covariance(Blocks.of(np.random.default_rng(0).standard_normal((500, 4)), np.ones(500)), values)
+    beyond = Largest(model, (), [p.name for p in model.parameters], columns, values, values, sampling, columns[:2])
+    computed: list[Array] = []
+    monkeypatch.setattr(average, "read_with_errors", lambda *given: computed.append(given[3]))
+
+    average._by_errors(beyond, signals, np.ones(len(signals.motion), dtype=bool))
+
+    low, high = model.bounds(signals.motion, signals.band[1])
+    assert low[0] <= computed[0][3] <= high[0]
+    assert computed[0][:3] == pytest.approx(values[:3])
+
+
 def test_errors_of_the_rate_decide_between_no_models() -> None:
     """It is known to 0.03 % of the torque: of a fit that is this good the likelihood says nothing."""
     rng = np.random.default_rng(0)
