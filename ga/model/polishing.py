@@ -95,15 +95,25 @@ def _next_places(seen: Mapping[float, Fit], lowest: float) -> list[float]:
 
 
 def _floor(problem: Problem, nonlinear: Array, near: Fit, across: Array) -> Fit:
-    """Return the fit after a Gauss-Newton step from nonlinear parameters (q,), in directions `across` (k, q)."""
-    best = problem.solve(np.clip(nonlinear, problem.low, problem.high), near)
-    if not len(across):
+    """Return the fit after a Gauss-Newton step from nonlinear parameters (q,), in directions `across` (k, q).
+
+    Where no optimum is proven, it is the fit before the step, or the one near: that ends no search.
+    """
+    best = near
+    try:
+        best = problem.solve(np.clip(nonlinear, problem.low, problem.high), near)
+        return min(best, _stepped(problem, best, across), key=lambda fit: fit.fitness) if len(across) else best
+    except RuntimeError:  # columns that are too nearly collinear
         return best
+
+
+def _stepped(problem: Problem, best: Fit, across: Array) -> Fit:
+    """Return the fit after that step from another fit."""
     columns, target = problem.linearised(best)
-    linear, jacobian = columns[:, : -len(nonlinear)], columns[:, -len(nonlinear) :]
+    count = len(best.nonlinear)
+    linear, jacobian = columns[:, :-count], columns[:, -count:]
     known = np.concatenate([best.optimum.genes, np.zeros(len(across))])
     table = np.concatenate([linear, jacobian @ across.T], axis=1)
     target = target - jacobian @ best.nonlinear
     step = not_negative(table, target, problem.positive, known).genes[-len(across) :] @ across
-    tried = problem.solve(np.clip(best.nonlinear + step, problem.low, problem.high), best)
-    return min(best, tried, key=lambda fit: fit.fitness)
+    return problem.solve(np.clip(best.nonlinear + step, problem.low, problem.high), best)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
+from ga.model import polishing
 from ga.model.coupling import CouplingModel, parse
 from ga.model.polishing import polished
 from ga.model.separable import Fit, Problem, descend, fit
@@ -130,6 +131,20 @@ def test_a_skew_and_a_lag_are_fitted_no_worse_than_either_alone_from_wherever_th
     ends = [polished(asked, descend(asked, start)).fitness for start in starts]
     assert max(ends) <= min(ends) * (1.0 + 1e-6)
     assert max(ends) <= fit(problem("linear+lag", torque)).fitness
+
+
+def test_a_step_that_has_no_proven_optimum_ends_no_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its columns are too nearly collinear: what was found before stands, and other places are still looked at."""
+    asked = problem("linear+skew+lag", spring_and_damper() + NOISES)
+    begun = descend(asked, np.array([1e-3, 1e-3]))
+
+    def refused(*_: object) -> None:
+        raise RuntimeError("no optimal vertex was found")
+
+    monkeypatch.setattr(polishing, "not_negative", refused)
+    assert polished(asked, begun).fitness <= begun.fitness
+    monkeypatch.setattr(Problem, "solve", refused)
+    assert polishing._floor(asked, begun.nonlinear, begun, np.eye(2)) is begun
 
 
 def test_a_cells_lag_comes_back_with_stiffness_and_damping() -> None:
