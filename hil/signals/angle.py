@@ -23,10 +23,6 @@ _ALONE = 0.1  # of its distance, that the neighbours' may be once it is put righ
 _CUBIC = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # a reading less what the cubic through its neighbours has there
 _FEW = 0.01  # of the readings may be wrong
 _SLOWER = 10.0  # times the usual time between two changes of the reading
-_ALIKE = 0.25  # of a rate, by which those before and after it may differ from their mean
-_FAST = 6.0  # times the usual change of the rate, and counts in a step, from which one that is twice as fast shows
-_LONG, _SHORT = 1.6, 0.4  # times the rate before and after, of a step that spans a missing reading, and of its opposite
-_SKIPS, _MORE, _SHARE = 5, 3.0, 0.003  # least number, times the short steps, and share of the steps that could show it
 
 
 def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
@@ -123,22 +119,3 @@ def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
         rows = slice(int(edges[at]) + 1, int(edges[at + 1]))
         found[rows] = np.ptp(np.quantile(torque[rows], _MOST)) > _MOVED * np.ptp(torque)
     return found
-
-
-def missing(time: Array, angle: Array, count: float) -> tuple[int, int]:
-    """Return at how many steps of an angle a reading is missing that no stamp shows, and how many steps could show it.
-
-    time (n,) s, angle (n,) rad, count: rad, its smallest step. Such a step goes at least twice as far as those before
-    and after it. Where the stamps are wrong for another reason, as many are too short.
-    """
-    if len(angle) < 2 * len(_CUBIC) or not np.diff(time).all():
-        return 0, 0
-    rates = np.diff(angle) / np.diff(time)
-    beside = np.stack([rates[at : len(rates) - 4 + at] for at in (0, 1, 3, 4)])
-    usual, steps = beside.mean(axis=0), np.diff(time)[2:-2]
-    least = np.maximum(_FAST * float(np.median(np.abs(np.diff(rates, 2)))), _FAST * count / steps)
-    clear = (np.abs(usual) > least) & (np.abs(beside - usual).max(axis=0) < _ALIKE * np.abs(usual))
-    times = rates[2:-2][clear] / usual[clear]
-    long, short = int(np.count_nonzero(times > _LONG)), int(np.count_nonzero(times < _SHORT))
-    is_certain = long >= max(_SKIPS, _MORE * short, _SHARE * len(times))
-    return (long, len(times)) if is_certain else (0, len(times))

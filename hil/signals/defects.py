@@ -15,8 +15,7 @@ from hil.errors import Untrustworthy
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
-from hil.signals.angle import frozen, missing, spikes
-from hil.signals.deflection_noise import smallest_step
+from hil.signals.angle import frozen, spikes
 from hil.signals.slow_channel import Kind, Readings
 from hil.signals.stamps import spread_stamps, within
 
@@ -43,8 +42,7 @@ class Defects:
     two ends of the recording are not counted. frozen: rows in which the angle stood still while the torque changed.
     clipped: rows in which the torque, or a neighbour, stood at the end of the sensor's range while the joint moved on.
     spikes: rows in which the angle alone is wrong. wraps: jumps of the angle by a turn, which were taken back.
-    jerked: rows beside a jump of the acceleration, whose rate or acceleration is not known. missing: steps that span a
-    reading which the stamps do not show, of those that could show it (shown).
+    jerked: rows beside a jump of the acceleration, whose rate or acceleration is not known.
     """
 
     lost: int = 0
@@ -56,8 +54,6 @@ class Defects:
     spikes: int = 0
     wraps: int = 0
     jerked: int = 0
-    missing: int = 0
-    shown: int = 0
 
     def __add__(self, other: Defects) -> Defects:
         return Defects(
@@ -70,8 +66,6 @@ class Defects:
             self.spikes + other.spikes,
             self.wraps + other.wraps,
             self.jerked + other.jerked,
-            self.missing + other.missing,
-            self.shown + other.shown,
         )
 
 
@@ -112,8 +106,7 @@ class UsableRows:
         """Return how many rows within `rows` of the file are not used; those that a window shows are not among them."""
         places = {name: getattr(self, name) for name in _LEFT_OUT} | {"clipped": self.row[self.clipped]}
         counts = {name: int(np.count_nonzero(within(place, rows))) for name, place in places.items()}
-        skipped, shown = missing(self.stamps[0], self.dtheta, smallest_step(self.dtheta))
-        return Defects(**counts, coarse_clock=self.stamps[1], wraps=self.wraps, missing=skipped, shown=shown)
+        return Defects(**counts, coarse_clock=self.stamps[1], wraps=self.wraps)
 
 
 def usable_rows(

@@ -98,7 +98,6 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
         *([] if quality.negative is None else [wrong_sign(quality.negative, imported=imported)]),
         *_unfinished(recording),
         *_unused_rows(quality, imported=imported),
-        *_missing(quality.defects),
         *([driven_by_position(is_error=True, imported=imported)] if by_position else []),
         *_weaknesses(quality, imported=imported),
         *(_slow(one, quality.highest, imported=imported) for one in quality.slower),
@@ -179,18 +178,6 @@ def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
             )
         )
     return found
-
-
-def _missing(defects: Defects) -> list[Diagnostic]:
-    if not defects.missing:
-        return []
-    text = (
-        f"the deflection moves twice as far as before and after at {defects.missing} of the {defects.shown} steps that "
-        "are fast and even enough to tell: readings are missing there, and the time stamps do not show it. The rate is "
-        "wrong beside each. Where that shows, the rows are left out; elsewhere Bc is less certain. Record the time of "
-        "each reading"
-    )
-    return [Diagnostic("missing-readings", text, "Bc")]
 
 
 def _weaknesses(quality: Quality, *, imported: bool) -> list[Diagnostic]:

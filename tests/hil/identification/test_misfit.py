@@ -231,19 +231,3 @@ def test_an_angle_that_wraps_freezes_or_has_spikes_is_mended_with_a_warning(
 
         assert (status, code in [one["code"] for one in found["warnings"]]) == (0, True)
         assert found["parameters"]["Kc"]["value"] == pytest.approx(KC, rel=0.01)
-
-
-def test_missing_readings_that_no_stamp_shows_are_named_and_leave_the_numbers(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    kept = np.random.default_rng(1).random(len(TIME)) > 0.02
-    torque = (plain() + 5e-4 * np.random.default_rng(0).standard_normal(len(TIME)))[kept]
-    channels = {"time": TIME[: len(torque)], "torque": torque, "dtheta": multisine(TIME)[0][kept]}
-    write(tmp_path / "a.h5", Header(profile={"kind": "prescribed"}, stand_toml=""), channels)
-
-    status, found = identified(capfd, tmp_path / "a.h5")
-
-    assert (status, "missing-readings" in [one["code"] for one in found["warnings"]]) == (0, True)
-    for name, truth in (("Kc", KC), ("Bc", BC)):
-        low, high = found["parameters"][name]["ci95"]
-        assert low <= truth <= high

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.signals.angle import far_zero, frozen, missing, spikes, unwrapped
+from hil.signals.angle import far_zero, frozen, spikes, unwrapped
 
 TIME = np.arange(5000) / 500.0
 ANGLE = 0.3 * np.sin(2.0 * np.pi * TIME)
@@ -137,29 +137,3 @@ def test_no_reading_of_a_chirp_counts_as_wrong_where_stamps_jitter_and_replies_a
     read_at = time + rng.uniform(-1e-4, 1e-4, len(time))
 
     assert not spikes(0.35 * np.sin(2.0 * np.pi * 0.1 * np.expm1(read_at * 0.25) / 0.25)).any()
-
-
-def swept(time: np.ndarray) -> np.ndarray:
-    """A chirp from 0.5 to 8.5 Hz, rad."""
-    return 0.3 * np.sin(2.0 * np.pi * (0.5 * time + 0.4 * time**2))
-
-
-@pytest.mark.parametrize("noise", [0.0, 2e-5])
-def test_readings_that_are_missing_without_a_trace_in_the_stamps_are_counted(noise: float) -> None:
-    kept = np.random.default_rng(2).random(len(TIME)) > 0.03
-    angle = (swept(TIME) + noise * np.random.default_rng(3).standard_normal(len(TIME)))[kept]
-
-    found, shown = missing(TIME[: len(angle)], angle, 0.0)
-
-    assert shown > 0.5 * len(angle)
-    assert found / shown == pytest.approx(0.03, rel=0.25)
-    assert missing(TIME[kept], angle, 0.0)[0] == 0  # the stamps show them
-
-
-def test_stamps_that_jitter_and_a_motion_in_jumps_are_no_missing_readings() -> None:
-    generator = np.random.default_rng(4)
-    jittered = swept(TIME + 4e-4 * generator.uniform(-1.0, 1.0, len(TIME)))
-    in_jumps = np.repeat(np.cumsum(generator.normal(0.0, 0.01, 500)), 10)
-    coarse = 2e-3 * np.round(swept(TIME) / 2e-3)
-    for angle, count in ((jittered, 0.0), (in_jumps, 0.0), (generator.normal(0.0, 0.1, 5000), 0.0), (coarse, 2e-3)):
-        assert missing(TIME, angle, count)[0] == 0
