@@ -97,7 +97,7 @@ def _next_places(seen: Mapping[float, Fit], lowest: float) -> list[float]:
 def _floor(problem: Problem, nonlinear: Array, near: Fit, across: Array) -> Fit:
     """Return the fit after a Gauss-Newton step from nonlinear parameters (q,), in directions `across` (k, q).
 
-    Where no optimum is proven, it is the fit before the step, or the one near: that ends no search.
+    Where no optimum is proven, it is the fit before the step, or the one near, so that the search goes on.
     """
     best = near
     try:

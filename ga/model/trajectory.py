@@ -85,7 +85,7 @@ class Motion:
 
     @property
     def passes(self) -> int:
-        """The number of times that the joint went through one quarter of its range, there or back: the most of any."""
+        """How often the joint crossed a quarter of its range, up or down: the quarter that it crossed most often."""
         import numpy as np
 
         least, span = float(self.dtheta.min()), float(np.ptp(self.dtheta))

@@ -161,8 +161,8 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
 def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Array:
     """The change (p,) by which errors of the deflection are taken off the parameters of the larger model.
 
-    Its fit is that of the problem linearised at a smaller model, and may end beyond the bounds, where nothing can be
-    computed: it is taken at them.
+    Its fit is that of a problem linearised at a smaller model. It may lie beyond the bounds, where no torque can be
+    computed, so that the bounds are used instead.
     """
     found, count = np.zeros(len(larger.values)), len(larger.model.parameters)
     values, linear = larger.values[:count].copy(), len(larger.model.linear)

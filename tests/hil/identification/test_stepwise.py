@@ -234,6 +234,16 @@ def test_each_likely_time_by_which_a_reading_is_late_moves_bc_by_kc_times_it(
     assert [one.Bc - found.values[1] for one in found.lateness[:times]] == pytest.approx(expected[:times], rel=0.05)
 
 
+def test_a_late_torque_with_an_inertia_is_as_likely_as_one_in_three_and_not_in_ten() -> None:
+    """In slow motion the data say nothing of a delay, so that only the odds differ."""
+    moved, motion = slow()
+    torque = KC * moved.dtheta + 4.0 * BC * moved.rate + 2e-4 * np.random.default_rng(4).standard_normal(len(motion))
+    fits = Fits(motion, torque, 0.5)
+    late = LateReading(fits, criterion.criterion_of(fits, ("skew",), ("linear",)), LATE)
+    plain, with_inertia = (late.lateness(fits.candidate(one))[0] for one in (("linear",), ("linear", "inertia")))
+    assert plain.criterion - with_inertia.criterion == pytest.approx(2.0 * math.log(10.0 / 3.0), abs=0.5)
+
+
 def test_a_branch_beside_a_mean_is_not_replaced_by_a_lag_which_excludes_it() -> None:
     motion = Motion(TIME, chirp(TIME).dtheta, chirp(TIME).rate, chirp(TIME).acceleration, np.zeros(SAMPLES))
     fits = Fits(motion, linear(chirp(TIME)), HIGHEST)
