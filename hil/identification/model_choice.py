@@ -145,7 +145,6 @@ class _Considered:
 
 def _select(signals: Signals, seen: NDArray[np.bool_], considered: _Considered) -> Selection:
     """The model selected from the samples seen (n,)."""
-    window = signals.window
     return stepwise.select(
         _seen(signals.motion, seen),
         signals.torque[seen],
@@ -154,7 +153,7 @@ def _select(signals: Signals, seen: NDArray[np.bool_], considered: _Considered) 
         rarer=considered.rarer,
         accounts=considered.accounts,
         describes=lambda found, averaged: _describes(found, signals, seen, averaged=averaged),
-        errors=(window.of_deflection, window.noise) if window else (0.0, 0.0),
+        window=signals.window,
     )
 
 

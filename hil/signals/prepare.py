@@ -80,7 +80,7 @@ class Signals:
     @cached_property
     def smooth(self) -> NDArray[np.bool_]:
         """Whether (n,) the rate hardly depends on the window that it is computed in, as beside a jerk."""
-        return is_smooth(self.motion)
+        return is_smooth(self.motion, self.window)
 
     @property
     def as_read(self) -> Array:

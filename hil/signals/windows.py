@@ -26,7 +26,8 @@ _FAST = 0.9  # quantile of the speed above which a sample is a fast one
 _NARROWEST = 6  # samples on each side of a window
 _WIDEST = 250  # samples on each side of a window
 _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
-_OTHERS = (9, 12)  # samples on each side of windows, beside which another shows where the rate is wrong
+_OTHERS = (9, 12)  # samples on each side of windows, at most, beside which another shows where the rate is wrong
+_WIDER = (1, 3)  # samples more on each side of them than on each side of that other
 _NARROW = (LEAST, LEAST + 1)  # the same of windows that are no wider than needed: few samples are lost to a jump
 _SMOOTH = 0.6  # of the rate's power, that must be left where the samples beside a jerk are left out
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
@@ -45,7 +46,8 @@ class Window:
 
     slope, curvature: neighbours a side. step: s, the median between two samples. band: Hz, the excited band. noise:
     rad/s, the standard deviation of the slope's; of_deflection: rad, of the readings. count: rad, the smallest step
-    between two of these. low_pass: what is used in place of the polynomials where that noise would reach Kc or Bc, as
+    between two of these. unseen: rad/s, errors of the rate that no test of the fit sees beside the torque's noise.
+    low_pass: what is used in place of the polynomials where that noise would reach Kc or Bc, as
     noisy says, or where the joint moves faster than the narrowest of them follows. jerk: rad/s, and jump: rad/s^2, by
     which rates and accelerations in several windows differ at most where the acceleration does not jump; infinite where
     no jump would show in the torque of the damping, or of an inertia.
@@ -58,6 +60,7 @@ class Window:
     noise: float
     of_deflection: float
     count: float
+    unseen: float = 0.0
     low_pass: LowPass | None = None
     noisy: bool = False
     jerk: float = np.inf
@@ -138,7 +141,9 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     first = time[:_LOOKED], dtheta[:_LOOKED]
     slope = best_of(slope, *first, of_deflection)
     curvature = best_of(curvature, *first, of_deflection, order=2)
-    found = Window(slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count)
+    found = Window(
+        slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count, _UNSEEN * hidden
+    )
     of_rate = _amplified(slope, step)
     noisy = disturbs(read, found.of_deflection, found.of_deflection * of_rate)
     if not noisy and smoothed_away(slope, *first, of_deflection) <= _UNSEEN * hidden:
@@ -160,7 +165,8 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     if low_pass is None:
         return found
     of_rate = float(low_pass.amplification()[1])
-    return replace(found, noise=of_rate * found.of_deflection, low_pass=low_pass, noisy=noisy)
+    # a low-pass blurs a jump over many samples, whose errors are alike
+    return replace(found, noise=of_rate * found.of_deflection, low_pass=low_pass, noisy=noisy, unseen=0.0)
 
 
 def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
@@ -286,16 +292,19 @@ def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
     return whole
 
 
-def is_smooth(motion: Motion) -> NDArray[np.bool_]:
+def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
     """Return whether (n,) the rate of a motion hardly depends on the window that it is computed in, as beside a jerk.
 
-    Noise of the deflection, which the wider window averages too, does not count.
+    window: that one, where it is known. Much wider ones differ from it where it is right. Neither noise of the
+    deflection counts, which the wider window averages too, nor what is hidden in the torque's.
     """
     seen, rows = motion.whole
-    if len(seen) <= 2 * max(_OTHERS):
+    half, unseen = (window.slope, window.unseen) if window else (_OTHERS[0], 0.0)
+    others = tuple(min(half + more, most) for more, most in zip(_WIDER, _OTHERS, strict=True))
+    if len(seen) <= 2 * max(others):
         return np.ones(len(motion), dtype=bool)
-    apart = _differing(seen.time, seen.dtheta, seen.dtheta_dot, _OTHERS)
-    return (apart <= beyond_noise(apart, seen.dtheta_dot))[rows]
+    apart = _differing(seen.time, seen.dtheta, seen.dtheta_dot, others)
+    return (apart <= max(unseen, beyond_noise(apart, seen.dtheta_dot)))[rows]
 
 
 def _differing(time: Array, dtheta: Array, rate: Array, halves: tuple[int, ...], order: int = 1) -> Array:

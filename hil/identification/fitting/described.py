@@ -98,7 +98,7 @@ def _tested_without_errors(described: Described, motion: Motion) -> LackOfFit | 
     columns = described.linearised(motion)
     recorded, fitted = _held_against(described, motion, columns)
     # where the acceleration jumps no low-pass gives the rate, which only a motion without noise shows
-    smooth = is_smooth(motion)
+    smooth = is_smooth(motion, described.signals.window)
     fitted = replace(fitted, kept=smooth if fitted.kept is None else fitted.kept & smooth)
     found = lack_of_fit(recorded, fitted)
     if found is None or not found.misfit:

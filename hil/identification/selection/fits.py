@@ -13,7 +13,7 @@ from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, at_least_contained, best_start, descend, fit, local_minimum
 from ga.model.terms import TERMS
 from ga.model.trajectory import Motion
-from hil.signals.windows import is_smooth
+from hil.signals.windows import Window, is_smooth
 
 Array = NDArray[np.float64]
 
@@ -144,14 +144,14 @@ class Candidate:
 class Fits:
     """A recording, and the models fitted to it so far, each of them once.
 
-    motion: (n,); torque: (n,) N m; highest: Hz, up to where the joint moved. error: rad, the standard deviation of that
-    of the deflection.
+    motion: (n,); torque: (n,) N m; highest: Hz, up to where the joint moved. window: that its rate was computed in, if
+    it is known.
     """
 
     motion: Motion
     torque: Array
     highest: float
-    error: float = 0.0
+    window: Window | None = None
     _fitted: dict[tuple[str, ...], Candidate] = field(default_factory=dict, init=False)
     _previews: dict[frozenset[str], Fit | None] = field(default_factory=dict, init=False)
     _problems: dict[frozenset[str], Problem] = field(default_factory=dict, init=False)
@@ -160,7 +160,12 @@ class Fits:
     @cached_property
     def smooth(self) -> NDArray[np.bool_]:
         """Whether (n,) the rate hardly depends on the window that it is computed in, as beside a jerk."""
-        return is_smooth(self.motion)
+        return is_smooth(self.motion, self.window)
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """The standard deviations of the errors of deflection, rad, and rate, rad/s; 0 where they are not known."""
+        return (self.window.of_deflection, self.window.noise) if self.window else (0.0, 0.0)
 
     def preview(self, terms: tuple[str, ...]) -> Fit | None:
         """Return the fit to some of the samples; None where the columns are too much alike."""
@@ -184,7 +189,7 @@ class Fits:
         problem, seen = self._problem(terms), self.preview(terms)
         if seen is None:
             return True
-        found = Candidate(terms, _model(terms), problem, seen, np.empty(0), self.error)
+        found = Candidate(terms, _model(terms), problem, seen, np.empty(0), self.errors[0])
         return found.is_at_end(terms[-1]) or found.is_stop(terms[-1])
 
     def candidate(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate:
@@ -200,7 +205,7 @@ class Fits:
             problem, found = known.problem, at_least_contained(known.problem, known.fit, near)
         else:
             return known
-        self._fitted[terms] = Candidate(terms, _model(terms), problem, found, _held_out(problem, found), self.error)
+        self._fitted[terms] = Candidate(terms, _model(terms), problem, found, _held_out(problem, found), self.errors[0])
         return self._fitted[terms]
 
     def with_value(self, terms: tuple[str, ...], smaller: Candidate, value: float) -> Candidate:
@@ -211,7 +216,7 @@ class Fits:
         problem = self._problem(terms)
         nonlinear = _named(smaller.model, smaller.fit) | {own(terms[-1])[0]: value}
         found = problem.solve(np.array([nonlinear[one.name] for one in problem.model.nonlinear]))
-        return Candidate(terms, _model(terms), problem, found, np.empty(0), self.error)
+        return Candidate(terms, _model(terms), problem, found, np.empty(0), self.errors[0])
 
     def held_out(self, terms: tuple[str, ...], found: Fit) -> Array:
         """Return the errors (FOLDS,), N m, of held-out blocks with the nonlinear parameters of a fit."""

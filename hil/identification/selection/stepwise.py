@@ -22,6 +22,7 @@ from ga.model.trajectory import Motion
 from hil.identification.selection.criterion import PLAINEST_FIRST, Criterion, criterion_of
 from hil.identification.selection.fits import Candidate, Fits, own
 from hil.identification.selection.late import Alternative, Lateness, LateReading
+from hil.signals.windows import Window
 from hil.uncertainty.model_average import AKAIKE
 
 Array = NDArray[np.float64]
@@ -110,18 +111,18 @@ def select(
     rarer: tuple[str, ...] = (),
     accounts: tuple[str, ...] = (),
     describes: Callable[[Selection, bool], bool] = lambda _selection, _averaged: True,
-    errors: tuple[float, float] = (0.0, 0.0),
+    window: Window | None = None,
 ) -> Selection:
     """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
 
     describes: whether a model describes the recording, the second argument: but for small effects that every bench has;
     where it does not, rarer terms are considered too. accounts: terms by which the torque may be read late, or seem to
-    be. errors: rad and rad/s, the standard deviations of those of deflection and rate.
+    be. window: that the rate was computed in, if it is known.
     Raises RuntimeError where not even the smallest model can be fitted.
     """
-    fits, smallest = Fits(motion, torque, highest, errors[0]), _smallest(terms)
+    fits, smallest = Fits(motion, torque, highest, window), _smallest(terms)
     noise = criterion_of(fits, terms, smallest)
-    steps = _Steps(fits, noise, terms, is_enough=lambda one: describes(one, False), errors=errors)
+    steps = _Steps(fits, noise, terms, is_enough=lambda one: describes(one, False))
     usual = steps.forward(fits.candidate(smallest))
     late = LateReading(fits, steps.criterion, accounts)
     if not rarer:
@@ -158,7 +159,6 @@ class _Steps:
     compared: int = 1
     rare: tuple[str, ...] = ()
     is_enough: Callable[[Selection], bool] = lambda _selection: False
-    errors: tuple[float, float] = (0.0, 0.0)
     beside: tuple[str, ...] = ()
     passed: list[tuple[str, ...]] = field(default_factory=list, init=False)
     _enough: dict[Candidate, bool] = field(default_factory=dict, init=False)
@@ -172,7 +172,7 @@ class _Steps:
         considered = (*(term for term in self.considered if term not in self.rare), *likely)
         noise = criterion_of(self.fits, considered, self.criterion.richest, doubted=True)
         small = tuple(term for term in rarer if term not in likely and TERMS[term].linear)
-        return _Steps(self.fits, noise, considered, _LIKELY, likely, self.is_enough, self.errors, small)
+        return _Steps(self.fits, noise, considered, _LIKELY, likely, self.is_enough, small)
 
     def forward(self, chosen: Candidate) -> Candidate:
         """Return the model after the steps from one chosen, each with the term that pays most, without those idle."""
@@ -283,7 +283,7 @@ class _Steps:
         if terms[-1] in self.rare or not set(smaller.terms) < set(terms):
             return False
         larger = self.fits.candidate(terms, beside=smaller)
-        of_deflection, of_rate = self.errors
+        of_deflection, of_rate = self.fits.errors
         errors = (_STIFFER * smaller.stiffness * of_deflection) ** 2 + (smaller.damping * of_rate) ** 2
         return 0.5 * math.pi * (smaller.fit.fitness**2 - larger.fit.fitness**2) > errors
 

@@ -123,5 +123,5 @@ def _smoothed_away(motion: Motion, window: Window) -> Array:
             first[inside], second[inside] = motion.dtheta_dot[inside] - once, once - twice
     ratio = float(first @ second) / max(float(second @ second), 1e-300)
     ratio = min(max(ratio, 0.0), 1.0 / _WIDER)
-    sure = is_smooth(motion)  # no test looks at the others
+    sure = is_smooth(motion, window)  # no test looks at the others
     return np.asarray(np.where(sure, ratio / (1.0 - ratio) * first, 0.0))

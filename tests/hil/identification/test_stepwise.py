@@ -19,6 +19,7 @@ from hil.identification.selection import fits as fits_module
 from hil.identification.selection.fits import LATE, Candidate, Fits
 from hil.identification.selection.late import LateReading
 from hil.identification.selection.stepwise import Selection, select
+from hil.signals.windows import Window
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
 
 Array = NDArray[np.float64]
@@ -34,6 +35,11 @@ class Moved(NamedTuple):
     dtheta: Array
     rate: Array
     acceleration: Array
+
+
+def with_error(error: float) -> Window:
+    """A window of readings of the deflection with an error, rad, one standard deviation."""
+    return Window(6, 6, 1.0 / RATE, (0.0, HIGHEST), 0.0, error, 0.0)
 
 
 def chirp(time: Array, low: float = 0.2, high: float = HIGHEST) -> Moved:
@@ -192,7 +198,7 @@ def test_the_steps_end_at_a_rarer_model_that_describes_the_recording_but_for_err
             HIGHEST,
             rarer=("quadratic",),
             describes=lambda one, _: "coulomb+quadratic" in one.model.name,
-            errors=(error, 0.0),
+            window=with_error(error),
         ).model.name
         for error in (1e-4, 1e-2)
     ]
@@ -529,7 +535,7 @@ def test_a_joint_that_rests_at_two_angles_is_slack_by_more_than_errors_of_these(
     torque = (KC * pulled + BC * rate) * (pulled > 0.0) + 2e-5 * generator.standard_normal(SAMPLES)
     read = angle + error * generator.standard_normal(SAMPLES)
     motion = Motion(TIME, read, rate, acceleration, np.zeros(SAMPLES))
-    chosen = select(motion, torque, HIGHEST, ("offset", "slack"), errors=(error, 0.0))
+    chosen = select(motion, torque, HIGHEST, ("offset", "slack"), window=with_error(error))
     assert chosen.model.name == expected
 
 

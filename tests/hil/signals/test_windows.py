@@ -8,11 +8,15 @@ import pytest
 from ga.model.trajectory import Motion
 from hil.recording.reader import Array
 from hil.signals.savitzky_golay import local_polynomial
-from hil.signals.windows import is_smooth, window_for
+from hil.signals.windows import Window, is_smooth, window_for
 
 
 def _moving(time: Array, angle: Array, rate: Array) -> Motion:
     return Motion(time, angle, rate, np.zeros_like(rate), np.zeros_like(rate))
+
+
+def _window(half: int, unseen: float = 0.0) -> Window:
+    return Window(half, half, 2e-3, (0.0, 10.0), 0.0, 0.0, 0.0, unseen)
 
 
 @pytest.mark.parametrize("half", [6, 9, 12])
@@ -24,11 +28,32 @@ def test_the_rate_is_sure_but_for_the_samples_beside_a_jerk_whatever_the_noise(h
     angle = np.cumsum(rate) / 500.0
     seen = local_polynomial(time, angle, half, 1)
     beside = np.abs(np.mod(time + 0.05, 0.1) - 0.05)  # s from the nearest change
-    sure = is_smooth(_moving(time, angle, seen))
+    sure = is_smooth(_moving(time, angle, seen), _window(half))
     assert np.mean(sure[30:-30][beside[30:-30] < 0.005]) < 0.6
     assert sure[30:-30][beside[30:-30] > 0.03].all()
     smooth = np.sin(8.0 * time) + 1e-3 * np.random.default_rng(0).standard_normal(2000)
-    assert np.mean(is_smooth(_moving(time, smooth, local_polynomial(time, smooth, half, 1)))) > 0.999
+    assert np.mean(is_smooth(_moving(time, smooth, local_polynomial(time, smooth, half, 1)), _window(half))) > 0.999
+
+
+def test_a_narrow_window_leaves_out_no_more_samples_beside_a_jerk_than_it_reaches_over() -> None:
+    """A wide one differs from it where it is right, too: of steps at 250 Hz all but the rests would be left out."""
+    time = np.arange(2000) / 250.0
+    phase = np.mod(time, 0.2)
+    rate = np.where(phase < 0.1, phase - 0.05, 0.15 - phase) * 10.0
+    angle = np.cumsum(rate) / 250.0
+    beside = np.abs(np.mod(time + 0.05, 0.1) - 0.05)
+    sure = is_smooth(_moving(time, angle, local_polynomial(time, angle, 4, 1)), _window(4))
+    assert sure[30:-30][beside[30:-30] > 0.03].all()
+    assert np.mean(sure[30:-30][beside[30:-30] < 0.01]) < 0.5
+
+
+def test_errors_of_the_rate_that_the_torques_noise_hides_leave_no_sample_out() -> None:
+    time = np.arange(2000) / 500.0
+    phase = np.mod(time, 0.2)
+    angle = np.cumsum(np.where(phase < 0.1, phase - 0.05, 0.15 - phase) * 10.0) / 500.0
+    motion = _moving(time, angle, local_polynomial(time, angle, 6, 1))
+    assert not is_smooth(motion, _window(6, 1e-4)).all()
+    assert is_smooth(motion, _window(6, 0.1))[30:-30].all()
 
 
 def test_the_rate_has_as_little_error_as_any_window_gives_where_motion_goes_on_beyond_the_band() -> None:
