@@ -1,8 +1,9 @@
 """Recordings of benches as people have them, written from the physics and not from the models of hil.
 
 A `Bench` says how the joint moves, what couples it and what its sensors do. `record` integrates the coupling on a grid
-20 times finer than the samples and reads it as the sensors would. `ROWS` names the benches of the table that
-`truth_benches.py` prints; those in `DESCRIBED` are described by a model of `hil identify`, so nothing may be flagged.
+20 times finer than the samples, or has MuJoCo do it, and reads it as the sensors would. `ROWS` names the benches of the
+table that `truth_benches.py` prints; those in `DESCRIBED` are described by a model of `hil identify`, so nothing may be
+flagged.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import mujoco_joint
 import numpy as np
+from mujoco_joint import Joint
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -21,6 +24,7 @@ Array = NDArray[np.float64]
 KC, BC = 0.3, 3e-3  # N m/rad, N m s/rad
 RATE, DURATION, PEAK, NOISE = 500.0, 20.0, 0.25, 1e-3  # Hz, s, rad, N m
 PERIOD = 10.0  # s, of the multisine
+MUJOCO = ", MuJoCo"  # ends the name of a bench whose joint MuJoCo simulates
 FINER = 20  # steps of the integration between two samples
 
 
@@ -48,6 +52,8 @@ def spring_and_damper(m: Motion, k: float, b: float) -> Array:
 class Bench:
     """One bench; SI. kind: "multisine", "chirp", "prbs", "walk" or "ramp". law: the coupling. rate: Hz, of the samples.
 
+    joint: one that MuJoCo simulates, in the place of the law.
+
     stiffness, damping: what the result is held against, NaN where the coupling has none. torque_noise: N m, of colour
     "white", "ar" (first order, 20 samples long) or "heavy" (Student, 3 degrees of freedom). bits: of the encoder, a
     turn; 0: exact. delay: s, of the torque reading; lag: s,
@@ -61,6 +67,7 @@ class Bench:
     law: Law = field(default=spring_and_damper)
     stiffness: float = KC
     damping: float = BC
+    joint: Joint | None = None
     peak: float = PEAK
     band: tuple[float, float] = (0.2, 12.0)
     duration: float = DURATION
@@ -95,13 +102,17 @@ def record(bench: Bench, seed: int) -> Reading:
     """Return the recording of a bench; the same seed gives the same samples."""
     rng = np.random.default_rng([seed, 4711])
     motion = _MOTIONS[bench.kind](bench, rng)
-    pure = bench.law(motion, bench.stiffness, bench.damping)
-    deflection, time = motion.deflection[::FINER], motion.time[::FINER]
+    command, time = motion.deflection[::FINER], motion.time[::FINER]
+    if bench.joint is None:
+        deflection, pure = command, bench.law(motion, bench.stiffness, bench.damping)
+    else:
+        followed, _, pure = mujoco_joint.simulated(bench.joint, motion.step, motion.deflection, motion.rate)
+        deflection = followed[::FINER]
     return Reading(
         bench.clock * np.floor(time / bench.clock + 1e-9) if bench.clock else time,
         _cell(bench, motion, pure, rng) * bench.torque_unit,
-        _angle(bench, motion.time[::FINER], deflection, rng) * bench.angle_unit,
-        deflection,
+        _angle(bench, time, deflection, rng) * bench.angle_unit,
+        command,
     )
 
 
@@ -238,11 +249,6 @@ def friction(level: float) -> Law:
 def cubic(factor: float) -> Law:
     """A spring with `factor` N m/rad^3 more."""
     return lambda m, k, b: k * m.deflection + b * m.rate + factor * m.deflection**3
-
-
-def late(delay: float) -> Law:
-    """Spring and damper read `delay` s late."""
-    return lambda m, k, b: np.interp(m.time - delay, m.time, k * m.deflection + b * m.rate)
 
 
 def viscoelastic(share: float, constant: float) -> Law:
@@ -422,53 +428,82 @@ def _order(effect: str) -> tuple[bool, bool, str]:
 
 _ONE = Bench()
 
-DESCRIBED: Mapping[str, Bench] = {
-    "plain": _ONE,
-    "coloured noise": replace(_ONE, colour="ar"),
-    "heavy-tailed noise": replace(_ONE, colour="heavy"),
-    "friction": replace(_ONE, law=friction(2e-3)),
-    "cubic": replace(_ONE, law=cubic(0.3)),
-    "skew": replace(_ONE, law=late(1.5e-3)),
-    "chirp": replace(_ONE, kind="chirp"),
-    "chirp, coloured": replace(_ONE, kind="chirp", colour="ar"),
-    "chirp, friction": replace(_ONE, kind="chirp", law=friction(2e-3)),
-    "prbs": replace(_ONE, kind="prbs"),
-    "prbs, heavy": replace(_ONE, kind="prbs", colour="heavy"),
-    "random walk": replace(_ONE, kind="walk", bits=16),
-    "18 bit, 3 kHz": replace(_ONE, kind="chirp", rate=3000.0, duration=3.0, bits=18, peak=0.035, torque_noise=1e-5),
-    "350 Hz, stamps to 1 ms": replace(_ONE, rate=350.0, clock=1e-3),
+_JOINTS: Mapping[str, Joint] = {
+    "friction": Joint(KC, BC, friction=2e-3),
+    "cubic": Joint(KC, BC, cubic=0.3),
+    "chirp, friction": Joint(KC, BC, friction=2e-3),
+    "linear solid 10 %, 10 ms": Joint(KC, BC, branch=0.1 * KC, relaxing=0.01),
+    "linear solid 30 %, 20 ms": Joint(KC, BC, branch=0.3 * KC, relaxing=0.02),
+    "linear solid 50 %, 50 ms": Joint(KC, BC, branch=0.5 * KC, relaxing=0.05),
+    "quadratic damping": Joint(KC, BC, quadratic=1e-3),
+    "dead band 20 mrad": Joint(KC, BC, gap=0.02),
 }
+"""What MuJoCo simulates for benches whose coupling is more than a spring and a damper."""
+
+
+def _with_mujoco(benches: Mapping[str, Bench]) -> Mapping[str, Bench]:
+    """The benches, and those whose coupling MuJoCo has parameters for once more with a joint that it simulates."""
+    found = dict(benches)
+    for name, bench in benches.items():
+        plain = Joint(bench.stiffness, bench.damping) if bench.law is spring_and_damper else None
+        if (joint := _JOINTS.get(name, plain)) is not None and bench.torque_unit == bench.angle_unit == 1.0:
+            found[f"{name}{MUJOCO}"] = replace(bench, joint=joint)
+    return found
+
+
+DESCRIBED: Mapping[str, Bench] = _with_mujoco(
+    {
+        "plain": _ONE,
+        "coloured noise": replace(_ONE, colour="ar"),
+        "heavy-tailed noise": replace(_ONE, colour="heavy"),
+        "friction": replace(_ONE, law=friction(2e-3)),
+        "cubic": replace(_ONE, law=cubic(0.3)),
+        "skew": replace(_ONE, delay=1.5e-3),
+        "chirp": replace(_ONE, kind="chirp"),
+        "chirp, coloured": replace(_ONE, kind="chirp", colour="ar"),
+        "chirp, friction": replace(_ONE, kind="chirp", law=friction(2e-3)),
+        "prbs": replace(_ONE, kind="prbs"),
+        "prbs, heavy": replace(_ONE, kind="prbs", colour="heavy"),
+        "random walk": replace(_ONE, kind="walk", bits=16),
+        "18 bit, 3 kHz": replace(_ONE, kind="chirp", rate=3000.0, duration=3.0, bits=18, peak=0.035, torque_noise=1e-5),
+        "350 Hz, stamps to 1 ms": replace(_ONE, rate=350.0, clock=1e-3),
+    }
+)
 """Benches that a model of `hil identify` describes."""
 
-ROWS: Mapping[str, Bench] = {
-    "angle noise 2 mrad": replace(_ONE, angle_noise=2e-3),
-    "angle noise 5 mrad": replace(_ONE, angle_noise=5e-3),
-    "prbs, angle noise 2 mrad": replace(_ONE, kind="prbs", angle_noise=2e-3),
-    "12 bit, 0.05 rad": replace(_ONE, bits=12, peak=0.05),
-    "12 bit, 0.02 rad": replace(_ONE, bits=12, peak=0.02),
-    "17 bit, 500 N m/rad, 0.01 rad": replace(_ONE, bits=17, peak=0.01, stiffness=500.0, damping=5.0, torque_noise=1e-2),
-    "cell of 30 Hz": replace(_ONE, lag=1.0 / (2.0 * math.pi * 30.0)),
-    "cell of 100 Hz": replace(_ONE, lag=1.0 / (2.0 * math.pi * 100.0)),
-    "80 Hz cell, held": replace(_ONE, cell_rate=80.0),
-    "80 Hz cell, interpolated": replace(_ONE, cell_rate=80.0, interpolated=True),
-    "linear solid 10 %, 10 ms": replace(_ONE, law=viscoelastic(0.1, 0.01)),
-    "linear solid 30 %, 20 ms": replace(_ONE, law=viscoelastic(0.3, 0.02)),
-    "linear solid 50 %, 50 ms": replace(_ONE, law=viscoelastic(0.5, 0.05)),
-    "LuGre, soft bristles": replace(_ONE, law=bristles(5e-3, 7e-3, 0.01, 0.3)),
-    "Bouc-Wen 20 %": replace(_ONE, law=bouc_wen(0.2, 0.02)),
-    "capstan 15 %": replace(_ONE, law=capstan(0.15)),
-    "sheath 20 %, 10 mrad": replace(_ONE, law=sheath(0.2, 0.01)),
-    "gear, 40 mrad of play": replace(_ONE, law=gear(0.04, 2e-3, 0.2, 0.01)),
-    "quadratic damping": replace(_ONE, law=quadratic(1e-3)),
-    "dead band 20 mrad": replace(_ONE, law=dead_band(0.02)),
-    "fading 20 %, chirp": replace(_ONE, kind="chirp", law=fading(0.2)),
-    "inertia": replace(_ONE, law=inertia(2e-5)),
-    "zero 1.5 rad away": replace(_ONE, zero=1.5),
-    "zero 6 rad away": replace(_ONE, zero=6.0),
-    "degrees for radians": replace(_ONE, angle_unit=180.0 / math.pi),
-    "mN m for N m": replace(_ONE, torque_unit=1e3),
-    "angle frozen from 8 s": replace(_ONE, frozen=8.0),
-    "angle wrapped": replace(_ONE, zero=0.1, wrapped=True),
-    "ramp": replace(_ONE, kind="ramp"),
-}
+ROWS: Mapping[str, Bench] = _with_mujoco(
+    {
+        "angle noise 2 mrad": replace(_ONE, angle_noise=2e-3),
+        "angle noise 5 mrad": replace(_ONE, angle_noise=5e-3),
+        "prbs, angle noise 2 mrad": replace(_ONE, kind="prbs", angle_noise=2e-3),
+        "12 bit, 0.05 rad": replace(_ONE, bits=12, peak=0.05),
+        "12 bit, 0.02 rad": replace(_ONE, bits=12, peak=0.02),
+        "17 bit, 500 N m/rad, 0.01 rad": replace(
+            _ONE, bits=17, peak=0.01, stiffness=500.0, damping=5.0, torque_noise=1e-2
+        ),
+        "cell of 30 Hz": replace(_ONE, lag=1.0 / (2.0 * math.pi * 30.0)),
+        "cell of 100 Hz": replace(_ONE, lag=1.0 / (2.0 * math.pi * 100.0)),
+        "80 Hz cell, held": replace(_ONE, cell_rate=80.0),
+        "80 Hz cell, interpolated": replace(_ONE, cell_rate=80.0, interpolated=True),
+        "linear solid 10 %, 10 ms": replace(_ONE, law=viscoelastic(0.1, 0.01)),
+        "linear solid 30 %, 20 ms": replace(_ONE, law=viscoelastic(0.3, 0.02)),
+        "linear solid 50 %, 50 ms": replace(_ONE, law=viscoelastic(0.5, 0.05)),
+        "LuGre, soft bristles": replace(_ONE, law=bristles(5e-3, 7e-3, 0.01, 0.3)),
+        "Bouc-Wen 20 %": replace(_ONE, law=bouc_wen(0.2, 0.02)),
+        "capstan 15 %": replace(_ONE, law=capstan(0.15)),
+        "sheath 20 %, 10 mrad": replace(_ONE, law=sheath(0.2, 0.01)),
+        "gear, 40 mrad of play": replace(_ONE, law=gear(0.04, 2e-3, 0.2, 0.01)),
+        "quadratic damping": replace(_ONE, law=quadratic(1e-3)),
+        "dead band 20 mrad": replace(_ONE, law=dead_band(0.02)),
+        "fading 20 %, chirp": replace(_ONE, kind="chirp", law=fading(0.2)),
+        "inertia": replace(_ONE, law=inertia(2e-5)),
+        "zero 1.5 rad away": replace(_ONE, zero=1.5),
+        "zero 6 rad away": replace(_ONE, zero=6.0),
+        "degrees for radians": replace(_ONE, angle_unit=180.0 / math.pi),
+        "mN m for N m": replace(_ONE, torque_unit=1e3),
+        "angle frozen from 8 s": replace(_ONE, frozen=8.0),
+        "angle wrapped": replace(_ONE, zero=0.1, wrapped=True),
+        "ramp": replace(_ONE, kind="ramp"),
+    }
+) | {f"yielding spring{MUJOCO}": replace(_ONE, joint=Joint(KC, BC, yielding=0.4, reach=0.01))}
 """Benches that were seen to give wrong numbers, and those whose readings are wrong."""

@@ -33,7 +33,13 @@ from hil.cli import app as cli
 from hil.signals.source import open_sources
 
 SEEDS, SHORT = 500, 6
-SCRIPTS = ("truth.py", "truth_cases.py", "truth_mujoco.py", "truth_recordings.py")  # that make the recordings
+SCRIPTS = (
+    "truth.py",
+    "truth_cases.py",
+    "truth_mujoco.py",
+    "mujoco_joint.py",
+    "truth_recordings.py",
+)  # that make the recordings
 UNIDENTIFIABLE_PART = 5  # one seed in so many also makes the recordings that cannot identify the parameters
 
 

@@ -1,8 +1,6 @@
-"""A third source of recordings: a joint that MuJoCo simulates, with its own springs, friction and integrator.
+"""The cases of the truth study from a joint that MuJoCo simulates (`mujoco_joint`): it follows the chirp of a case.
 
-A hinge with MuJoCo's stiffness, damping and frictionloss follows the chirp of a case through a stiff servo. What a cell
-between coupling and wall would read are the passive force and the friction of the joint, which MuJoCo computes; how
-the joint moves is its affair too. Sensors read both as in the closed form.
+Sensors read its motion and its torque as in the closed form.
 """
 
 from __future__ import annotations
@@ -11,14 +9,13 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+from mujoco_joint import Joint, simulated
 from truth_cases import DURATION, Array, Case, Motion, Truth, chirp
 
 STEP = 1e-4  # s, of the integrator: a sine of 15 Hz between two steps is a line within 1e-5 of its amplitude
 BEFORE = 0.5  # s of the chirp's first sine before the first sample, in which the joint comes up to it
-INERTIA = 3e-4  # kg m^2, of what the servo moves: its steps of torque do not shake the rate by 0.02 %
-STIFF, DAMPED = 40.0, 0.2  # N m/rad and N m s/rad, of the servo, which follows 0.35 rad of chirp within 10 %
 
-WITHOUT = ("backlash", "cubic", "motor side", "too slow", "standing still")  # what MuJoCo's joint has no parameter for
+WITHOUT = ("backlash", "motor side", "too slow", "standing still")  # what MuJoCo's joint has no parameter for
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,41 +46,14 @@ def driven(case: Case) -> Driven:
     if case.name in WITHOUT:
         raise ValueError(f"MuJoCo's joint has no parameter for the case {case.name!r}")
     true = case.truth
-    return Driven(true, *_simulated(case.band, true.Kc, true.Bc, true.Fc))
+    joint = Joint(true.Kc, true.Bc, cubic=true.K3, friction=true.Fc)
+    return Driven(true, *_simulated(case.band, joint))
 
 
 @functools.lru_cache(maxsize=4)  # the seeds of a case share the motion: only their sensors differ
-def _simulated(
-    band: tuple[float, float], stiffness: float, damping: float, friction: float
-) -> tuple[Array, Motion, Array]:
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_string(_joint(stiffness, damping, friction))
-    state = mujoco.MjData(model)
+def _simulated(band: tuple[float, float], joint: Joint) -> tuple[Array, Motion, Array]:
     time = np.arange(round((DURATION + 2.0 * BEFORE) / STEP)) * STEP - BEFORE
     wanted = chirp(np.maximum(time, 0.0), band)
     wave = np.where(time < 0.0, 0.0, wanted.deflection), np.where(time < 0.0, 0.0, wanted.rate)
-    found = np.empty((3, len(time)))
-    for at, (deflection, rate) in enumerate(zip(*(part.tolist() for part in wave), strict=True)):
-        state.ctrl[0] = STIFF * deflection + DAMPED * rate
-        mujoco.mj_forward(model, state)
-        cell = -(state.qfrc_passive[0] + state.qfrc_constraint[0])
-        found[:, at] = state.qpos[0], state.qvel[0], cell
-        mujoco.mj_step(model, state)
-    deflection, rate, carried = found
+    deflection, rate, carried = simulated(joint, STEP, *wave)
     return time, Motion(deflection, rate, np.gradient(rate, STEP)), carried
-
-
-def _joint(stiffness: float, damping: float, friction: float) -> str:
-    """MuJoCo's model of a locked joint; the servo's own spring and damper stand outside of the joint's."""
-    servo = f'gainprm="1" biastype="affine" biasprm="0 {-STIFF} {-DAMPED}"'
-    return f"""
-<mujoco>
-  <option timestep="{STEP}" integrator="RK4" gravity="0 0 0"/>
-  <worldbody><body>
-    <joint name="coupling" axis="0 0 1" stiffness="{stiffness}" damping="{damping}" frictionloss="{friction}"
-      solreffriction="{2 * STEP} 1" solimpfriction="0.999 0.999 0.001"/>
-    <inertial pos="0 0 0" mass="1" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>
-  </body></worldbody>
-  <actuator><general joint="coupling" {servo}/></actuator>
-</mujoco>"""
