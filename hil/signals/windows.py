@@ -50,7 +50,8 @@ class Window:
     low_pass: what is used in place of the polynomials where that noise would reach Kc or Bc, as
     noisy says, or where the joint moves faster than the narrowest of them follows. jerk: rad/s, and jump: rad/s^2, by
     which rates and accelerations in several windows differ at most where the acceleration does not jump; infinite where
-    no jump would show in the torque of the damping, or of an inertia.
+    no jump would show in the torque of the damping, or of an inertia. of_acceleration: rad/s^2, the standard deviation
+    of its errors, by noise and by what the window smooths away.
     """
 
     slope: int
@@ -65,6 +66,7 @@ class Window:
     noisy: bool = False
     jerk: float = np.inf
     jump: float = np.inf
+    of_acceleration: float = 0.0
 
     @property
     def jerks(self) -> bool:
@@ -164,9 +166,10 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     low_pass = low_pass_for(time, highest, min(slope, _NARROWEST))
     if low_pass is None:
         return found
-    of_rate = float(low_pass.amplification()[1])
+    _, of_rate, of_acceleration = found.of_deflection * low_pass.amplification()
     # a low-pass blurs a jump over many samples, whose errors are alike
-    return replace(found, noise=of_rate * found.of_deflection, low_pass=low_pass, noisy=noisy, unseen=0.0)
+    found = replace(found, low_pass=low_pass, noisy=noisy, unseen=0.0)
+    return replace(found, noise=float(of_rate), of_acceleration=float(of_acceleration))
 
 
 def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
@@ -214,7 +217,10 @@ def _jumping(found: Window, time: Array, dtheta: Array, torque: Array) -> Window
     # friction may hide it without the samples beside jumps, and the smoothing with them: the larger value counts
     inertia = max(abs(np.linalg.lstsq(columns[rows], torque[rows], rcond=None)[0][3]) for rows in (smooth, known))
     is_felt = float(inertia) * away > _FELT * _own_noise(time, dtheta, torque)
-    return jumping if is_felt and _power(rate, smooth) >= _SMOOTH * _power(rate) else found
+    noise = found.of_deflection * _amplified(found.curvature, found.step, 2)
+    if is_felt and _power(rate, smooth) >= _SMOOTH * _power(rate):
+        return replace(jumping, of_acceleration=noise)
+    return replace(found, of_acceleration=float(np.hypot(noise, away)))
 
 
 def smoothed_away(

@@ -163,9 +163,10 @@ class Fits:
         return is_smooth(self.motion, self.window)
 
     @property
-    def errors(self) -> tuple[float, float]:
-        """The standard deviations of the errors of deflection, rad, and rate, rad/s; 0 where they are not known."""
-        return (self.window.of_deflection, self.window.noise) if self.window else (0.0, 0.0)
+    def errors(self) -> tuple[float, float, float]:
+        """The standard deviations of the errors of deflection, rad, rate and acceleration; 0 where nothing is known."""
+        seen = self.window
+        return (seen.of_deflection, seen.noise, seen.of_acceleration) if seen else (0.0, 0.0, 0.0)
 
     def preview(self, terms: tuple[str, ...]) -> Fit | None:
         """Return the fit to some of the samples; None where the columns are too much alike."""

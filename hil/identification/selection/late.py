@@ -265,11 +265,21 @@ class LateReading:
     def _akaike(self, chosen: Candidate, one: Candidate, alike: float) -> float:
         """Akaike's criterion of a model less that of the one chosen, alike: the factor by which it is less certain."""
         relaxes = "maxwell" in one.terms and "maxwell" not in chosen.terms
+        better = chosen.fit.fitness - self._without_errors(one, chosen.fit.fitness)
         return (
             2.0 * (len(one.model.parameters) - len(chosen.model.parameters))
-            - self.criterion.ratio(chosen, one) / alike
+            - self.criterion.gained(better) / alike
             + (_RARE if relaxes or not set(EARLIER).intersection(chosen.terms) else 0.0)
         )
+
+    def _without_errors(self, one: Candidate, least: float) -> float:
+        """The fitness, N m, of a model without what errors of the acceleration add by an inertia, but at least `least`.
+
+        A skew has none of them, so that it fits better where there is an inertia.
+        """
+        errors = one.values.get("J", 0.0) * self.fits.errors[2]
+        left = one.fit.fitness**2 - 2.0 / math.pi * errors**2
+        return max(math.sqrt(max(left, 0.0)), min(least, one.fit.fitness))
 
     def _relaxing(self, chosen: Candidate, others: tuple[str, ...]) -> Candidate | None:
         """The model with a branch that relaxes faster than the joint moved, in place of a late torque reading.

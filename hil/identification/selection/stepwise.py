@@ -283,7 +283,7 @@ class _Steps:
         if terms[-1] in self.rare or not set(smaller.terms) < set(terms):
             return False
         larger = self.fits.candidate(terms, beside=smaller)
-        of_deflection, of_rate = self.fits.errors
+        of_deflection, of_rate, _ = self.fits.errors
         errors = (_STIFFER * smaller.stiffness * of_deflection) ** 2 + (smaller.damping * of_rate) ** 2
         return 0.5 * math.pi * (smaller.fit.fitness**2 - larger.fit.fitness**2) > errors
 

@@ -17,7 +17,7 @@ from ga.model.trajectory import Motion
 from hil.identification.selection import criterion, stepwise
 from hil.identification.selection import fits as fits_module
 from hil.identification.selection.fits import LATE, Candidate, Fits
-from hil.identification.selection.late import LateReading
+from hil.identification.selection.late import EARLIER, LateReading
 from hil.identification.selection.stepwise import Selection, select
 from hil.signals.windows import Window
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
@@ -213,6 +213,21 @@ def test_a_lag_that_a_skew_hides_is_an_alternative() -> None:
     assert "skew" in found.model.name
     alternatives = {one.model.name: one.criterion for one in found.alternatives}
     assert alternatives[found.model.name.replace("skew", "lag")] > 0.0  # the skew is there
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_errors_of_the_acceleration_are_no_evidence_against_an_inertia(known: bool) -> None:
+    """A torque that is read early has none of them, so that it fits better where there is an inertia."""
+    moved, rng = chirp(TIME, high=6.0), np.random.default_rng(4)
+    error = 0.15 * float(np.std(moved.acceleration))
+    read = moved.acceleration + error * rng.standard_normal(SAMPLES)
+    motion = Motion(TIME, moved.dtheta, moved.rate, read, np.zeros(SAMPLES))
+    torque = linear(moved) + 4e-7 * moved.acceleration + 5e-5 * rng.standard_normal(SAMPLES)
+    window = replace(with_error(0.0), of_acceleration=error) if known else None
+    found = select(motion, torque, 6.0, ("offset", "skew"), accounts=EARLIER, window=window)
+    assert found.model.name == "linear+skew"
+    alternatives = {one.model.name: one.criterion for one in found.alternatives}
+    assert bool(alternatives["linear+inertia"] < 10.0) is known
 
 
 def test_a_skew_that_is_too_large_for_set_points_that_are_held_is_none() -> None:
