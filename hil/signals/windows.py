@@ -305,7 +305,8 @@ def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
     deflection counts, which the wider window averages too, nor what is hidden in the torque's.
     """
     seen, rows = motion.whole
-    half, unseen = (window.slope, window.unseen) if window else (_OTHERS[0], 0.0)
+    # a low-pass that takes noise out blurs a jump as far as wide windows reach
+    half, unseen = (window.slope, window.unseen) if window and not window.noisy else (_OTHERS[0], 0.0)
     others = tuple(min(half + more, most) for more, most in zip(_WIDER, _OTHERS, strict=True))
     if len(seen) <= 2 * max(others):
         return np.ones(len(motion), dtype=bool)
