@@ -245,7 +245,7 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
         dtheta, rate, acceleration = window.moved(time, dtheta)
     known = _motor_share(rate, acceleration, columns)
     inside = within(usable.row[angle.row], rows)
-    sound = np.ones(len(time), dtype=bool) if columns.rate_given else window.sound(time)
+    sound = window.has_acceleration(time) if columns.rate_given else window.sound(time)
     own, over = _own_readings(usable, columns), usable.clipped[angle.row]
     starts, long_enough = stretches(time, sound & ~over if own is None else sound, window.step)
     kept = long_enough & (inside if own is None else True)

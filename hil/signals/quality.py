@@ -158,7 +158,9 @@ def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
         )
         found.append(Diagnostic("angle-wrapped", text))
     if defects.near_gaps:
-        gaps = f"{defects.near_gaps} rows beside a gap have no rate and are left out: record without a pause"
+        gaps = (
+            f"{defects.near_gaps} rows beside a gap lack rate or acceleration and are not used: record without a pause"
+        )
         found.append(Diagnostic("near-gaps", gaps))
     if defects.jerked > _MANY_JERKED * rows:
         smoother = again(

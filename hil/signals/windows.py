@@ -105,7 +105,11 @@ class Window:
 
     def sound(self, time: Array) -> NDArray[np.bool_]:
         """Return whether (n,) each sample has all the neighbours that its rate is computed from."""
-        return is_sound(time, self.low_pass) if self.low_pass else is_whole(time, self)
+        return is_sound(time, self.low_pass) if self.low_pass else _whole(time, self.widest, self.step)
+
+    def has_acceleration(self, time: Array) -> NDArray[np.bool_]:
+        """Return whether (n,) each sample has all the neighbours that an acceleration is computed from a rate's."""
+        return _whole(time, self.curvature, self.step)
 
 
 def _known(found: Array, values: Array) -> Array:
@@ -287,12 +291,8 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
     return slope, min(slope, curvature)
 
 
-def is_whole(time: Array, window: Window) -> NDArray[np.bool_]:
-    """Return whether (n,) the window of each sample is centred on it and free of gaps."""
-    return _whole(time, window.widest, window.step)
-
-
 def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
+    """Whether (n,) the window of each sample, `half` on each side, is centred on it and free of gaps."""
     whole = np.zeros(len(time), dtype=bool)
     whole[half : len(time) - half] = time[2 * half :] - time[: -2 * half] <= 3.0 * half * step
     return whole

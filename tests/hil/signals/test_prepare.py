@@ -142,6 +142,20 @@ def test_a_rate_that_came_with_the_data_is_used_as_it_is(make_recording: Maker) 
     assert signals.rate_window == 0.0
 
 
+def test_beside_a_gap_a_rate_that_came_with_the_data_has_no_acceleration(make_recording: Maker) -> None:
+    def cut(channels: dict[str, Array]) -> None:
+        channels["dtheta_dot"] = np.gradient(channels["dtheta"], channels["time"])
+        channels["time"] += 2e-5 * np.random.default_rng(3).standard_normal(2000)  # uneven: every window has a fit
+        channels["time"][1000:] += 0.5
+
+    with Recording(make_recording(change=cut)) as recording:
+        signals = prepare(recording, None)
+    assert len(signals.motion.starts) == 2
+    assert np.isfinite(signals.motion.changing(0.0).dtheta_ddot).all()
+    usual = np.abs(signals.motion.dtheta_ddot[:500]).max()
+    assert np.abs(signals.motion.dtheta_ddot).max() < 1.5 * usual
+
+
 def test_rows_beside_a_gap_have_no_rate_and_are_left_out(make_recording: Maker) -> None:
     def cut(channels: dict[str, Array]) -> None:
         channels["time"][1000:] += 0.5
