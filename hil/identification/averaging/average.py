@@ -30,8 +30,8 @@ from scipy.special import ndtr
 
 from ga.model.coupling import CouplingModel
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS
-from hil.identification.averaging.falling import falling
 from hil.identification.averaging.largest import BENCH, Largest, contains, largest_model, own_values
+from hil.identification.averaging.rate_laws import falling, growing
 from hil.identification.fitting.deflection import read_with_errors
 from hil.identification.model_choice import Choice
 from hil.identification.selection.late import Alternative
@@ -90,7 +90,8 @@ def averaged(
     for one in (selected, *choice.alternatives):
         # an alternative with other terms may be far off, and with it what errors would do to its parameters
         is_own = one.model.name == choice.model.name
-        around = _around(one, doubtful, kept, of_larger if is_own and any(change.values()) else of_selected)
+        by_change = of_larger if is_own and any(change.values()) else of_selected
+        around = _around(one, doubtful, kept, by_change, grows=is_own)
         if not around and one is selected:
             return {}
         if not is_own and seems_filtered:
@@ -176,21 +177,29 @@ def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Ar
 
 
 def _around(
-    model: Alternative, doubtful: Mapping[str, float], data: Signals, by_errors: Callable[[Largest], Array]
+    model: Alternative,
+    doubtful: Mapping[str, float],
+    data: Signals,
+    by_errors: Callable[[Largest], Array],
+    *,
+    grows: bool,
 ) -> list[tuple[dict[str, Averaged], float]]:
     """Kc and Bc averaged over one model with and without the effects that every bench has; [] where none can be.
 
-    Then those of models with friction that falls, each with Akaike's criterion less that of the first. Where the larger
-    model does not contain the smaller one, its average would lead away from both: the values are those of the smaller
-    one, with the error of the average and the distance from it. doubtful: the terms that the data do not decide on, and
-    the cost of each. by_errors: the change of all parameters by which errors of the deflection are taken off them.
+    Then those of models with friction that falls, or (grows) damping that grows, each with Akaike's criterion less that
+    of the first. Where the larger model does not contain the smaller one, its average would lead away from both: the
+    values are those of the smaller one, with the error of the average and the distance from it. doubtful: the terms
+    that the data do not decide on, and the cost of each. by_errors: the change of all parameters by which errors of the
+    deflection are taken off them.
     """
     largest = largest_model(model, tuple(doubtful), data)
     if largest is None:
         return []
-    found = [(largest, 0.0), *falling(largest, data.motion)]
     change = by_errors(largest)
-    means = [(_mean(replace(one, values=one.values + change), doubtful), criterion) for one, criterion in found]
+    found = [(largest, 0.0), *falling(largest, data.motion)]
+    found = [(replace(one, values=one.values + change), criterion) for one, criterion in found]
+    found += growing(largest, model, tuple(doubtful), data, by_errors) if grows else []
+    means = [(_mean(one, doubtful), criterion) for one, criterion in found]
     if not means[0][0]:
         return []
     means = [one for one in means if one[0]]

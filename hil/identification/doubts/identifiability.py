@@ -238,8 +238,11 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
         cause = "A late torque reading looks like a viscoelastic coupling that relaxes fast"
         known = "the torque cell or its filter is that late"
     else:
-        cause = "In slow motion, a torque cell that lags looks like less damping"
-        known = "nothing delays the torque"
+        cause = (
+            "In slow motion, a torque cell that lags looks like less damping, and damping that grows with the rate "
+            "like more"
+        )
+        known = "nothing delays the torque and damping does not grow with the rate"
     faster = again("Move the joint faster", "--band", imported=evidence.signals.imported)
     return (
         f"{name} depends on the model: model {evidence.model.name} gives "

@@ -9,7 +9,8 @@ from ga.evolution.evolution import PRESETS
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.separable import Problem, fit
-from hil.identification.averaging import average, falling, largest
+from ga.model.trajectory import Motion
+from hil.identification.averaging import average, largest, rate_laws
 from hil.identification.averaging.average import Averaged
 from hil.identification.averaging.largest import Largest
 from hil.identification.fitting.solution import Search
@@ -266,15 +267,36 @@ def test_the_interval_of_the_damping_holds_what_friction_that_falls_hides(
 ) -> None:
     """Models without such friction are sure of a damping that is too low by three times their interval."""
     found = [with_friction(make_recording, rise, 1, form) for rise in (0.0, 0.6)]
-    monkeypatch.setattr(falling, "_FALLS_OVER", ())
+    monkeypatch.setattr(rate_laws, "_FALLS_OVER", ())
+    monkeypatch.setattr(average, "growing", lambda *_: [])
     plain = [with_friction(make_recording, rise, 1, form) for rise in (0.0, 0.6)]
     assert all(abs(error) < half_width for error, half_width in found)
     assert abs(plain[0][0]) < plain[0][1]
     assert abs(plain[1][0]) > 3.0 * plain[1][1]
 
 
-@pytest.mark.parametrize(("at_speed", "possible"), [(0.01, True), (-0.01, False)])
-def test_friction_that_falls_until_it_drives_the_joint_is_no_model(at_speed: float, possible: bool) -> None:
+def test_the_interval_of_the_damping_holds_that_it_grows_with_the_rate_where_noise_hides_that(
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the fastest rate damping is twice as high. Models without that are sure of one that is half as high again."""
+
+    def grows(channels: dict[str, Array]) -> None:
+        sweep(channels, 0.0, 2)
+        rate = channels["dtheta_dot"]
+        channels["torque"] += BC * np.abs(rate) * rate / np.abs(rate).max()
+        channels["torque"] += 1e-3 * np.random.default_rng(7).standard_normal(len(rate))
+
+    path = make_recording(samples=4000, change=grows)
+    found = identify([path], None, SEARCH)
+    monkeypatch.setattr(average, "growing", lambda *_: [])
+    plain = identify([path], None, SEARCH)
+    assert found.model.name == plain.model.name == "linear"
+    assert found["Bc"].ci95[0] < BC < found["Bc"].ci95[1]
+    assert abs(plain["Bc"].value - BC) > 3.0 * plain["Bc"].half_width
+
+
+@pytest.mark.parametrize(("at_speed", "possible"), [(0.03, 5), (-0.01, 3)])
+def test_friction_that_falls_until_it_drives_the_joint_is_no_model(at_speed: float, possible: int) -> None:
     time = np.linspace(0.0, 20.0, 4000)
     angle, rate = np.sin(3.0 * time) + np.sin(7.1 * time), 3.0 * np.cos(3.0 * time) + 7.1 * np.cos(7.1 * time)
     columns = np.column_stack([angle, rate, np.sign(rate)])
@@ -284,7 +306,10 @@ def test_friction_that_falls_until_it_drives_the_joint_is_no_model(at_speed: flo
     likely = np.stack([np.zeros(3), np.full(3, np.inf)])
     sampling = covariance(Blocks.of(columns, torque), values)
     largest = Largest(parse("linear+coulomb"), (), ["Kc", "Bc", "Fc"], columns, torque, values, sampling, likely)
-    assert bool(falling._fallen(largest, 0.1 * fallen)) is possible
+    motion = Motion(time, angle, rate, np.gradient(rate, time), np.zeros(4000))
+    found = rate_laws.falling(largest, motion)
+    assert len(found) == possible
+    assert all(one.values[2] >= 0.0 for one, _ in found)
 
 
 def test_an_inertia_that_a_skew_beside_it_makes_negative_is_none() -> None:
@@ -336,7 +361,7 @@ def test_errors_of_the_rate_decide_between_no_models() -> None:
     """It is known to 0.03 % of the torque: of a fit that is this good the likelihood says nothing."""
     rng = np.random.default_rng(0)
     column, noise = rng.standard_normal((10_000, 1)), rng.standard_normal(10_000)
-    found = [falling._blurred(column, np.ones(1), column[:, 0] + size * noise) for size in (0.1, 1e-4)]
+    found = [rate_laws._blurred(column, np.ones(1), column[:, 0] + size * noise) for size in (0.1, 1e-4)]
     assert found[0] == pytest.approx(1.0, abs=0.1)
     assert found[1] > 1000.0
 
