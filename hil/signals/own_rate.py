@@ -3,7 +3,8 @@
 Drives filter the velocity that they report. Beside a deflection that is not filtered such a rate is late, and Kc takes
 up Bc times the lag times the frequency squared. The lag and the size of the rate are those at which it is most like the
 derivative of the deflection. Drives also report it in coarse steps or with noise, which lowers Bc; that shows in the
-torque, which then follows the derivative better.
+torque, which then follows the derivative better. A rate that was computed from differences of the deflection has all
+of its noise, and says nothing that the deflection does not.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ _SURE: Final = 4.0  # standard errors, from which a lag or a size is no chance
 _LONGEST: Final = 0.5  # of the shortest period, that a lag is looked for
 _FINE: Final = 16  # lags a side that are tried first
 _NOISIER: Final = 0.02  # of the residuals' power, from which the tests of the fit see it
+_ALIKE: Final = 0.95  # correlation of two rates' errors, from which they are the same
 _EFFECTIVE: Final = 2.0  # samples a period of the band's upper end, that count as independent
 
 
@@ -64,6 +66,23 @@ def refused_rate(
     torque (n,) N m and dtheta (n,) rad at time (n,) s; derived and highest as of `own_rate`.
     """
     return own_rate(time, given, derived, highest) or _noisy(torque, dtheta, given, derived)
+
+
+def is_difference(time: Array, dtheta: Array, given: Array, derived: Array) -> bool:
+    """Return whether a recorded rate (n,) rad/s was computed from differences of the deflection (n,) rad.
+
+    Those of both neighbours, or of the sample before or after. Its errors are then theirs. derived: as of `own_rate`.
+    """
+    good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
+    quotients = np.diff(dtheta) / np.diff(time)
+    before, after = np.append(quotients[0], quotients), np.append(quotients, quotients[-1])
+    own = (given - derived)[good]
+    return any(_are_alike(own, (rate - derived)[good]) for rate in (np.gradient(dtheta, time), before, after))
+
+
+def _are_alike(errors: Array, others: Array) -> bool:
+    power = float(np.sqrt((errors @ errors) * (others @ others)))
+    return power > 0.0 and float(errors @ others) > _ALIKE * power
 
 
 def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRate | None:

@@ -24,7 +24,7 @@ from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import unwrapped
 from hil.signals.defects import FEWEST, Defects, UsableRows, refuse_hopeless, refuse_without_rows, usable_rows
-from hil.signals.own_rate import OwnRate, refused_rate
+from hil.signals.own_rate import OwnRate, is_difference, refused_rate
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Kind, Readings, Slower
 from hil.signals.stamps import starts_within, stretches, within
@@ -148,6 +148,8 @@ class _Columns:
             return columns, window
         time = usable.stamps[0]
         derived = np.where(window.sound(time), window.moved(time, usable.dtheta)[1], np.nan)
+        if is_difference(time, usable.dtheta, usable.reported_rate, derived):
+            return replace(columns, rate_given=False), window
         refused = refused_rate(
             time, usable.torque, usable.dtheta, usable.reported_rate, derived, highest=window.band[1]
         )

@@ -15,7 +15,7 @@ from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.recording.reader import Array
 from hil.recording.writer import Header, write
-from hil.signals.own_rate import own_rate
+from hil.signals.own_rate import is_difference, own_rate
 
 TIME = np.arange(5000) / 500.0
 KC, BC = 0.3, 3e-3
@@ -93,3 +93,29 @@ def test_noise_of_a_rate_that_the_torque_does_not_show_is_no_reason_to_leave_it(
     found = identified(tmp_path / "a.h5", RATE + 1e-2 * NOISE[1])
     assert not any(one.code == "noisy-rate" for one in found.diagnostics)
     assert found.signals.rate_window == 0.0
+
+
+@pytest.mark.parametrize("count", [0.0, 1e-4])
+def test_a_rate_that_was_computed_from_differences_of_the_deflection_gives_way_without_a_word(
+    tmp_path: Path, count: float
+) -> None:
+    """It has all noise of the deflection, and is wrong where the acceleration changes fast."""
+    angle = count * np.round(ANGLE / count) if count else ANGLE
+    channels = {"time": TIME, "torque": KC * ANGLE + BC * RATE + 1e-3 * NOISE[0], "dtheta": angle}
+    found = []
+    for name, rate in (("without.h5", {}), ("with.h5", {"dtheta_dot": np.gradient(angle, TIME)})):
+        write(tmp_path / name, Header(profile={}, stand_toml=""), channels | rate)
+        found.append(identify([tmp_path / name], parse("linear+offset"), Search(trials=1, seed=0, workers=1)))
+    assert [one.value for one in found[1].estimates] == [one.value for one in found[0].estimates]
+    assert [one.code for one in found[1].diagnostics] == [one.code for one in found[0].diagnostics]
+
+
+@pytest.mark.parametrize("shift", [0, 1, -1])
+def test_differences_are_recognised_by_their_errors(shift: int) -> None:
+    """Central ones, and those of the sample before and after, beside those of another reading of the same motion."""
+    read = [ANGLE + 1e-4 * noise for noise in NOISE]
+    quotients = np.diff(read[0]) / np.diff(TIME)
+    rate = np.gradient(read[0], TIME) if shift == 0 else np.append(*((quotients[:1], quotients)[::shift]))
+    assert is_difference(TIME, read[0], rate, RATE)
+    assert not is_difference(TIME, read[1], rate, RATE)
+    assert not is_difference(TIME, read[0], RATE, RATE)
