@@ -96,6 +96,14 @@ def covariance(blocks: Blocks, genes: Array) -> Covariance:
     return Covariance(matrix, quantile, distinct, inflation)
 
 
+def distinct(blocks: Blocks) -> NDArray[np.bool_]:
+    """Return which parameters (p,) the columns of the data in `blocks` can distinguish from the others."""
+    gram: Array | float = 0.0
+    for columns, _ in blocks():
+        gram = gram + columns.T @ columns
+    return _inverse(np.asarray(gram))[1]
+
+
 def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the inverse (p, p) of a Gram matrix, and which parameters (p,) its columns can distinguish from others.
 

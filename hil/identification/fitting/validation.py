@@ -12,6 +12,7 @@ from hil.identification.dataset import Dataset
 from hil.identification.fitting.exact import solved
 from hil.identification.result import Validation
 from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import distinct as decided
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,8 @@ def validated(data: Dataset, blocks: Blocks, values: Array, distinct: NDArray[np
     def is_in(number: NDArray[np.int64]) -> NDArray[np.bool_]:
         return ~is_out(number)
 
+    if data.choice.model.nonlinear:  # such a term may act in a few places, all of them held out
+        distinct = distinct & decided(blocks.where(is_in))
     fitted = blocks if distinct.all() else blocks.searching(distinct, values)
     positive = positive_among(
         [one for one, searched in zip(data.choice.model.linear, distinct, strict=False) if searched]
