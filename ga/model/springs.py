@@ -228,6 +228,17 @@ PROGRESSIVE: Final = Term(
     selection="misfit",
 )
 
+HARDENING: Final = Term(
+    "hardening",
+    "a stiffness that rises steadily in both directions",
+    (Parameter("Kh", "N*m/rad^2", "half of what the stiffness rises by in a radian", presence=True),),
+    columns=lambda r: (r.angle * abs(r.angle),),
+    rates=lambda r, c: (2.0 * abs(r.angle) * c.dtheta,),
+    pushed=lambda r, genes, moved: 2.0 * genes[0] * abs(r.angle) * moved,
+    carried=True,
+    selection="misfit",
+)
+
 SOFTENING: Final = Term(
     "softening",
     "a stiffness that drifts in time",

@@ -27,6 +27,7 @@ _RECORDS: Final = (
     springs.QUINTIC,
     springs.ASYMMETRIC,
     springs.PROGRESSIVE,
+    springs.HARDENING,
     springs.SOFTENING,
     springs.MAXWELL,
     springs.MAXWELL2,

@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 AKAIKE: Final = 2.0
 """The cost of a parameter in Akaike's criterion: that of one which is as a rule there."""
 
+SELDOM: Final = 2.0 * math.log(10.0)
+"""The further cost of one that one joint in ten has."""
+
 _FAR: Final = -20.0
 """Standard deviations below zero, from which the positive part of a normal distribution is a tail."""
 
@@ -52,6 +55,7 @@ def average(
     likely: Array,
     *,
     bounded: Sequence[int] = (),
+    seldom: Sequence[int] = (),
 ) -> Average | None:
     """Return the average over all models with and without the doubtful parameters; None where none is possible.
 
@@ -60,7 +64,7 @@ def average(
     parameters of which a negative estimate makes a model impossible. likely (2, p): what a parameter is likely to be,
     and one standard deviation of that, infinite where nothing is known: where the data say less, this does (ridge
     regression). bounded: parameters of every model that are zero where their estimate would be negative, with the
-    variance that they have without that bound.
+    variance that they have without that bound. seldom: doubtful parameters that have their cost in the interval too.
     """
     size = np.sqrt(np.diag(covariance))
     if not (np.isfinite(size).all() and (size > 0.0).all()):
@@ -79,7 +83,7 @@ def average(
     left, falls = tuple(one[0] for one in found), np.array([one[3] for one in found])
     each, weights = np.array([one[1] for one in found]), _weights(falls, left, costs)
     mean = weights @ each
-    spread = _weights(falls, left, dict.fromkeys(costs, AKAIKE))
+    spread = _weights(falls, left, {at: cost if at in seldom else AKAIKE for at, cost in costs.items()})
     variance = spread @ (np.array([one[2] for one in found]) + (each - mean) ** 2)
     return Average(mean * size, np.sqrt(variance) * size, left, weights)
 

@@ -228,6 +228,7 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
         [at for at, name in enumerate(names) if name in costs and _is_positive(name)],
         largest.likely,
         bounded=[names.index(one.name) for one in largest.model.linear if one.positive and one.name not in costs],
+        seldom=[names.index(name) for name in largest.seldom],
     )
     if found is None:
         return {}

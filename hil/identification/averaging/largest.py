@@ -27,13 +27,19 @@ from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
 from hil.uncertainty.criteria import COUPLING, TICK_SHARE
-from hil.uncertainty.model_average import AKAIKE
+from hil.uncertainty.model_average import AKAIKE, SELDOM
 
 Array = NDArray[np.float64]
 
 _ALWAYS = ("offset", "skew")
 BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
-_CURVES = ("cubic", "quintic", "progressive")  # a spring that curves has no more reason to follow one of them
+_CURVES = (
+    "cubic",
+    "quintic",
+    "progressive",
+    "hardening",
+)  # a spring that curves has no more reason to follow one of them
+_RARE_CURVES = ("hardening",)  # but this one, which has a kink where the joint is unloaded
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
 _SEVENTH = "seventh"  # another, of the next power of the deflection beside K5
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
@@ -70,8 +76,14 @@ class Largest:
         """
         curving = max((cost for term, cost in doubtful.items() if term in _CURVES), default=AKAIKE)
         found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
+        found |= {term: found[term] + SELDOM for term in _RARE_CURVES if term in found}
         costs = {name: cost for term, cost in (found | dict(doubtful)).items() for name in _own(term)}
         return costs | ({_SEVENTH: AKAIKE} if _SEVENTH in self.names else {})
+
+    @property
+    def seldom(self) -> list[str]:
+        """The names of the parameters added that one joint in ten has."""
+        return [name for term in _RARE_CURVES if term in self.added for name in _own(term)]
 
 
 def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> Largest | None:

@@ -31,7 +31,7 @@ from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
-from hil.uncertainty.model_average import without_positive
+from hil.uncertainty.model_average import SELDOM, without_positive
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,6 @@ _FALLING = ("Fs", "rise")  # parameters of a model that has it
 _RISE = 0.5  # of friction at speed, by which it is higher at rest: a standard deviation
 _SMALL = 0.1  # of the same: what is in proportion to it
 _GROWTH = 1.0  # of Bc, by which damping is higher at the rate of which it is felt: a standard deviation
-_SELDOM = 2.0 * math.log(10.0)  # the cost of what one joint in ten has
 
 
 def falling(largest: Largest, motion: Motion) -> list[tuple[Largest, float]]:
@@ -88,7 +87,7 @@ def growing(
         return []
     grown = _with_last(replace(grown, values=grown.values + by_errors(grown)), "B2")
     found = _marginal(grown, _GROWTH * damping / usual)
-    return [(replace(one, model=largest.model), more + _SELDOM) for one, more in found]
+    return [(replace(one, model=largest.model), more + SELDOM) for one, more in found]
 
 
 def _with_last(largest: Largest, name: str) -> Largest:

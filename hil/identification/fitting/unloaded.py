@@ -54,12 +54,13 @@ class Unloaded:
 
         None for a spring that does not curve, or whose model has a place of its own, and where the place is known.
         """
-        curves = [values.get(name, 0.0) for name in ("Kp", "K3", "K5")]
+        curves = [values.get(name, 0.0) for name in ("Kp", "Kh", "K3", "K5")]
         if not any(curves) or self.low == self.high == 0.0 or {"gap", "slack", "rest"} & set(values):
             return None
-        progressive, cubic, quintic = curves
+        progressive, hardening, cubic, quintic = curves
         slope = Polynomial([values["Kc"], 2.0 * progressive, 3.0 * cubic, 0.0, 5.0 * quintic])
-        found = slope(np.linspace(self.low, self.high, 101))
+        place = np.append(np.linspace(self.low, self.high, 101), min(max(self.low, 0.0), self.high))
+        found = slope(place) + 2.0 * hardening * np.abs(place)
         return float(found.min()), float(found.max()), "" if self.agreed else UNLOADED_PLACE
 
     def beside_turn(self, values: Mapping[str, float], motion: float) -> Span | None:

@@ -365,6 +365,14 @@ def test_a_spring_that_curves_comes_back_with_its_stiffness_at_zero() -> None:
     assert [found[name] / KC for name in ("Kc", "Kp", "K3", "K5")] == pytest.approx([1.0, 1.0, -3.0, 200.0], rel=0.05)
 
 
+def test_a_spring_that_stiffens_alike_in_both_directions_from_rest_on_comes_back() -> None:
+    """The first two terms of sinh-like tendons, whose torque is (e^(b|x|) - 1) Kc/b to either side."""
+    x = MOTION.dtheta
+    torque = KC * (x + 2.0 * np.abs(x) * x) + BC * MOTION.dtheta_dot + NOISES
+    found = identified("linear+hardening", torque)
+    assert found == pytest.approx({"Kc": KC, "Bc": BC, "Kh": 2.0 * KC}, rel=0.02)
+
+
 def test_friction_that_falls_with_the_rate_comes_back_and_leaves_bc_alone() -> None:
     rate = MOTION.dtheta_dot
     fallen = np.exp(-((rate / 0.3) ** 2))
@@ -416,7 +424,7 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
     ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
      "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew",
      "linear+coulomb+stribeck+skew", "linear+offset+cubic+quintic+progressive+skew", "linear+offset+sheath+skew",
-     "linear+offset+backlash+gear"],
+     "linear+offset+backlash+gear", "linear+hardening+skew"],
 )  # fmt: skip
 def test_the_jacobian_is_the_derivative_of_what_the_model_explains(name: str) -> None:
     even = moving(np.linspace(0.0, 4.0, 1601))

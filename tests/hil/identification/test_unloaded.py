@@ -106,6 +106,13 @@ def test_where_no_two_places_agree_the_interval_spans_the_stiffness_of_the_motio
     assert "unloaded-place" in [one.code for one in found.diagnostics if one.parameter == "Kc"]
 
 
+def test_where_the_place_is_unknown_the_interval_spans_a_stiffness_that_rises_in_both_directions() -> None:
+    values = {"Kc": KC, "Kh": 0.5}
+    span = Unloaded(low=-0.1, high=0.2, agreed=False).span(values)
+    assert span is not None
+    assert span[:2] == pytest.approx((KC, KC + 2.0 * 0.5 * 0.2))
+
+
 def test_one_zero_alone_is_not_believed_unless_a_model_without_an_offset_is_named(tmp_path: Path) -> None:
     deflection, rate = moved()
     asked = {"angle": deflection + 2.0, "torque": progressive(deflection, rate)}
