@@ -33,13 +33,8 @@ Array = NDArray[np.float64]
 
 _ALWAYS = ("offset", "skew")
 BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
-_CURVES = (
-    "cubic",
-    "quintic",
-    "progressive",
-    "hardening",
-)  # a spring that curves has no more reason to follow one of them
-_RARE_CURVES = ("hardening",)  # but this one, which has a kink where the joint is unloaded
+_RARE_CURVES = ("hardening",)  # this one has a kink where the joint is unloaded
+_CURVES = ("cubic", "quintic", "progressive", *_RARE_CURVES)  # a spring has no more reason to follow one of the first
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
 _SEVENTH = "seventh"  # another, of the next power of the deflection beside K5
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
