@@ -252,6 +252,23 @@ def test_the_interval_of_kc_holds_that_of_a_tendon_whose_torque_is_exponential(
     assert low < 0.02 < high
 
 
+def test_the_interval_of_kc_of_a_cubic_spring_is_little_wider_for_tendons_that_are_seldom(
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stiffens(channels: dict[str, Array]) -> None:
+        channels["torque"] += 0.02 * channels["dtheta"] ** 3
+
+    path, widths = make_recording(samples=4000, noise=2e-5, seed=2, change=stiffens), []
+    for curves, rare in ((largest._CURVES, ("hardening",)), (largest._CURVES, ()), (largest._CURVES[:-1], ())):
+        monkeypatch.setattr(largest, "_CURVES", curves)
+        monkeypatch.setattr(largest, "_RARE_CURVES", rare)
+        found = identify([path], None, SEARCH)
+        assert found.model.name == "linear+cubic"
+        widths.append(found["Kc"].half_width)
+    seldom, usual, never = widths
+    assert never < seldom < 0.9 * usual
+
+
 def with_friction(make_recording: Maker, rise: float, seed: int, form: str) -> tuple[float, float]:
     """The error of Bc and half its interval, parts of Bc, of a model with friction that does not fall.
 
