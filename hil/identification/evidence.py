@@ -208,17 +208,24 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
 
 
 def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Estimate, ...]:
-    """Return the estimates, the intervals of Kc and Bc wider by what the model lacks."""
+    """Return the estimates, the intervals of Kc and Bc wider by what the model lacks.
+
+    One that is too wide by it is not identifiable, unless the misfit is an error by itself, which says how large it is.
+    """
     sizes = dict(zip(COUPLING, zip(fit.in_intervals, fit.at_zero, strict=True), strict=True)) if fit else {}
     lacks = {one.name: size * (zero or abs(one.value)) for one in found for size, zero in [sizes.get(one.name, _NONE)]}
-    return tuple(_wider(one, lacks[one.name]) for one in found)
+    is_said = fit is not None and fit.misfit and fit.is_grave
+    return tuple(_wider(one, lacks[one.name], is_said=is_said) for one in found)
 
 
-def _wider(one: Estimate, lack: float) -> Estimate:
+def _wider(one: Estimate, lack: float, *, is_said: bool) -> Estimate:
     """Return the estimate with an interval wider by a lack, in its unit.
 
     Pooled recordings that differ fail the tests of the fit by that, and their interval holds it: the larger counts.
     """
     half = one.half_width
     more = lack if one.components is None else max(0.0, lack - half)
-    return replace(one, ci95=interval(one.value, half + more, positive=one.positive)) if more else one
+    if not more:
+        return one
+    known = one.identifiable and (is_said or narrow(half + more, one.value))
+    return replace(one, ci95=interval(one.value, half + more, positive=one.positive), identifiable=known)

@@ -17,7 +17,7 @@ from hil.first_run import compiled_ahead
 from hil.identification.averaging.average import averaged
 from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.doubts.identifiability import judge
-from hil.identification.doubts.misfit import misfit_diagnostics
+from hil.identification.doubts.misfit import lost_by_misfit, misfit_diagnostics
 from hil.identification.doubts.outweighed_spring import outweighed_spring
 from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.fitting.deflection import (
@@ -88,7 +88,7 @@ def _identified(
         differing = disagreement(evidence.names, evidence.scattered, [source.path for source in sources])
         described = _described(data, solution, evidence, differ=bool(differing))
         fit, dynamic = tested(described), without_model(described)
-        found = with_misfit(found, fit)
+        found = with_misfit(modelled := found, fit)
         doubts: list[Diagnostic] = []
         if not any(one.code == "implausible" for one in data.diagnostics):  # a wrong sign is the cause of all others
             found, undecided = with_rivals(steps, found)
@@ -99,6 +99,7 @@ def _identified(
                 *undecided,
                 *(deflection_diagnostics(evidence) or ignored_command(data.signals, dynamic)),
                 *misfit_diagnostics(described, data.choice.model.name, fit, dynamic),
+                *lost_by_misfit(modelled, found),
                 *outweighed_spring(described, fit),
             ]
         return Identification(

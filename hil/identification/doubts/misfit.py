@@ -11,6 +11,7 @@ from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import SeparableModel
 from hil.diagnostics import Diagnostic
 from hil.identification.fitting.described import Described
+from hil.identification.result import Estimate
 from hil.signals.torque_reading import seen_in_torque
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit
@@ -43,6 +44,25 @@ def misfit_diagnostics(
     is_grave = found.is_grave or not {"Kc", "Bc"} <= set(described.names)  # it has no other measure
     misfit = Diagnostic("misfit", message, found.affected, is_error=is_grave)
     return [Diagnostic("torque-reading", seen, found.affected, is_error=is_grave), misfit] if seen else [misfit]
+
+
+def lost_by_misfit(before: Sequence[Estimate], found: Sequence[Estimate]) -> list[Diagnostic]:
+    """Return the error of each parameter that the model identifies, but not with what the model may leave out.
+
+    before, found: the estimates with the intervals of the model, and with those that its lack of fit makes wider.
+    """
+    return [
+        Diagnostic(
+            "not-identifiable",
+            f"{one.name} is not identifiable: it is uncertain by {percent(one.half_width / one.value)}, of which "
+            "effects that the model leaves out, or errors of the deflection, make "
+            f"{percent((one.half_width - old.half_width) / one.value)}. Record for longer, and with a larger amplitude",
+            one.name,
+            is_error=True,
+        )
+        for old, one in zip(before, found, strict=True)
+        if old.identifiable and not one.identifiable
+    ]
 
 
 def _untested(model: str, found: LackOfFit | None) -> Diagnostic:

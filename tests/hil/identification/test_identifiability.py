@@ -16,7 +16,8 @@ from ga.model.memory import yielding
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
 from hil.identification.doubts.identifiability import other_stiffness
-from hil.identification.evidence import span_met, span_of_stiffness
+from hil.identification.doubts.misfit import lost_by_misfit
+from hil.identification.evidence import span_met, span_of_stiffness, with_misfit
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.result import Estimate, Identification, Repeatability
@@ -26,6 +27,8 @@ from hil.recording.reader import Array
 from hil.report.identification import headline, summary_lines
 from hil.report.identification_json import as_json
 from hil.signals.inspection import inspect
+from hil.uncertainty.effects import effect_of
+from hil.uncertainty.misfit import LackOfFit, Respect, Suspect
 
 from ..conftest import Maker
 
@@ -542,3 +545,32 @@ def test_a_dead_band_pulled_to_one_end_only_is_no_spring_of_half_the_stiffness(m
     low, high = found["Kc"].ci95
     assert low <= 0.02 <= high
     assert high - low < 0.002 or not found.trusted("Kc")
+
+
+def lack_of_fit(kc: float, *, outside: bool) -> LackOfFit:
+    """A model that leaves out what moves Kc by a part of its value, which the motion shows beyond any doubt."""
+    failed = (Respect("memory", "the torque depends on the earlier motion", 1e-6),)
+    suspects = (Suspect(effect_of("drift"), 0.5, kc, 0.0),)
+    nothing = np.zeros((0, 2))
+    return LackOfFit(failed, 0.5, suspects, kc, 0.0, outside, 5000, nothing[:, 0], nothing, nothing, unexplained=0.1)
+
+
+@pytest.mark.parametrize(("lack", "known"), [(0.25, True), (0.35, False)])
+def test_what_a_model_leaves_out_may_make_the_interval_of_kc_too_wide(lack: float, known: bool) -> None:
+    """With 5 % given the model, 30 and 40 % are below and above the 35 % that an interval may have."""
+    before = (estimate("Kc", 0.02, 0.001), FOUND[1])
+    found = with_misfit(before, lack_of_fit(lack, outside=False))
+
+    assert found[0].half_width == pytest.approx((0.05 + lack) * 0.02)
+    assert [one.identifiable for one in found] == [known, True]
+    said = lost_by_misfit(before, found)
+    assert [(one.parameter, one.is_error) for one in said] == ([] if known else [("Kc", True)])
+    assert known or "it is uncertain by 40 %, of which effects" in said[0].message
+
+
+def test_a_misfit_that_is_an_error_by_itself_needs_no_other() -> None:
+    before = (estimate("Kc", 0.02, 0.001), FOUND[1])
+    found = with_misfit(before, lack_of_fit(0.35, outside=True))
+
+    assert found[0].half_width == pytest.approx(0.4 * 0.02)
+    assert lost_by_misfit(before, found) == []
