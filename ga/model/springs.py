@@ -26,6 +26,12 @@ LONGEST_RELAXATION: Final = 10.0
 LONGEST_ONCE: Final = 0.5
 """s, of a Maxwell branch in a motion that does not repeat: a slower one looks like friction or a drift there."""
 
+STEEPEST: Final = 6.0
+"""The logarithm of how many times as stiff an exponential tendon may be at the largest deflection as at rest."""
+
+STRAIGHTEST: Final = 0.1
+"""The same, below which it stiffens steadily: `hardening`."""
+
 SHORTEST_RELAXATION: Final = 0.02
 """Of a Maxwell branch, as a part of the shortest period: a shorter one is a damping."""
 
@@ -93,6 +99,28 @@ def _relaxation_bounds(motion: Motion, highest: float) -> tuple[tuple[float, flo
     longest = min(longest, part * float(motion.time[-1] - motion.time[0]))
     shortest = min(SHORTEST_RELAXATION / highest, 0.5 * longest)
     return ((shortest, longest),)
+
+
+def _efold_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    import numpy as np
+
+    furthest = float(np.abs(motion.dtheta).max())
+    return ((furthest / STEEPEST, furthest / STRAIGHTEST),)
+
+
+def _exponential(regressors: Regressors) -> tuple[Array, ...]:
+    import numpy as np
+
+    efold = float(regressors.own[0])
+    stretch = np.abs(regressors.angle) / efold
+    return (2.0 * efold**2 * np.sign(regressors.angle) * (np.expm1(stretch) - stretch),)
+
+
+def _exponential_slope(regressors: Regressors) -> Array:
+    import numpy as np
+
+    efold = float(regressors.own[0])
+    return np.asarray(2.0 * efold * np.expm1(np.abs(regressors.angle) / efold))
 
 
 def _extent(motion: Motion) -> tuple[float, float]:
@@ -228,14 +256,43 @@ PROGRESSIVE: Final = Term(
     selection="misfit",
 )
 
+_RISE: Final = Parameter("Kh", "N*m/rad^2", "half of what the stiffness rises by in a radian", presence=True)
+
 HARDENING: Final = Term(
     "hardening",
     "a stiffness that rises steadily in both directions",
-    (Parameter("Kh", "N*m/rad^2", "half of what the stiffness rises by in a radian", presence=True),),
+    (_RISE,),
     columns=lambda r: (r.angle * abs(r.angle),),
     rates=lambda r, c: (2.0 * abs(r.angle) * c.dtheta,),
     pushed=lambda r, genes, moved: 2.0 * genes[0] * abs(r.angle) * moved,
     carried=True,
+    selection="misfit",
+)
+
+EXPONENTIAL: Final = Term(
+    "exponential",
+    "a stiffness that rises exponentially in both directions",
+    (
+        _RISE,
+        Parameter(
+            "efold",
+            "rad",
+            "deflection in which the rise of the stiffness grows by the factor e",
+            scales=False,
+            absent=None,
+            positive=True,
+            nonlinear=True,
+            starts=(0.01, 0.03, 0.1, 0.3),
+            open_ended=True,
+        ),
+    ),
+    columns=_exponential,
+    rates=lambda r, c: (_exponential_slope(r) * c.dtheta,),
+    pushed=lambda r, genes, moved: genes[0] * _exponential_slope(r) * moved,
+    bounds=_efold_bounds,
+    carried=True,
+    excludes=("cubic", "quintic", "hardening"),
+    reason="an exponential has all powers of the deflection (cubic, quintic), and begins with hardening",
     selection="misfit",
 )
 

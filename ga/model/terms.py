@@ -28,6 +28,7 @@ _RECORDS: Final = (
     springs.ASYMMETRIC,
     springs.PROGRESSIVE,
     springs.HARDENING,
+    springs.EXPONENTIAL,
     springs.SOFTENING,
     springs.MAXWELL,
     springs.MAXWELL2,

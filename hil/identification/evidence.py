@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.coupling import CouplingModel
 from ga.model.record import Parameter
 from ga.model.trajectory import Motion
 from ga.trials.outcome import Trials
@@ -15,7 +16,15 @@ from hil.identification.model_choice import Coupling
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation, interval
 from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
-from hil.uncertainty.criteria import COUPLING, DIFFERENT, LIKE_FRICTION, distinguishable, friction_likeness, narrow
+from hil.uncertainty.criteria import (
+    COUPLING,
+    DIFFERENT,
+    INFLATION,
+    LIKE_FRICTION,
+    distinguishable,
+    friction_likeness,
+    narrow,
+)
 from hil.uncertainty.deflection.correction import DeflectionErrors
 from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
@@ -90,7 +99,7 @@ class Evidence:
     def identifiable(self, at: int) -> bool:
         """Return whether the recording identifies the parameter at that place."""
         half, value, name = float(self.errors.half_width[at]), float(self.values[at]), self.names[at]
-        found = distinguishable(half, float(self.errors.inflation[at]))
+        found = distinguishable(half, float(self.errors.inflation[at])) or self._known_beside_its_term(at)
         if name == "Bc":  # friction that the model leaves out would be in it, whatever the interval
             found = found and self.friction_likeness < LIKE_FRICTION
         if name in COUPLING:
@@ -98,6 +107,20 @@ class Evidence:
         if self.parameters[at].presence:
             found = found and half < abs(value)
         return found
+
+    def _known_beside_its_term(self, at: int) -> bool:
+        """Whether a parameter that is only like another one of its own term is known within its interval.
+
+        The two say together how a law is shaped, as the rise of an exponential stiffness and its e-fold do.
+        """
+        terms = self.model.terms if isinstance(self.model, CouplingModel) else ()
+        alike = {one.name for term in terms for one in term.parameters if self.parameters[at] in term.parameters}
+        if self.names[at] in COUPLING or not narrow(float(self.errors.half_width[at]), float(self.values[at])):
+            return False
+        others = self.columns[:, [name not in alike for name in self.names]]
+        own = self.columns[:, at]
+        left = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
+        return bool(own @ own < INFLATION * (left @ left))
 
     @property
     def friction_likeness(self) -> float:

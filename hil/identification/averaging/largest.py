@@ -37,6 +37,7 @@ _RARE_CURVES = ("hardening",)  # this one has a kink where the joint is unloaded
 _CURVES = ("cubic", "quintic", "progressive", *_RARE_CURVES)  # a spring has no more reason to follow one of the first
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
 _SEVENTH = "seventh"  # another, of the next power of the deflection beside K5
+_CUBED = "cubed"  # another, of the cube of the deflection beside an exponential
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
 
 
@@ -73,7 +74,7 @@ class Largest:
         found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
         found |= {term: found[term] + SELDOM for term in _RARE_CURVES if term in found}
         costs = {name: cost for term, cost in (found | dict(doubtful)).items() for name in _own(term)}
-        return costs | ({_SEVENTH: AKAIKE} if _SEVENTH in self.names else {})
+        return costs | {name: AKAIKE for name in (_SEVENTH, _CUBED) if name in self.names}
 
     @property
     def seldom(self) -> list[str]:
@@ -88,7 +89,7 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
     """
     chosen = smaller.model.name.split("+")
     added: list[str] = []
-    curves = _CURVES if {*_CURVES, "asymmetric"}.intersection(chosen) else ()
+    curves = _CURVES if {*_CURVES, "exponential", "asymmetric"}.intersection(chosen) else ()
     hidden = {"coulomb"} if slowest(data.motion) == 0.0 else set()  # its sign would be that of the rate's noise
     # a short lag differs from a skew by less than what estimates both at once
     hidden |= {"skew"} if "lag" in chosen else set()
@@ -108,6 +109,9 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
             if "quintic" in chosen:  # what a cubic does not describe follows no power exactly
                 seventh = columns[:, names.index("K5")] * data.motion.dtheta**2
                 names, columns = [*names, _SEVENTH], np.column_stack([columns, seventh])
+            if "exponential" in chosen:
+                cubed = columns[:, names.index("Kc")] * data.motion.dtheta**2
+                names, columns = [*names, _CUBED], np.column_stack([columns, cubed])
             first = np.append(fit.values, np.zeros(len(names) - len(fit.values)))
             values = least_absolute_deviations(columns, target, first).genes
         except RuntimeError:  # some columns are dependent
@@ -165,7 +169,7 @@ def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
     """
     own = own_values(smaller, data)
     names, matrix = largest.names, largest.sampling.matrix
-    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING, _SEVENTH) if name in names]
+    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING, _SEVENTH, _CUBED) if name in names]
     if not added:
         return True
     gain = np.linalg.lstsq(matrix[np.ix_(added, added)], matrix[added], rcond=None)[0]  # (added, p)

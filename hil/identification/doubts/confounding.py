@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 
 _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
 _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
-_CURVED = {"cubic", "quintic", "progressive", "hardening", "asymmetric"}  # the terms of a spring that curves or bends
+# the terms of a spring that curves or bends
+_CURVED = {"cubic", "quintic", "progressive", "hardening", "exponential", "asymmetric"}
 _RUBS = {"coulomb", "dahl", "lugre", "boucwen", "capstan", "sheath", "gear"}  # and those of friction
 
 

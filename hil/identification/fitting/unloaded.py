@@ -60,7 +60,7 @@ class Unloaded:
         progressive, hardening, cubic, quintic = curves
         slope = Polynomial([values["Kc"], 2.0 * progressive, 3.0 * cubic, 0.0, 5.0 * quintic])
         place = np.append(np.linspace(self.low, self.high, 101), min(max(self.low, 0.0), self.high))
-        found = slope(place) + 2.0 * hardening * np.abs(place)
+        found = slope(place) + 2.0 * hardening * _rising(np.abs(place), values.get("efold", math.inf))
         return float(found.min()), float(found.max()), "" if self.agreed else UNLOADED_PLACE
 
     def beside_turn(self, values: Mapping[str, float], motion: float) -> Span | None:
@@ -76,6 +76,11 @@ class Unloaded:
             return None
         half = abs(values["Ka"])
         return values["Kc"] - half, values["Kc"] + half, DEFLECTION
+
+
+def _rising(stretched: Array, efold: float) -> Array:
+    """How far, rad, a stiffness has risen at deflections (n,), rad, of a rise that grows by e in an e-fold, rad."""
+    return stretched if math.isinf(efold) else efold * np.expm1(stretched / efold)
 
 
 Rest = Callable[[Signals], Unloaded]

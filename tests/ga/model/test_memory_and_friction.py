@@ -373,6 +373,21 @@ def test_a_spring_that_stiffens_alike_in_both_directions_from_rest_on_comes_back
     assert found == pytest.approx({"Kc": KC, "Bc": BC, "Kh": 2.0 * KC}, rel=0.02)
 
 
+def test_a_pair_of_exponential_tendons_comes_back_with_its_stiffness_at_rest() -> None:
+    """Each pulls with (e^(|x|/s) - 1) Kc s, so that its stiffness Kc e^(|x|/s) rises by Kc/s in a radian at rest."""
+    x, efold = MOTION.dtheta, 0.05
+    torque = KC * efold * np.sign(x) * np.expm1(np.abs(x) / efold) + BC * MOTION.dtheta_dot + NOISES
+    found = identified("linear+exponential", torque)
+    assert found == pytest.approx({"Kc": KC, "Bc": BC, "Kh": 0.5 * KC / efold, "efold": efold}, rel=0.02)
+
+
+def test_a_long_e_fold_is_a_stiffness_that_rises_steadily() -> None:
+    model, steady = (parse(f"linear+{term}").anchored(MOTION) for term in ("exponential", "hardening"))
+    longest = model.bounds(MOTION, 11.0)[1]
+    rising = model.columns(MOTION, 1e4 * longest)[:, 2]
+    assert rising == pytest.approx(steady.columns(MOTION)[:, 2], rel=1e-4, abs=1e-9)
+
+
 def test_friction_that_falls_with_the_rate_comes_back_and_leaves_bc_alone() -> None:
     rate = MOTION.dtheta_dot
     fallen = np.exp(-((rate / 0.3) ** 2))
@@ -424,7 +439,7 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
     ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
      "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew",
      "linear+coulomb+stribeck+skew", "linear+offset+cubic+quintic+progressive+skew", "linear+offset+sheath+skew",
-     "linear+offset+backlash+gear", "linear+hardening+skew"],
+     "linear+offset+backlash+gear", "linear+hardening+skew", "linear+exponential+skew"],
 )  # fmt: skip
 def test_the_jacobian_is_the_derivative_of_what_the_model_explains(name: str) -> None:
     even = moving(np.linspace(0.0, 4.0, 1601))
