@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.friction import felt
+from ga.model.hysteresis import REACHES
 from ga.model.memory import falls
 from ga.model.terms import PARAMETERS, is_addable
 from ga.model.trajectory import Motion
@@ -55,9 +56,11 @@ def falling(largest: Largest, motion: Motion) -> list[tuple[Largest, float]]:
     whole, rows = motion.whole
     seen = whole.delayed(values.get("skew", 0.0))
     friction = sum(values[name] * largest.columns[:, largest.names.index(name)] for name in rubs)
+    # the fit is linearised, and may lie beyond the bounds
+    reach = max(values.get("reach", 0.0), REACHES[0] * float(np.ptp(motion.dtheta)))
     for over in (part * felt(motion.dtheta_dot) for part in _FALLS_OVER):
         if "Fd" in values:
-            more = seen.bristles(values["reach"], _SMALL, over) - seen.presliding(values["reach"])
+            more = seen.bristles(reach, _SMALL, over) - seen.presliding(reach)
             column = values["Fd"] / _SMALL * more[rows]
         else:
             column = friction * falls(seen.dtheta_dot, over)[rows]

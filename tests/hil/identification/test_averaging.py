@@ -414,3 +414,21 @@ def test_the_interval_of_one_model_is_its_own(scale: float) -> None:
     found = average._mixed(np.array([1.0]), [one])
     assert found.value == pytest.approx(one.value, rel=1e-9)
     assert found.half_width == pytest.approx(one.half_width, rel=1e-4)  # 1.96 is 1.959964
+
+
+def test_friction_that_falls_is_computed_where_a_linearised_fit_has_no_way_to_build_up_over(
+    make_recording: Maker,
+) -> None:
+    """The reach of the larger model came out negative, and the friction over it infinite."""
+    with Recording(make_recording(change=lambda channels: sweep(channels, 0.0, 1))) as recording:
+        signals = prepare(recording, None)
+    motion = signals.motion
+    model = parse("linear+dahl").anchored(motion)
+    problem = Problem(model, motion, signals.torque, *model.bounds(motion, 9.0))
+    columns, target = problem.linearised(problem.solve(np.array([0.01])))
+    values = np.array([KC, BC, 1e-3, -0.01])
+    sampling = covariance(Blocks.of(columns, target), values)
+    likely = np.stack([np.zeros(4), np.full(4, np.inf)])
+    names = [parameter.name for parameter in model.parameters]
+    found = rate_laws.falling(Largest(model, (), names, columns, target, values, sampling, likely), motion)
+    assert all(np.isfinite(one.values).all() for one, _ in found)
