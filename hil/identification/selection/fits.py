@@ -210,12 +210,13 @@ class Fits:
         return self._fitted[terms]
 
     def with_value(self, terms: tuple[str, ...], smaller: Candidate, value: float) -> Candidate:
-        """Return the fit with a value, SI, of the last term's own parameter, a nonlinear one; nothing is held out.
+        """Return the fit with a value, SI, of the last term's own nonlinear parameter; nothing is held out.
 
         smaller: the fit without that term, whose nonlinear parameters it has. Raises RuntimeError as `Problem.solve`.
         """
         problem = self._problem(terms)
-        nonlinear = _named(smaller.model, smaller.fit) | {own(terms[-1])[0]: value}
+        own_name = next(one.name for one in TERMS[terms[-1]].parameters if one.nonlinear)
+        nonlinear = _named(smaller.model, smaller.fit) | {own_name: value}
         found = problem.solve(np.array([nonlinear[one.name] for one in problem.model.nonlinear]))
         return Candidate(terms, _model(terms), problem, found, np.empty(0), self.errors[0])
 

@@ -14,6 +14,7 @@ from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel
 from ga.model.polishing import polished
 from ga.model.separable import descend
+from ga.model.springs import SHORTEST_RELAXATION
 from ga.model.terms import is_addable
 from ga.model.trajectory import FORGOTTEN
 from hil.identification.selection.criterion import STRONG, Criterion
@@ -27,7 +28,8 @@ Array = NDArray[np.float64]
 EARLIER: Final = (*LATE, "inertia")
 """Why a torque reading may be late, or may seem to be early."""
 
-_STIFFEST, _FELT = 2.0, 0.1  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
+_STIFFEST, _HIDDEN = 2.0, 0.002  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
+_BRANCHES = 12  # time constants, two an octave
 _DELAYS, _LAGS = 3, 11  # every half tick of each sign, and every half octave
 _NARROW = 4.0  # twice the fall of the logarithmic likelihood at a skew, from which a parabola may end before it
 _UNLIKELY = 30.0  # twice the logarithm of the odds against a time, from which longer ones weigh nothing
@@ -97,7 +99,7 @@ class LateReading:
         return self.fits.candidate(_replaced(chosen.terms, "skew", best)) if gains.get(best, 0.0) > STRONG else chosen
 
     def alternatives(self, chosen: Candidate) -> tuple[Alternative, ...]:
-        """Return the models with a skew, a lag of the cell, both, an inertia or a branch, in place of its own or none.
+        """Return the models with a skew, a lag of the cell, both or an inertia, in place of its own or none.
 
         In slow motion any of them is a damping: a model without one may have the fit, and not the damping.
         """
@@ -131,7 +133,7 @@ class LateReading:
         return (Alternative(chosen.anchored, chosen.fit.nonlinear, criterion, usual_skew=True),)
 
     def lateness(self, chosen: Candidate) -> tuple[Lateness, ...]:
-        """Return Kc and Bc for each likely delay and lag where a model has neither; else nothing.
+        """Return Kc and Bc for each likely delay and lag where a model has neither, and for each branch in their place.
 
         Where the motion is slow the data hardly decide on the time: the one that fits best may be far from the right
         one, early, or at a bound. Every likely time is therefore fitted, and weighs by its likelihood. One bench in ten
@@ -140,7 +142,9 @@ class LateReading:
         has each.
         """
         try:
-            return tuple(self._instead_of_the_skew(chosen) if "skew" in chosen.terms else self._late(chosen))
+            if set(LATE).intersection(chosen.terms):
+                return (*self._instead_of_the_skew(chosen), *self._relaxing(chosen))
+            return tuple(self._late(chosen))
         except RuntimeError:  # no optimum can be proven
             return ()
 
@@ -259,17 +263,16 @@ class LateReading:
                 (one for one in found if one.terms[-1] in LATE), key=lambda one: one.fit.fitness, default=chosen
             )
             both = self._with((*others, *LATE), beside=nearest) if set(LATE) <= set(self.accounts) else None
-            found += [one for one in (both, self._relaxing(chosen, others)) if one is not None]
+            found += [both] if both is not None else []
         return found
 
     def _akaike(self, chosen: Candidate, one: Candidate, alike: float) -> float:
         """Akaike's criterion of a model less that of the one chosen, alike: the factor by which it is less certain."""
-        relaxes = "maxwell" in one.terms and "maxwell" not in chosen.terms
         better = chosen.fit.fitness - self._without_errors(one, chosen.fit.fitness)
         return (
             2.0 * (len(one.model.parameters) - len(chosen.model.parameters))
             - self.criterion.gained(better) / alike
-            + (_RARE if relaxes or not set(EARLIER).intersection(chosen.terms) else 0.0)
+            + (0.0 if set(EARLIER).intersection(chosen.terms) else _RARE)
         )
 
     def _without_errors(self, one: Candidate, least: float) -> float:
@@ -281,25 +284,33 @@ class LateReading:
         left = one.fit.fitness**2 - 2.0 / math.pi * errors**2
         return max(math.sqrt(max(left, 0.0)), min(least, one.fit.fitness))
 
-    def _relaxing(self, chosen: Candidate, others: tuple[str, ...]) -> Candidate | None:
-        """The model with a branch that relaxes faster than the joint moved, in place of a late torque reading.
+    def _relaxing(self, chosen: Candidate) -> Iterator[Lateness]:
+        """Kc and Bc with each branch that relaxes faster than the joint moved, in place of a late torque reading.
 
-        Both stiffen fast motion, and the branch is a damper besides. A delay d, which hides Kc d of Bc, stiffens as
-        much as K1 = Bc d/tau1^2, which damps by K1 tau1. None is much stiffer than Kc, so that this is sqrt(2 Kc Bc d)
-        at most. None stands alone: without a damper beside it, it has the form of a lag, which has a parameter less.
+        Both stiffen fast motion, and the branch is a damper besides. In slow motion nothing but how much it stiffens
+        shows, K1 tau1^2: each time constant up to the shortest period is fitted, and as likely in each half octave. One
+        joint in ten has such a branch. Where the reading is later than one recorder makes it, that is as rare. None is
+        much stiffer than Kc, and none stands alone: without a damper beside it, it has the form of a lag.
         """
-        values = chosen.values
-        late = sum(abs(values.get(term, 0.0)) for term in LATE)
-        hidden = late * values["Kc"] / values["Bc"] if values["Bc"] > 0.0 else math.inf
-        if not is_addable("maxwell", others) or hidden + math.sqrt(_STIFFEST * hidden) < _FELT:
-            return None
-        terms = (*others, "maxwell")
-        if self.fits.fitness(terms) == np.inf:
-            return None
-        found = self.fits.candidate(terms)
-        branch = found.values
-        likely = branch["K1"] <= _STIFFEST * branch["Kc"] and branch["Bc"] >= _FELT * values["Bc"]
-        return found if likely and found.is_possible("maxwell") else None
+        others = tuple(term for term in chosen.terms if term not in LATE)
+        late = sum(abs(chosen.values.get(term, 0.0)) for term in LATE)
+        if not is_addable("maxwell", others) or {"mean", "inertia"}.intersection(others) or not chosen.damping > 0.0:
+            return
+        without = self._with(others)
+        if without is None or late * chosen.stiffness < _HIDDEN * chosen.damping:
+            return
+        is_usual = late <= LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
+        blurred, before = 0.0, math.nan
+        for constant in np.geomspace(SHORTEST_RELAXATION, 1.0, _BRANCHES) / self.fits.highest:
+            branch = self.fits.with_value((*others, "maxwell"), without, float(constant))
+            blurred = blurred or self.criterion.blurred(branch, "maxwell")
+            rare = (_RARE if is_usual else 0.0) + 2.0 * math.log(_BRANCHES)
+            criterion = rare - self._ratio_when_settled(chosen, branch, float(constant)) / blurred
+            is_possible = 0.0 < branch.values["K1"] <= _STIFFEST * branch.stiffness and branch.damping > 0.0
+            spread = abs(branch.damping - before) / 12.0**0.5
+            if is_possible and math.isfinite(spread) and criterion < _UNLIKELY:
+                yield Lateness(branch.stiffness, branch.damping, spread, criterion)
+            before = branch.damping
 
     def _with(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate | None:
         """The model of these terms, where its skew and lag are within their bounds."""

@@ -236,7 +236,8 @@ def test_a_skew_that_is_too_large_for_set_points_that_are_held_is_none() -> None
     noisy = linear(moved) + 5e-5 * np.random.default_rng(4).standard_normal(SAMPLES)
     found = select(motion, noisy, HIGHEST, accounts=("skew",))
     assert found.model.name == "linear+skew"
-    assert found.lateness == ()
+    assert found.late is not None
+    assert list(found.late._instead_of_the_skew(found.chosen)) == []
 
 
 @pytest.mark.parametrize(("high", "times", "drives"), [(0.4, 17, 5), (HIGHEST, 0, 0)])
@@ -596,6 +597,19 @@ def test_noise_that_lasts_is_no_branch_in_place_of_a_skew(seed: int) -> None:
     torque = linear(chirp(TIME - 1e-3)) + 3e-4 * (walk - walk.mean()) / walk.std()
     fits = Fits(Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES)), torque, HIGHEST)
     late = LateReading(fits, criterion.criterion_of(fits, ("offset", "skew"), ("linear",)), LATE)
-    branch = [one for one in late.alternatives(fits.candidate(("linear", "skew"))) if "maxwell" in one.model.name]
-    assert all(one.criterion > -10.0 for one in branch)
-    assert branch
+    branches = list(late._relaxing(fits.candidate(("linear", "skew"))))
+    assert all(one.criterion > -10.0 for one in branches)
+    assert branches
+
+
+def test_a_branch_in_place_of_a_late_reading_is_any_of_those_that_stiffen_fast_motion_as_much() -> None:
+    """In slow motion K1 (w tau1)^2 of K' and Bc + K1 tau1 of B' show, and not of which time constant they are."""
+    moved, stiffening, seen = chirp(TIME), 0.5 * KC * 3e-3**2, BC + 0.5 * KC * 3e-3
+    relaxing = KC * moved.dtheta + seen * moved.rate - stiffening * moved.acceleration
+    torque = relaxing + 1e-5 * np.random.default_rng(1).standard_normal(SAMPLES)
+    fits = Fits(Motion(moved.time, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES)), torque, HIGHEST)
+    late = LateReading(fits, criterion.criterion_of(fits, ("offset", "skew"), ("linear",)), LATE)
+    found = list(late._relaxing(fits.candidate(("linear", "skew"))))
+    constants = np.geomspace(0.02, 1.0, 12)[1:4] / HIGHEST
+    assert [one.Bc for one in found] == pytest.approx(seen - stiffening / constants, rel=0.01)
+    assert [one.Kc for one in found] == pytest.approx([KC] * 3, rel=1e-3)
