@@ -27,13 +27,12 @@ LONGEST_ONCE: Final = 0.5
 """s, of a Maxwell branch in a motion that does not repeat: a slower one looks like friction or a drift there."""
 
 STEEPEST: Final = 6.0
-"""The logarithm of how many times as stiff an exponential tendon may be at the largest deflection as at rest."""
-
-STRAIGHTEST: Final = 0.1
-"""The same, below which it stiffens steadily: `hardening`."""
+"""The logarithm of how many times as much a stiffness that rises exponentially rises at the largest deflection."""
 
 SHORTEST_RELAXATION: Final = 0.02
 """Of a Maxwell branch, as a part of the shortest period: a shorter one is a damping."""
+
+_SMALL_STRETCH: Final = 1e-3  # below which the first powers of an exponential are enough
 
 _GAPS: Final = ("backlash", "deadband", "slack")
 
@@ -101,26 +100,51 @@ def _relaxation_bounds(motion: Motion, highest: float) -> tuple[tuple[float, flo
     return ((shortest, longest),)
 
 
-def _efold_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+def _exponent_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    return ((0.0, STEEPEST / _furthest(motion)),)
+
+
+def _toe_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    most = STEEPEST / _furthest(motion)
+    return ((-most, most),)
+
+
+def _furthest(motion: Motion) -> float:
+    least, span = _extent(motion)
+    return max(abs(least), abs(least + span))
+
+
+def risen(angle: Array, exponent: float) -> Array:
+    """How far, rad, a stiffness has risen at deflections (n,), rad: (e^u - 1)/exponent, u = exponent times angle."""
     import numpy as np
 
-    furthest = float(np.abs(motion.dtheta).max())
-    return ((furthest / STEEPEST, furthest / STRAIGHTEST),)
+    return angle if exponent == 0.0 else np.expm1(exponent * angle) / exponent
+
+
+def _lifted(angle: Array, exponent: float) -> Array:
+    """What that adds to the torque, (n,) rad^2: 2 (e^u - 1 - u)/exponent^2, angle^2 where u is small."""
+    import numpy as np
+
+    stretch = exponent * angle
+    small = np.abs(stretch) < _SMALL_STRETCH
+    whole = np.where(small, 1.0, stretch)
+    ratio = np.where(small, 1.0 + stretch / 3.0 + stretch**2 / 12.0, 2.0 * (np.expm1(whole) - whole) / whole**2)
+    return np.asarray(ratio * angle**2)
 
 
 def _exponential(regressors: Regressors) -> tuple[Array, ...]:
     import numpy as np
 
-    efold = float(regressors.own[0])
-    stretch = np.abs(regressors.angle) / efold
-    return (2.0 * efold**2 * np.sign(regressors.angle) * (np.expm1(stretch) - stretch),)
+    angle = regressors.angle
+    return (np.sign(angle) * _lifted(np.abs(angle), float(regressors.own[0])),)
 
 
-def _exponential_slope(regressors: Regressors) -> Array:
-    import numpy as np
+def _both_ways(regressors: Regressors) -> Array:
+    return 2.0 * risen(abs(regressors.angle), float(regressors.own[0]))
 
-    efold = float(regressors.own[0])
-    return np.asarray(2.0 * efold * np.expm1(np.abs(regressors.angle) / efold))
+
+def _one_way(regressors: Regressors) -> Array:
+    return 2.0 * risen(regressors.angle, float(regressors.own[0]))
 
 
 def _extent(motion: Motion) -> tuple[float, float]:
@@ -269,30 +293,38 @@ HARDENING: Final = Term(
     selection="misfit",
 )
 
+_EXPONENT: Final = Parameter(
+    "exponent", "1/rad", "the stiffness' rise grows by the factor e in 1/exponent", scales=False, nonlinear=True
+)
+_LAWS: Final = ("cubic", "quintic", "progressive", "hardening")
+_REASON: Final = "an exponential has all powers of the deflection, and begins with hardening or progressive"
+
 EXPONENTIAL: Final = Term(
     "exponential",
     "a stiffness that rises exponentially in both directions",
-    (
-        _RISE,
-        Parameter(
-            "efold",
-            "rad",
-            "deflection in which the rise of the stiffness grows by the factor e",
-            scales=False,
-            absent=None,
-            positive=True,
-            nonlinear=True,
-            starts=(0.01, 0.03, 0.1, 0.3),
-            open_ended=True,
-        ),
-    ),
+    (_RISE, _EXPONENT),
     columns=_exponential,
-    rates=lambda r, c: (_exponential_slope(r) * c.dtheta,),
-    pushed=lambda r, genes, moved: genes[0] * _exponential_slope(r) * moved,
-    bounds=_efold_bounds,
+    rates=lambda r, c: (_both_ways(r) * c.dtheta,),
+    pushed=lambda r, genes, moved: genes[0] * _both_ways(r) * moved,
+    bounds=_exponent_bounds,
     carried=True,
-    excludes=("cubic", "quintic", "hardening"),
-    reason="an exponential has all powers of the deflection (cubic, quintic), and begins with hardening",
+    excludes=tuple(law for law in _LAWS if law != "progressive"),
+    reason=_REASON,
+    selection="misfit",
+)
+
+TOE: Final = Term(
+    "toe",
+    "a stiffness that rises exponentially in one direction, as that of a tendon at first",
+    (PROGRESSIVE.parameters[0], _EXPONENT),
+    columns=lambda r: (_lifted(r.angle, float(r.own[0])),),
+    rates=lambda r, c: (_one_way(r) * c.dtheta,),
+    pushed=lambda r, genes, moved: genes[0] * _one_way(r) * moved,
+    bounds=_toe_bounds,
+    carried=True,
+    needs="offset",
+    excludes=(*_LAWS, "exponential"),
+    reason=_REASON,
     selection="misfit",
 )
 

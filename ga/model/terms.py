@@ -29,6 +29,7 @@ _RECORDS: Final = (
     springs.PROGRESSIVE,
     springs.HARDENING,
     springs.EXPONENTIAL,
+    springs.TOE,
     springs.SOFTENING,
     springs.MAXWELL,
     springs.MAXWELL2,

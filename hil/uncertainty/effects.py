@@ -317,7 +317,7 @@ EFFECTS: Final = (
         "try --model {quadratic}, and record at several amplitudes: Bc then rises with them",
         lambda r, _m: [_columns(r.rate * np.abs(r.rate))],
     ),
-    Effect("cubic", "a spring that stiffens", "try --model {cubic} or {exponential}", _cubic),
+    Effect("cubic", "a spring that stiffens", "try --model {cubic}, {exponential} or {toe}", _cubic),
     Effect(
         "backlash",
         "a gap or dead band",

@@ -35,6 +35,7 @@ _ALWAYS = ("offset", "skew")
 BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
 _RARE_CURVES = ("hardening",)  # this one has a kink where the joint is unloaded
 _CURVES = ("cubic", "quintic", "progressive", *_RARE_CURVES)  # a spring has no more reason to follow one of the first
+_EXPONENTIAL = ("exponential", "toe")  # these have all powers already, so that none of those can stand beside
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
 _SEVENTH = "seventh"  # another, of the next power of the deflection beside K5
 _CUBED = "cubed"  # another, of the cube of the deflection beside an exponential
@@ -89,7 +90,7 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
     """
     chosen = smaller.model.name.split("+")
     added: list[str] = []
-    curves = _CURVES if {*_CURVES, "exponential", "asymmetric"}.intersection(chosen) else ()
+    curves = _CURVES if {*_CURVES, *_EXPONENTIAL, "asymmetric"}.intersection(chosen) else ()
     hidden = {"coulomb"} if slowest(data.motion) == 0.0 else set()  # its sign would be that of the rate's noise
     # a short lag differs from a skew by less than what estimates both at once
     hidden |= {"skew"} if "lag" in chosen else set()
@@ -109,7 +110,7 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
             if "quintic" in chosen:  # what a cubic does not describe follows no power exactly
                 seventh = columns[:, names.index("K5")] * data.motion.dtheta**2
                 names, columns = [*names, _SEVENTH], np.column_stack([columns, seventh])
-            if "exponential" in chosen:
+            if set(_EXPONENTIAL).intersection(chosen):
                 cubed = columns[:, names.index("Kc")] * data.motion.dtheta**2
                 names, columns = [*names, _CUBED], np.column_stack([columns, cubed])
             first = np.append(fit.values, np.zeros(len(names) - len(fit.values)))

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
 _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
 # the terms of a spring that curves or bends
-_CURVED = {"cubic", "quintic", "progressive", "hardening", "exponential", "asymmetric"}
+_CURVED = {"cubic", "quintic", "progressive", "hardening", "exponential", "toe", "asymmetric"}
 _RUBS = {"coulomb", "dahl", "lugre", "boucwen", "capstan", "sheath", "gear"}  # and those of friction
 
 

@@ -21,6 +21,7 @@ from numpy.polynomial import Legendre, Polynomial
 from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
+from ga.model.springs import risen
 from hil.identification.evidence import DEFLECTION, UNLOADED_PLACE, Span
 from hil.identification.model_choice import Coupling
 from hil.signals.angle import far_zero
@@ -58,9 +59,9 @@ class Unloaded:
         if not any(curves) or self.low == self.high == 0.0 or {"gap", "slack", "rest"} & set(values):
             return None
         progressive, hardening, cubic, quintic = curves
-        slope = Polynomial([values["Kc"], 2.0 * progressive, 3.0 * cubic, 0.0, 5.0 * quintic])
+        slope, exponent = Polynomial([values["Kc"], 0.0, 3.0 * cubic, 0.0, 5.0 * quintic]), values.get("exponent", 0.0)
         place = np.append(np.linspace(self.low, self.high, 101), min(max(self.low, 0.0), self.high))
-        found = slope(place) + 2.0 * hardening * _rising(np.abs(place), values.get("efold", math.inf))
+        found = slope(place) + 2.0 * (progressive * risen(place, exponent) + hardening * risen(np.abs(place), exponent))
         return float(found.min()), float(found.max()), "" if self.agreed else UNLOADED_PLACE
 
     def beside_turn(self, values: Mapping[str, float], motion: float) -> Span | None:
@@ -76,11 +77,6 @@ class Unloaded:
             return None
         half = abs(values["Ka"])
         return values["Kc"] - half, values["Kc"] + half, DEFLECTION
-
-
-def _rising(stretched: Array, efold: float) -> Array:
-    """How far, rad, a stiffness has risen at deflections (n,), rad, of a rise that grows by e in an e-fold, rad."""
-    return stretched if math.isinf(efold) else efold * np.expm1(stretched / efold)
 
 
 Rest = Callable[[Signals], Unloaded]

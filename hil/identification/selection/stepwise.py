@@ -330,13 +330,8 @@ def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...]
 
 
 def _is_richer_law(term: str, contained: list[str], likely: list[str]) -> bool:
-    """Whether a term contains a likely one, or is a law of friction as a likely one that it cannot stand beside is."""
-    rubs = [other for other in likely if _rubs(other) and other in TERMS[term].excludes] if _rubs(term) else []
-    return bool(set(contained).intersection(likely) or rubs)
-
-
-def _rubs(term: str) -> bool:
-    return any(parameter.friction for parameter in TERMS[term].parameters)
+    """Whether a term contains a likely one, or is a law of the same effect: one that it cannot stand beside."""
+    return bool(set(likely).intersection((*contained, *TERMS[term].excludes)))
 
 
 def _step(fitted: Candidate, weighed: tuple[float, float], *, included: bool) -> Step:

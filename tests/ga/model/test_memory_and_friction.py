@@ -375,17 +375,27 @@ def test_a_spring_that_stiffens_alike_in_both_directions_from_rest_on_comes_back
 
 def test_a_pair_of_exponential_tendons_comes_back_with_its_stiffness_at_rest() -> None:
     """Each pulls with (e^(|x|/s) - 1) Kc s, so that its stiffness Kc e^(|x|/s) rises by Kc/s in a radian at rest."""
-    x, efold = MOTION.dtheta, 0.05
-    torque = KC * efold * np.sign(x) * np.expm1(np.abs(x) / efold) + BC * MOTION.dtheta_dot + NOISES
+    x, exponent = MOTION.dtheta, 20.0
+    torque = KC / exponent * np.sign(x) * np.expm1(exponent * np.abs(x)) + BC * MOTION.dtheta_dot + NOISES
     found = identified("linear+exponential", torque)
-    assert found == pytest.approx({"Kc": KC, "Bc": BC, "Kh": 0.5 * KC / efold, "efold": efold}, rel=0.02)
+    assert found == pytest.approx({"Kc": KC, "Bc": BC, "Kh": 0.5 * KC * exponent, "exponent": exponent}, rel=0.02)
 
 
-def test_a_long_e_fold_is_a_stiffness_that_rises_steadily() -> None:
-    model, steady = (parse(f"linear+{term}").anchored(MOTION) for term in ("exponential", "hardening"))
-    longest = model.bounds(MOTION, 11.0)[1]
-    rising = model.columns(MOTION, 1e4 * longest)[:, 2]
-    assert rising == pytest.approx(steady.columns(MOTION)[:, 2], rel=1e-4, abs=1e-9)
+@pytest.mark.parametrize("exponent", [20.0, -12.0])
+def test_one_exponential_tendon_comes_back_whichever_way_it_pulls(exponent: float) -> None:
+    x = MOTION.dtheta
+    torque = KC / exponent * np.expm1(exponent * x) + BC * MOTION.dtheta_dot + 3e-3 + NOISES
+    found = identified("linear+offset+toe", torque)
+    expected = {"Kc": KC, "Bc": BC, "tau0": 3e-3, "Kp": 0.5 * KC * exponent, "exponent": exponent}
+    assert found == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize(("term", "steady"), [("exponential", "hardening"), ("toe", "progressive")])
+@pytest.mark.parametrize("exponent", [0.0, 1e-6])
+def test_an_exponent_of_zero_is_a_stiffness_that_rises_steadily(term: str, steady: str, exponent: float) -> None:
+    rising, plain = (parse(f"linear+offset+{name}").anchored(MOTION) for name in (term, steady))
+    found = rising.columns(MOTION, np.array([exponent]))[:, 3]
+    assert found == pytest.approx(plain.columns(MOTION)[:, 3], rel=1e-5, abs=1e-12)
 
 
 def test_friction_that_falls_with_the_rate_comes_back_and_leaves_bc_alone() -> None:
@@ -439,7 +449,8 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
     ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
      "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew",
      "linear+coulomb+stribeck+skew", "linear+offset+cubic+quintic+progressive+skew", "linear+offset+sheath+skew",
-     "linear+offset+backlash+gear", "linear+hardening+skew", "linear+exponential+skew"],
+     "linear+offset+backlash+gear", "linear+hardening+skew", "linear+exponential+skew",
+     "linear+offset+toe+skew"],
 )  # fmt: skip
 def test_the_jacobian_is_the_derivative_of_what_the_model_explains(name: str) -> None:
     even = moving(np.linspace(0.0, 4.0, 1601))

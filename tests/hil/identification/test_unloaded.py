@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,15 @@ def test_where_the_place_is_unknown_the_interval_spans_a_stiffness_that_rises_in
     span = Unloaded(low=-0.1, high=0.2, agreed=False).span(values)
     assert span is not None
     assert span[:2] == pytest.approx((KC, KC + 2.0 * 0.5 * 0.2))
+
+
+@pytest.mark.parametrize("rise", ["Kh", "Kp"])
+def test_the_interval_spans_a_stiffness_that_rises_exponentially(rise: str) -> None:
+    """d/dx of 2 (e^(bx) - 1 - bx)/b^2 is 2 (e^(bx) - 1)/b."""
+    values = {"Kc": KC, rise: 0.01, "exponent": 5.0}
+    span = Unloaded(low=0.0, high=0.2, agreed=False).span(values)
+    assert span is not None
+    assert span[:2] == pytest.approx((KC, KC + 2.0 * 0.01 * math.expm1(1.0) / 5.0))
 
 
 def test_one_zero_alone_is_not_believed_unless_a_model_without_an_offset_is_named(tmp_path: Path) -> None:
