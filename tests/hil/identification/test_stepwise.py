@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, best_start
+from ga.model.terms import RARER
 from ga.model.trajectory import Motion
 from hil.identification.selection import criterion, stepwise
 from hil.identification.selection import fits as fits_module
@@ -183,6 +184,40 @@ def test_a_rarer_term_is_included_where_the_usual_ones_do_not_describe_the_recor
     assert found.values[:2] == pytest.approx([KC, BC], rel=0.03)
     kept = select(motion, noisy, HIGHEST, rarer=rarer, describes=lambda *_: True)
     assert term not in kept.model.name
+
+
+@pytest.mark.parametrize(
+    ("law", "likely", "considered"),
+    [
+        ("toe", "quintic", True),
+        ("exponential", "hardening", True),
+        ("gear", "boucwen", True),
+        ("toe", "maxwell", False),
+    ],
+)
+def test_richer_laws_of_an_effect_are_considered_where_another_law_of_it_is_likely(
+    monkeypatch: pytest.MonkeyPatch, law: str, likely: str, considered: bool
+) -> None:
+    moved = chirp(TIME)
+    fits = Fits(Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES)), linear(moved), HIGHEST)
+    monkeypatch.setattr(Fits, "fitness", lambda _self, terms: 0.0 if terms[-1] == likely else 1.0)
+    monkeypatch.setattr(Fits, "is_rejected", lambda _self, terms: terms[-1] != likely)
+    found = stepwise._likeliest(fits, RARER, (("linear", "offset"),))
+    assert bool(law in found) is considered
+
+
+@pytest.mark.parametrize(("expected", "both"), [("linear+exponential", True), ("linear+offset+toe", False)])
+def test_exponential_tendons_are_no_powers_with_a_gap(expected: str, both: bool) -> None:
+    """A pair and a single one. Powers and flanks lower the fitness as well, of which the smaller model holds more."""
+    moved = chirp(TIME)
+    motion = Motion(TIME, moved.dtheta, moved.rate, moved.acceleration, np.zeros(SAMPLES))
+    exponent = 1.5 / float(np.abs(moved.dtheta).max())
+    stretched = np.abs(moved.dtheta) if both else moved.dtheta
+    torque = np.where(both, np.sign(moved.dtheta), 1.0) * np.expm1(exponent * stretched) * KC / exponent
+    noisy = torque + BC * moved.rate + 1e-5 * np.random.default_rng(4).standard_normal(SAMPLES)
+    found = select(motion, noisy, HIGHEST, rarer=RARER, describes=lambda one, _: one.model.name == expected)
+    assert found.model.name == expected
+    assert found.values[:2] == pytest.approx([KC, BC], rel=0.02)
 
 
 def test_the_steps_end_at_a_rarer_model_that_describes_the_recording_but_for_errors_of_the_deflection() -> None:
