@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from math import comb
+from math import ceil, comb, log
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -176,11 +176,22 @@ def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
     """Readings at even times behind each of the first kernels."""
     padded = np.pad(even - even[0], low_pass.half, mode="edge")
     # scipy.signal would cost half a second of start-up; what goes around the end is before the first of what is kept
-    size = 1 << int(np.ceil(np.log2(len(padded))))
+    size = transform_size(len(padded))
     found = np.fft.irfft(np.fft.rfft(padded, size) * low_pass.spectra(size)[:kernels], size)
     found = found[:, 2 * low_pass.half : len(padded)]
     found[0] += even[0]
     return np.asarray(found)
+
+
+@lru_cache(maxsize=64)
+def transform_size(count: int) -> int:
+    """Return the smallest size of a fast Fourier transform, a product of 2, 3 and 5, for so many samples.
+
+    The next power of two is up to twice as long.
+    """
+    twos, threes, fives = (1 + ceil(log(count, base)) for base in (2, 3, 5))
+    sizes = (int(2**a * 3**b * 5**c) for a in range(twos) for b in range(threes) for c in range(fives))
+    return min(size for size in sizes if size >= count)
 
 
 def _is_even(time: Array, low_pass: LowPass) -> bool:

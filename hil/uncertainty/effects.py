@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ga.model.memory import slide_along
 from ga.model.terms import TERMS, compatible_model
 from hil.signals.deflection_noise import smallest_step
+from hil.signals.low_pass import transform_size
 from hil.signals.slow_channel import COUNTS_A_TICK, FEWEST_READINGS, makes_lines
 
 Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ class Recorded:
         found = np.empty(len(self))
         for part in self.stretches():
             padded = np.pad(values[part], (len(weights) - 1 - centre, centre), mode="edge")
-            size = 1 << int(np.ceil(np.log2(len(padded) + len(weights))))
+            size = transform_size(len(padded) + len(weights))
             spectrum = np.fft.rfft(padded, size) * np.fft.rfft(weights, size)
             found[part] = np.fft.irfft(spectrum, size)[len(weights) - 1 :][: part.stop - part.start]
         return found
