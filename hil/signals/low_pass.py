@@ -37,6 +37,8 @@ _SIGNALS: Final = 3  # deflection, rate, acceleration
 _BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
 _LEFT: Final = 0.8  # of the samples, that must remain
 _KEPT: Final = 100_000  # samples, whose weights, 20 MB, are kept for stamps asked for again
+_REMEMBERED: Final = 24  # results, of one recording, that are kept for columns asked for again
+_MARKS: Final = 64  # values of a column, by which it is looked up
 _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
@@ -122,10 +124,32 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
 def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
     """Return the function that makes the value of `passed` of readings (n,) at stamps (n,) s, rising.
 
-    It keeps what depends on the stamps alone, so that many readings at the same stamps cost less.
+    It keeps what depends on the stamps alone, so that many readings at the same stamps cost less, and its last results.
     """
     parts = [(part, _passing(time[part], low_pass)) for part in _stretches(time, low_pass.step)]
-    return lambda values: np.concatenate([pass_part(values[part]) for part, pass_part in parts])
+
+    def through(values: Array) -> Array:
+        return np.concatenate([pass_part(values[part]) for part, pass_part in parts])
+
+    return _remembering(through) if len(time) < _KEPT else through
+
+
+def _remembering(through: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """Return the function with its last results: most columns of a model do not change with what a search tries."""
+    known: dict[bytes, tuple[Array, Array]] = {}
+
+    def remembered(values: Array) -> Array:
+        key = values[:: max(1, len(values) // _MARKS)].tobytes()
+        before = known.pop(key, None)
+        if before is None or not np.array_equal(before[0], values):
+            before = values.copy(), through(values)
+            before[1].flags.writeable = False
+        if len(known) >= _REMEMBERED:
+            known.pop(next(iter(known)), None)  # what was not asked for longest
+        known[key] = before
+        return before[1]
+
+    return remembered
 
 
 def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
