@@ -252,6 +252,20 @@ def test_the_interval_of_kc_holds_that_of_a_tendon_whose_torque_is_exponential(
     assert low < 0.02 < high
 
 
+def test_the_interval_of_kc_holds_that_no_tendon_follows_an_exponential_exactly(make_recording: Maker) -> None:
+    """Most of the torque is a tangent: an exponential alone has Kc 1.0 % too low, thirteen times its interval."""
+
+    def stiffens(channels: dict[str, Array]) -> None:
+        angle = channels["dtheta"]
+        bend = 0.7 * 1.4 / float(np.abs(angle).max())
+        channels["torque"] += 0.02 * 0.62 * (np.tan(bend * angle) / bend - angle)
+
+    found = identify([make_recording(samples=4000, noise=1e-5, seed=1, change=stiffens)], None, SEARCH)
+    assert found.model.name == "linear+exponential"
+    low, high = found["Kc"].ci95
+    assert low < 0.02 < high
+
+
 def test_the_interval_of_kc_of_a_cubic_spring_is_little_wider_for_tendons_that_are_seldom(
     make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
 from hil.identification.doubts.identifiability import other_stiffness
 from hil.identification.doubts.misfit import lost_by_misfit
-from hil.identification.evidence import span_met, span_of_stiffness, with_misfit
+from hil.identification.evidence import Evidence, span_met, span_of_stiffness, with_misfit
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.result import Estimate, Identification, Repeatability
@@ -574,3 +575,25 @@ def test_a_misfit_that_is_an_error_by_itself_needs_no_other() -> None:
 
     assert found[0].half_width == pytest.approx(0.4 * 0.02)
     assert lost_by_misfit(before, found) == []
+
+
+@pytest.mark.parametrize(("alike_to", "half", "known"), [(3, 0.1, True), (3, 0.4, False), (0, 0.1, False)])
+def test_a_parameter_that_only_its_own_term_is_like_is_known_within_its_interval(
+    alike_to: int, half: float, known: bool
+) -> None:
+    """Kh beside the exponent (3), of its term, or beside Kc (0): of their columns all but 1e-4 is the same."""
+    model = parse("linear+exponential")
+    columns = np.random.default_rng(1).standard_normal((500, 4))
+    columns[:, 2] = columns[:, alike_to] + 1e-2 * columns[:, 2]
+    parameters = (*model.linear, *model.nonlinear)
+    evidence = SimpleNamespace(
+        model=model,
+        parameters=parameters,
+        names=[parameter.name for parameter in parameters],
+        columns=columns,
+        values=np.ones(4),
+        errors=SimpleNamespace(half_width=np.full(4, half)),
+    )
+    assert evidence.names == ["Kc", "Bc", "Kh", "exponent"]
+    assert Evidence._known_beside_its_term(cast("Evidence", evidence), 2) is known
+    assert not Evidence._known_beside_its_term(cast("Evidence", evidence), 0)
