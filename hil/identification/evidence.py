@@ -111,7 +111,7 @@ class Evidence:
     def _known_beside_its_term(self, at: int) -> bool:
         """Whether a parameter that is only like another one of its own term is known within its interval.
 
-        The two say together how a law is shaped, as the rise of an exponential stiffness and its e-fold do.
+        The two say together how a law is shaped, as the rise of an exponential stiffness and its exponent do.
         """
         terms = self.model.terms if isinstance(self.model, CouplingModel) else ()
         alike = {one.name for term in terms for one in term.parameters if self.parameters[at] in term.parameters}

@@ -294,7 +294,7 @@ class LateReading:
         """
         others = tuple(term for term in chosen.terms if term not in LATE)
         late = sum(abs(chosen.values.get(term, 0.0)) for term in LATE)
-        if not is_addable("maxwell", others) or {"mean", "inertia"}.intersection(others) or not chosen.damping > 0.0:
+        if not is_addable("maxwell", others) or "mean" in others or not chosen.damping > 0.0:
             return
         without = self._with(others)
         if without is None or late * chosen.stiffness < _HIDDEN * chosen.damping:
