@@ -1,4 +1,4 @@
-"""The terms that store the coupling's energy: springs, gaps, slack, and Maxwell branches.
+"""The terms that store the coupling's energy: springs and Maxwell branches.
 
 Kc is the relaxed stiffness: with Maxwell branches, what is left of it long after a step.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from ga.model.gaps import GAPS, extent
 from ga.model.record import Parameter, Regressors, Term
 
 if TYPE_CHECKING:
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-WIDEST_GAP: Final = 0.95
-"""Part of the whole deflection that a gap or slack may take."""
-
 LONGEST_RELAXATION: Final = 10.0
 """s, of a Maxwell branch, at most, and half the recording; or `LONGEST_ONCE` and a tenth of it."""
 
@@ -27,69 +25,16 @@ LONGEST_ONCE: Final = 0.5
 """s, of a Maxwell branch in a motion that does not repeat: a slower one looks like friction or a drift there."""
 
 STEEPEST: Final = 6.0
-"""The logarithm of how many times as much a stiffness that rises exponentially rises at the largest deflection."""
+"""Exponent times the largest deflection, at most: the stiffness rises e^6 times as fast there as at rest."""
 
 SHORTEST_RELAXATION: Final = 0.02
 """Of a Maxwell branch, as a part of the shortest period: a shorter one is a damping."""
 
 _SMALL_STRETCH: Final = 1e-3  # below which the first powers of an exponential are enough
 
-_GAPS: Final = ("backlash", "deadband", "slack")
-
-
-def _others(name: str) -> tuple[str, ...]:
-    return tuple(other for other in _GAPS if other != name)
-
-
-_ONE_GAP: Final = (
-    "backlash, deadband and slack are three kinds of one gap, and a single tendon (slack) has no second flank"
-)
-
-
-def _beyond_gap(angle: Array, values: Array) -> Array:
-    import numpy as np
-
-    gap, centre = values
-    from_centre = angle - centre
-    return np.asarray(np.sign(from_centre) * np.maximum(np.abs(from_centre) - 0.5 * gap, 0.0))
-
-
-def _gap_shifts(angle: Array) -> tuple[Array, ...]:
-    import numpy as np
-
-    return 0.5 * np.sign(angle), np.sign(angle) ** 2
-
-
-def _beyond_slack(angle: Array, values: Array) -> Array:
-    import numpy as np
-
-    return np.asarray(np.maximum(angle - values[0], 0.0))
-
-
-def _slack_shifts(angle: Array) -> tuple[Array, ...]:
-    import numpy as np
-
-    return (np.sign(angle),)
-
-
-def _pushing_only(angle: Array, motion: Motion, lag: float) -> Array:
-    import numpy as np
-
-    return np.asarray((angle * (angle + lag * motion.dtheta_dot) > 0.0).astype(np.float64))
-
-
-def _gap_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    least, span = _extent(motion)
-    return (0.0, WIDEST_GAP * span), (least, least + span)
-
-
-def _slack_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    least, span = _extent(motion)
-    return ((least, least + WIDEST_GAP * span),)
-
 
 def _turn_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    least, span = _extent(motion)
+    least, span = extent(motion)
     return ((least, least + span),)
 
 
@@ -110,12 +55,12 @@ def _toe_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], .
 
 
 def _furthest(motion: Motion) -> float:
-    least, span = _extent(motion)
+    least, span = extent(motion)
     return max(abs(least), abs(least + span))
 
 
 def risen(angle: Array, exponent: float) -> Array:
-    """How far, rad, a stiffness has risen at deflections (n,), rad: (e^u - 1)/exponent, u = exponent times angle."""
+    """Return how far, rad, a stiffness has risen at deflections (n,), rad: (e^u - 1)/exponent, u = exponent x angle."""
     import numpy as np
 
     return angle if exponent == 0.0 else np.expm1(exponent * angle) / exponent
@@ -145,11 +90,6 @@ def _both_ways(regressors: Regressors) -> Array:
 
 def _one_way(regressors: Regressors) -> Array:
     return 2.0 * risen(regressors.angle, float(regressors.own[0]))
-
-
-def _extent(motion: Motion) -> tuple[float, float]:
-    least = float(motion.dtheta.min())
-    return least, float(motion.dtheta.max() - motion.dtheta.min())
 
 
 def _beside_turn(regressors: Regressors) -> tuple[Array, ...]:
@@ -262,7 +202,7 @@ ASYMMETRIC: Final = Term(
     bounds=_turn_bounds,
     carried=True,
     needs="offset",
-    excludes=_GAPS,
+    excludes=GAPS,
     reason="a gap has its own flanks, whose stiffness is one (asymmetric)",
     breaks=True,
     selection="misfit",
@@ -294,9 +234,9 @@ HARDENING: Final = Term(
 )
 
 _EXPONENT: Final = Parameter(
-    "exponent", "1/rad", "the stiffness' rise grows by the factor e in 1/exponent", scales=False, nonlinear=True
+    "exponent", "1/rad", "in 1/exponent the rise of the stiffness grows by the factor e", scales=False, nonlinear=True
 )
-_LAWS: Final = ("cubic", "quintic", "progressive", "hardening")
+_POWERS: Final = ("cubic", "quintic", "hardening")
 _REASON: Final = "an exponential has all powers of the deflection, and begins with hardening or progressive"
 
 EXPONENTIAL: Final = Term(
@@ -308,7 +248,7 @@ EXPONENTIAL: Final = Term(
     pushed=lambda r, genes, moved: genes[0] * _both_ways(r) * moved,
     bounds=_exponent_bounds,
     carried=True,
-    excludes=tuple(law for law in _LAWS if law != "progressive"),
+    excludes=_POWERS,
     reason=_REASON,
     selection="misfit",
 )
@@ -323,7 +263,7 @@ TOE: Final = Term(
     bounds=_toe_bounds,
     carried=True,
     needs="offset",
-    excludes=(*_LAWS, "exponential"),
+    excludes=(*_POWERS, "progressive", "exponential"),
     reason=_REASON,
     selection="misfit",
 )
@@ -337,87 +277,6 @@ SOFTENING: Final = Term(
     pushed=lambda r, genes, moved: genes[0] * (r.time - r.middle) * moved,
     carried=True,
     selection="misfit",
-)
-
-_GAP: Final = Parameter(
-    "gap",
-    "rad",
-    "play of the coupling, its whole width",
-    scales=False,
-    presence=True,
-    positive=True,
-    nonlinear=True,
-    starts=(0.0, 0.03, 0.1, 0.25, 0.5),
-    kinked=True,
-    refined=True,
-    about="centre",
-)
-_CENTRE: Final = Parameter(
-    "centre",
-    "rad",
-    "deflection in the middle of the play",
-    scales=False,
-    absent=None,
-    nonlinear=True,
-    starts=(0.3, 0.5, 0.7),
-    kinked=True,
-    refined=True,
-    place=True,
-)
-
-BACKLASH: Final = Term(
-    "backlash",
-    "a gap with a flank on both sides",
-    (_GAP, _CENTRE),
-    bounds=_gap_bounds,
-    remaining=_beyond_gap,
-    shifts=_gap_shifts,
-    contact=_pushing_only,
-    needs="offset",
-    excludes=_others("backlash"),
-    reason=_ONE_GAP,
-    breaks=True,
-)
-
-DEADBAND: Final = Term(
-    "deadband",
-    "a gap of the spring only, in which the damper still acts",
-    (_GAP, _CENTRE),
-    bounds=_gap_bounds,
-    remaining=_beyond_gap,
-    shifts=_gap_shifts,
-    needs="offset",
-    excludes=_others("deadband"),
-    reason=_ONE_GAP,
-    breaks=True,
-    selection="misfit",
-)
-
-SLACK: Final = Term(
-    "slack",
-    "a tendon that only pulls",
-    (
-        Parameter(
-            "slack",
-            "rad",
-            "deflection before the tendon pulls",
-            scales=False,
-            absent=None,
-            nonlinear=True,
-            starts=(0.05, 0.2, 0.4, 0.6, 0.8),
-            kinked=True,
-            refined=True,
-            place=True,
-        ),
-    ),
-    bounds=_slack_bounds,
-    remaining=_beyond_slack,
-    shifts=_slack_shifts,
-    contact=_pushing_only,
-    needs="offset",
-    excludes=_others("slack"),
-    reason=_ONE_GAP,
-    breaks=True,
 )
 
 MAXWELL: Final = _branch(1, "")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from ga.model import friction, hysteresis, sensors, springs
+from ga.model import friction, gaps, hysteresis, sensors, springs
 from ga.model.record import Parameter, Term
 
 if TYPE_CHECKING:
@@ -34,9 +34,9 @@ _RECORDS: Final = (
     springs.MAXWELL,
     springs.MAXWELL2,
     friction.INERTIA,
-    springs.BACKLASH,
-    springs.DEADBAND,
-    springs.SLACK,
+    gaps.BACKLASH,
+    gaps.DEADBAND,
+    gaps.SLACK,
     friction.CAPSTAN,
     hysteresis.SHEATH,
     hysteresis.GEAR,

@@ -1,0 +1,160 @@
+"""The terms of a gap: backlash, a dead band, and a tendon that is slack. They take a part of the deflection away."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from ga.model.record import Parameter, Term
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ga.model.trajectory import Motion
+
+    Array = NDArray[np.float64]
+
+WIDEST_GAP: Final = 0.95
+"""Part of the whole deflection that a gap or slack may take."""
+
+GAPS: Final = ("backlash", "deadband", "slack")
+"""The terms of one gap, of which a model has one."""
+
+
+def _others(name: str) -> tuple[str, ...]:
+    return tuple(other for other in GAPS if other != name)
+
+
+_ONE_GAP: Final = (
+    "backlash, deadband and slack are three kinds of one gap, and a single tendon (slack) has no second flank"
+)
+
+
+def _beyond_gap(angle: Array, values: Array) -> Array:
+    import numpy as np
+
+    gap, centre = values
+    from_centre = angle - centre
+    return np.asarray(np.sign(from_centre) * np.maximum(np.abs(from_centre) - 0.5 * gap, 0.0))
+
+
+def _gap_shifts(angle: Array) -> tuple[Array, ...]:
+    import numpy as np
+
+    return 0.5 * np.sign(angle), np.sign(angle) ** 2
+
+
+def _beyond_slack(angle: Array, values: Array) -> Array:
+    import numpy as np
+
+    return np.asarray(np.maximum(angle - values[0], 0.0))
+
+
+def _slack_shifts(angle: Array) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (np.sign(angle),)
+
+
+def _pushing_only(angle: Array, motion: Motion, lag: float) -> Array:
+    import numpy as np
+
+    return np.asarray((angle * (angle + lag * motion.dtheta_dot) > 0.0).astype(np.float64))
+
+
+def _gap_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    least, span = extent(motion)
+    return (0.0, WIDEST_GAP * span), (least, least + span)
+
+
+def _slack_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    least, span = extent(motion)
+    return ((least, least + WIDEST_GAP * span),)
+
+
+def extent(motion: Motion) -> tuple[float, float]:
+    """Return the least deflection of a motion, rad, and how far it reaches from there."""
+    least = float(motion.dtheta.min())
+    return least, float(motion.dtheta.max() - motion.dtheta.min())
+
+
+_GAP: Final = Parameter(
+    "gap",
+    "rad",
+    "play of the coupling, its whole width",
+    scales=False,
+    presence=True,
+    positive=True,
+    nonlinear=True,
+    starts=(0.0, 0.03, 0.1, 0.25, 0.5),
+    kinked=True,
+    refined=True,
+    about="centre",
+)
+_CENTRE: Final = Parameter(
+    "centre",
+    "rad",
+    "deflection in the middle of the play",
+    scales=False,
+    absent=None,
+    nonlinear=True,
+    starts=(0.3, 0.5, 0.7),
+    kinked=True,
+    refined=True,
+    place=True,
+)
+
+BACKLASH: Final = Term(
+    "backlash",
+    "a gap with a flank on both sides",
+    (_GAP, _CENTRE),
+    bounds=_gap_bounds,
+    remaining=_beyond_gap,
+    shifts=_gap_shifts,
+    contact=_pushing_only,
+    needs="offset",
+    excludes=_others("backlash"),
+    reason=_ONE_GAP,
+    breaks=True,
+)
+
+DEADBAND: Final = Term(
+    "deadband",
+    "a gap of the spring only, in which the damper still acts",
+    (_GAP, _CENTRE),
+    bounds=_gap_bounds,
+    remaining=_beyond_gap,
+    shifts=_gap_shifts,
+    needs="offset",
+    excludes=_others("deadband"),
+    reason=_ONE_GAP,
+    breaks=True,
+    selection="misfit",
+)
+
+SLACK: Final = Term(
+    "slack",
+    "a tendon that only pulls",
+    (
+        Parameter(
+            "slack",
+            "rad",
+            "deflection before the tendon pulls",
+            scales=False,
+            absent=None,
+            nonlinear=True,
+            starts=(0.05, 0.2, 0.4, 0.6, 0.8),
+            kinked=True,
+            refined=True,
+            place=True,
+        ),
+    ),
+    bounds=_slack_bounds,
+    remaining=_beyond_slack,
+    shifts=_slack_shifts,
+    contact=_pushing_only,
+    needs="offset",
+    excludes=_others("slack"),
+    reason=_ONE_GAP,
+    breaks=True,
+)
