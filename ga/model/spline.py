@@ -57,11 +57,14 @@ class Spline:
 
     def integral(self) -> Spline:
         """Return the integrals of the curves from the first knot on."""
-        orders, step = np.arange(1.0, self.parts.shape[2] + 1.0), np.diff(self.knots)
-        parts = self.parts / orders
-        areas = np.cumsum((parts * step[:, None, None] ** orders).sum(axis=2), axis=0)
-        until = np.concatenate([np.zeros_like(areas[:1]), areas[:-1]])
-        return Spline(self.knots, np.concatenate([until[..., None], parts], axis=2))
+        length, curves, orders = self.parts.shape
+        parts, step = np.zeros((length, curves, orders + 1)), np.diff(self.knots)[:, None]
+        np.divide(self.parts, np.arange(1.0, orders + 1.0), out=parts[..., 1:])
+        areas = np.zeros((length, curves))
+        for order in range(orders, 0, -1):
+            areas = (areas + parts[..., order]) * step
+        np.cumsum(areas[:-1], axis=0, out=parts[1:, :, 0])
+        return Spline(self.knots, parts)
 
 
 def _slopes(knots: Array, values: Array) -> Array:
