@@ -19,6 +19,9 @@ INTERVAL: Final = 0.35
 of the value, and two recordings of one joint differ by a half.
 """
 
+UNCERTAIN: Final = 0.1
+"""The same, from which a warning says what makes the interval so wide."""
+
 LIKE_FRICTION: Final = 0.95
 """`friction_likeness` from which Bc cannot be distinguished from dry friction that the model omits."""
 

@@ -18,10 +18,12 @@ from hil.uncertainty.criteria import (
     LIKE_FRICTION,
     ONE_SPEED,
     OPTIMISER_GAP,
+    UNCERTAIN,
     UNEXPLAINED,
     distinguishable,
     narrow,
 )
+from hil.uncertainty.stationarity import VarianceComponents
 from hil.units import with_unit
 
 Array = NDArray[np.float64]
@@ -37,6 +39,8 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     for at, name in enumerate(evidence.names):
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
             found += _of_parameter(evidence, at, name)
+        if name in COUPLING and not any(one.parameter == name for one in (*stiffnesses, *found)):
+            found += _uncertain(evidence, at)
     found += confounded(evidence) + stiffnesses
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
@@ -160,6 +164,13 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
     return found
 
 
+def _uncertain(evidence: Evidence, at: int) -> list[Diagnostic]:
+    """Return the warning about an interval that is wide, but not too wide; of recordings that differ others tell."""
+    if float(evidence.errors.half_width[at]) <= UNCERTAIN * abs(float(evidence.values[at])) or _differs(evidence, at):
+        return []
+    return [Diagnostic("wide-interval", _wide(evidence, at), evidence.names[at])]
+
+
 _IMPLAUSIBLE = {
     "Kc": "A sign is wrong: check that a positive torque makes a positive deflection",
     "Bc": "Torque and angle are exchanged or not read together, or there is friction. Check this",
@@ -177,7 +188,7 @@ def _why_not(evidence: Evidence, at: int) -> str:
     if distinguishable(float(evidence.errors.half_width[at]), float(evidence.errors.inflation[at])):
         if evidence.parameters[at].presence:
             return f"{name} may be zero: its 95 % interval includes zero. Leave its term out of --model"
-        return _too_wide(evidence, at)
+        return _wide(evidence, at)
     return _alike(evidence, at)
 
 
@@ -209,32 +220,45 @@ def _alike(evidence: Evidence, at: int) -> str:
     )
 
 
-def _too_wide(evidence: Evidence, at: int) -> str:
-    """Return why the interval of the parameter is too wide, and the remedy."""
-    name, unit, scatter = evidence.names[at], evidence.parameters[at].unit, evidence.scattered[at]
-    if scatter is not None and scatter.between > BETWEEN * scatter.within:
+def _wide(evidence: Evidence, at: int) -> str:
+    """Return why the interval of the parameter is wide, or too wide, and the remedy."""
+    name, unit = evidence.names[at], evidence.parameters[at].unit
+    value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
+    uncertain = f"{name} is uncertain by {half / abs(value):.0%}" if evidence.identifiable(at) else ""
+    head = uncertain or f"{name} is not identifiable"
+    if (scatter := _differs(evidence, at)) is not None:
         return (
             f"{name} is not identifiable: it differs between the recordings by "
             f"{with_unit(f'{scatter.between:.2g}', unit)} (standard deviation), and the error of one recording is only "
             f"{with_unit(f'{scatter.within:.2g}', unit)}. Find the recording that "
             "differs with hil compare, and pool only recordings of one joint in the same units"
         )
-    if evidence.selected and evidence.exact[1][at] < 0.5 * abs(evidence.exact[0][at]):
-        return _by_the_choice(evidence, at)
-    half = evidence.errors.half_width[at]
-    wide = f"it is {with_unit(f'{evidence.values[at]:.3g} ± {half:.2g}', unit)} (95 %)"
-    if name == "Bc" and evidence.has_friction:
-        return f"Bc cannot be distinguished from friction: {wide}. {_corner(evidence)}{several_speeds(evidence)}"
-    corner, imported = _corner(evidence) if name == "Bc" else "", evidence.signals.imported
+    own = float(evidence.exact[1][at])
+    if evidence.selected and own < 0.5 * half and own < 0.5 * abs(float(evidence.exact[0][at])):
+        return f"{uncertain or f'{name} depends on the model'}: {_by_the_choice(evidence, at)}"
+    imported, corner = evidence.signals.imported, _corner(evidence) if name == "Bc" else ""
     more = again("Move the joint faster, or with a larger amplitude", "--band, --amplitude", imported=imported)
-    return f"{name} is not identifiable: {wide}. {corner}{more}"
+    if name == "Bc" and evidence.has_friction:
+        head, more = uncertain or "Bc cannot be distinguished from friction", several_speeds(evidence)
+    return f"{head}: it is {with_unit(f'{value:.3g} ± {half:.2g}', unit)} (95 %). {corner}{more}"
+
+
+def _differs(evidence: Evidence, at: int) -> VarianceComponents | None:
+    """Return how the parameter scatters, if it differs between the recordings by more than its error in one."""
+    scatter = evidence.scattered[at]
+    return scatter if scatter is not None and scatter.between > BETWEEN * scatter.within else None
 
 
 def _by_the_choice(evidence: Evidence, at: int) -> str:
     """Return the value by the selected model alone, for a parameter on which likely models disagree, and the remedy."""
     name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = (float(of[at]) for of in evidence.exact)
-    if {"skew", "lag", "window"} & set(evidence.names):
+    corner, imported = _corner(evidence) if name == "Bc" else "", evidence.signals.imported
+    faster = again("Move the joint faster", "--band", imported=imported)
+    if name == "Kc":
+        cause, known = "Effects that the recording neither shows nor excludes change Kc", "the joint has none"
+        faster = again("Use a larger amplitude and a wider band", "--amplitude, --band", imported=imported)
+    elif {"skew", "lag", "window"} & set(evidence.names):
         cause = "A late torque reading looks like a viscoelastic coupling that relaxes fast"
         known = "the torque cell or its filter is that late"
     else:
@@ -243,11 +267,10 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
             "like more"
         )
         known = "nothing delays the torque and damping does not grow with the rate"
-    faster = again("Move the joint faster", "--band", imported=evidence.signals.imported)
     return (
-        f"{name} depends on the model: model {evidence.model.name} gives "
+        f"model {evidence.model.name} gives "
         f"{with_unit(f'{value:.3g} ± {half:.2g}', unit)}, and other models that fit equally well give other "
-        f"values. {cause}. {faster}. If you know that {known}, name --model {evidence.model.name}"
+        f"values. {cause}. {corner}{faster}. If you know that {known}, name --model {evidence.model.name}"
     )
 
 

@@ -370,6 +370,35 @@ def test_a_damping_that_friction_may_be_names_the_friction_and_the_corner(make_r
     assert "Damping shows near" in said.message
 
 
+@pytest.mark.parametrize(
+    ("model", "noise", "said"),
+    [(None, 1.5e-4, "other models that fit equally well"), ("linear", 6e-4, "N m s/rad (95 %)"), ("linear", 1e-4, "")],
+)
+def test_a_damping_that_is_uncertain_says_by_how_much_and_why(
+    make_recording: Maker, model: str | None, noise: float, said: str
+) -> None:
+    """Motion of up to 4 Hz, where damping shows near 16 Hz; the models differ by when the torque was read."""
+
+    def slow(channels: dict[str, Array]) -> None:
+        time, omega = channels["time"], 2.0 * np.pi * np.geomspace(0.2, 4.0, 7)
+        phases = np.outer(time, omega) + 0.7 * np.arange(7) ** 2
+        channels["dtheta"] = 0.03 * np.sin(phases).sum(axis=1)
+        channels["dtheta_dot"] = 0.03 * (omega * np.cos(phases)).sum(axis=1)
+        channels["torque"] = 0.02 * channels["dtheta"] + 2e-4 * channels["dtheta_dot"]
+        channels["torque"] += noise * np.random.default_rng(1).standard_normal(len(time))
+
+    found = identify([make_recording(samples=8000, change=slow)], parse(model) if model else None, SEARCH)
+    assert found.trusted("Bc")
+    wide = [one for one in found.diagnostics if one.code == "wide-interval"]
+    assert [(one.parameter, one.is_error) for one in wide] == ([("Bc", False)] if said else [])
+    for one in wide:
+        share = found["Bc"].half_width / found["Bc"].value
+        assert share > 0.1
+        assert f"Bc is uncertain by {share:.0%}: " in one.message
+        assert said in one.message
+        assert "Damping shows near" in one.message
+
+
 def test_recordings_that_differ_by_their_units_are_said_to_differ(make_recording: Maker) -> None:
     paths = [make_recording(f"{seed}.h5", noise=1e-4, seed=seed) for seed in range(2)]
     paths.append(make_recording("c.h5", kc=20.0, bc=0.2, noise=1e-1, seed=2))
