@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.compiled import compiled_no_refcount
-from ga.model.spline import Spline
+from ga.compiled import compiled_no_refcount, compiled_within
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,11 +46,11 @@ def averaged(time: Array, values: Array, width: float) -> Array:
     """
     if len(time) < 2:
         return values
-    table = values.reshape(len(time), -1)
-    integral = Spline.along(time, table.T, np.asarray(np.gradient(table, time, axis=0)).T).integral()
-    reach = np.maximum(np.minimum(0.5 * width, np.minimum(time - time[0], time[-1] - time)), _AT_ONCE)
-    before, after = time - reach, time + reach
-    return np.asarray(((integral(after) - integral(before)) / (after - before)).T.reshape(values.shape))
+    table = np.ascontiguousarray(values.reshape(len(time), -1), dtype=np.float64)
+    slopes, areas, found = np.zeros((3, *table.shape))
+    add_up(np.ascontiguousarray(time), table, slopes, areas)
+    mean_around(np.ascontiguousarray(time), table, slopes, areas, width, found)
+    return np.asarray(found.reshape(values.shape))
 
 
 def with_turns(time: Array, rate: Array) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -182,6 +181,53 @@ def lag_behind(time: Array, table: Array, constant: float, found: Array, chord: 
             end = table[at + 1, k] + constant * (part * (second + third * per_part - third) - next_slope)
             found[at + 1, k] = keep * found[at, k] + end - keep * begin
             slope[k], chord[k] = next_slope, beyond
+
+
+@compiled_no_refcount
+def add_up(time: Array, table: Array, slopes: Array, areas: Array) -> None:
+    """Fill in the slopes of values (n, k) by central differences, and their integral from the first until each."""
+    last = len(time) - 1
+    for k in range(table.shape[1]):
+        slopes[0, k] = (table[1, k] - table[0, k]) / (time[1] - time[0])
+    for at in range(last):
+        step = time[at + 1] - time[at]
+        following = time[at + 2] - time[at + 1] if at + 1 < last else step
+        share = following / (step + following)
+        for k in range(table.shape[1]):
+            chord = (table[at + 1, k] - table[at, k]) / step
+            beyond = (table[at + 2, k] - table[at + 1, k]) / following if at + 1 < last else chord
+            slopes[at + 1, k] = share * chord + (1.0 - share) * beyond
+            bend = step * (slopes[at, k] - slopes[at + 1, k]) / 6.0
+            areas[at + 1, k] = areas[at, k] + 0.5 * step * (table[at, k] + table[at + 1, k] + bend)
+
+
+@compiled_no_refcount
+def mean_around(time: Array, table: Array, slopes: Array, areas: Array, width: float, found: Array) -> None:  # noqa: PLR0917 - compiled functions take their parts by position
+    """Fill in what `averaged` returns of values (n, k), with what `add_up` fills in."""
+    last = len(time) - 1
+    first = following = 0
+    for at in range(last + 1):
+        reach = max(min(0.5 * width, time[at] - time[0], time[last] - time[at]), _AT_ONCE)
+        before, after = time[at] - reach, time[at] + reach
+        while first < last - 1 and before >= time[first + 1]:
+            first += 1
+        while following < last - 1 and after >= time[following + 1]:
+            following += 1
+        for k in range(table.shape[1]):
+            until = area(time, table, slopes, areas, following, k, after)
+            found[at, k] = (until - area(time, table, slopes, areas, first, k, before)) / (after - before)
+
+
+@compiled_within
+def area(time: Array, table: Array, slopes: Array, areas: Array, at: int, k: int, until: float) -> float:  # noqa: PLR0917 - compiled functions take their parts by position
+    """The integral of value k until a time behind the one numbered `at`: of a cubic with the slopes at both ends."""
+    past, step = until - time[at], time[at + 1] - time[at]
+    chord, slope, next_slope = (table[at + 1, k] - table[at, k]) / step, slopes[at, k], slopes[at + 1, k]
+    square, cube = (3.0 * chord - 2.0 * slope - next_slope) / step, (slope + next_slope - 2.0 * chord) / step**2
+    found: float = areas[at, k] + past * (
+        table[at, k] + past * (0.5 * slope + past * (square / 3.0 + past * 0.25 * cube))
+    )
+    return found
 
 
 @compiled_no_refcount

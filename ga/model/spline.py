@@ -33,12 +33,8 @@ class Spline:
         """
         if len(knots) < 2:
             raise ValueError("a curve needs two knots at least")
-        return cls.along(knots, values, _slopes(knots, values))
-
-    @classmethod
-    def along(cls, knots: Array, values: Array, slopes: Array) -> Spline:
-        """Return the curves with values and slopes (k, n)."""
-        step, before, after = np.diff(knots), slopes[:, :-1], slopes[:, 1:]
+        step, slopes = np.diff(knots), _slopes(knots, values)
+        before, after = slopes[:, :-1], slopes[:, 1:]
         chord = np.diff(values, axis=1) / step
         square, cube = (3.0 * chord - 2.0 * before - after) / step, (before + after - 2.0 * chord) / step**2
         parts = np.stack([values[:, :-1], before, square, cube])
@@ -54,17 +50,6 @@ class Spline:
         """Return how fast the curves change."""
         orders = np.arange(1.0, self.parts.shape[2])
         return Spline(self.knots, np.ascontiguousarray(self.parts[..., 1:] * orders))
-
-    def integral(self) -> Spline:
-        """Return the integrals of the curves from the first knot on."""
-        length, curves, orders = self.parts.shape
-        parts, step = np.zeros((length, curves, orders + 1)), np.diff(self.knots)[:, None]
-        np.divide(self.parts, np.arange(1.0, orders + 1.0), out=parts[..., 1:])
-        areas = np.zeros((length, curves))
-        for order in range(orders, 0, -1):
-            areas = (areas + parts[..., order]) * step
-        np.cumsum(areas[:-1], axis=0, out=parts[1:, :, 0])
-        return Spline(self.knots, parts)
 
 
 def _slopes(knots: Array, values: Array) -> Array:

@@ -225,7 +225,8 @@ def test_with_signs_it_is_the_optimum_of_the_linear_programme_with_bounds(kind: 
     rng = np.random.default_rng(seed)
     columns, torque = recording(kind, n, p, rng)
     positive = tuple(np.flatnonzero(rng.random(p) < 0.7).tolist())
-    found = not_negative(columns, torque, positive)
+    near = rng.normal(size=p) * (rng.random(p) < 0.6)
+    found = not_negative(columns, torque, positive, near if rng.random() < 0.5 else None)
     assert all(found.genes[k] >= 0.0 for k in positive)
     least = highs(columns, torque, positive)
     assert found.fitness == pytest.approx(fitness_of(columns, torque, found.genes), rel=1e-12)
@@ -258,3 +259,35 @@ def test_where_no_bound_is_broken_it_is_the_free_optimum_after_one_solution(monk
     above = tuple(k for k in range(3) if free.genes[k] > 0.0)
     assert above
     np.testing.assert_array_equal(not_negative(columns, torque, above).genes, free.genes)
+
+
+@pytest.mark.parametrize("held", [(1,), (1, 3)])
+def test_genes_that_are_zero_nearby_and_stay_so_take_one_solution(
+    held: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the others the optimum without bounds is positive, so that no other gene is left out."""
+    rng = np.random.default_rng(2)
+    columns = rng.normal(size=(400, 4)) @ (np.eye(4) + 0.4)
+    torque = columns @ np.where(np.isin(np.arange(4), held), -0.3, 1.0) + 0.3 * rng.normal(size=400)
+    expected = not_negative(columns, torque, (0, 1, 2, 3))
+    assert tuple(np.flatnonzero(expected.genes == 0.0)) == held
+
+    calls: list[int] = []
+
+    def counted(columns: NDArray[np.float64], *arguments: NDArray[np.float64]) -> exact.Optimum:
+        calls.append(columns.shape[1])
+        return least_absolute_deviations(columns, *arguments)
+
+    monkeypatch.setattr(exact, "least_absolute_deviations", counted)
+    found = not_negative(columns, torque, (0, 1, 2, 3), expected.genes + 1e-3 * (expected.genes > 0.0))
+    assert calls == [4 - len(held)]
+    assert found.fitness == expected.fitness
+    np.testing.assert_array_equal(found.genes, expected.genes)
+
+
+def test_a_gene_that_is_zero_nearby_and_no_longer_is_found() -> None:
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(400, 3))
+    torque = columns @ np.array([1.0, 0.5, -0.5]) + 0.3 * rng.normal(size=400)
+    found = not_negative(columns, torque, (1, 2), np.array([1.0, 0.0, 0.4]))
+    np.testing.assert_array_equal(found.genes, not_negative(columns, torque, (1, 2)).genes)

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from ga.model.coupling import parse
+from ga.model.memory import averaged
 from ga.model.separable import Problem, fit
 from ga.model.trajectory import Motion, joined
 
@@ -51,6 +53,22 @@ def test_a_mean_of_a_sine_is_that_of_the_closed_form(width: float) -> None:
     inside = slice(20, -20)
     exact = np.sin(20.0 * TIME) * np.sinc(20.0 * width / (2.0 * np.pi))
     np.testing.assert_allclose(found[inside], exact[inside], atol=1e-7)
+
+
+@pytest.mark.parametrize(("count", "width"), [(2, 0.01), (3, 0.001), (400, 0.0005), (400, 0.03), (400, 10.0)])
+def test_a_mean_over_uneven_stamps_is_that_of_an_independent_curve(count: int, width: float) -> None:
+    """scipy's integral of the cubic curve with the slopes of central differences; near the ends over less."""
+    rng = np.random.default_rng(count)
+    time, values = np.cumsum(rng.uniform(1e-3, 3e-3, count)), rng.standard_normal((count, 3))
+    integral = CubicHermiteSpline(time, values, np.gradient(values, time, axis=0)).antiderivative()
+    reach = np.minimum(0.5 * width, np.minimum(time - time[0], time[-1] - time))[1:-1, None]
+    middle = time[1:-1, None]
+    expected = (integral((middle + reach)[:, 0]) - integral((middle - reach)[:, 0])) / (2.0 * reach)
+
+    found = averaged(time, values, width)
+    np.testing.assert_allclose(found[1:-1], expected, atol=1e-9)
+    np.testing.assert_allclose(found[[0, -1]], values[[0, -1]], atol=1e-2)
+    np.testing.assert_array_equal(averaged(time, values[:, 1], width), found[:, 1])
 
 
 def test_a_mean_over_nothing_is_the_torque_itself() -> None:
