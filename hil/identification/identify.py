@@ -16,7 +16,7 @@ from hil.diagnostics import Diagnostic
 from hil.first_run import compiled_ahead
 from hil.identification.averaging.average import averaged
 from hil.identification.dataset import Dataset, open_dataset
-from hil.identification.doubts.identifiability import judge
+from hil.identification.doubts.identifiability import judge, wide_intervals
 from hil.identification.doubts.misfit import lost_by_misfit, misfit_diagnostics
 from hil.identification.doubts.outweighed_spring import outweighed_spring
 from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
@@ -102,6 +102,7 @@ def _identified(
                 *lost_by_misfit(modelled, found),
                 *outweighed_spring(described, fit),
             ]
+            doubts += wide_intervals(evidence, doubts)
         return Identification(
             recordings=tuple(source.path for source in sources),
             model=data.choice.model,

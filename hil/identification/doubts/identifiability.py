@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,6 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     for at, name in enumerate(evidence.names):
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
             found += _of_parameter(evidence, at, name)
-        if name in COUPLING and not any(one.parameter == name for one in (*stiffnesses, *found)):
-            found += _uncertain(evidence, at)
     found += confounded(evidence) + stiffnesses
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
@@ -63,6 +61,22 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
             )
         )
     return found
+
+
+def wide_intervals(evidence: Evidence, doubts: Sequence[Diagnostic]) -> list[Diagnostic]:
+    """Return the warnings about intervals of Kc and Bc that are wide, where none of the doubts is about the parameter.
+
+    Where recordings differ, other doubts say so.
+    """
+    half, values = evidence.errors.half_width, evidence.values
+    return [
+        Diagnostic("wide-interval", _wide(evidence, at), name)
+        for at, name in enumerate(evidence.names)
+        if name in COUPLING
+        and half[at] > UNCERTAIN * abs(values[at])
+        and not any(one.parameter == name for one in doubts)
+        and _differs(evidence, at) is None
+    ]
 
 
 def other_stiffness(
@@ -162,13 +176,6 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
         )
         found.append(Diagnostic("one-speed", text, name))
     return found
-
-
-def _uncertain(evidence: Evidence, at: int) -> list[Diagnostic]:
-    """Return the warning about an interval that is wide, but not too wide; of recordings that differ others tell."""
-    if float(evidence.errors.half_width[at]) <= UNCERTAIN * abs(float(evidence.values[at])) or _differs(evidence, at):
-        return []
-    return [Diagnostic("wide-interval", _wide(evidence, at), evidence.names[at])]
 
 
 _IMPLAUSIBLE = {
