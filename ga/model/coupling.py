@@ -269,10 +269,10 @@ class CouplingModel:
 
         Where there is a cell, they are of all samples.
         """
-        whole, rows = motion.whole
         for term, values in self._valued(nonlinear):
-            torque = torque if term.cell is None else term.cell(whole, torque, values)
-        return torque[rows] if self._has_cell else torque
+            if term.cell is not None:  # one term at most
+                return term.cell(motion, torque, values)
+        return torque
 
     def _read(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
         """A torque (m,) or columns (m, p) of it as they are read, (n,) or (n, p), as far as they are known."""

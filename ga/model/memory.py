@@ -39,18 +39,20 @@ def lagged(time: Array, values: Array, constant: float) -> Array:
     return found.reshape(values.shape)
 
 
-def averaged(time: Array, values: Array, width: float) -> Array:
+def averaged(time: Array, values: Array, width: float, rows: NDArray[np.int64] | None = None) -> Array:
     """Return the mean of values (n,) or (n, k) at times (n,) s over `width` s around each, or what of it there is.
 
-    The values are cubic between two times, with the slopes that central differences give them.
+    rows (m,): of the times that it is asked for; None: all. The values are cubic between two times, with the slopes
+    that central differences give them.
     """
+    rows = np.arange(len(time)) if rows is None else rows
     if len(time) < 2:
-        return values
+        return values[rows]
     table = np.ascontiguousarray(values.reshape(len(time), -1), dtype=np.float64)
-    slopes, areas, found = np.zeros((3, *table.shape))
+    (slopes, areas), found = np.zeros((2, *table.shape)), np.empty((len(rows), table.shape[1]))
     add_up(np.ascontiguousarray(time), table, slopes, areas)
-    mean_around(np.ascontiguousarray(time), table, slopes, areas, width, found)
-    return np.asarray(found.reshape(values.shape))
+    mean_around(np.ascontiguousarray(time), table, slopes, areas, width, rows, found)
+    return found.reshape(len(rows), *values.shape[1:])
 
 
 def with_turns(time: Array, rate: Array) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -202,11 +204,14 @@ def add_up(time: Array, table: Array, slopes: Array, areas: Array) -> None:
 
 
 @compiled_no_refcount
-def mean_around(time: Array, table: Array, slopes: Array, areas: Array, width: float, found: Array) -> None:  # noqa: PLR0917 - compiled functions take their parts by position
+def mean_around(  # noqa: PLR0917 - compiled functions take their parts by position
+    time: Array, table: Array, slopes: Array, areas: Array, width: float, rows: NDArray[np.int64], found: Array
+) -> None:
     """Fill in what `averaged` returns of values (n, k), with what `add_up` fills in."""
     last = len(time) - 1
     first = following = 0
-    for at in range(last + 1):
+    for i in range(len(rows)):
+        at = rows[i]
         reach = max(min(0.5 * width, time[at] - time[0], time[last] - time[at]), _AT_ONCE)
         before, after = time[at] - reach, time[at] + reach
         while first < last - 1 and before >= time[first + 1]:
@@ -215,7 +220,7 @@ def mean_around(time: Array, table: Array, slopes: Array, areas: Array, width: f
             following += 1
         for k in range(table.shape[1]):
             until = area(time, table, slopes, areas, following, k, after)
-            found[at, k] = (until - area(time, table, slopes, areas, first, k, before)) / (after - before)
+            found[i, k] = (until - area(time, table, slopes, areas, first, k, before)) / (after - before)
 
 
 @compiled_within

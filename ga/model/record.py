@@ -100,9 +100,9 @@ class Term:
     these change, per second, where the motion changes as the second argument says; pushed, (n,) N m, how its torque
     changes where the deflection changes by the third argument, (n,) rad, for given linear parameters.
     bounds, low and high of each nonlinear parameter for motion up to so many Hz. With them a term delays the motion by
-    its parameter; or gives cell, what a torque (n,) or columns (n, p) become in the torque cell, for a motion, these
-    and its parameters; or gives remaining, the deflection (n,) that its parameters leave, and shifts, how much of the
-    deflection is taken away per unit of each; or only shapes its columns.
+    its parameter; or gives cell, what becomes of a torque (m,) or columns (m, p) of the whole motion in the torque
+    cell, at the samples of a motion, for its parameters; or gives remaining, the deflection (n,) that its parameters
+    leave, and shifts, how much of the deflection is taken away per unit of each; or only shapes its columns.
     contact, (n,), whether flanks touch, for remaining deflection, motion and Bc/Kc in s. load, (n,), multiplies the
     torque that is carried, for these, v_s and the term's parameters; carried: whether the term is part of that torque.
     forgets: where the torque depends on earlier samples too, what is left (n,) at each sample of the state

@@ -115,7 +115,7 @@ LAG: Final = Term(
         ),
     ),
     bounds=_lag_bounds,
-    cell=lambda m, torque, own: m.lagged(torque, float(own[0])),
+    cell=lambda m, torque, own: m.whole[0].lagged(torque, float(own[0]))[m.whole[1]],
     forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
     selection="misfit",
     bends=False,

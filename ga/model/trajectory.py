@@ -184,12 +184,20 @@ class Motion:
         return np.concatenate(parts)
 
     def averaged(self, values: Array, width: float) -> Array:
-        """The means (n,) or (n, k) of values over `width` s, half before each time and half after; less at the ends."""
+        """The means (n,) or (n, k) over `width` s, half before each time and half after; less at the ends.
+
+        values (m,) or (m, k): of the whole motion.
+        """
         from ga.model import memory
 
+        whole, rows = self.whole
+        places = np.arange(len(whole))[rows]
         if width <= 0.0:
-            return values
-        parts = [memory.averaged(self.time[a:b], values[a:b], width) for a, b in self._stretches()]
+            return values[places]
+        parts = []
+        for first, end in whole._stretches():
+            own = places[np.searchsorted(places, first) : np.searchsorted(places, end)] - first
+            parts.append(memory.averaged(whole.time[first:end], values[first:end], width, own))
         return np.concatenate(parts)
 
     def filtered(self, values: Array) -> Array:

@@ -71,6 +71,14 @@ def test_a_mean_over_uneven_stamps_is_that_of_an_independent_curve(count: int, w
     np.testing.assert_array_equal(averaged(time, values[:, 1], width), found[:, 1])
 
 
+@pytest.mark.parametrize("width", [0.0, 0.02])
+def test_the_means_of_some_samples_are_those_that_they_have_among_all(width: float) -> None:
+    twice = joined([MOTION, moving(TIME + 1.0)])
+    torque = np.column_stack([twice.dtheta, np.repeat([0.0, 5.0], len(MOTION)) + twice.dtheta_dot])
+    some = twice.of(np.isin(np.arange(len(twice)), [0, 7, 2999, 3000, 3001, 4000, 5999]))
+    np.testing.assert_array_equal(some.averaged(torque, width), twice.averaged(torque, width)[some.whole[1]])
+
+
 def test_a_mean_over_nothing_is_the_torque_itself() -> None:
     torque = np.sin(20.0 * TIME)
     np.testing.assert_allclose(MOTION.averaged(torque, 1e-12), torque, atol=1e-5)
