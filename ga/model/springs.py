@@ -139,7 +139,7 @@ def _branch(number: int, needs: str) -> Term:
         bounds=_relaxation_bounds,
         forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
         needs=needs,
-        selection="misfit" if number == 1 else "named",
+        selection="misfit",
         bends=False,
     )
 

@@ -116,13 +116,14 @@ def is_addable(term: str, terms: Collection[str]) -> bool:
 def with_another(terms: Collection[str], term: str, *, complete: bool = False) -> tuple[str, ...]:
     """Return the terms with one more, a rarer one in place of those that it cannot stand beside.
 
-    complete: with the term that it needs, too.
+    complete: with the term that it needs, too, unless that is a rarer one.
     """
     others = tuple(other for other in terms if other != term)
     if term in RARER:
         others = tuple(o for o in others if o not in TERMS[term].excludes and term not in TERMS[o].excludes)
     needed = TERMS[term].needs
-    return (*others, needed, term) if complete and needed and is_addable(needed, others) else (*others, term)
+    brings = complete and needed and needed not in RARER and is_addable(needed, others)
+    return (*others, needed, term) if brings else (*others, term)
 
 
 def compatible_model(term: str, terms: Collection[str]) -> str:

@@ -44,6 +44,7 @@ Array = NDArray[np.float64]
 
 _NORMAL = 1.96  # half a 95 % interval in standard errors
 _RELAXING = (1.0 / 11.0 / 3.0) ** 0.5  # one joint in ten: any part of what looks late, a standard deviation
+_FURTHER = (1.0 / 3.0) ** 0.5  # the same where a branch was found: what relaxes does so at more than one speed
 _PLACES = 2**44  # steps of a range, to one of which a quantile is found
 
 
@@ -106,9 +107,8 @@ def averaged(
     weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     weights /= weights.sum()
     mixed = {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}
-    hidden = mixed["Kc"].value * _late(choice.model, nonlinear)
-    bc = mixed["Bc"]
-    return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, _NORMAL * _RELAXING * hidden)))}
+    bc, hidden = mixed["Bc"], _NORMAL * _hidden(selected, kept, mixed["Kc"].value)
+    return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, hidden)))}
 
 
 def _behind_filter(
@@ -133,10 +133,20 @@ def _behind_filter(
     return found
 
 
-def _late(model: CouplingModel, nonlinear: Array) -> float:
-    """By how much, s, the torque reading is late in a model with nonlinear parameters (q,)."""
-    names = [parameter.name for parameter in model.nonlinear]
-    return float(sum(abs(nonlinear[names.index(name)]) for name in ("skew", "lag") if name in names))
+def _hidden(one: Alternative, data: Signals, stiffness: float) -> float:
+    """The damping, N m s/rad, a standard deviation, that is in Bc if a branch makes a part of what looks late.
+
+    In fast motion the branches that the model has are stiff too. A branch beside two relaxes as much faster than these
+    as one of them does than the other. To the second order it looks late by K tau^2/Bc, and its damping is K tau.
+    """
+    nonlinear = dict(zip((own.name for own in one.model.nonlinear), one.nonlinear.tolist(), strict=True))
+    late = sum(abs(nonlinear.get(name, 0.0)) for name in ("skew", "lag"))
+    if late == 0.0 or "tau1" not in nonlinear:
+        return float(_RELAXING * stiffness * late)
+    values = own_values(one, data)
+    stiffness += values["K1"] + values.get("K2", 0.0)
+    fast, slow = sorted((nonlinear["tau1"], nonlinear.get("tau2", math.inf)))
+    return float(_FURTHER * late * (stiffness + values["Bc"] * (slow / fast**2 if slow < math.inf else 0.0)))
 
 
 def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:

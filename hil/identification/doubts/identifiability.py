@@ -116,14 +116,19 @@ def other_stiffness(
         text += remedy if spans in ("direction", DEFLECTION) else "The Kc here is their mean"
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "direction"))
     if {"Kc", "K1", "tau1"} <= set(values):
-        fast = values["Kc"] + values["K1"] + values.get("K2", 0.0)
+        fast, name = values["Kc"] + values["K1"] + values.get("K2", 0.0), min(_relaxing(values))[1]
         text = (
             f"Kc depends on the speed: it is {values['Kc']:.3g} N m/rad in slow motion, and {fast:.3g} N m/rad in "
-            f"motion much faster than {1e3 * values['tau1']:.3g} ms (tau1). The Kc here is that of slow motion. For "
+            f"motion much faster than {1e3 * values[name]:.3g} ms ({name}). The Kc here is that of slow motion. For "
             "motion between, use K'(f) and B'(f) of --verbose"
         )
         found.append(Diagnostic("two-stiffnesses", text, "Kc"))
     return found
+
+
+def _relaxing(values: Mapping[str, float]) -> list[tuple[float, str]]:
+    """Return the time, s, in which each branch of a model with these values relaxes, with its parameter."""
+    return [(values[name], name) for name in ("tau1", "tau2") if name in values]
 
 
 def _unloaded(evidence: Evidence) -> list[Diagnostic]:
@@ -202,13 +207,14 @@ def _why_not(evidence: Evidence, at: int) -> str:
 def _alike(evidence: Evidence, at: int) -> str:
     """Return the parameter that this one cannot be distinguished from, and the remedy."""
     name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
-    constant = float(evidence.values[evidence.names.index("tau1")]) if "tau1" in evidence.names else 0.0
-    if name in {"Kc", "K1"} and constant > 1.0 / (2.0 * np.pi * low):
+    relaxing = _relaxing(dict(zip(evidence.names, evidence.values.tolist(), strict=True)))
+    constant, slowest = max(relaxing, default=(0.0, ""))
+    if name in {"Kc", slowest.replace("tau", "K")} and constant > 1.0 / (2.0 * np.pi * low):
         seconds = f"Hold a load for at least {5.0 * constant:.2g} s"
         hold = again(seconds, "--profile steps at a low --band", imported=evidence.signals.imported)
         return (
-            f"{name} is not identifiable: a part of the stiffness relaxes in about {constant:.2g} s (tau1), but the "
-            f"slowest motion was at {low:.2g} Hz. {hold}. In the band of this recording, use "
+            f"{name} is not identifiable: a part of the stiffness relaxes in about {constant:.2g} s ({slowest}), but "
+            f"the slowest motion was at {low:.2g} Hz. {hold}. In the band of this recording, use "
             "K'(f) of --verbose"
         )
     norms = np.linalg.norm(columns, axis=0)

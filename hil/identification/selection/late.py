@@ -18,7 +18,7 @@ from ga.model.springs import SHORTEST_RELAXATION
 from ga.model.terms import is_addable
 from ga.model.trajectory import FORGOTTEN
 from hil.identification.selection.criterion import STRONG, Criterion
-from hil.identification.selection.fits import LATE, Candidate, Fits
+from hil.identification.selection.fits import LATE, Candidate, Fits, own
 from hil.identification.selection.held import DRIVES, damping_at, taken_off
 from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
 from hil.uncertainty.model_average import AKAIKE
@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 
 EARLIER: Final = (*LATE, "inertia")
 """Why a torque reading may be late, or may seem to be early."""
+
+BRANCHES: Final = ("maxwell", "maxwell2")
+"""Terms of viscoelastic branches, each of which needs those before it."""
 
 _STIFFEST, _HIDDEN = 2.0, 0.002  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
 _BRANCHES = 12  # time constants, two an octave
@@ -78,8 +81,9 @@ class LateReading:
 
         A branch without a damper of its own beside it has the form of a lag, which has a parameter less.
         """
-        possible = "maxwell" in chosen.terms and "lag" in self.accounts and is_addable("lag", chosen.terms)
-        other = self._with(_replaced(chosen.terms, "maxwell", "lag")) if possible else None
+        branch = _last_branch(chosen.terms)
+        possible = branch and "lag" in self.accounts and is_addable("lag", chosen.terms)
+        other = self._with(_replaced(chosen.terms, branch, "lag")) if possible else None
         if other is None:
             return chosen
         alike = self.criterion.blurred(other, "lag")
@@ -253,8 +257,8 @@ class LateReading:
         others = tuple(term for term in chosen.terms if term not in self.accounts)
         seen = len(others) < len(chosen.terms)  # else each likely time counts, and not the best one
         accounts = [(*others, term) for term in self.accounts if seen or term not in LATE]
-        if "maxwell" in others:
-            stiff = tuple(term for term in others if term != "maxwell")
+        if branch := _last_branch(others):
+            stiff = tuple(term for term in others if term != branch)
             accounts += [(*stiff, term) for term in self.accounts]
             accounts += [(*stiff, *LATE)] if set(LATE) <= set(self.accounts) else []
         found = [one for terms in accounts if (one := self._with(terms)) is not None]
@@ -289,24 +293,26 @@ class LateReading:
 
         Both stiffen fast motion, and the branch is a damper besides. In slow motion nothing but how much it stiffens
         shows, K1 tau1^2: each time constant up to the shortest period is fitted, and as likely in each half octave. One
-        joint in ten has such a branch. Where the reading is later than one recorder makes it, that is as rare. None is
+        joint in ten has such a branch, and where one was found, another is no rarer than a late reading. Where the
+        reading is later than one recorder makes it, that is as rare. None is
         much stiffer than Kc, and none stands alone: without a damper beside it, it has the form of a lag.
         """
         others = tuple(term for term in chosen.terms if term not in LATE)
         late = sum(abs(chosen.values.get(term, 0.0)) for term in LATE)
-        if not is_addable("maxwell", others) or "mean" in others or not chosen.damping > 0.0:
+        term = next((term for term in BRANCHES if is_addable(term, others)), "")
+        if not term or "mean" in others or not chosen.damping > 0.0:
             return
         without = self._with(others)
         if without is None or late * chosen.stiffness < _HIDDEN * chosen.damping:
             return
-        is_usual = late <= LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
+        is_usual = term == BRANCHES[0] and late <= LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
         blurred, before = 0.0, math.nan
         for constant in np.geomspace(SHORTEST_RELAXATION, 1.0, _BRANCHES) / self.fits.highest:
-            branch = self.fits.with_value((*others, "maxwell"), without, float(constant))
-            blurred = blurred or self.criterion.blurred(branch, "maxwell")
+            branch = self.fits.with_value((*others, term), chosen, float(constant))
+            blurred = blurred or self.criterion.blurred(branch, term)
             rare = (_RARE if is_usual else 0.0) + 2.0 * math.log(_BRANCHES)
             criterion = rare - self._ratio_when_settled(chosen, branch, float(constant)) / blurred
-            is_possible = 0.0 < branch.values["K1"] <= _STIFFEST * branch.stiffness and branch.damping > 0.0
+            is_possible = 0.0 < branch.values[own(term)[0]] <= _STIFFEST * branch.stiffness and branch.damping > 0.0
             spread = abs(branch.damping - before) / 12.0**0.5
             if is_possible and math.isfinite(spread) and criterion < _UNLIKELY:
                 yield Lateness(branch.stiffness, branch.damping, spread, criterion)
@@ -319,6 +325,11 @@ class LateReading:
         found = self.fits.candidate(terms, beside)
         found = found if beside is None else _deeper(found)
         return found if found.is_possible(*(term for term in EARLIER if term in terms)) else None
+
+
+def _last_branch(terms: tuple[str, ...]) -> str:
+    """The last of the branches among the terms, without which the others are a model; "" where there is none."""
+    return next((branch for branch in reversed(BRANCHES) if branch in terms), "")
 
 
 def _deeper(found: Candidate) -> Candidate:

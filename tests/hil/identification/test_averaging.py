@@ -446,3 +446,28 @@ def test_friction_that_falls_is_computed_where_a_linearised_fit_has_no_way_to_bu
     names = [parameter.name for parameter in model.parameters]
     found = rate_laws.falling(Largest(model, (), names, columns, target, values, sampling, likely), motion)
     assert all(np.isfinite(one.values).all() for one, _ in found)
+
+
+@pytest.mark.parametrize(
+    ("name", "nonlinear", "expected"),
+    [
+        ("linear+offset+skew", [1e-3], KC * 1e-3 * (1.0 / 33.0) ** 0.5),
+        ("linear+offset+maxwell", [0.04], 0.0),
+        ("linear+offset+maxwell+skew", [0.04, 1e-3], 1.5 * KC * 1e-3 * (1.0 / 3.0) ** 0.5),
+        (
+            "linear+offset+maxwell+maxwell2+skew",
+            [0.04, 0.4, 1e-3],
+            (1.75 * KC * 1e-3 + BC * 1e-3 / 0.004) * (1.0 / 3.0) ** 0.5,
+        ),
+    ],
+)
+def test_what_looks_late_may_be_the_damping_of_a_further_branch(
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch, name: str, nonlinear: list[float], expected: float
+) -> None:
+    """Branches of a half and a quarter of Kc, which relax in 40 and 400 ms; a third one would in 4 ms."""
+    with Recording(make_recording(change=lambda channels: sweep(channels, 0.0, 1))) as recording:
+        signals = prepare(recording, None)
+    one = Alternative(parse(name).anchored(signals.motion), np.array(nonlinear), 0.0)
+    own = {"K1": 0.5 * KC, "Bc": BC} | ({"K2": 0.25 * KC} if "maxwell2" in name else {})
+    monkeypatch.setattr(average, "own_values", lambda *_: own)
+    assert average._hidden(one, signals, KC) == pytest.approx(expected)

@@ -31,6 +31,7 @@ def identified(
     omega: Array = OMEGA,
     *,
     wrong: float = -1.0,
+    samples: int = 2000,
 ) -> Identification:
     """The result of a sum of sines, of 1 to 12 Hz unless said, with the torque behind a filter of that response.
 
@@ -46,7 +47,7 @@ def identified(
             torque + 5e-4 * rng.standard_normal(len(torque)) + 0.1 * np.isclose(channels["time"], wrong)
         )
 
-    path = make_recording(change=change, samples=2000)
+    path = make_recording(change=change, samples=samples)
     return identify([path], None if model is None else parse(model), SEARCH)
 
 
@@ -145,3 +146,39 @@ def test_a_wrong_first_reading_is_no_sign_of_a_late_one(make_recording: Maker) -
     for name in ("Kc", "Bc"):
         assert wrong[name].value == pytest.approx(right[name].value, abs=0.2 * right[name].half_width)
         assert wrong[name].half_width == pytest.approx(right[name].half_width, rel=0.2)
+
+
+def branches(omega: Array, *parts: tuple[float, float]) -> Response:
+    """What Maxwell branches add to spring and damper, as a response: parts of Kc, and the times, s, they relax in."""
+    added = sum(KC * part * 1j * omega * time / (1.0 + 1j * omega * time) for part, time in parts)
+    return np.asarray(1.0 + added / (KC + 1j * omega * BC))
+
+
+def test_a_tendon_that_relaxes_at_two_speeds_has_two_branches(make_recording: Maker) -> None:
+    """K'(w) and B'(w) in closed form. One branch leaves Kc and Bc to a friction, a delay or a filter."""
+    omega = 2.0 * np.pi * np.geomspace(0.25, 10.0, 14)
+    found = identified(make_recording, branches(omega, (0.4, 0.02), (0.3, 0.25)), omega=omega, samples=6000)
+    assert found.model.name == "linear+maxwell+maxwell2"
+    for name, truth in (("Kc", KC), ("Bc", BC)):
+        assert found.trusted(name)
+        assert found[name].ci95[0] < truth < found[name].ci95[1]
+    (said,) = [one for one in found.diagnostics if one.code == "two-stiffnesses"]
+    assert "it is 0.3 N m/rad in slow motion, and 0.5" in said.message
+    faster = min(("tau1", "tau2"), key=lambda name: found[name].value)
+    assert found[faster].value == pytest.approx(0.02, rel=0.1)
+    assert f"({faster})" in said.message
+
+
+def test_a_branch_is_not_given_another_one_that_is_not_there(make_recording: Maker) -> None:
+    omega = 2.0 * np.pi * np.geomspace(0.25, 10.0, 14)
+    found = identified(make_recording, branches(omega, (0.4, 0.03)), omega=omega, samples=6000)
+    assert found.model.name == "linear+maxwell"
+
+
+def test_what_relaxes_at_three_speeds_is_not_sure_of_its_damping(make_recording: Maker) -> None:
+    """Two branches and a delay describe it; with as little room for a third as for a first one Bc is wrong."""
+    omega = 2.0 * np.pi * np.geomspace(0.25, 8.0, 14)
+    spread = branches(omega, (0.2, 0.008), (0.25, 0.06), (0.25, 0.45))
+    found = identified(make_recording, spread, omega=omega, samples=10_000)
+    bc = found["Bc"]
+    assert abs(bc.value - BC) <= bc.half_width or not found.trusted("Bc")
