@@ -139,12 +139,12 @@ def _as_nearby(
     It is if the error does not fall where one of these genes rises, by the multipliers of the rows that are met.
     """
     zero = [k for k in positive if near[k] == 0.0]
-    if not zero:
+    others = np.setdiff1d(np.arange(columns.shape[1]), zero)
+    if not zero or not 0 < len(others) <= len(torque):
         return None
     found = _without(columns, torque, zero, near)
-    others = np.setdiff1d(np.arange(columns.shape[1]), zero)
     residuals = torque - columns @ found.genes
-    if not others.size or any(found.genes[k] < 0.0 for k in positive):
+    if any(found.genes[k] < 0.0 for k in positive):
         return None
     met = np.argpartition(np.abs(residuals), len(others) - 1)[: len(others)]
     signs = np.sign(residuals)
