@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 
 _NORMAL = 1.96  # half a 95 % interval in standard errors
 _RELAXING = (1.0 / 11.0 / 3.0) ** 0.5  # one joint in ten: any part of what looks late, a standard deviation
-_FURTHER = (1.0 / 3.0) ** 0.5  # the same where a branch was found: what relaxes does so at more than one speed
+_FURTHER = (1.0 / 3.0) ** 0.5  # the same where two branches were found: what relaxes does so at more speeds
 _PLACES = 2**44  # steps of a range, to one of which a quantile is found
 
 
@@ -136,17 +136,17 @@ def _behind_filter(
 def _hidden(one: Alternative, data: Signals, stiffness: float) -> float:
     """The damping, N m s/rad, a standard deviation, that is in Bc if a branch makes a part of what looks late.
 
-    In fast motion the branches that the model has are stiff too. A branch beside two relaxes as much faster than these
-    as one of them does than the other. To the second order it looks late by K tau^2/Bc, and its damping is K tau.
+    Beside one branch, `LateReading.lateness` has every second one. A third one relaxes as much faster than two as one
+    of these does than the other. To the second order it looks late by K tau^2/Bc, and its damping is K tau; in fast
+    motion the two are stiff too.
     """
     nonlinear = dict(zip((own.name for own in one.model.nonlinear), one.nonlinear.tolist(), strict=True))
     late = sum(abs(nonlinear.get(name, 0.0)) for name in ("skew", "lag"))
-    if late == 0.0 or "tau1" not in nonlinear:
+    if late == 0.0 or "tau2" not in nonlinear:
         return float(_RELAXING * stiffness * late)
     values = own_values(one, data)
-    stiffness += values["K1"] + values.get("K2", 0.0)
-    fast, slow = sorted((nonlinear["tau1"], nonlinear.get("tau2", math.inf)))
-    return float(_FURTHER * late * (stiffness + values["Bc"] * (slow / fast**2 if slow < math.inf else 0.0)))
+    fast, slow = sorted((nonlinear["tau1"], nonlinear["tau2"]))
+    return float(_FURTHER * late * (stiffness + values["K1"] + values["K2"] + values["Bc"] * slow / fast**2))
 
 
 def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
