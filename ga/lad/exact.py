@@ -134,9 +134,9 @@ def not_negative(
 def _as_nearby(
     columns: NDArray[np.float64], torque: NDArray[np.float64], positive: tuple[int, ...], near: NDArray[np.float64]
 ) -> Optimum | None:
-    """The optimum with the genes zero that are zero nearby, at their bounds, if it is the one within the bounds.
+    """The optimum in which the genes stay zero that are zero nearby, if it is that of all within the bounds; else None.
 
-    It is if the error does not fall where one of these genes rises, by the multipliers of the rows that are met.
+    It is, if the error does not fall where one of these genes rises: the multipliers of the rows that are met say so.
     """
     zero = [k for k in positive if near[k] == 0.0]
     others = np.setdiff1d(np.arange(columns.shape[1]), zero)

@@ -269,9 +269,9 @@ class CouplingModel:
 
         Where there is a cell, they are of all samples.
         """
-        for term, values in self._valued(nonlinear):
-            if term.cell is not None:  # one term at most
-                return term.cell(motion, torque, values)
+        cells = [(term.cell, values) for term, values in self._valued(nonlinear) if term.cell is not None]
+        for number, (cell, values) in enumerate(cells, start=1):
+            torque = cell(motion if number == len(cells) else motion.whole[0], torque, values)
         return torque
 
     def _read(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:

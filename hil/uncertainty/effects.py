@@ -154,11 +154,14 @@ class Effect:
     takes_spring: bool = False
 
     def remedy(self, terms: Sequence[str] = ("linear", "offset")) -> str:
-        """Return the advice for a model of these terms, each term in braces beside those that it can stand beside."""
+        """Return the advice for a model of these terms, each term in braces beside those that it can stand beside.
+
+        A model that it is already is no advice.
+        """
         models = {name: compatible_model(name, terms) for name in TERMS}
         if "maxwell" in terms:  # beside a branch, what still relaxes is another one
             models["maxwell"] = compatible_model("maxwell2", terms)
-        return self.advice.format_map(models)
+        return self.advice.format_map(models).removeprefix(f"try --model {'+'.join(terms)}, ")
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
         """Pickle the effect as its code: its signature may be a lambda."""

@@ -28,11 +28,9 @@ Array = NDArray[np.float64]
 EARLIER: Final = (*LATE, "inertia")
 """Why a torque reading may be late, or may seem to be early."""
 
-BRANCHES: Final = ("maxwell", "maxwell2")
-"""Terms of viscoelastic branches, each of which needs those before it."""
-
 _STIFFEST, _HIDDEN = 2.0, 0.002  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
-_BRANCHES = 12  # time constants, two an octave
+_BRANCHES = ("maxwell", "maxwell2")  # each needs those before it
+_CONSTANTS = 12  # of a branch, two an octave
 _DELAYS, _LAGS = 3, 11  # every half tick of each sign, and every half octave
 _NARROW = 4.0  # twice the fall of the logarithmic likelihood at a skew, from which a parabola may end before it
 _UNLIKELY = 30.0  # twice the logarithm of the odds against a time, from which longer ones weigh nothing
@@ -293,24 +291,23 @@ class LateReading:
 
         Both stiffen fast motion, and the branch is a damper besides. In slow motion nothing but how much it stiffens
         shows, K1 tau1^2: each time constant up to the shortest period is fitted, and as likely in each half octave. One
-        joint in ten has such a branch, and where one was found, another is no rarer than a late reading. Where the
-        reading is later than one recorder makes it, that is as rare. None is
-        much stiffer than Kc, and none stands alone: without a damper beside it, it has the form of a lag.
+        joint in ten has such a branch. A reading that is later than one recorder makes it is as rare, and so is one
+        beside a branch: what relaxes at one speed may do so at two. None is much stiffer than Kc, and none stands
+        alone: without a damper beside it, it has the form of a lag.
         """
         others = tuple(term for term in chosen.terms if term not in LATE)
         late = sum(abs(chosen.values.get(term, 0.0)) for term in LATE)
-        term = next((term for term in BRANCHES if is_addable(term, others)), "")
+        term = next((term for term in _BRANCHES if is_addable(term, others)), "")
         if not term or "mean" in others or not chosen.damping > 0.0:
             return
-        without = self._with(others)
-        if without is None or late * chosen.stiffness < _HIDDEN * chosen.damping:
+        if late * chosen.stiffness < _HIDDEN * chosen.damping:
             return
-        is_usual = term == BRANCHES[0] and late <= LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
+        is_usual = term == _BRANCHES[0] and late <= LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
         blurred, before = 0.0, math.nan
-        for constant in np.geomspace(SHORTEST_RELAXATION, 1.0, _BRANCHES) / self.fits.highest:
+        for constant in np.geomspace(SHORTEST_RELAXATION, 1.0, _CONSTANTS) / self.fits.highest:
             branch = self.fits.with_value((*others, term), chosen, float(constant))
             blurred = blurred or self.criterion.blurred(branch, term)
-            rare = (_RARE if is_usual else 0.0) + 2.0 * math.log(_BRANCHES)
+            rare = (_RARE if is_usual else 0.0) + 2.0 * math.log(_CONSTANTS)
             criterion = rare - self._ratio_when_settled(chosen, branch, float(constant)) / blurred
             is_possible = 0.0 < branch.values[own(term)[0]] <= _STIFFEST * branch.stiffness and branch.damping > 0.0
             spread = abs(branch.damping - before) / 12.0**0.5
@@ -329,7 +326,7 @@ class LateReading:
 
 def _last_branch(terms: tuple[str, ...]) -> str:
     """The last of the branches among the terms, without which the others are a model; "" where there is none."""
-    return next((branch for branch in reversed(BRANCHES) if branch in terms), "")
+    return next((branch for branch in reversed(_BRANCHES) if branch in terms), "")
 
 
 def _deeper(found: Candidate) -> Candidate:

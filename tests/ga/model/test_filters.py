@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from ga.model.coupling import parse
+from ga.model.coupling import CouplingModel, parse
 from ga.model.memory import averaged
 from ga.model.separable import Problem, fit
 from ga.model.trajectory import Motion, joined
@@ -129,3 +129,11 @@ def test_motions_one_after_the_other_remain_parts_of_their_wholes() -> None:
     )
     moved = both.shifted(0.2)
     np.testing.assert_allclose(moved.delayed(2e-3).dtheta, both.delayed(2e-3).dtheta - 0.2)
+
+
+def test_a_torque_that_passes_two_cells_passes_one_after_the_other() -> None:
+    """Of some samples too: the second cell needs the first one's readings beside them."""
+    some = MOTION.of(slice(100, None, 7))
+    found = CouplingModel("linear+lag+mean").columns(some, np.array([4e-3, 0.02]))[:, 0]
+    expected = MOTION.averaged(MOTION.lagged(MOTION.dtheta, 4e-3), 0.02)[100::7]
+    np.testing.assert_allclose(found[50:], expected[50:], atol=1e-9)

@@ -626,3 +626,16 @@ def test_a_parameter_that_only_its_own_term_is_like_is_known_within_its_interval
     assert evidence.names == ["Kc", "Bc", "Kh", "exponent"]
     assert Evidence._known_beside_its_term(cast("Evidence", evidence), 2) is known
     assert not Evidence._known_beside_its_term(cast("Evidence", evidence), 0)
+
+
+@pytest.mark.parametrize(
+    ("model", "advised"),
+    [("linear+offset", "linear+offset+maxwell"), ("linear+offset+maxwell", "linear+offset+maxwell+maxwell2")],
+)
+def test_a_joint_that_still_relaxes_is_advised_a_branch_that_its_model_lacks(model: str, advised: str) -> None:
+    assert effect_of("viscoelastic").remedy(model.split("+")).startswith(f"try --model {advised}, read K'(f)")
+
+
+def test_a_joint_that_relaxes_beside_all_branches_is_not_advised_the_model_that_it_has() -> None:
+    advice = effect_of("viscoelastic").remedy(["linear", "offset", "maxwell", "maxwell2"])
+    assert advice.startswith("read K'(f) and B'(f)")

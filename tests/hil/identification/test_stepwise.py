@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
+from ga.model.memory import lagged
 from ga.model.separable import Fit, Problem, best_start
-from ga.model.terms import RARER
+from ga.model.terms import RARER, is_addable, with_another
 from ga.model.trajectory import Motion
 from hil.identification.selection import criterion, stepwise
 from hil.identification.selection import fits as fits_module
@@ -648,3 +649,27 @@ def test_a_branch_in_place_of_a_late_reading_is_any_of_those_that_stiffen_fast_m
     constants = np.geomspace(0.02, 1.0, 12)[1:4] / HIGHEST
     assert [one.Bc for one in found] == pytest.approx(seen - stiffening / constants, rel=0.01)
     assert [one.Kc for one in found] == pytest.approx([KC] * 3, rel=1e-3)
+
+
+def test_beside_a_branch_a_second_one_stands_in_place_of_a_late_reading() -> None:
+    """Of branches of 30 and of 3 ms the latter looks like a late reading. No model has the second without the first."""
+    moved, noise = chirp(TIME), 1e-5 * np.random.default_rng(1).standard_normal(SAMPLES)
+    angle = moved.dtheta
+    relaxing = sum(part * (angle - lagged(TIME, angle, constant)) for part, constant in ((0.4, 0.03), (0.5, 3e-3)))
+    torque = KC * angle + BC * moved.rate + KC * relaxing + noise
+    fits = Fits(Motion(moved.time, angle, moved.rate, moved.acceleration, np.zeros(SAMPLES)), torque, HIGHEST)
+    late = LateReading(fits, criterion.criterion_of(fits, ("offset", "skew"), ("linear",)), LATE)
+    chosen = fits.candidate(("linear", "maxwell", "skew"))
+    found = list(late._relaxing(chosen))
+    assert chosen.damping > 1.1 * BC
+    assert any(one.Bc == pytest.approx(BC, rel=0.1) for one in found)
+    two = fits.candidate(("linear", "maxwell", "maxwell2"))
+    others = [one.model.name.split("+") for one in late.alternatives(two)]
+    assert any("maxwell" in one for one in others)
+    assert all("maxwell" in one for one in others if "maxwell2" in one)
+
+
+def test_a_second_branch_is_likely_only_beside_a_first_one() -> None:
+    assert with_another(("linear",), "maxwell2", complete=True) == ("linear", "maxwell2")
+    assert with_another(("linear",), "maxwell", complete=True) == ("linear", "maxwell")
+    assert not is_addable("maxwell2", ("linear",))
