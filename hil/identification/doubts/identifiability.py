@@ -267,10 +267,10 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
     name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = (float(of[at]) for of in evidence.exact)
     corner, imported = _corner(evidence) if name == "Bc" else "", evidence.signals.imported
-    change, options = "Move the joint faster", "--band"
+    remedy = again("Move the joint faster", "--band", imported=imported)
     if name == "Kc":
         cause, known = "Effects that the recording neither shows nor excludes change Kc", "the joint has none of them"
-        change, options = "Use a larger amplitude and a wider band", "--amplitude, --band"
+        remedy = again("Use a larger amplitude and a wider band", "--amplitude, --band", imported=imported)
     elif {"skew", "lag", "window"} & set(evidence.names):
         cause = "A late torque reading looks like a viscoelastic coupling that relaxes fast"
         known = "the torque cell or its filter is that late"
@@ -280,7 +280,6 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
             "like more"
         )
         known = "nothing delays the torque and damping does not grow with the rate"
-    remedy = again(change, options, imported=imported)
     return (
         f"model {evidence.model.name} gives "
         f"{with_unit(f'{value:.3g} ± {half:.2g}', unit)}, and other models that fit equally well give other "
