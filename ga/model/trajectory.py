@@ -23,7 +23,10 @@ V = TypeVar("V")
 
 
 class Filter(Protocol):
-    """What readings went through, each as every other."""
+    """What readings went through, each as every other; longest_step: s between samples, up to which it is as good."""
+
+    @property
+    def longest_step(self) -> float: ...  # noqa: D102
 
     def passing(self, time: Array) -> Callable[[Array], Array]: ...  # noqa: D102
 
@@ -34,12 +37,18 @@ FORGOTTEN: Final = 30.0
 _APART: Final = 300.0
 """Variance of the acceleration over what deflection and rate leave of it, from which the motion is one sine."""
 
+_TINY: Final = 1e-300
+
 _AGAIN: Final = 4
 """Passes, below which what seems to change in time may as well differ between the directions."""
 
 _UNSURE: Final = 0.005
 _UNLIKE: Final = 8.0
 """Part of the r.m.s. value, and times the usual difference or the noise, up to which two windows give one slope."""
+
+_DENSE: Final = 0.25
+_FEWEST: Final = 50
+"""Of the time in which the rate changes by itself: two samples are no further apart to be dense; of a stretch."""
 
 _MOST_KEPT: Final = 2
 """Delays, and models with their parameters, of which what was computed is kept."""
@@ -110,7 +119,7 @@ class Motion:
         """The motion that this one is a part of, or itself, and its rows in that."""
         return (self, slice(None)) if self.part_of is None else self.part_of
 
-    def of(self, rows: NDArray[np.bool_] | slice) -> Motion:
+    def of(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Motion:
         """Some of the samples, to be delayed and lagged as exactly as if all were there."""
         chosen = np.arange(len(self))[rows]
         whole, places = self.whole
@@ -120,6 +129,31 @@ class Motion:
             starts=tuple(np.searchsorted(chosen, self.starts).tolist()),
             part_of=(whole, np.arange(len(whole))[places][rows]),
         )
+
+    def coarser(self, fewest: int) -> tuple[Motion, NDArray[np.int64]]:
+        """Return some of the samples, `fewest` or more, in a whole motion with fewer between them; and which (k,).
+
+        What the motion remembers costs a step for each sample of the whole: for values that are only compared with each
+        other, as many as interpolation needs are enough.
+        """
+        whole, places = self.whole
+        rows = np.arange(len(whole))[places]
+        every = max(1, min(whole._dispensable, len(rows) // fewest))
+        kept = np.arange(rows[0] % every, len(whole), every)
+        starts = np.searchsorted(kept, whole.starts)
+        chosen = np.flatnonzero((rows - kept[0]) % every == 0)
+        if every == 1 or len(chosen) < fewest or np.diff([*starts, len(kept)]).min() < _FEWEST:
+            return self, np.arange(len(self))
+        parts = {name: getattr(whole, name)[kept] for name in ("time", *_PARTS)}
+        coarse = replace(whole, **parts, starts=tuple(starts.tolist()))
+        return coarse.of(rows[chosen] // every), chosen
+
+    @cached_property
+    def _dispensable(self) -> int:
+        """Of how many samples one is enough to interpolate between."""
+        fastest = float(np.sqrt(np.mean(self.dtheta_ddot**2) / max(float(np.mean(self.dtheta_dot**2)), _TINY)))
+        longest = min(_DENSE / max(fastest, _TINY), self.behind.longest_step if self.behind else np.inf)
+        return max(1, int(min(longest / float(np.median(np.diff(self.time))), len(self))))
 
     def at(self, time: Array) -> Motion:
         """The motion at other times (m,), s, rising, those between two stretches left out; at all else interpolated.

@@ -20,7 +20,6 @@ from ga.evolution.ask_tell import Search
 from ga.evolution.evolution import Settings
 from ga.model.polishing import polished
 from ga.model.separable import (
-    FEW,
     Fit,
     Problem,
     at_least_contained,
@@ -71,14 +70,14 @@ def search_nonlinear(
     does not depend on `workers`. Ctrl-C ends the searches where they are: what is found so far is returned.
     Raises ValueError for settings that are not of the generational scheme.
     """
-    thin = problem.thinned(FEW)
+    sketch = problem.sketched()
     bounds = Bounds(problem.low, problem.high)
     settings = replace(settings, tolerance=max(settings.tolerance or 0.0, _TOLERANCE))
     seeds = np.random.SeedSequence([seed, trials]).generate_state(trials, np.uint32)
     running = [_Trial(Search(bounds, settings, seed=int(number))) for number in seeds]
     cancelled = threading.Event()
     with ThreadPoolExecutor(min(workers, trials)) as pool:
-        futures = [pool.submit(_run, trial, problem, thin, cancelled) for trial in running]
+        futures = [pool.submit(_run, trial, problem, sketch, cancelled) for trial in running]
         try:
             _watch(futures, progress)
         except KeyboardInterrupt:
@@ -109,11 +108,11 @@ def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None
             progress(1.0 - len(pending) / len(futures))
 
 
-def _run(trial: _Trial, problem: Problem, thin: Problem, cancelled: threading.Event) -> None:
+def _run(trial: _Trial, problem: Problem, sketch: Problem, cancelled: threading.Event) -> None:
     search, near, began = trial.search, None, time.thread_time()
     while not (is_over := search.done or _is_idle(trial.record, len(problem.low))) and not cancelled.is_set():
         points = search.ask()
-        fits = [solve_or_none(thin, point, near) for point in points]
+        fits = [solve_or_none(sketch, point, near) for point in points]
         near = min((fit for fit in (*fits, near) if fit), key=lambda fit: fit.fitness, default=None)
         search.tell(points, [fit.fitness if fit else np.inf for fit in fits])
         trial.record.append(search.best_fitness)

@@ -39,6 +39,7 @@ _LEFT: Final = 0.8  # of the samples, that must remain
 _KEPT: Final = 100_000  # samples, whose weights, 20 MB, are kept for stamps asked for again
 _REMEMBERED: Final = 24  # results, of one recording, that are kept for columns asked for again
 _MARKS: Final = 64  # values of a column, by which it is looked up
+_SPARSER: Final = 1.5  # times the step, from which samples need another kernel
 _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
@@ -53,6 +54,18 @@ class LowPass:
     half: int
     step: float
     near: int
+
+    @property
+    def longest_step(self) -> float:
+        """Between two samples, s, up to which a low-pass of this cut is possible."""
+        return _NYQUIST / (4.0 * self.cut) * (_PASSED + _STOPPED) / _STOPPED
+
+    def for_step(self, step: float) -> LowPass:
+        """Return the low-pass of this cut for samples `step` s apart; itself where these are about as dense."""
+        if step < _SPARSER * self.step:
+            return self
+        own = ceil((self.half - _FLAT) * self.step / step)
+        return LowPass(self.cut, own + _FLAT, step, self.near)
 
     @lru_cache(maxsize=8)  # noqa: B019 - it holds four numbers
     def kernels(self) -> Array:

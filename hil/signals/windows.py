@@ -89,11 +89,16 @@ class Window:
         """Return values (n,) behind what the deflection went through, so that what is between them stays as it is."""
         return values if self.low_pass is None else _known(passed(time, values, self.low_pass)[0], values)
 
+    @property
+    def longest_step(self) -> float:
+        """Between two samples, s, up to which `passing` passes the same."""
+        return self.low_pass.longest_step if self.low_pass else np.inf
+
     def passing(self, time: Array) -> Callable[[Array], Array]:
         """Return the function that does the same with many values (n,) at the same stamps, as a search needs it."""
         if self.low_pass is None:
             return lambda values: values
-        through = passing(time, self.low_pass)
+        through = passing(time, self.low_pass.for_step(float(np.median(np.diff(time)))))
         return lambda values: _known(through(values), values)
 
     def jerked(self, time: Array, dtheta: Array, rate: Array, acceleration: Array) -> NDArray[np.bool_]:

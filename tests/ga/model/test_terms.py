@@ -163,6 +163,7 @@ class Mean:
     """A filter: the mean of so many readings on each side."""
 
     half: int
+    longest_step: float = 0.0
 
     def passing(self, _time: Array) -> Callable[[Array], Array]:
         def passed(values: Array) -> Array:

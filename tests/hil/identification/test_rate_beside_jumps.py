@@ -22,6 +22,8 @@ TAPS: Array = np.asarray(firwin(101, 40.0, fs=1.0 / STEP), dtype=np.float64)
 class Through:
     """A low-pass of 40 Hz without a phase shift."""
 
+    longest_step = 0.0
+
     def passing(self, _time: Array) -> Callable[[Array], Array]:
         return lambda values: np.convolve(values, TAPS, mode="same")
 
