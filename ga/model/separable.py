@@ -152,7 +152,7 @@ class Problem:
         return self.of(slice(None, None, max(1, len(self.torque) // rows)))
 
     def sketched(self) -> Problem:
-        """Return the problem on a few rows, in a motion no denser than it needs: to compare places, not to stay."""
+        """Return the problem on a few rows, in a motion no denser than it needs: to find a place to descend from."""
         motion, rows = self.motion.coarser(FEW)
         return replace(self, motion=motion, torque=self.torque[rows]).thinned(FEW)
 
@@ -183,7 +183,7 @@ def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> F
     """
     if not problem.low.size:
         return problem.solve(problem.low)
-    return local_minimum(problem, best_start(problem, near).nonlinear, near)
+    return local_minimum(problem, best_start(problem.thinned(), near).nonlinear, near)
 
 
 def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
@@ -222,21 +222,21 @@ def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Itera
 
 
 def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the local minimum of some rows that the best of a few starting values leads to; near: those known."""
+    """Return the local minimum that the best of a few starting values leads to; near: those roughly known."""
     tried = []
     for parameter, low, high in zip(problem.model.nonlinear, problem.low, problem.high, strict=True):
         parts, name = np.array(parameter.starts), parameter.name
         tried.append(np.array([near[name]]) if name in near else low + (high - low) * parts)
-    sketch, some, found = problem.sketched(), problem.thinned(), list[Fit]()
+    thin, found = problem.thinned(FEW), list[Fit]()
     for chosen in product(*tried):
-        seen = solve_or_none(sketch, np.array(chosen), min(found, key=_fitness, default=None))
+        seen = solve_or_none(thin, np.array(chosen), min(found, key=_fitness, default=None))
         found += [] if seen is None else [seen]
     if not found:
         raise RuntimeError("for no nonlinear parameters were the columns different enough")
     found.sort(key=_fitness)
-    first, best = _descent(some, found[0].nonlinear, _NEARLY)
-    for other in _other_starts(some, first, best, found):
-        best = min(best, descend(some, other.nonlinear, _NEARLY), key=_fitness)
+    first, best = _descent(problem, found[0].nonlinear, _NEARLY)
+    for other in _other_starts(problem, first, best, found):
+        best = min(best, descend(problem, other.nonlinear, _NEARLY), key=_fitness)
     return best
 
 

@@ -175,7 +175,7 @@ class Fits:
             less = self.preview(terms[:-1]) if len(terms) > 1 else None
             near = {} if less is None else _named(_model(terms[:-1]), less)
             try:
-                self._previews[unordered] = best_start(self._problem(terms), near)
+                self._previews[unordered] = best_start(self._problem(terms).thinned(), near)
             except RuntimeError:
                 self._previews[unordered] = None
         return self._previews[unordered]

@@ -1,4 +1,4 @@
-"""A motion with fewer samples, on which places are compared, remembers and is delayed as the dense one does."""
+"""A motion with fewer samples, on which the genetic algorithm searches, remembers and is delayed as the dense one does."""
 
 from __future__ import annotations
 
