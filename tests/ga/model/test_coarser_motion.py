@@ -1,4 +1,4 @@
-"""A motion with fewer samples, on which the genetic algorithm searches, remembers and is delayed as the dense one does."""
+"""A motion with fewer samples, for the genetic algorithm: it remembers and is delayed as the dense one is."""
 
 from __future__ import annotations
 
