@@ -23,10 +23,15 @@ V = TypeVar("V")
 
 
 class Filter(Protocol):
-    """What readings went through, each as every other; longest_step: s between samples, up to which it is as good."""
+    """What readings went through, each as every other.
+
+    longest_step: s between two samples, up to which it is possible. of_every: the filter of every so many samples.
+    """
 
     @property
     def longest_step(self) -> float: ...  # noqa: D102
+
+    def of_every(self, every: int) -> Filter: ...  # noqa: D102
 
     def passing(self, time: Array) -> Callable[[Array], Array]: ...  # noqa: D102
 
@@ -47,8 +52,10 @@ _UNLIKE: Final = 8.0
 """Part of the r.m.s. value, and times the usual difference or the noise, up to which two windows give one slope."""
 
 _DENSE: Final = 0.25
+"""Of the time in which the rate changes by itself, up to which samples are close enough to interpolate between."""
+
 _FEWEST: Final = 50
-"""Of the time in which the rate changes by itself: two samples are no further apart to be dense; of a stretch."""
+"""Samples that each stretch keeps in a coarser motion."""
 
 _MOST_KEPT: Final = 2
 """Delays, and models with their parameters, of which what was computed is kept."""
@@ -133,24 +140,25 @@ class Motion:
     def coarser(self, fewest: int) -> tuple[Motion, NDArray[np.int64]]:
         """Return some of the samples, `fewest` or more, in a whole motion with fewer between them; and which (k,).
 
-        What the motion remembers costs a step for each sample of the whole: for values that are only compared with each
-        other, as many as interpolation needs are enough.
+        What the motion remembers costs a step for each sample of the whole. To find a place to descend from, as many as
+        interpolation needs are enough.
         """
         whole, places = self.whole
         rows = np.arange(len(whole))[places]
-        every = max(1, min(whole._dispensable, len(rows) // fewest))
+        every = max(1, min(whole._longest_stride, len(rows) // fewest))
         kept = np.arange(rows[0] % every, len(whole), every)
         starts = np.searchsorted(kept, whole.starts)
         chosen = np.flatnonzero((rows - kept[0]) % every == 0)
         if every == 1 or len(chosen) < fewest or np.diff([*starts, len(kept)]).min() < _FEWEST:
             return self, np.arange(len(self))
         parts = {name: getattr(whole, name)[kept] for name in ("time", *_PARTS)}
-        coarse = replace(whole, **parts, starts=tuple(starts.tolist()))
+        behind = whole.behind.of_every(every) if whole.behind else None
+        coarse = replace(whole, **parts, starts=tuple(starts.tolist()), behind=behind)
         return coarse.of(rows[chosen] // every), chosen
 
     @cached_property
-    def _dispensable(self) -> int:
-        """Of how many samples one is enough to interpolate between."""
+    def _longest_stride(self) -> int:
+        """How many times as far apart the samples may be, and still be close enough to interpolate between."""
         fastest = float(np.sqrt(np.mean(self.dtheta_ddot**2) / max(float(np.mean(self.dtheta_dot**2)), _TINY)))
         longest = min(_DENSE / max(fastest, _TINY), self.behind.longest_step if self.behind else np.inf)
         return max(1, int(min(longest / float(np.median(np.diff(self.time))), len(self))))

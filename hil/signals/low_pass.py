@@ -10,7 +10,7 @@ Derivatives of the window would not do: those of a short one are 0.4 % off at lo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from math import ceil, comb, log
@@ -39,7 +39,6 @@ _LEFT: Final = 0.8  # of the samples, that must remain
 _KEPT: Final = 100_000  # samples, whose weights, 20 MB, are kept for stamps asked for again
 _REMEMBERED: Final = 24  # results, of one recording, that are kept for columns asked for again
 _MARKS: Final = 64  # values of a column, by which it is looked up
-_SPARSER: Final = 1.5  # times the step, from which samples need another kernel
 _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
@@ -60,12 +59,9 @@ class LowPass:
         """Between two samples, s, up to which a low-pass of this cut is possible."""
         return _NYQUIST / (4.0 * self.cut) * (_PASSED + _STOPPED) / _STOPPED
 
-    def for_step(self, step: float) -> LowPass:
-        """Return the low-pass of this cut for samples `step` s apart; itself where these are about as dense."""
-        if step < _SPARSER * self.step:
-            return self
-        own = ceil((self.half - _FLAT) * self.step / step)
-        return LowPass(self.cut, own + _FLAT, step, self.near)
+    def of_every(self, every: int) -> LowPass:
+        """Return the low-pass of this cut for every so many samples."""
+        return replace(self, half=ceil((self.half - _FLAT) / every) + _FLAT, step=every * self.step)
 
     @lru_cache(maxsize=8)  # noqa: B019 - it holds four numbers
     def kernels(self) -> Array:

@@ -91,14 +91,18 @@ class Window:
 
     @property
     def longest_step(self) -> float:
-        """Between two samples, s, up to which `passing` passes the same."""
+        """Between two samples, s, up to which `passing` is possible."""
         return self.low_pass.longest_step if self.low_pass else np.inf
+
+    def of_every(self, every: int) -> Window:
+        """Return the windows whose `passing` passes the same of every so many samples."""
+        return replace(self, low_pass=self.low_pass.of_every(every)) if self.low_pass else self
 
     def passing(self, time: Array) -> Callable[[Array], Array]:
         """Return the function that does the same with many values (n,) at the same stamps, as a search needs it."""
         if self.low_pass is None:
             return lambda values: values
-        through = passing(time, self.low_pass.for_step(float(np.median(np.diff(time)))))
+        through = passing(time, self.low_pass)
         return lambda values: _known(through(values), values)
 
     def jerked(self, time: Array, dtheta: Array, rate: Array, acceleration: Array) -> NDArray[np.bool_]:

@@ -101,7 +101,7 @@ def test_no_samples_are_further_apart_than_the_filter_needs() -> None:
     every = int(found.longest_step / 1e-3)
     assert every >= 2
     for step in (1, every):
-        weights = found.for_step(step * 1e-3).kernels()[0]
+        weights = found.of_every(step).kernels()[0]
         middle = slice(0, len(weights) * step, step)
         assert abs(weights @ wave[middle]) < 2e-3
         assert weights.sum() == pytest.approx(1.0, abs=1e-12)

@@ -165,6 +165,9 @@ class Mean:
     half: int
     longest_step: float = 0.0
 
+    def of_every(self, _every: int) -> Mean:
+        return self
+
     def passing(self, _time: Array) -> Callable[[Array], Array]:
         def passed(values: Array) -> Array:
             padded = np.pad(values, self.half, mode="edge")

@@ -24,6 +24,9 @@ class Through:
 
     longest_step = 0.0
 
+    def of_every(self, _every: int) -> Through:
+        return self
+
     def passing(self, _time: Array) -> Callable[[Array], Array]:
         return lambda values: np.convolve(values, TAPS, mode="same")
 

@@ -165,6 +165,16 @@ def test_what_a_recording_with_many_losses_needs_again_is_computed_once() -> Non
     assert behind.passing.call_count == 1
 
 
+@pytest.mark.parametrize("left", [slice(0, 1), slice(0, 600, 2)])
+def test_a_stretch_of_which_little_is_left_passes_the_same_filter_as_the_others(left: slice) -> None:
+    readings = np.sin(40.0 * TIME) + 0.02 * np.random.default_rng(0).standard_normal(len(TIME))
+    window = window_for(TIME, readings, np.sin(40.0 * TIME))
+    assert window.low_pass is not None
+    time, values = TIME[left], readings[left]
+    expected = passed(time, values, window.low_pass)[0]
+    assert window.passing(time)(values) == pytest.approx(np.where(np.isfinite(expected), expected, values), abs=1e-12)
+
+
 def test_a_motion_whose_torque_was_filtered_goes_to_another_process() -> None:
     readings = np.sin(40.0 * TIME) + 0.02 * np.random.default_rng(0).standard_normal(len(TIME))
     window = window_for(TIME, readings, np.sin(40.0 * TIME))
