@@ -139,8 +139,10 @@ def _as_nearby(
     It is, if the error does not fall where one of these genes rises: the multipliers of the rows that are met say so.
     """
     zero = [k for k in positive if near[k] == 0.0]
+    if not zero:
+        return None
     others = np.setdiff1d(np.arange(columns.shape[1]), zero)
-    if not zero or not 0 < len(others) <= len(torque):
+    if not 0 < len(others) <= len(torque):
         return None
     found = _without(columns, torque, zero, near)
     residuals = torque - columns @ found.genes

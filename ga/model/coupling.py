@@ -327,7 +327,8 @@ class CouplingModel:
         columns: list[Array] = []
         for term, bends, values in self._present(nonlinear):
             reaches = _reaches(seen.motion, term, bends=bends)
-            own = replace(seen.whole if reaches else seen.near, own=values)
+            own = seen.whole if reaches else seen.near
+            own = replace(own, own=values) if len(values) else own  # thousands of times in a selection
             found: tuple[Array, ...] = ()
             if term.columns is not None and changing is None:
                 found = term.columns(own)
