@@ -66,9 +66,10 @@ def average(
     regression). bounded: parameters of every model that are zero where their estimate would be negative, with the
     variance that they have without that bound. seldom: doubtful parameters that have their cost in the interval too.
     """
-    size = np.sqrt(np.diag(covariance))
-    if not (np.isfinite(size).all() and (size > 0.0).all()):
+    variance = np.diag(covariance)  # negative by rounding: nearly dependent columns
+    if not (np.isfinite(variance).all() and (variance > 0.0).all()):
         return None
+    size = np.sqrt(variance)
     values, covariance = _penalised(
         values / size, covariance / np.outer(size, size), likely[0] / size, size / likely[1]
     )

@@ -7,6 +7,9 @@ way, are too few where a column is large in few of them, as a skew's is at the f
 
 A fit removes the part of the noise that its own columns can make, most where they have their power: an offset and a
 drift from the lowest band. What is left there is the power of fewer lines than the band has.
+
+A torque whose zero walks has a power that rises towards slow changes, inside the lowest band too. How steeply follows
+from the power of the next band.
 """
 
 from __future__ import annotations
@@ -23,13 +26,17 @@ _LONGEST = 1 << 15  # samples of a segment: residuals further apart count as unc
 _FEWEST = 8  # lines of a spectrum in a band: with fewer, its power is too uncertain
 _DEPENDENT = 1e-12  # of the largest eigenvalue of a Gram matrix, below which columns are dependent
 _WIDENING = 0.25  # of a band's lower end, its width: the power of a drive's noise changes by octaves
+_SLOW, _NEXT = np.maximum(np.arange(_FEWEST), 1), np.arange(_FEWEST, 2 * _FEWEST)  # lines of the two lowest bands
+_FALLS = np.linspace(0.0, 2.0, 41)  # exponents of the power over the frequency, from white noise to a random walk
+_SHAPES = _SLOW ** -_FALLS[:, None]
+_STEPS = np.log(_SHAPES.mean(axis=1) / np.mean(_NEXT ** -_FALLS[:, None], axis=1))  # between the two bands, by exponent
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualSpectrum:
     """In bands of rising frequency (b,): lines, their number in each; power, the signs' mean square in each, 1 where
     they are uncorrelated; crossed (b, p, p), the columns' products, which add up to columns^T columns. fitted (b,):
-    lines that a fit of these signs has removed from each.
+    lines that a fit of these signs has removed from each. slowest (k, p, p): the products of the lowest band, by line.
 
     A power below one counts as one: it is so by chance, or by a fit with other columns.
     """
@@ -38,6 +45,7 @@ class ResidualSpectrum:
     power: Array
     crossed: Array
     fitted: Array
+    slowest: Array
 
     @property
     def _left(self) -> Array:
@@ -47,15 +55,29 @@ class ResidualSpectrum:
     @property
     def covariance(self) -> Array:
         """The covariance of the sum of x sign(e), (p, p)."""
-        return np.asarray(np.einsum("b,bpq->pq", self._counted, self.crossed))
+        return np.asarray(np.einsum("b,bpq->pq", self._counted, self._weighted))
 
     @property
     def _counted(self) -> Array:
         return np.maximum(self.power * self.lines / self._left, 1.0)
 
+    @property
+    def _weighted(self) -> Array:
+        """The columns' products (b, p, p), those of the lowest band by the power of each line over that of the band.
+
+        No line counts for less than the band: motion that is slow in a part of the recording only has noise of its own.
+        The power rises by chance too, which a standard error of its logarithm allows for.
+        """
+        if len(self.slowest) < _FEWEST:
+            return self.crossed
+        rise = float(np.log(self._counted[0] / self._counted[1])) - float(np.sqrt(np.sum(1.0 / self._left[:2])))
+        shape = _SLOW ** -float(np.interp(rise, _STEPS, _FALLS))
+        weights = np.maximum(shape / shape.mean(), 1.0)
+        return np.concatenate([np.einsum("k,kpq->pq", weights, self.slowest)[None], self.crossed[1:]])
+
     def freedom(self, bread: Array) -> Array:
         """Return the degrees of freedom (p,) of the variances bread . covariance . bread (Satterthwaite 1946)."""
-        parts = np.einsum("b,kp,bpq,qk->kb", self._counted, bread, self.crossed, bread)
+        parts = np.einsum("b,kp,bpq,qk->kb", self._counted, bread, self._weighted, bread)
         squares = (parts**2 / self._left).sum(axis=1)
         return np.asarray(2.0 * parts.sum(axis=1) ** 2 / np.where(squares > 0.0, squares, np.inf))
 
@@ -65,11 +87,11 @@ def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
 
     The signs count as those of a fit with these columns.
     """
-    edges, lines, power, crossed = np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0)
+    edges, lines, power, crossed, slow = np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 1
     for columns, signs in _segments(blocks):
         count, p = columns.shape
         if not edges.size:
-            edges = _edges(count)
+            edges, slow = _edges(count)
             lines, power, crossed = np.zeros(len(edges)), np.zeros(len(edges)), np.zeros((len(edges), p, p))
         spectrum, waves = np.fft.rfft(signs), np.fft.rfft(columns, axis=0)
         twice = np.full(len(spectrum), 2.0)  # a line counts for its negative frequency too
@@ -81,7 +103,10 @@ def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
         for j in range(p):
             products = (waves[:, j, None].conj() * waves).real * (twice / count)[:, None]
             crossed[kept, j] += np.add.reduceat(products, firsts[kept], axis=0)
-    return ResidualSpectrum(lines, power / lines, crossed, _fitted(crossed))
+    bands = np.r_[0, slow : len(lines)]
+    together, slowest = np.add.reduceat(crossed, bands, axis=0), crossed[:slow]
+    lines, power = np.add.reduceat(lines, bands), np.add.reduceat(power, bands)
+    return ResidualSpectrum(lines, power / lines, together, _fitted(together), slowest)
 
 
 def _fitted(crossed: Array) -> Array:
@@ -93,12 +118,16 @@ def _fitted(crossed: Array) -> Array:
     return np.asarray(0.5 * np.einsum("pq,bqp->b", inverse, crossed))
 
 
-def _edges(count: int) -> Array:
-    """The lower ends of the bands, in cycles a sample, for a segment of `count` samples."""
+def _edges(count: int) -> tuple[Array, int]:
+    """The lower ends, in cycles a sample, of the lines of the lowest band and of the other bands, and how many lines.
+
+    count: samples of a segment. With a single band it is one in place of its lines.
+    """
     starts, last = [0], count // 2 + 1
     while (following := starts[-1] + max(_FEWEST, int(_WIDENING * starts[-1]))) <= last - _FEWEST:
         starts.append(following)
-    return np.array(starts) / count - 0.5 / count
+    slow = _FEWEST if len(starts) > 1 else 1
+    return np.r_[0:slow, starts[1:]] / count - 0.5 / count, slow
 
 
 def _segments(blocks: Iterable[tuple[Array, Array]]) -> Iterator[tuple[Array, Array]]:

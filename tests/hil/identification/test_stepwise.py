@@ -125,7 +125,8 @@ def test_each_rung_says_what_its_term_gains_and_does_to_stiffness_and_damping() 
 
 def as_if_white(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
     ((columns, _),) = blocks
-    return ResidualSpectrum(np.ones(1), np.ones(1), (columns.T @ columns)[None], np.zeros(1))
+    products = (columns.T @ columns)[None]
+    return ResidualSpectrum(np.ones(1), np.ones(1), products, np.zeros(1), products)
 
 
 def test_noise_that_follows_itself_is_less_often_taken_for_a_term_than_its_samples_would_have_it(

@@ -53,6 +53,21 @@ def test_the_variance_of_a_slow_sum_is_the_closed_form(correlation: float) -> No
     assert np.mean(found) == pytest.approx(power_of_slow_signs(correlation), rel=0.25)
 
 
+@pytest.mark.parametrize("line", [1, 2, 5])
+@pytest.mark.parametrize("step", [0.0, 0.06, 0.5])
+def test_a_zero_that_walks_makes_the_slowest_columns_the_least_certain(line: int, step: float) -> None:
+    """The products of a column with a random walk add up to those of the walk's steps with the rest of the column."""
+    slow, found = np.sin(2.0 * np.pi * line * np.arange(2500) / 2500), []
+    for seed in range(200):
+        white, steps = np.random.default_rng(seed).standard_normal((2, 2500))
+        noise = white + step * np.cumsum(steps)
+        spectrum = measure([(slow[:, None], noise - noise.mean())])
+        found.append(replace(spectrum, fitted=np.zeros(1)).covariance[0, 0])
+    real = slow @ slow + step**2 * np.sum(np.cumsum(slow[::-1]) ** 2)
+    assert np.mean(found) / real > 0.35  # 0.15 by the mean of the lowest band, in the slowest line
+    assert np.mean(found) / real < (1.5 if step == 0.0 else 6.0)  # no line counts for less than that mean
+
+
 def test_what_a_fit_has_removed_of_a_band_is_not_missing_from_its_power() -> None:
     """An offset and two slow waves take five of the sixteen numbers that the lines of the lowest band have."""
     turns = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
