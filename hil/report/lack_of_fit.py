@@ -23,6 +23,7 @@ def lack_of_fit_json(found: LackOfFit | None) -> dict[str, Any] | None:
         "predicted_share": found.share,
         "Kc": found.Kc,
         "Bc": found.Bc,
+        "at_jumps": found.at_jumps and {"frequency": found.at_jumps.frequency, "part": found.at_jumps.part},
         "samples": found.samples,
         "tests": [
             {"code": one.code, "name": one.name, "p": one.p, "Kc": one.Kc, "Bc": one.Bc} for one in found.respects

@@ -62,6 +62,14 @@ class Suspect:
 
 
 @dataclass(frozen=True, slots=True)
+class Lacking:
+    """What a model lacks of the dynamic stiffness in a band of mean frequency, Hz, relative to all of it."""
+
+    frequency: float
+    part: float
+
+
+@dataclass(frozen=True, slots=True)
 class LackOfFit:
     """The result of the tests.
 
@@ -74,6 +82,8 @@ class LackOfFit:
     interval of Kc or Bc.
     at_zero: half the intervals of Kc and Bc, SI, where their values are zero, to which all changes of them are relative
     then; else 0.
+    at_jumps: what the model lacks with the samples beside jumps of the acceleration, which it was not fitted to; None
+    for nothing that matters. What shows there alone is no part of Kc and Bc that has a size.
     correlation (l, 2): of the residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual, N m, in
     cells of deflection (rows, rising) and rate (columns, rising) with equal counts; NaN in empty cells.
     """
@@ -93,6 +103,7 @@ class LackOfFit:
     of_noise: bool = False
     in_step: bool = False
     at_zero: tuple[float, float] = (0.0, 0.0)
+    at_jumps: Lacking | None = None
 
     def beside_noise(self, added: Array, *, counted: bool = False) -> LackOfFit:
         """Return the result with `of_noise` set, by how the prediction grows when the errors of the motion double.
@@ -123,20 +134,25 @@ class LackOfFit:
     @property
     def affected(self) -> str | None:
         """The parameter, Kc or Bc, that alone is wrong by an amount that matters; None if both are, or neither."""
-        return self._grave[0] if len(self._grave) == 1 and not self.explains_too_little else None
+        return self._grave[0] if len(self._grave) == 1 and not self.is_of_another_joint else None
 
     @property
     def is_grave(self) -> bool:
         """Whether Kc or Bc would leave its interval by an amount that matters: 0.5 % of Kc or 3 % of Bc.
 
-        Also if the model leaves so much of the torque that its intervals mean nothing.
+        Also if it is a model of another joint, whose intervals mean nothing.
         """
-        return self.explains_too_little or (self.outside and bool(self._grave))
+        return self.is_of_another_joint or (self.outside and bool(self._grave))
 
     @property
     def explains_too_little(self) -> bool:
         """Whether a large part of the torque follows from the motion but not from the model."""
         return self.unexplained > _UNEXPLAINED
+
+    @property
+    def is_of_another_joint(self) -> bool:
+        """Whether the model leaves so much of the torque, or cannot move as fast as the joint did."""
+        return self.explains_too_little or self.at_jumps is not None
 
     @property
     def _grave(self) -> list[str]:
@@ -161,9 +177,9 @@ class LackOfFit:
     def misfit(self) -> bool:
         """Whether the model is rejected, and by an amount that matters.
 
-        Also if a large part of the torque follows from the motion but not from the model, whatever the tests say.
+        Also if it is a model of another joint, whatever the tests say.
         """
-        if self.explains_too_little:
+        if self.is_of_another_joint:
             return True
         if self.of_noise or not self.failed:
             return False

@@ -36,6 +36,7 @@ def misfit_diagnostics(
     seen = seen_in_torque(signals, longest)
     parts = [
         _respects(model, found),
+        _at_jumps(found),
         _consequence(found, described.names),
         "" if seen else _remedy(described.model, found),
         _frequencies(dynamic),
@@ -87,12 +88,26 @@ def _respects(model: str, found: LackOfFit) -> str:
     )
 
 
+def _at_jumps(found: LackOfFit) -> str:
+    """What the model lacks beside jumps of the acceleration; "" for nothing."""
+    lacking = found.at_jumps
+    if lacking is None:
+        return ""
+    return (
+        f"At {lacking.frequency:.2g} Hz it lacks {percent(lacking.part)} of the dynamic stiffness, with the samples "
+        "beside jumps of the acceleration, which it was not fitted to. Drive a multisine or a chirp, or read the "
+        "sensors more often"
+    )
+
+
 def _consequence(found: LackOfFit, names: Sequence[str]) -> str:
     left = f"It leaves out {100.0 * found.unexplained:.2g} % of the torque"
     if not {"Kc", "Bc"} <= set(names):
         return f"{left}, so its parameters may be wrong"
     if found.explains_too_little:
         return f"{left}, so Kc and Bc mean nothing"
+    if found.at_jumps is not None:
+        return "Kc and Bc may be wrong by more than their intervals"
     return f"Kc may be wrong by {_size(found, 0, found.Kc)} and Bc by {_size(found, 1, found.Bc)}" + (
         "; their intervals include this" if found.outside else ""
     )

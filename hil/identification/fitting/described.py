@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.coupling import CouplingModel
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
 from hil.identification.selection.held import damping_at, of_jerk
@@ -19,7 +20,7 @@ from hil.uncertainty.deflection.simulation import noisier
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
 from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit, predicted
-from hil.uncertainty.misfit import LackOfFit
+from hil.uncertainty.misfit import Lacking, LackOfFit
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,8 @@ _MOST = 0.5  # of Kc and Bc, which a small effect leaves
 _ROWS = 20_000  # samples, of which it is seen how much of an effect there is
 _JUMPS = (0.0, 1.5)  # times its computed size, within which the torque of held set-points is one of these
 _ENOUGH = 2  # pairs of simulated errors, by which it is known that they are far too small
+_SURE = 2.0  # times half a 95 % interval, beyond which none of a dozen bands is by chance
+_LACKING = 0.03  # of the dynamic stiffness in a band, which a model of another joint lacks
 _OFF_GRID = 0.2  # counts, by which a reading in counts is off their grid at most
 
 
@@ -82,6 +85,12 @@ class Described:
 
 def tested(described: Described) -> LackOfFit | None:
     """Test the fit; None where the recording is too short."""
+    found = _tested(described)
+    return replace(found, at_jumps=_lacking_at_jumps(described)) if found else None
+
+
+def _tested(described: Described) -> LackOfFit | None:
+    """Test the fit at the samples that it is of."""
     signals, motion = described.signals, _without_errors(described.signals)
     if motion is signals.motion:
         return _tested_as_read(described)
@@ -126,6 +135,36 @@ def without_model(described: Described) -> DynamicStiffness | None:
     """Return the dynamic stiffness in the excited band; None where the recording is too short."""
     signals = described.signals
     return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
+
+
+def _lacking_at_jumps(described: Described) -> Lacking | None:
+    """What the model lacks most, with the samples beside jumps of the acceleration; None for nothing that matters.
+
+    The fit leaves these out, because their rate is not known. But an inertia shows little elsewhere if set-points jump,
+    and friction that builds up may take its place. The dynamic stiffness of what the model leaves of the torque needs
+    no rate of a single sample. A model with an inertia is not held against it: the torque jumps then, and one sample of
+    a jump says little. Nor is one with friction that may hold the joint when it begins to move.
+    """
+    signals, model = described.signals, described.model
+    if signals.rate_known.all() or not isinstance(model, CouplingModel) or model.sticks or "J" in described.names:
+        return None
+    genes, nonlinear = np.split(described.values, [len(model.linear)])
+    columns = described.linearised(signals.motion)[:, : len(genes)]
+    left = model.target(signals.motion, signals.torque, nonlinear) - columns @ genes
+    recorded = described.recorded(signals.motion)
+    whole, lacking = (
+        dynamic_stiffness(one, signals.band, signals.command) for one in (recorded, replace(recorded, torque=left))
+    )
+    if whole is None or lacking is None or len(whole.bands.frequency) != len(lacking.bands.frequency):
+        return None
+    bands, speed = lacking.bands, 2.0 * np.pi * lacking.bands.frequency
+    part, all_of_it = (np.hypot(one.bands.stiffness, speed * one.bands.damping) for one in (lacking, whole))
+    is_sure = (np.abs(bands.stiffness) > _SURE * bands.stiffness_half_width) | (
+        np.abs(bands.damping) > _SURE * bands.damping_half_width
+    )
+    parts = np.where(is_sure, part / all_of_it, 0.0)
+    most = int(np.argmax(parts))
+    return Lacking(float(bands.frequency[most]), float(parts[most])) if parts[most] > _LACKING else None
 
 
 def _of_errors(described: Described, followed: Array) -> Array:

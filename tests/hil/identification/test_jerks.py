@@ -49,6 +49,19 @@ def stepped(make_recording: Maker) -> Path:
 
 
 @pytest.fixture
+def heavy(make_recording: Maker) -> Path:
+    """The same with an inertia, which shows next to nowhere but beside the steps."""
+
+    def change(channels: dict[str, Array]) -> None:
+        angle, rate, acceleration = driven((-0.2, 0.2), 50)
+        channels["dtheta"] = angle
+        channels["torque"] = KC * angle + BC * rate + J * acceleration
+        channels["torque"] += 1e-3 * np.random.default_rng(4).standard_normal(SAMPLES)
+
+    return make_recording(change=change, samples=SAMPLES)
+
+
+@pytest.fixture
 def turning(make_recording: Maker) -> Path:
     """Steps among three places every 0.25 s, with an inertia and with friction that holds the joint at each of them."""
 
@@ -87,6 +100,29 @@ def test_samples_beside_steps_that_are_left_out_are_counted_in_a_warning(stepped
     assert f" {np.count_nonzero(~found.fitted)} of {SAMPLES} rows" in warning.message
     smooth = identify([make_recording(samples=SAMPLES)], parse("linear"), SEARCH)
     assert all(one.code != "acceleration-jumps" for one in smooth.diagnostics)
+
+
+@pytest.mark.parametrize("model", ["linear", "linear+offset+dahl", "linear+offset+cubic"])
+def test_a_model_without_an_inertia_is_a_misfit_beside_steps_that_show_one(heavy: Path, model: str) -> None:
+    """What it lacks of K + i w B - J w^2 is the last part of it."""
+    found = identify([heavy], parse(model), SEARCH)
+    assert found.lack_of_fit is not None
+    lacking = found.lack_of_fit.at_jumps
+    assert lacking is not None
+    speed = 2.0 * np.pi * lacking.frequency
+    expected = J * speed**2 / abs(KC + 1j * speed * BC - J * speed**2)
+    assert lacking.part == pytest.approx(expected, rel=0.35)
+    (misfit,) = (one for one in found.diagnostics if one.code == "misfit")
+    assert misfit.is_error
+    assert f"At {lacking.frequency:.2g} Hz it lacks" in misfit.message
+
+
+@pytest.mark.parametrize("model", ["linear", "linear+offset+dahl", "linear+skew"])
+def test_what_a_right_model_leaves_beside_steps_is_no_misfit(stepped: Path, model: str) -> None:
+    found = identify([stepped], parse(model), SEARCH)
+    assert found.lack_of_fit is not None
+    assert found.lack_of_fit.at_jumps is None
+    assert not found.lack_of_fit.misfit
 
 
 def test_an_inertia_is_found_behind_steps_and_no_early_torque_in_its_place(turning: Path) -> None:
