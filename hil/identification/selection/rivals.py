@@ -17,7 +17,8 @@ def with_rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> tuple[t
     diagnostic for each undecided term.
 
     Averages weigh usual terms by their odds, and rarer ones have none there. Errors, and the intervals as they were,
-    where one that holds all these values would be wider than one may be.
+    where one that holds all these values would be wider than one may be, and where the data speak for a usual term that
+    could not be included.
     """
     undecided = [step for step in steps if not step.included and step.gain > EVIDENCE_AGAINST]
     pairs = [_with_rivals(undecided, estimate) for estimate in found[:2]]
@@ -31,14 +32,15 @@ def _with_rivals(undecided: list[Step], estimate: Estimate) -> tuple[Estimate, l
     possible = [low, high, *(value for value in outside.values() if value > 0.0)]
     is_wide = not narrow(0.5 * (max(possible) - min(possible)), estimate.value)
     held = {term: value for term, value in outside.items() if term in RARER and value > 0.0 and not is_wide}
+    strong = {step.term for step in undecided if step.gain > -EVIDENCE_AGAINST}
     doubts = [
         Diagnostic(
             "model-dependent",
-            f"the data cannot decide whether {term} is present ({TERMS[term].meaning}). With it, {estimate.name} "
-            f"{_change(value, estimate)}, which is {'in' if term in held else 'outside'} its interval. Record over a "
-            "wider band or with a larger amplitude",
+            f"{_evidence(term, is_strong=term in strong)}. With it, {estimate.name} {_change(value, estimate)}, which "
+            f"is {'in' if term in held else 'outside'} its interval. Record over a wider band, and at several and "
+            "larger amplitudes",
             estimate.name,
-            is_error=is_wide and value > 0.0,
+            is_error=(is_wide or term in strong.difference(held)) and value > 0.0,
         )
         for term, value in outside.items()
     ]
@@ -46,6 +48,16 @@ def _with_rivals(undecided: list[Step], estimate: Estimate) -> tuple[Estimate, l
         return estimate, doubts
     half = max(estimate.half_width, *(abs(value - estimate.value) for value in held.values()))
     return replace(estimate, ci95=interval(estimate.value, half, positive=estimate.positive)), doubts
+
+
+def _evidence(term: str, *, is_strong: bool) -> str:
+    meaning = TERMS[term].meaning
+    if is_strong:
+        return (
+            f"the data speak for {term} ({meaning}), but its parameters are impossible, or the motion does not "
+            "distinguish them from the others"
+        )
+    return f"the data cannot decide whether {term} is present ({meaning})"
 
 
 def _change(value: float, estimate: Estimate) -> str:

@@ -50,7 +50,7 @@ def stepped(make_recording: Maker) -> Path:
 
 @pytest.fixture
 def heavy(make_recording: Maker) -> Path:
-    """The same with an inertia, which shows next to nowhere but beside the steps."""
+    """These steps with an inertia, which shows next to nowhere but beside the steps."""
 
     def change(channels: dict[str, Array]) -> None:
         angle, rate, acceleration = driven((-0.2, 0.2), 50)
