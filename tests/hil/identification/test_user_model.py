@@ -116,6 +116,12 @@ def test_a_file_that_is_not_there_is_said() -> None:
         load("nowhere.py:joint")
 
 
+def test_to_read_it_leaves_nothing_beside_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.dont_write_bytecode", False)
+    load(written(tmp_path, GOOD))
+    assert [one.name for one in tmp_path.iterdir()] == ["model.py"]
+
+
 @pytest.mark.parametrize("unit", ["N*m/rad", "N m/rad", "Nm/rad", "mN*m/rad", "N*m"])
 def test_the_uncertainty_of_the_torque_is_carried_into_what_scales_with_it(tmp_path: Path, unit: str) -> None:
     own = load(written(tmp_path, GOOD.replace('"N*m/rad"', f'"{unit}"').replace('"N*m*s/rad"', '"s"')))
