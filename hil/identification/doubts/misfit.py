@@ -36,7 +36,6 @@ def misfit_diagnostics(
     seen = seen_in_torque(signals, longest)
     parts = [
         _respects(model, found),
-        _at_jumps(found),
         _consequence(found, described.names),
         "" if seen else _remedy(described.model, found),
         _frequencies(dynamic),
@@ -82,22 +81,20 @@ def _respects(model: str, found: LackOfFit) -> str:
     plain = [one.name for one in found.failed if one.Kc is None and one.code != "any"]
     respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
     said = "".join(f"{one}; " for one in respects[:_RESPECTS])
-    return (
-        f"model {model} does not describe this recording: {said}the motion predicts {100.0 * found.share:.0f} % of the "
-        "residuals"
-    )
+    share = f"the motion predicts {100.0 * found.share:.0f} % of the residuals"
+    parts = [f"{said}{share}"] if found.failed or found.explains_too_little else []
+    return f"model {model} does not describe this recording: {', and '.join([*parts, *_at_jumps(found)])}"
 
 
-def _at_jumps(found: LackOfFit) -> str:
-    """What the model lacks beside jumps of the acceleration; "" for nothing."""
+def _at_jumps(found: LackOfFit) -> list[str]:
+    """What the model lacks beside jumps of the acceleration; [] for nothing."""
     lacking = found.at_jumps
     if lacking is None:
-        return ""
-    return (
-        f"At {lacking.frequency:.2g} Hz it lacks {percent(lacking.part)} of the dynamic stiffness, with the samples "
-        "beside jumps of the acceleration, which it was not fitted to. Drive a multisine or a chirp, or read the "
-        "sensors more often"
-    )
+        return []
+    return [
+        f"at {lacking.frequency:.2g} Hz the model lacks {percent(lacking.part)} of the dynamic stiffness, with the "
+        "samples beside jumps of the acceleration, which it was not fitted to"
+    ]
 
 
 def _consequence(found: LackOfFit, names: Sequence[str]) -> str:
@@ -129,6 +126,11 @@ def percent(size: float | None) -> str:
 
 def _remedy(model: SeparableModel, found: LackOfFit) -> str:
     """What the residuals look like, with the model or experiment to try."""
+    if found.at_jumps is not None and not found.suspects:
+        return (
+            "An inertia, or friction from rest on, may show there only. Drive a multisine or a chirp, or read the "
+            "sensors more often"
+        )
     if not found.suspects:
         return "No known effect explains the residuals. Look at them with --report, and at K'(f) with --verbose"
     has_coupling = {"Kc", "Bc"} <= {one.name for one in (*model.linear, *model.nonlinear)}

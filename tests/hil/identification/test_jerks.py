@@ -114,7 +114,7 @@ def test_a_model_without_an_inertia_is_a_misfit_beside_steps_that_show_one(heavy
     assert lacking.part == pytest.approx(expected, rel=0.35)
     (misfit,) = (one for one in found.diagnostics if one.code == "misfit")
     assert misfit.is_error
-    assert f"At {lacking.frequency:.2g} Hz it lacks" in misfit.message
+    assert f"at {lacking.frequency:.2g} Hz the model lacks" in misfit.message
 
 
 @pytest.mark.parametrize("model", ["linear", "linear+offset+dahl", "linear+skew"])
