@@ -25,7 +25,9 @@ from hil.uncertainty.residual_spectrum import measure
 Array = NDArray[np.float64]
 
 STRONG = 10.0
-"""The gain of a term with a break, whose chance is not known to be that of others."""
+"""The gain of a term with a break, whose chance is not known to be that of others; of one that is rejected with more
+than that, the gain is not the reason.
+"""
 
 PLAINEST_FIRST = (*(term for term in TERMS if term not in RARER), *RARER)
 """All terms, a usual one before a rarer one, and then as in the table."""

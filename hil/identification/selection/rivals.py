@@ -7,6 +7,7 @@ from dataclasses import replace
 from ga.model.terms import RARER, TERMS
 from hil.diagnostics import Diagnostic
 from hil.identification.result import Estimate, interval
+from hil.identification.selection.criterion import STRONG
 from hil.identification.selection.stepwise import Step
 from hil.uncertainty.criteria import EVIDENCE_AGAINST, narrow
 from hil.units import with_unit
@@ -32,7 +33,7 @@ def _with_rivals(undecided: list[Step], estimate: Estimate) -> tuple[Estimate, l
     possible = [low, high, *(value for value in outside.values() if value > 0.0)]
     is_wide = not narrow(0.5 * (max(possible) - min(possible)), estimate.value)
     held = {term: value for term, value in outside.items() if term in RARER and value > 0.0 and not is_wide}
-    strong = {step.term for step in undecided if step.gain > -EVIDENCE_AGAINST}
+    strong = {step.term for step in undecided if step.gain > STRONG}
     doubts = [
         Diagnostic(
             "model-dependent",
@@ -54,8 +55,8 @@ def _evidence(term: str, *, is_strong: bool) -> str:
     meaning = TERMS[term].meaning
     if is_strong:
         return (
-            f"the data speak for {term} ({meaning}), but its parameters are impossible, or the motion does not "
-            "distinguish them from the others"
+            f"the data speak for {term} ({meaning}), but it cannot be included: its parameters are impossible, the "
+            "motion does not distinguish them from others, or it predicts other parts of the recording no better"
         )
     return f"the data cannot decide whether {term} is present ({meaning})"
 
