@@ -18,8 +18,8 @@ def with_rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> tuple[t
     diagnostic for each undecided term.
 
     Averages weigh usual terms by their odds, and rarer ones have none there. Errors, and the intervals as they were,
-    where one that holds all these values would be wider than one may be, and where the data speak for a usual term that
-    could not be included.
+    where one that holds all these values would be wider than one may be, and where the evidence is strong for a usual
+    term that could not be included.
     """
     undecided = [step for step in steps if not step.included and step.gain > EVIDENCE_AGAINST]
     pairs = [_with_rivals(undecided, estimate) for estimate in found[:2]]
@@ -55,8 +55,9 @@ def _evidence(term: str, *, is_strong: bool) -> str:
     meaning = TERMS[term].meaning
     if is_strong:
         return (
-            f"the data speak for {term} ({meaning}), but it cannot be included: its parameters are impossible, the "
-            "motion does not distinguish them from others, or it predicts other parts of the recording no better"
+            f"there is strong evidence for {term} ({meaning}), but it cannot be included: its parameters are "
+            "impossible, the motion does not distinguish them from others, or it predicts other parts of the recording "
+            "no better"
         )
     return f"the data cannot decide whether {term} is present ({meaning})"
 

@@ -88,13 +88,13 @@ def test_a_wide_interval_leaves_less_room_for_another_model(half: float, errors:
 @pytest.mark.parametrize(
     ("term", "gain", "is_error"), [("cubic", 11.0, True), ("cubic", 9.0, False), ("lugre", 11.0, False)]
 )
-def test_a_term_that_the_data_speak_for_but_that_is_not_included_is_an_error_unless_the_interval_holds_it(
+def test_strong_evidence_for_a_term_that_is_not_included_is_an_error_unless_the_interval_holds_it(
     term: str, gain: float, is_error: bool
 ) -> None:
     """No average over models holds a term without which the data are unlikely, as a cubic between two places."""
     _, (diagnostic,) = with_rivals((CHOSEN, step(term, 2.1e-4, gain)), FOUND)
     assert diagnostic.is_error == is_error
-    assert ("the data speak for" in diagnostic.message) == (gain > 10.0)
+    assert ("there is strong evidence for" in diagnostic.message) == (gain > 10.0)
 
 
 def test_a_term_that_moves_nothing_or_has_strong_evidence_against_it_is_not() -> None:
