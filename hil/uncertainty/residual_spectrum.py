@@ -58,6 +58,11 @@ class ResidualSpectrum:
         return np.asarray(np.einsum("b,bpq->pq", self._counted, self._weighted))
 
     @property
+    def by_bands(self) -> Array:
+        """The same covariance, with all lines of the lowest band counted alike."""
+        return np.asarray(np.einsum("b,bpq->pq", self._counted, self.crossed))
+
+    @property
     def _counted(self) -> Array:
         return np.maximum(self.power * self.lines / self._left, 1.0)
 

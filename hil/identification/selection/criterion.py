@@ -118,7 +118,8 @@ class Criterion:
         if power <= 0.0:
             return math.inf
         spectrum = replace(measure([(alone[:, None], self.signs)]), fitted=self.fitted)
-        return float(spectrum.covariance[0, 0]) / power
+        # in slow ramps the slowest lines hold most of what a gap does: by their power a real one would not be found
+        return float(spectrum.by_bands[0, 0]) / power
 
     def blurred(self, fitted: Candidate, term: str) -> float:
         """Return the factor by which a likelihood ratio is less certain: of correlation, and of the rate.
