@@ -117,9 +117,10 @@ class CouplingModel:
         beyond = self.needs_ratio or any(term.remaining is not None for term in self.terms)
         return tuple(term.bends or (beyond and term.pushed is not None) for term in self.terms)
 
-    @cached_property
-    def _has_cell(self) -> bool:
-        return any(term.cell is not None for term in self.terms)
+    def _through_cell(self, motion: Motion, nonlinear: Array | None) -> Motion:
+        """Return the motion whose torque readings are made of: all of it behind a cell, if its parameters are given."""
+        behind_cell = nonlinear is not None and any(term.cell is not None for term in self.terms)
+        return motion.whole[0] if behind_cell else motion
 
     @cached_property
     def _load_remembers(self) -> bool:
@@ -172,7 +173,7 @@ class CouplingModel:
         Where the model remembers, neither has the part that the unknown state at the beginning of a stretch can make.
         """
         if motion.whole[0].known.any():
-            seen = motion.whole[0] if self._has_cell else motion
+            seen = self._through_cell(motion, nonlinear)
             torque = torque - self._behind_cell(motion, seen.delayed(self.delay(nonlinear)).known, nonlinear)
         return self._known(motion, torque, nonlinear)
 
@@ -252,7 +253,7 @@ class CouplingModel:
     def _seen(self, motion: Motion, nonlinear: Array | None, lag: float, delayed: _Seen | None = None) -> _Seen:
         """The regressors; delayed: those of other parameters with the same delay."""
         whole, delay = motion.whole[0], self.delay(nonlinear)
-        motion = whole if self._has_cell else motion
+        motion = self._through_cell(motion, nonlinear)
         shown = delayed.near.motion if delayed else motion.delayed(delay)
         reach = (_reaches(motion, term, bends=bends) for term, bends in zip(self.terms, self.bends, strict=True))
         if motion is whole or not any(reach):

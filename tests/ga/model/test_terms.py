@@ -315,6 +315,14 @@ def test_an_anchored_model_is_one_model_for_every_part_of_the_data() -> None:
 
 
 @pytest.mark.parametrize("term", [name for name in TERMS if name != "linear"])
+def test_columns_without_nonlinear_parameters_are_those_of_the_samples_of_a_part(term: str) -> None:
+    model = parse(compatible_model(term, ["linear", "offset"])).anchored(MOTION)
+    part = MOTION.of(slice(1, None, 7))
+    assert np.array_equal(model.columns(part), model.columns(MOTION)[1::7])
+    assert model.target(part, np.ones(len(part))).shape == (len(part),)
+
+
+@pytest.mark.parametrize("term", [name for name in TERMS if name != "linear"])
 def test_a_term_that_is_advised_makes_a_model_with_what_it_needs_whatever_the_model_was(term: str) -> None:
     for name in ("linear", "linear+slack", "linear+offset+dahl+backlash", "linear+offset+coulomb+stribeck+capstan+lag"):
         advised = parse(compatible_model(term, name.split("+"))).name.split("+")
