@@ -36,3 +36,14 @@ def test_a_place_that_only_held_out_data_show_keeps_its_value(make_recording: Ma
     found = identify([path], parse("linear+offset+slack"), SEARCH)
     assert found["slack"].value == pytest.approx(-0.2, abs=2e-3)
     assert found.validation.nrmse < 2.0 * NOISE / float(np.std(found.signals.torque))
+
+
+def grows_beyond_all_measure(channels: dict[str, Array]) -> None:
+    """What an unstable filter makes of the angle: the last of the readings outweigh all others."""
+    channels["dtheta"] = -0.025 * (-3.0) ** np.arange(len(channels["time"]))
+
+
+def test_readings_that_decide_on_no_parameter_are_refused_in_words(make_recording: Maker) -> None:
+    found = identify([make_recording(samples=24, change=grows_beyond_all_measure)], parse("linear"), SEARCH)
+    assert [found[name].identifiable for name in ("Kc", "Bc")] == [False, False]
+    assert found.validation.nrmse > 0.0
