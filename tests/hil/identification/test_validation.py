@@ -40,7 +40,7 @@ def test_a_place_that_only_held_out_data_show_keeps_its_value(make_recording: Ma
 
 def grows_beyond_all_measure(channels: dict[str, Array]) -> None:
     """What an unstable filter makes of the angle: the last of the readings outweigh all others."""
-    channels["dtheta"] = -0.025 * (-3.0) ** np.arange(len(channels["time"]))
+    channels["dtheta"] = np.power(-3.0, np.arange(24.0))
 
 
 def test_readings_that_decide_on_no_parameter_are_refused_in_words(make_recording: Maker) -> None:
