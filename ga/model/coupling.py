@@ -31,7 +31,7 @@ BESIDE: Final = 0.25
 
 STEP: Final = 1e-4
 SMALLEST: Final = 1e-3
-"""A difference is taken over this part of a nonlinear parameter, or of this much, SI, where it is less."""
+"""A difference is taken over this part of a nonlinear parameter, or of this much, SI, where it is less and may be zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,10 +219,12 @@ class CouplingModel:
 
     def _beside(self, nonlinear: Array, at: int) -> Array:
         """The nonlinear parameters (2, q) a little below and above, of one of them."""
-        step = STEP * max(abs(nonlinear[at]), SMALLEST)
+        parameter = self.nonlinear[at]
+        never_zero = parameter.positive and parameter.absent is None
+        step = STEP * max(abs(nonlinear[at]), 0.0 if never_zero else SMALLEST)
         ends = nonlinear[at] + np.array([-step, step])
         beside = np.tile(nonlinear, (2, 1))
-        beside[:, at] = np.maximum(ends, 0.0) if self.nonlinear[at].positive else ends
+        beside[:, at] = np.maximum(ends, 0.0) if parameter.positive else ends
         return beside
 
     def _torque(self, motion: Motion, seen: _Seen | None, nonlinear: Array, genes: Array, *, lag: float) -> Array:

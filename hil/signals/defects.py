@@ -31,7 +31,7 @@ _BELOW = 6  # levels that are compared
 _BEYOND = 5.0  # of these levels, by which the deflection went on meanwhile
 _BESIDE = 5  # rows on each side that noise may have kept just below the end
 _FINEST = 1e-9  # s between two samples
-_STILL_ANGLE, _STILL_TORQUE = 1e-12, 1e-15  # rad and N m peak to peak, below which a reading never changes
+_STILL_ANGLE, _STILL_TORQUE = 1e-9, 1e-15  # rad and N m peak to peak, below which a reading never changes
 
 
 @dataclass(frozen=True, slots=True)

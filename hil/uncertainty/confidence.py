@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 _QUANTILES = 1 << 16  # residuals from which the quantiles of all are estimated
 _DEPENDENT = 1e-12  # of the largest eigenvalue of a Gram matrix, below which columns are dependent
+_SMALLEST = 1e-150  # N m, added to what is rounding: sums over no torque at all are divided by it
 _PART = 1e-5  # of a dependent combination, below which a parameter takes no part in it
 
 
@@ -138,7 +139,7 @@ def _first_pass(blocks: Blocks, genes: Array) -> _Sums:
         count += len(torque)
         power += float(torque @ torque)
         gram += columns.T @ columns
-    rounding = 1e-12 * float(np.sqrt(power / count)) + float(np.finfo(float).tiny)
+    rounding = 1e-12 * float(np.sqrt(power / count)) + _SMALLEST
     return _Sums(count, gram, np.concatenate(kept), rounding)
 
 

@@ -91,7 +91,7 @@ class Scores:
                 2.0 * float(own @ weight) - float(weight @ gram @ weight)
                 for own, weight, gram in zip(sums, weights[:, :, 0], grams, strict=True)
             )
-            best = max(best, gained / power)
+            best = max(best, gained / power if power > 0.0 else 0.0)
         return best, float(np.sqrt(best * power / len(features)))
 
 
@@ -108,12 +108,17 @@ def _clipped(residuals: Array, basis: Array, kept: NDArray[np.bool_], clipped_at
     """
     left = residuals
     for _ in range(4):
-        limit = clipped_at * 1.4826 * float(np.median(np.abs(left[kept])))
+        limit = clipped_at * _spread(left[kept])
         clipped = np.clip(left, -limit, limit)
         inside = max(0.5, float(np.mean(np.abs(left[kept]) < limit)))
         left = left - basis @ (basis.T @ clipped) / inside
     clipped = np.clip(left, -limit, limit)
     return np.asarray(clipped - basis @ (basis.T @ clipped))
+
+
+def _spread(residuals: Array) -> float:
+    """Their standard deviation, N m, robust to outliers, unless more than half of them are none at all."""
+    return 1.4826 * float(np.median(np.abs(residuals))) or float(np.std(residuals))
 
 
 def _blocks(scores: Array) -> NDArray[np.int64]:

@@ -133,7 +133,7 @@ def _marginal(larger: Largest, likely: float) -> list[tuple[Largest, float]]:
     likely: a standard deviation of that parameter, in its unit.
     """
     sampling = larger.sampling
-    if not sampling.distinct.all():
+    if not (sampling.distinct & (np.diag(sampling.matrix) > 0.0)).all():
         return []
     penalty = larger.likely.copy()
     penalty[1, -1] = likely

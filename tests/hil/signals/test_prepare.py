@@ -210,6 +210,7 @@ def test_the_drives_own_velocity_is_not_trusted_where_there_is_a_position(tmp_pa
         (lambda channels: channels.update(torque=np.full(2000, np.nan)), "0 usable"),
         (lambda channels: channels["time"].__setitem__(700, 0.0), "goes backwards"),
         (lambda channels: channels.update(time=np.zeros(2000)), "same time"),
+        (lambda channels: channels["dtheta"].__imul__(1e-9), "never changes"),
     ],
 )
 def test_a_recording_from_which_nothing_follows_is_refused(make_recording: Maker, change: object, said: str) -> None:
@@ -222,6 +223,12 @@ def test_a_recording_from_which_nothing_follows_is_refused(make_recording: Maker
 def test_an_almost_empty_recording_is_refused(make_recording: Maker, samples: int) -> None:
     with pytest.raises(Untrustworthy, match="usable sample"):
         signals_of(make_recording(samples=samples))
+
+
+def test_rows_that_leave_too_few_samples_with_a_rate_are_refused(make_recording: Maker) -> None:
+    """The first and the last rows of a recording have no rate."""
+    with pytest.raises(Untrustworthy, match=r"usable sample\(s\) of 17: record at least 16"):
+        signals_of(make_recording(samples=17))
 
 
 @pytest.mark.parametrize("source", ["motor", "joint"])

@@ -82,6 +82,13 @@ def test_residuals_that_are_all_zero_leave_an_interval_of_nothing() -> None:
     assert np.all(intervals.half_width < 1e-12)
 
 
+def test_a_torque_that_is_zero_throughout_leaves_an_interval_of_nothing() -> None:
+    """As in the half of a recording in which the torque's sensor was unplugged."""
+    columns = np.random.default_rng(0).standard_normal((500, 2))
+    intervals = confidence_intervals(Blocks.of(columns, np.zeros(500)), np.zeros(2))
+    assert np.all(intervals.half_width < 1e-12)
+
+
 def test_data_in_blocks_give_the_interval_of_data_in_one() -> None:
     rng = np.random.default_rng(0)
     columns, truth = rng.standard_normal((5000, 2)), np.array([1.0, 2.0])

@@ -279,6 +279,15 @@ def test_outliers_do_not_hide_a_misfit() -> None:
     assert judged(WRONG["capstan"] + noise(1) + 0.1 * hit).misfit
 
 
+def test_a_misfit_in_less_than_half_of_the_samples_shows_where_all_others_fit_exactly() -> None:
+    """The median of the residuals' sizes is zero then, and says nothing of how large the others are."""
+    beyond = 0.05 * np.where(np.quantile(X, 0.7) < X, np.sin(40.0 * X), 0.0)
+    found = lack_of_fit(Recorded(TIME, PLAIN + beyond, X, V), Fitted(beyond, LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
+
+    assert found is not None
+    assert found.misfit
+
+
 def test_where_the_encoder_has_its_zero_changes_nothing() -> None:
     torque = WRONG["cubic"] + noise(1)
     columns = np.stack([X + 6.0, V, np.ones_like(X)], axis=1)
