@@ -31,7 +31,7 @@ BESIDE: Final = 0.25
 
 STEP: Final = 1e-4
 SMALLEST: Final = 1e-3
-"""A difference is taken over this part of a nonlinear parameter, or of this much, SI, where it is less and may be zero."""
+"""A difference is taken over this part of a nonlinear parameter; if it may be zero, over so much, SI, at least."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,7 +73,8 @@ def _unshared(values: Array, other: Array) -> float:
 
 def disturbs(read: Read, noise: float, rate_noise: float) -> bool:
     """Return whether noise of the deflection, rad, and of its rate, rad/s, would change Kc or Bc by 0.05 %."""
-    attenuated = max(noise**2 / float(np.var(read.dtheta)), rate_noise**2 / max(float(np.var(read.rate)), 1e-300))
+    of_deflection, of_rate = (max(float(np.var(one)), 1e-300) for one in (read.dtheta, read.rate))
+    attenuated = max(noise**2 / of_deflection, rate_noise**2 / of_rate)
     return bool(attenuated > _MATTERS or _drawn(read, noise) > _MATTERS)
 
 

@@ -175,7 +175,8 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     found = _signals(usable, *columns.seeing(usable), (0, len(recording)))
     refuse_without_rows(recording, len(found), found.defects)
     # the samples that have a rate are fewer than the rows, and may all be of a joint at rest
-    refuse_hopeless(recording, found.motion.time, found.torque, found.motion.dtheta)
+    known = found.rate_known
+    refuse_hopeless(recording, found.motion.time[known], found.torque[known], found.motion.dtheta[known])
     return found
 
 

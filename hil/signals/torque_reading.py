@@ -97,7 +97,8 @@ def _noise_spectrum(torque: Array, angle: Array, length: int, step: float) -> tu
 
 def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
     """Return the frequency, Hz, above which the torque has no noise; None if there is noise everywhere."""
-    usual = float(np.median(power[frequency < _BEYOND * highest]))
+    below = power[frequency < _BEYOND * highest]
+    usual = float(np.median(below)) if below.size else 0.0
     gone = np.flatnonzero((power < usual / _EDGE) & (frequency > highest))
     for first in frequency[gone[:1]].tolist():
         above = power[(frequency > 1.8 * first) & (frequency < 2.2 * first)]

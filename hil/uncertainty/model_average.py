@@ -100,7 +100,9 @@ def without_positive(values: Array, covariance: Array, likely: Array) -> tuple[A
     values, covariance = _penalised(
         values / size, covariance / np.outer(size, size), likely[0] / size, size / likely[1]
     )
-    error = float(np.sqrt(covariance[-1, -1]))
+    # by rounding alone more than its likely size, or nothing
+    likeliest, known = float(likely[1, -1] / size[-1]), math.sqrt(max(float(covariance[-1, -1]), 0.0))
+    error = min(known or likeliest, likeliest)
     centre = float(values[-1]) / error
     mean, spread = _positive_part(centre)
     gain = covariance[:, -1] / error

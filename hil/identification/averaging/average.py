@@ -179,8 +179,8 @@ def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Ar
     values, linear = larger.values[:count].copy(), len(larger.model.linear)
     values[linear:] = np.clip(values[linear:], *larger.model.bounds(signals.motion, signals.band[1]))
     sampling = larger.sampling
-    errors, half_width = np.sqrt(np.maximum(np.diag(sampling.matrix), 0.0)), np.full(len(found), np.inf)
-    half_width = np.multiply(sampling.quantile, errors, out=half_width, where=sampling.distinct)[:count]
+    one_sigma, half_width = np.sqrt(np.maximum(np.diag(sampling.matrix), 0.0)), np.full(len(found), np.inf)
+    half_width = np.multiply(sampling.quantile, one_sigma, out=half_width, where=sampling.distinct)[:count]
     errors = read_with_errors(larger.model, signals, used, values, half_width)
     if errors is not None:
         found[:count] = errors.change

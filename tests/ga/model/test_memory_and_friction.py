@@ -472,8 +472,8 @@ def test_the_jacobian_is_the_derivative_of_what_the_model_explains(name: str) ->
 def test_the_derivative_by_a_build_up_is_as_right_where_the_joint_moves_by_a_few_microradians() -> None:
     """A motion and a build-up of a millionth of the size: the friction is the same, its derivative a million times."""
     scale, reach, genes = 1e-6, np.array([2e-4]), np.array([0.0, 0.0, 1.0])
-    parts = (scale * one for one in (MOTION.dtheta, MOTION.dtheta_dot, MOTION.dtheta_ddot))
-    small, model = Motion(MOTION.time, *parts, MOTION.known), parse("linear+dahl")
+    angle, rate, acceleration = (scale * one for one in (MOTION.dtheta, MOTION.dtheta_dot, MOTION.dtheta_ddot))
+    small, model = Motion(MOTION.time, angle, rate, acceleration, MOTION.known), parse("linear+dahl")
     slopes = [model.anchored(one).jacobian(one, reach * size, genes) for one, size in ((MOTION, 1.0), (small, scale))]
     np.testing.assert_allclose(scale * slopes[1], slopes[0], rtol=1e-6, atol=1e-6 * np.abs(slopes[0]).max())
 

@@ -145,3 +145,10 @@ def test_noise_that_looks_like_a_parameter_moves_the_value_little_where_that_is_
         np.median([abs(one.values[2]) for one in found if one is not None]) for found in (as_rule, seldom)
     )
     assert drawn < 0.5 * followed
+
+
+def test_a_parameter_of_which_the_data_say_nothing_is_known_by_its_likely_size() -> None:
+    """Rounding would leave nothing of its variance: the data's is 1e18 times as large."""
+    likely = np.array([[0.0, 0.0], [np.inf, 1e-9]])
+    values, matrix, criterion = without_positive(np.array([1.0, 0.5]), np.diag([0.01, 1.0]), likely)
+    assert (values[0], matrix[0, 0], criterion) == pytest.approx((1.0, 0.01, 0.0), abs=1e-6)
