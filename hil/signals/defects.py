@@ -177,8 +177,11 @@ def _goes_on(torque: Array, dtheta: Array, slope: float) -> bool:
     )
 
 
-def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Array) -> None:
-    """Raise Untrustworthy where usable rows (n,) of a recording, SI, are too few, unordered or without any change."""
+def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Array, where: str = "") -> None:
+    """Raise Untrustworthy where usable rows (n,) of a recording, SI, are too few, unordered or without any change.
+
+    where: which rows these are, for the message.
+    """
     name = recording.path
     if len(time) < FEWEST:
         raise Untrustworthy(f"{name} holds {len(time)} usable sample(s) of {len(recording)}: record at least {FEWEST}")
@@ -193,12 +196,13 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
         raise Untrustworthy(f"{name}: the samples are {step:.2g} s apart, which no recorder does: check --time-unit")
     if np.ptp(torque) < _STILL_TORQUE:
         raise Untrustworthy(
-            f"{name}: the torque never changes: no Kc or Bc can be estimated; check the torque sensor and its unit"
+            f"{name}: {where}the torque never changes: no Kc or Bc can be estimated; check the torque sensor and its "
+            "unit"
         )
     if np.ptp(dtheta) < _STILL_ANGLE:
         larger = again("record a motion of the joint", "--amplitude", imported=recording.imported)
         raise Untrustworthy(
-            f"{name}: the deflection never changes: no Kc or Bc can be estimated; {larger} or free the cable"
+            f"{name}: {where}the deflection never changes: no Kc or Bc can be estimated; {larger} or free the cable"
         )
 
 

@@ -176,7 +176,8 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     refuse_without_rows(recording, len(found), found.defects)
     # the samples that have a rate are fewer than the rows, and may all be of a joint at rest
     known = found.rate_known
-    refuse_hopeless(recording, found.motion.time[known], found.torque[known], found.motion.dtheta[known])
+    samples = found.motion.time[known], found.torque[known], found.motion.dtheta[known]
+    refuse_hopeless(recording, *samples, where="in the samples that have a rate, ")
     return found
 
 

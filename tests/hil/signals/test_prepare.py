@@ -231,6 +231,12 @@ def test_rows_that_leave_too_few_samples_with_a_rate_are_refused(make_recording:
         signals_of(make_recording(samples=17))
 
 
+def test_a_joint_that_rests_wherever_its_rate_is_known_is_refused(make_recording: Maker) -> None:
+    """It jumps at the end, where no window gives the rate."""
+    with pytest.raises(Untrustworthy, match="in the samples that have a rate, the deflection never changes"):
+        signals_of(make_recording(samples=200, change=lambda one: one.update(dtheta=0.3 * (np.arange(200) > 198.0))))
+
+
 @pytest.mark.parametrize("source", ["motor", "joint"])
 def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source: Literal["motor", "joint"]) -> None:
     rng = np.random.default_rng(4)
