@@ -67,7 +67,7 @@ def corrected(measured: Element, fixture: Element, excitation: Excitation) -> El
 
     measured: from the recording of the joint; fixture: from the empty-rig recording; excitation: of the recording of
     the joint. Where a damping is not identifiable, its error is infinite, and so is that of the coupling's damping.
-    Raises Untrustworthy where the fixture is softer than the coupling.
+    Raises Untrustworthy where the fixture is softer than the coupling, or both together have no stiffness.
     """
     _refuse_soft(measured, fixture)
     target = np.array([measured.stiffness, measured.damping])
@@ -132,6 +132,11 @@ def _propagated(
 
 
 def _refuse_soft(measured: Element, fixture: Element) -> None:
+    if not measured.stiffness > 0.0:
+        raise Untrustworthy(
+            f"Kc of joint and fixture together is {measured.stiffness:.4g} N m/rad, so that of the joint alone cannot "
+            "be identified. Find out why without --fixture"
+        )
     if 2.0 * measured.stiffness < fixture.stiffness:  # 1/K_fixture is less than half of 1/K_measured
         return
     raise Untrustworthy(

@@ -125,6 +125,12 @@ def test_a_fixture_softer_than_the_joint_is_refused(stiffness: float) -> None:
         corrected(Element(17.75e-3, BC), Element(stiffness, 1e-4), SLOW)
 
 
+@pytest.mark.parametrize("stiffness", [0.0, -0.01])
+def test_joint_and_fixture_without_stiffness_are_refused(stiffness: float) -> None:
+    with pytest.raises(Untrustworthy, match=f"together is {stiffness:.4g} N m/rad"):
+        corrected(Element(stiffness, BC), Element(0.1, 1e-4), SLOW)
+
+
 def test_a_deflections_excitation_is_where_it_moved() -> None:
     time = np.sort(np.random.default_rng(1).uniform(0.0, 10.0, 5000))
     found = Excitation.of(time, 0.1 + 0.3 * np.sin(2.0 * math.pi * 4.0 * time))

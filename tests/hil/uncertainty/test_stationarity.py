@@ -13,6 +13,7 @@ from hil.errors import WrongUse
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.result import Identification
+from hil.uncertainty.stationarity import VarianceComponents, disagreement
 
 from ..conftest import Maker
 
@@ -53,3 +54,9 @@ def test_the_same_run_is_not_pooled_with_itself(make_recording: Maker) -> None:
     path = make_recording(noise=1e-4)
     with pytest.raises(WrongUse, match="the same run"):
         identified([path, path])
+
+
+def test_a_recording_that_differs_from_one_without_stiffness_is_named_by_its_value() -> None:
+    components = VarianceComponents(within=1e-3, between=1.0, values=(2.0, 0.0), p_alike=0.0)
+    (found,) = disagreement(["Kc"], [components], [Path("a.h5"), Path("loose.h5")])
+    assert "differs by all of its 2 from the other one" in found.message
