@@ -18,6 +18,7 @@ from hil.identification.selection import stepwise
 from hil.identification.selection.fits import LATE
 from hil.identification.selection.late import EARLIER, Alternative, Lateness
 from hil.identification.selection.stepwise import Selection, Step
+from hil.signals.defects import FEWEST
 from hil.signals.plausibility import negative_stiffness
 from hil.signals.prepare import Signals
 
@@ -199,7 +200,7 @@ def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_], *, a
 def _is_sticking(model: Coupling, motion: Motion, delay: float, residuals: Array) -> bool:
     """Whether the samples that friction may hold the joint in fit worse than the others."""
     described = model.described(motion, delay)
-    if described.all() or not described.any():
+    if described.all() or np.count_nonzero(described) < FEWEST:  # too few to fit a model to
         return False
     left = np.abs(residuals)
     return bool(left[~described].mean() > _STICKING * left[described].mean())

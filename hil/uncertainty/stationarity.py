@@ -121,7 +121,9 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
 
 
 def _fitted(blocks: Blocks) -> tuple[Array, Array]:
-    """The exact optimum (p,) and half the width of its intervals (p,); both empty where the columns are dependent."""
+    """The exact optimum (p,) and half the width of its intervals (p,); empty without rows or independent columns."""
+    if not blocks.rows:
+        return np.zeros(0), np.zeros(0)
     try:
         values = reduce(blocks, blocks.rows).optimum.genes
     except RuntimeError:

@@ -21,7 +21,7 @@ from ga.model.trajectory import Motion
 from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
-from hil.identification.model_choice import choose
+from hil.identification.model_choice import _is_sticking, choose
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.signals.prepare import Signals, prepare
@@ -133,6 +133,16 @@ def test_noise_that_hides_which_samples_are_slow_leaves_none_out() -> None:
     quiet = recorded(1e-3)
     noisy = replace(quiet, motion=replace(quiet.motion, rate_noise=1.0))
     assert not choose(model_of("linear+coulomb"), noisy, linear_only=False).sticking
+
+
+def test_where_next_to_no_sample_is_fast_none_is_left_out_as_slow() -> None:
+    """Six wild rates make all others slow beside them, and no model can be fitted to six samples."""
+    motion = recorded(1e-3).motion
+    wild = np.arange(len(motion)) < 6
+    model = model_of("linear+coulomb")
+    for fast, sticks in ((wild, False), (np.arange(len(motion)) < 2000, True)):
+        moved = replace(motion, dtheta_dot=np.where(fast, 1e9, 1.0))
+        assert _is_sticking(model.anchored(moved), moved, 0.0, np.where(fast, 1e-6, 1e-3)) == sticks
 
 
 def test_the_passes_of_a_joint_are_counted_through_one_quarter_of_its_range() -> None:

@@ -13,7 +13,9 @@ from hil.errors import WrongUse
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.result import Identification
-from hil.uncertainty.stationarity import VarianceComponents, disagreement
+from hil.uncertainty.blocks import Blocks
+from hil.uncertainty.confidence import confidence_intervals
+from hil.uncertainty.stationarity import VarianceComponents, disagreement, pooled_intervals
 
 from ..conftest import Maker
 
@@ -60,3 +62,13 @@ def test_a_recording_that_differs_from_one_without_stiffness_is_named_by_its_val
     components = VarianceComponents(within=1e-3, between=1.0, values=(2.0, 0.0), p_alike=0.0)
     (found,) = disagreement(["Kc"], [components], [Path("a.h5"), Path("loose.h5")])
     assert "differs by all of its 2 from the other one" in found.message
+
+
+def test_a_recording_of_which_no_sample_is_fitted_has_no_share_in_the_pooled_interval() -> None:
+    """Friction may hold the joint in all of it."""
+    columns = np.random.default_rng(0).standard_normal((400, 2))
+    blocks = Blocks.of(columns, columns @ [1.0, 2.0] + 0.1 * np.random.default_rng(1).standard_normal(400))
+    alone = confidence_intervals(blocks, np.array([1.0, 2.0]))
+    pooled, components = pooled_intervals(blocks, (0, 400), alone)
+    np.testing.assert_array_equal(pooled.half_width, alone.half_width)
+    assert components == (None, None)
