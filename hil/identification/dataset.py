@@ -15,7 +15,7 @@ from hil.identification.fitting.unloaded import Rest, Unloaded, unloaded
 from hil.identification.model_choice import Choice
 from hil.recording.ahead import Progress, ahead
 from hil.signals.defects import Defects
-from hil.signals.prepare import LongRecording, Signals, joined, prepare
+from hil.signals.prepare import LongRecording, Signals, joined, prepare, refuse_at_rest
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import Source
 from hil.uncertainty.blocks import Block, Blocks
@@ -93,6 +93,7 @@ def _in_memory(sources: Sequence[Source], choose: Choose, rest: Rest) -> Dataset
     parts, diagnostics = [], []
     for source in sources:
         part = prepare(source.recording, source.table)
+        refuse_at_rest(source.recording, part)
         parts.append(replace(part, command=_command(source, part)))
         diagnostics += _diagnostics(source, [part], part.defects)
     signals = joined(parts)

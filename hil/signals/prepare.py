@@ -174,11 +174,14 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     usable = replace(usable, dtheta=dtheta, wraps=wraps)
     found = _signals(usable, *columns.seeing(usable), (0, len(recording)))
     refuse_without_rows(recording, len(found), found.defects)
-    # the samples that have a rate are fewer than the rows, and may all be of a joint at rest
-    known = found.rate_known
-    samples = found.motion.time[known], found.torque[known], found.motion.dtheta[known]
-    refuse_hopeless(recording, *samples, where="in the samples that have a rate, ")
     return found
+
+
+def refuse_at_rest(recording: Recording, signals: Signals) -> None:
+    """Raise Untrustworthy where samples with a rate are too few, or all of a joint at rest: the rows may be neither."""
+    known = signals.rate_known
+    samples = signals.motion.time[known], signals.torque[known], signals.motion.dtheta[known]
+    refuse_hopeless(recording, *samples, where="in the samples that have a rate, ")
 
 
 class LongRecording:

@@ -79,7 +79,8 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
         deflection=float(np.ptp(dtheta)),
         deflection_lsb=_count(stretches[0], dtheta),
         torque_noise=noise,
-        snr=10.0 * float(np.log10(variance / noise**2)) if noise > 0.0 else float("inf"),
+        # a torque that never changes in the samples is below any noise
+        snr=10.0 * float(np.log10(max(variance, 1e-300) / noise**2)) if noise > 0.0 else float("inf"),
         slower=stretches[0].slower,
         highest=max(stretch.band[1] for stretch in stretches),
         refused_rate=stretches[0].refused_rate,

@@ -12,7 +12,7 @@ import pytest
 from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
-from hil.signals.prepare import LongRecording, joined, prepare
+from hil.signals.prepare import LongRecording, joined, prepare, refuse_at_rest
 from hil.signals.stamps import spread_stamps
 from hil.signals.windows import excited_band
 from hil.stand.file import StandTable
@@ -225,16 +225,23 @@ def test_an_almost_empty_recording_is_refused(make_recording: Maker, samples: in
         signals_of(make_recording(samples=samples))
 
 
-def test_rows_that_leave_too_few_samples_with_a_rate_are_refused(make_recording: Maker) -> None:
+def test_rows_that_leave_too_few_samples_with_a_rate_identify_nothing(make_recording: Maker) -> None:
     """The first and the last rows of a recording have no rate."""
-    with pytest.raises(Untrustworthy, match=r"usable sample\(s\) of 17: record at least 16"):
-        signals_of(make_recording(samples=17))
+    with (
+        Recording(make_recording(samples=17)) as recording,
+        pytest.raises(Untrustworthy, match=r"usable sample\(s\) of 17: record at least 16"),
+    ):
+        refuse_at_rest(recording, prepare(recording, None))
 
 
-def test_a_joint_that_rests_wherever_its_rate_is_known_is_refused(make_recording: Maker) -> None:
+def test_a_joint_that_rests_wherever_its_rate_is_known_identifies_nothing(make_recording: Maker) -> None:
     """It jumps at the end, where no window gives the rate."""
-    with pytest.raises(Untrustworthy, match="in the samples that have a rate, the deflection never changes"):
-        signals_of(make_recording(samples=200, change=lambda one: one.update(dtheta=0.3 * (np.arange(200) > 198.0))))
+    path = make_recording(samples=200, change=lambda one: one.update(dtheta=0.3 * (np.arange(200) > 198.0)))
+    with (
+        Recording(path) as recording,
+        pytest.raises(Untrustworthy, match="in the samples that have a rate, the deflection never changes"),
+    ):
+        refuse_at_rest(recording, prepare(recording, None))
 
 
 @pytest.mark.parametrize("source", ["motor", "joint"])
