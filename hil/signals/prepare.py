@@ -178,7 +178,7 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
 
 
 def refuse_at_rest(recording: Recording, signals: Signals) -> None:
-    """Raise Untrustworthy where samples with a rate are too few, or all of a joint at rest: the rows may be neither."""
+    """Raise Untrustworthy where too few samples have a rate, or torque or deflection never change in those that do."""
     known = signals.rate_known
     samples = signals.motion.time[known], signals.torque[known], signals.motion.dtheta[known]
     refuse_hopeless(recording, *samples, where="in the samples that have a rate, ")

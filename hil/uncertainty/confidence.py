@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _QUANTILES = 1 << 16  # residuals from which the quantiles of all are estimated
 _DEPENDENT = 1e-12  # of the largest eigenvalue of a Gram matrix, below which columns are dependent
-_SMALLEST = 1e-150  # N m, added to what is rounding: sums over no torque at all are divided by it
+_SMALLEST = 1e-150  # N m, the least rounding: where all torque is zero, sums are divided by it
 _PART = 1e-5  # of a dependent combination, below which a parameter takes no part in it
 
 

@@ -100,9 +100,9 @@ def without_positive(values: Array, covariance: Array, likely: Array) -> tuple[A
     values, covariance = _penalised(
         values / size, covariance / np.outer(size, size), likely[0] / size, size / likely[1]
     )
-    # by rounding alone more than its likely size, or nothing
-    likeliest, known = float(likely[1, -1] / size[-1]), math.sqrt(max(float(covariance[-1, -1]), 0.0))
-    error = min(known or likeliest, likeliest)
+    # where the data say next to nothing of it, rounding leaves zero of its variance, or more than of its likely size
+    most, error = float(likely[1, -1] / size[-1]), math.sqrt(max(float(covariance[-1, -1]), 0.0))
+    error = min(error or most, most)
     centre = float(values[-1]) / error
     mean, spread = _positive_part(centre)
     gain = covariance[:, -1] / error

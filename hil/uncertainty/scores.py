@@ -117,7 +117,7 @@ def _clipped(residuals: Array, basis: Array, kept: NDArray[np.bool_], clipped_at
 
 
 def _spread(residuals: Array) -> float:
-    """Their standard deviation, N m, robust to outliers, unless more than half of them are none at all."""
+    """Their standard deviation, N m, robust to outliers; not robust if more than half of them are zero."""
     return 1.4826 * float(np.median(np.abs(residuals))) or float(np.std(residuals))
 
 

@@ -85,9 +85,11 @@ def disagreement(
         if not apart[at] > _NOTABLE * abs(usual[at]):
             continue
         other = "the others" if len(values) > 2 else "the other one"
-        much = f"{values[at] / usual[at] - 1.0:+.1%}" if usual[at] else f"all of its {values[at]:.3g}"
+        differs = f"is {values[at]:.3g} (SI), and that of {other} is zero"
+        if usual[at]:
+            differs = f"differs by {values[at] / usual[at] - 1.0:+.1%} from {other}"
         text = (
-            f"{name} of {paths[at]} differs by {much} from {other}. The pooled {name} "
+            f"{name} of {paths[at]} {differs}. The pooled {name} "
             "describes no recording. Leave that recording out, or compare them with hil compare"
         )
         others = np.delete(values, at)

@@ -38,7 +38,7 @@ def validated(data: Dataset, blocks: Blocks, values: Array, distinct: NDArray[np
     positive = positive_among(
         [one for one, searched in zip(data.choice.model.linear, distinct, strict=False) if searched]
     )
-    # none is fitted where the data decide on none, as with readings beyond all measure
+    # the data may decide on no parameter, if a few of the readings are far too large
     genes = solved(fitted.where(is_in), positive).optimum.genes if distinct.any() else np.zeros(0)
     count, absolute, square = 0, 0.0, 0.0
     for columns, target in fitted.where(is_out)():

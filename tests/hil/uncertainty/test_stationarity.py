@@ -61,7 +61,7 @@ def test_the_same_run_is_not_pooled_with_itself(make_recording: Maker) -> None:
 def test_a_recording_that_differs_from_one_without_stiffness_is_named_by_its_value() -> None:
     components = VarianceComponents(within=1e-3, between=1.0, values=(2.0, 0.0), p_alike=0.0)
     (found,) = disagreement(["Kc"], [components], [Path("a.h5"), Path("loose.h5")])
-    assert "differs by all of its 2 from the other one" in found.message
+    assert "Kc of a.h5 is 2 (SI), and that of the other one is zero" in found.message
 
 
 def test_a_recording_of_which_no_sample_is_fitted_has_no_share_in_the_pooled_interval() -> None:
