@@ -32,7 +32,7 @@ _AS_GOOD: Final = 0.85  # of what the best effect explains, from which on anothe
 _EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
 _OF_GAP: Final = (0.7, 1.5)  # times -Kc, the factor of a gap whose width or middle lies between those of the columns
 _NARROW: Final = 0.03  # of the largest deflection, half the width below which a gap may be narrower than its column
-_BY_CHANCE: Final = 0.01  # probability that an effect explains as much of nothing, from which it is no suspect
+_BY_CHANCE: Final = 0.01  # probability that one of all effects explains as much of nothing, from which it is no suspect
 _MOST_NOISE: Final = 4.0  # times what noise of the deflection's size adds to the residuals, that it may explain of them
 _ACCURATE: Final = 5e-4  # of Kc and Bc, within which the rate is known
 _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
@@ -184,7 +184,7 @@ class _Tests:
             moved = self._moved(effect, (columns * self._kept) @ factors)
             if effect.takes_spring and not self._takes_spring(columns, float(factors[0]), moved[0]):
                 continue
-            if effect.in_deflection or self._tested.chance(left) < _BY_CHANCE:  # noise is always there
+            if effect.in_deflection or self._tested.chance(left) < _BY_CHANCE / len(EFFECTS):  # noise is always there
                 best = Suspect(effect, share, *moved)
         return best
 
