@@ -320,7 +320,7 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
         found = torque[np.searchsorted(time, at.time)]
         if is_last:
             break
-        time = slow_channel.repaced(time, at, found, own.unsure)
+        time = slow_channel.repaced(time, motion, torque, own.unsure)
     return at, found
 
 

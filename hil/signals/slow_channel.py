@@ -34,6 +34,12 @@ _ON_PACE: Final = 0.98  # part of the readings that keep it
 _LOCAL: Final = 40  # readings over which a pace is even, where that of a whole recording drifts
 _TWICE: Final = 1.75  # usual steps, from which a reading is missing
 _CONSTRAINTS: Final = 2000  # readings that a pace must fit
+_MOST_PLACES: Final = 49  # of the deflection at which a torque may bend, so that a gap of any width hardly differs
+_PER_PLACE: Final = 20  # readings for each
+_ROUNDS: Final = 3  # in which the age is found beside the shape
+_BLOCKS: Final = 32  # parts of a recording, whose scatter says how sure a drift of the pace is
+_SURE: Final = 4.0  # standard errors, from which the pace drifts
+_NO_CHANGE: Final = 1e-9  # of the power of a drift's torque, that must be new
 _MS: Final = 1e3  # a solver's tolerances are for numbers of the size of one
 _ROUNDED: Final = 1e-6  # ms
 _STRAIGHT: Final = 2.1  # counts by which three samples on a line may be off it
@@ -124,19 +130,56 @@ def makes_lines(count: float, bends: Array) -> bool:
 
 
 def repaced(time: Array, motion: Motion, torque: Array, unsure: float) -> Array:
-    """Return the moments (m,), s, of readings at a pace that is also that of the motion (n,) they belong to.
+    """Return the moments (m,), s, of readings (m,) N m at a pace that is also that of the motion (n,) they belong to.
 
-    torque (n,) N m. Where a cell's pace is nearly a multiple of the ticks', the ticks do not say its last digits: the
-    age would drift by up to `unsure`, s, over a recording.
+    Where a cell's pace is nearly a multiple of the ticks', the ticks do not say its last digits: the age would drift by
+    up to `unsure`, s, over a recording. Both may also be of one clock, so that only a drift counts which the torque
+    shows, whatever its shape over the deflection is, and with friction. The age itself, which the model's skew is for,
+    comes first: friction that turns a little earlier would be no shape of these.
     """
-    middle = 0.5 * float(time[0] + time[-1])
-    coupling = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
-    stiffness, damping, _ = np.linalg.lstsq(coupling, torque, rcond=None)[0]
-    changes = stiffness * motion.dtheta_dot + damping * motion.dtheta_ddot
-    drifting = np.column_stack([coupling, changes, changes * (motion.time - middle)])
-    drift = float(np.linalg.lstsq(drifting, torque, rcond=None)[0][-1])
+    few = slice(None, None, -(-len(time) // _CONSTRAINTS))
+    age, middle = 0.0, 0.5 * float(time[0] + time[-1])
+    for _ in range(_ROUNDS):
+        when = time[few] + age
+        at = motion.at(when)
+        seen = torque[few][np.searchsorted(when, at.time)]
+        shapes, growth = _shapes(at)
+        changes = growth @ np.linalg.lstsq(shapes, seen, rcond=None)[0]
+        known = np.column_stack([shapes, changes])
+        factors = np.linalg.lstsq(known, seen, rcond=None)[0]
+        drifting = changes * (at.time - middle)
+        age = float(np.clip(age + factors[-1], -unsure, unsure))
+    alone = drifting - known @ np.linalg.lstsq(known, drifting, rcond=None)[0]
+    power, left = float(alone @ alone), seen - known @ factors
+    if power <= _NO_CHANGE * float(drifting @ drifting):
+        return time
+    drift = float(alone @ left) / power
+    scores = [float(part.sum()) for part in np.array_split(alone * (left - drift * alone), _BLOCKS)]
+    if abs(drift) <= _SURE * float(np.linalg.norm(scores)) / power:
+        return time
     most = unsure / max(0.5 * float(np.ptp(time)), unsure)
     return np.asarray(time + float(np.clip(drift, -most, most)) * (time - middle))
+
+
+def _shapes(motion: Motion) -> tuple[Array, Array]:
+    """Return what a torque may be made of (n, k), each of about size one, and how each changes with time (n, k), 1/s.
+
+    A line that bends at several places of the deflection, friction that grows with it, damping that grows with the
+    rate, and an inertia, which stands for the second order of an age too.
+    """
+    scale, fastest = float(np.ptp(motion.dtheta)) or 1.0, float(np.max(np.abs(motion.dtheta_dot))) or 1.0
+    x, v = (motion.dtheta - motion.dtheta.min()) / scale, motion.dtheta_dot / fastest
+    a, growth, sign = motion.dtheta_ddot / fastest, motion.dtheta_dot / scale, np.sign(motion.dtheta_dot)
+    many = min(_MOST_PLACES, len(x) // _PER_PLACE)
+    places = np.unique(np.quantile(x, np.arange(1, many + 1) / (many + 1.0)))
+    bent = x[:, None] - places
+    size, none = float(np.max(np.abs(a))) or 1.0, np.zeros_like(x)
+    shapes = [np.ones_like(x), x, v, a / size, v * np.abs(v), sign, x * sign]
+    changes = [none, growth, a, np.gradient(a, motion.time) / size, 2.0 * np.abs(v) * a, none, growth * sign]
+    return (
+        np.stack([*shapes, *np.maximum(bent, 0.0).T], axis=1),
+        np.stack([*changes, *(growth[:, None] * (bent > 0.0)).T], axis=1),
+    )
 
 
 def _is_held(values: Array, count: float) -> bool:

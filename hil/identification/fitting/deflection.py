@@ -35,17 +35,15 @@ def read_with_errors(
     used (n,): the samples that the model is fitted to. values (p + q,): of the exact optimum, half_width (p + q,): of
     its intervals, SI.
     """
-    window = signals.window
+    window, motion = signals.window, signals.motion
     places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in COUPLING]
     if window is None or not places or not np.isfinite(half_width[places]).all():
-        return None
-    if signals.motion.part_of is not None:  # a slow cell's readings are too few for a window
         return None
     p = len(model.linear)
     return deflection_errors(
         Fitted(
             model=model,
-            motion=signals.motion,
+            motion=motion,
             torque=signals.torque,
             used=used,
             genes=values[:p],
@@ -53,7 +51,7 @@ def read_with_errors(
             half_width=half_width,
             decisive=tuple(places),
             window=window,
-            command=signals.command,
+            command=signals.command if motion.part_of is None else None,
             torque_count=smallest_step(signals.as_read[:_LOOKED]),
         )
     )

@@ -121,7 +121,7 @@ def _tested_as_read(described: Described) -> LackOfFit | None:
     """Test the fit with the motion as it was read, and hold a misfit against what errors of the reading predict."""
     signals, motion = described.signals, described.signals.motion
     found = lack_of_fit(*_held_against(described, motion, None))
-    if found is None or not found.misfit or signals.window is None or motion.part_of is not None:
+    if found is None or not found.misfit or signals.window is None:
         return found
     before, added = described.linearised(motion), list[float]()
     for pair in noisier(motion, signals.window):

@@ -46,8 +46,10 @@ class Fitted:
         """Return the fit on samples in a row from the middle of the recording."""
         first = max(0, (len(self.motion) - _SAMPLES) // 2)
         rows = slice(first, first + _SAMPLES)
-        motion = replace(self.motion.of(rows), part_of=None)
-        motion = replace(motion, starts=tuple(sorted({0, *(at for at in motion.starts if at < len(motion))})))
+        motion = self.motion.of(rows)
+        if self.motion.part_of is None:  # a slow cell's readings are far apart: what is between them is needed
+            motion = replace(motion, part_of=None)
+            motion = replace(motion, starts=tuple(sorted({0, *(at for at in motion.starts if at < len(motion))})))
         command = None if self.command is None else self.command[rows]
         return replace(self, motion=motion, torque=self.torque[rows], used=self.used[rows], command=command)
 
@@ -92,24 +94,40 @@ def behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Arra
     return value, slope, curvature
 
 
+def read(motion: Motion) -> Motion:
+    """Return the motion of which each sample is a reading of the angle, or as good as one.
+
+    A slow cell's readings are a part of it, and its samples are about as far apart as the angle's. Errors do not know
+    by how much they are off an even pace, which a window needs.
+    """
+    if motion.part_of is None:
+        return motion
+    whole = motion.whole[0]
+    ends = [(whole.time[one.start], whole.time[one.stop - 1], one.stop - one.start) for one in stretches(whole)]
+    return replace(whole, time=np.concatenate([np.linspace(first, last, count) for first, last, count in ends]))
+
+
 def stretches(motion: Motion) -> list[slice]:
     """Return the samples of each stretch of a motion."""
     return [slice(first, last) for first, last in pairwise([*motion.starts, len(motion)]) if last > first]
 
 
 def moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
-    """The motion with more deflection, rate and acceleration (n,); the motor's own torque follows the latter two."""
-    value, slope, curvature = more
-    own = np.stack([motion.dtheta_dot, motion.dtheta_ddot], axis=1)
-    share = np.linalg.lstsq(own, motion.known, rcond=None)[0] if motion.known.any() else np.zeros(2)
-    return replace(
-        motion,
-        dtheta=motion.dtheta + value,
-        dtheta_dot=motion.dtheta_dot + slope,
-        dtheta_ddot=motion.dtheta_ddot + curvature,
-        known=motion.known + np.stack([slope, curvature], axis=1) @ share,
-        part_of=None,
+    """The motion with more deflection, rate and acceleration, (n,) of the whole that it is a part of.
+
+    The motor's own torque follows the latter two.
+    """
+    (whole, rows), (value, slope, curvature) = motion.whole, more
+    own = np.stack([whole.dtheta_dot, whole.dtheta_ddot], axis=1)
+    share = np.linalg.lstsq(own, whole.known, rcond=None)[0] if whole.known.any() else np.zeros(2)
+    found = replace(
+        whole,
+        dtheta=whole.dtheta + value,
+        dtheta_dot=whole.dtheta_dot + slope,
+        dtheta_ddot=whole.dtheta_ddot + curvature,
+        known=whole.known + np.stack([slope, curvature], axis=1) @ share,
     )
+    return found if motion.part_of is None else found.of(rows)
 
 
 def solved(columns: Array, instruments: Array, left: Array) -> Array:

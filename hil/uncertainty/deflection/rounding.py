@@ -52,8 +52,8 @@ def _influence(columns: Array, sound: NDArray[np.bool_]) -> Array:
 
 def _per_rad(part: Fitted, left: Array) -> Array:
     """Return the torque (n,), N m, by which an error of 1 rad in the deflection changes the residuals (n,)."""
-    count, zero = part.window.count, np.zeros((2, len(part.motion)))
-    one_off = moved(part.motion, (np.full(len(part.motion), count), *zero))
+    count, samples = part.window.count, len(part.motion.whole[0])
+    one_off = moved(part.motion, (np.full(samples, count), *np.zeros((2, samples))))
     return np.asarray((left - part.linearised(one_off)[1]) / count)
 
 

@@ -7,7 +7,6 @@ again add to the parameters is taken off them (Cook and Stefanski 1994).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from ga.model.trajectory import Motion
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.windows import Window, is_smooth
-from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, solved, stretches
+from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, read, solved, stretches
 
 Array = NDArray[np.float64]
 
@@ -32,7 +31,7 @@ def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Ar
 
     The interval has that scatter already, unless it is of a rounding in step with the motion.
     """
-    added = _added(part, sound, _errors(part.motion, part.window))
+    added = _added(part, sound, _errors(read(part.motion), part.window))
     means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
     change = -means.mean(axis=0)
     error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
@@ -45,20 +44,16 @@ def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
     Motion that repeats is rounded alike each time. spread (p + q,): of `simulated_change`.
     """
     rng = np.random.default_rng(1)
-    shuffled = _added(part, sound, (rng.permutation(one) for one in _errors(part.motion, part.window)))
+    shuffled = _added(part, sound, (rng.permutation(one) for one in _errors(read(part.motion), part.window)))
     at = list(part.decisive)
     return bool((spread[at] > _IN_STEP * _scatter(shuffled)[at]).any())
 
 
 def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
     """Yield pairs of motions with as many errors again of deflection and rate, of either sign, each time others."""
-    smoothed = _smoothed_away(motion, window)
-    for errors in _errors(motion, window):
-        more, less = _more(motion, window, errors)
-        yield (
-            replace(more, dtheta_dot=more.dtheta_dot + smoothed),
-            replace(less, dtheta_dot=less.dtheta_dot - smoothed),
-        )
+    smoothed = _smoothed_away(motion.whole[0], window)
+    for errors in _errors(read(motion), window):
+        yield _more(motion, window, errors, smoothed)
 
 
 def _added(part: Fitted, sound: NDArray[np.bool_], errors: Iterable[Array]) -> Array:
@@ -77,13 +72,18 @@ def _scatter(added: Array) -> Array:
     return np.asarray(_NORMAL * np.sqrt(np.mean((0.5 * (added[:, 0] - added[:, 1])) ** 2, axis=0)))
 
 
-def _more(motion: Motion, window: Window, errors: Array) -> tuple[Motion, Motion]:
-    """Return the motion with more errors (n,) rad in its readings, and with the same of the other sign."""
-    more = np.array(behind(window, motion, errors))
+def _more(motion: Motion, window: Window, errors: Array, of_rate: Array | float = 0.0) -> tuple[Motion, Motion]:
+    """Return the motion with more errors (n,) rad in its readings, and with the same of the other sign.
+
+    errors are of the readings of the angle. of_rate (n,): rad/s, errors of the rate beside them.
+    """
+    whole = read(motion)
+    more = np.array(behind(window, whole, errors))
     if window.low_pass is None:
-        for part in stretches(motion):  # near its ends a local polynomial has many times the noise
+        for part in stretches(whole):  # near its ends a local polynomial has many times the noise
             more[:, part.start : part.start + window.widest] = 0.0
             more[:, max(part.start, part.stop - window.widest) : part.stop] = 0.0
+    more[1] += of_rate
     return moved(motion, (more[0], more[1], more[2])), moved(motion, (-more[0], -more[1], -more[2]))
 
 

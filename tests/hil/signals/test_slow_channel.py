@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -139,8 +141,39 @@ def test_a_pace_that_the_ticks_leave_open_is_that_of_the_motion() -> None:
     at = np.arange(0.1, 9.9, 0.01)
     true = at + 1e-4 * (at - 5.0)
     measured = 0.3 * np.sin(OMEGA * true) + 3e-3 * OMEGA * np.cos(OMEGA * true)
-    found = repaced(at, motion.at(at), measured, 2e-3)
+    found = repaced(at, motion, measured, 2e-3)
     assert np.abs(found - true).max() < 2e-5
+
+
+def with_play(angle: Array, rate: Array) -> Array:
+    return np.asarray(0.3 * (angle - np.clip(angle, -0.1, 0.1)) + 3e-3 * rate)
+
+
+def with_friction(angle: Array, rate: Array) -> Array:
+    return np.asarray(0.3 * angle + 3e-3 * rate + 0.02 * np.tanh(30.0 * rate))
+
+
+@pytest.mark.parametrize("law", [with_play, with_friction])
+@pytest.mark.parametrize("drift", [0.0, 1e-4])
+def test_only_a_drift_of_the_pace_that_the_torque_shows_counts_whatever_the_law(
+    law: Callable[[Array, Array], Array], drift: float
+) -> None:
+    """Held against a line, the play looked like a drift of 0.7 ms over these ten seconds, and friction like 0.2 ms."""
+
+    def sweep(time: Array) -> tuple[Array, Array, Array]:
+        speed = 2.0 * np.pi * 0.3 * np.exp(0.35 * time)
+        phase = speed / 0.35
+        rate = speed * np.cos(phase)
+        return np.sin(phase), rate, 0.35 * rate - speed**2 * np.sin(phase)
+
+    motion = Motion(TICKS, *sweep(TICKS), np.zeros(5000))
+    at = np.arange(0.1, 9.9, 0.004)
+    true = at + drift * (at - 5.0) + 1e-3
+    measured = law(*sweep(true)[:2]) + 1e-3 * np.random.default_rng(8).standard_normal(len(at))
+    found = repaced(at, motion, measured, 2e-3)
+    if drift == 0.0:
+        np.testing.assert_array_equal(found, at)
+    assert np.abs(found + 1e-3 - true).max() < 1.5e-4  # of 0.5 ms
 
 
 def test_stamped_readings_are_those_with_a_new_stamp() -> None:
