@@ -258,7 +258,8 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
     own, over = _own_readings(usable, columns), usable.clipped[angle.row]
     starts, long_enough = stretches(time, sound & ~over if own is None else sound, window.step)
     kept = long_enough & (inside if own is None else True)
-    is_filtered, jerks = (own is None and not columns.rate_given and one for one in (window.low_pass, window.jerks))
+    is_filtered = own is None and not columns.rate_given and window.low_pass
+    jerks = not columns.rate_given and window.jerks
     jerked = window.jerked(time, dtheta, rate, acceleration)[kept] if jerks else None
     motion = Motion(
         time[kept],
@@ -273,7 +274,9 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
     if own is None:
         torque = (window.alike(time, usable.torque) if is_filtered else usable.torque)[kept]
     else:
+        angle_time = motion.time
         motion, torque = _at_readings(motion, own, within(usable.row[own.row], rows) & ~usable.clipped[own.row])
+        jerked = None if jerked is None else _beside(jerked, angle_time, motion.time)
     return Signals(
         motion=motion,
         torque=_at_joint(torque, columns),
@@ -322,6 +325,12 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
             break
         time = slow_channel.repaced(time, motion, torque, own.unsure)
     return at, found
+
+
+def _beside(jerked: NDArray[np.bool_], time: Array, wanted: Array) -> NDArray[np.bool_]:
+    """Whether (m,) a sample on either side of each moment wanted (m,) is beside a jump, of samples (n,) at time, s."""
+    after = np.searchsorted(time, wanted)
+    return np.asarray(jerked[np.maximum(after - 1, 0)] | jerked[np.minimum(after, len(jerked) - 1)])
 
 
 def _at_joint(torque: Array, columns: _Columns) -> Array:
