@@ -52,6 +52,8 @@ _FINE: Final = 1e-3
 _LAST: Final = 1e-5
 """The steps of a compass, from and to, as parts of the bounds' width; from the middle one on they shrink faster."""
 
+_FEW_STEPS: Final = 8  # of a compass, after which their common direction is known
+
 
 class SeparableModel(Protocol):
     """A model that can be fitted: `ga.model.coupling.CouplingModel`, or a user's own."""
@@ -328,17 +330,33 @@ def _solved_or_none(problem: Problem, nonlinear: Array, near: Fit) -> _Solved | 
 
 
 def compass_search(problem: Problem, best: Fit) -> Fit:
-    """Return the local minimum where breaks make the fitness rough: both ways along each, with ever smaller steps."""
-    steps, length = _rough(problem), _FIRST
+    """Return the local minimum where breaks make the fitness rough: both ways along each, with ever smaller steps.
+
+    A few steps say where a narrow valley leads, which is followed with ever larger ones (Hooke and Jeeves 1961).
+    """
+    steps, length, path = _rough(problem), _FIRST, [best]
     while len(steps) and length > _LAST:
         points = [best.nonlinear + sign * length * step for step in steps for sign in (1.0, -1.0)]
         tried = [_solved_or_none(problem, np.clip(point, problem.low, problem.high), best) for point in points]
         found = min((one.fit for one in tried if one is not None), key=_fitness, default=best)
         if found.fitness < best.fitness:
-            best = found
+            path.append(found)
+            if len(path) > _FEW_STEPS:
+                path = [_further(problem, path[0], found)]
+            best = path[-1]
         else:
-            length *= 0.5 if length > _FINE else 0.25
+            path, length = [best], length * (0.5 if length > _FINE else 0.25)
     return best
+
+
+def _further(problem: Problem, first: Fit, best: Fit) -> Fit:
+    """Return the lowest fit on the line from a first fit through the best one, with steps that double."""
+    step = best.nonlinear - first.nonlinear
+    while True:
+        tried = _solved_or_none(problem, np.clip(best.nonlinear + step, problem.low, problem.high), best)
+        if tried is None or tried.fit.fitness >= best.fitness:
+            return best
+        best, step = tried.fit, 2.0 * step
 
 
 def _rough(problem: Problem) -> Array:

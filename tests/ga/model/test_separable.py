@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ga.evolution.evolution import PRESETS
+from ga.model import separable
 from ga.model.coupling import parse
-from ga.model.separable import Problem, _other_starts, compass_search, descend, fit, local_minimum
+from ga.model.separable import Fit, Problem, _other_starts, compass_search, descend, fit, local_minimum
 from ga.model.trajectory import Motion
 from ga.trials.nonlinear import search_nonlinear
 
@@ -163,6 +165,32 @@ def test_a_compass_passes_over_points_that_cannot_be_solved(monkeypatch: pytest.
     monkeypatch.setattr(Problem, "_solved", failing)
 
     assert compass_search(problem, best).fitness < best.fitness
+
+
+@dataclass(frozen=True)
+class Place:
+    """What a compass sees of a fit."""
+
+    nonlinear: Array
+    fitness: float
+
+
+def test_a_compass_follows_a_narrow_valley_with_ever_larger_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With steps along the axes alone, as short as the valley is narrow, it took 5,000 of them to its end."""
+    seen = 0
+
+    def solved(_: object, at: Array, __: Place) -> SimpleNamespace:
+        nonlocal seen
+        seen += 1
+        across, along = float(at[0] - at[1]), float(at[0] + at[1]) - 1.4
+        return SimpleNamespace(fit=Place(at, 1e3 * across**2 + along**2))
+
+    monkeypatch.setattr(separable, "_solved_or_none", solved)
+    monkeypatch.setattr(separable, "_rough", lambda _: np.eye(2))
+    bounds = SimpleNamespace(low=np.zeros(2), high=np.ones(2))
+    found = compass_search(cast("Problem", bounds), cast("Fit", Place(np.full(2, 0.1), 1.44)))
+    assert found.nonlinear == pytest.approx([0.7, 0.7], abs=0.02)
+    assert seen < 1000
 
 
 def test_a_descent_stays_within_the_bounds() -> None:
