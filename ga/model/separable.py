@@ -332,7 +332,8 @@ def _solved_or_none(problem: Problem, nonlinear: Array, near: Fit) -> _Solved | 
 def compass_search(problem: Problem, best: Fit) -> Fit:
     """Return the local minimum where breaks make the fitness rough: both ways along each, with ever smaller steps.
 
-    A few steps say where a narrow valley leads, which is followed with ever larger ones (Hooke and Jeeves 1961).
+    Where the minimum is long and narrow, a few steps say where it leads, and ever larger ones follow that (Hooke and
+    Jeeves 1961).
     """
     steps, length, path = _rough(problem), _FIRST, [best]
     while len(steps) and length > _LAST:

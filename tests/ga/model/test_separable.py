@@ -175,8 +175,8 @@ class Place:
     fitness: float
 
 
-def test_a_compass_follows_a_narrow_valley_with_ever_larger_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With steps along the axes alone, as short as the valley is narrow, it took 5,000 of them to its end."""
+def test_a_compass_follows_a_long_and_narrow_minimum_with_ever_larger_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With steps along the axes alone, as short as it is narrow, it took 5,000 of them to its end."""
     seen = 0
 
     def solved(_: object, at: Array, __: Place) -> SimpleNamespace:
