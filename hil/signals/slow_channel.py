@@ -133,11 +133,11 @@ def repaced(time: Array, motion: Motion, torque: Array, unsure: float) -> Array:
     """Return the moments (m,), s, of readings (m,) N m at a pace that is also that of the motion (n,) they belong to.
 
     Where a cell's pace is nearly a multiple of the ticks', the ticks do not say its last digits: the age would drift by
-    up to `unsure`, s, over a recording. Both may also be of one clock, so that only a drift counts which the torque
-    shows, whatever its shape over the deflection is, and with friction. The age itself, which the model's skew is for,
-    comes first: friction that turns a little earlier would be no shape of these.
+    up to `unsure`, s, over a recording. Both may also have one clock. A drift counts only if the torque shows it,
+    whatever the torque's shape over the deflection is, and with friction. The age itself is found first, although the
+    model's skew is for it: with another age friction turns at other moments, which no shape describes.
     """
-    few = slice(None, None, -(-len(time) // _CONSTRAINTS))
+    few = slice(None, None, -(-len(time) // _CONSTRAINTS))  # no more than these
     age, middle = 0.0, 0.5 * float(time[0] + time[-1])
     for _ in range(_ROUNDS):
         when = time[few] + age

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.signals.deflection_noise import FEW_COUNTS
-from hil.uncertainty.deflection.fitted import Fitted, read
+from hil.uncertainty.deflection.fitted import Fitted, sampled
 from hil.uncertainty.deflection.instruments import by_command
 from hil.uncertainty.deflection.rounding import rounded_at_rest
 from hil.uncertainty.deflection.simulation import is_in_step, simulated_change
@@ -60,7 +60,7 @@ def deflection_errors(fitted: Fitted) -> DeflectionErrors:
     part, window, nothing = fitted.part(), fitted.window, np.zeros(len(fitted.half_width))
     counts = float(np.ptp(fitted.motion.dtheta)) / window.count if window.count else np.inf
     low_pass = window.low_pass.cut if window.low_pass else None
-    sound = window.sound(read(part.motion).time)[part.motion.whole[1]] & part.used
+    sound = window.sound(sampled(part.motion).time)[part.motion.whole[1]] & part.used
     rounded = rounded_at_rest(part, sound)
     found = DeflectionErrors(window.of_deflection, counts, low_pass, "none", nothing, rounded, nothing)
     if np.count_nonzero(sound) < _FEWEST or not _disturbed(part):

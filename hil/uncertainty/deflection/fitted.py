@@ -44,14 +44,16 @@ class Fitted:
 
     def part(self) -> Fitted:
         """Return the fit on samples in a row from the middle of the recording."""
-        first = max(0, (len(self.motion) - _SAMPLES) // 2)
-        rows = slice(first, first + _SAMPLES)
-        motion = self.motion.of(rows)
-        if self.motion.part_of is None:  # a slow cell's readings are far apart: what is between them is needed
-            motion = replace(motion, part_of=None)
-            motion = replace(motion, starts=tuple(sorted({0, *(at for at in motion.starts if at < len(motion))})))
-        command = None if self.command is None else self.command[rows]
-        return replace(self, motion=motion, torque=self.torque[rows], used=self.used[rows], command=command)
+        whole, places = self.motion.whole
+        first = max(0, (len(whole) - _SAMPLES) // 2)
+        motion = replace(whole.of(slice(first, first + _SAMPLES)), part_of=None)
+        motion = replace(motion, starts=tuple(sorted({0, *(at for at in motion.starts if at < len(motion))})))
+        rows = np.arange(len(whole))[places] - first
+        inside = (rows >= 0) & (rows < len(motion))
+        if self.motion.part_of is not None:  # a slow cell's readings are far apart: what is between them is needed
+            motion = motion.of(rows[inside])
+        command = None if self.command is None else self.command[inside]
+        return replace(self, motion=motion, torque=self.torque[inside], used=self.used[inside], command=command)
 
     def linearised(self, motion: Motion) -> tuple[Array, Array]:
         """Return columns (n, p + q) and residuals (n,) N m of the model for another motion."""
@@ -94,7 +96,7 @@ def behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Arra
     return value, slope, curvature
 
 
-def read(motion: Motion) -> Motion:
+def sampled(motion: Motion) -> Motion:
     """Return the motion of which each sample is a reading of the angle, or as good as one.
 
     A slow cell's readings are a part of it, and its samples are about as far apart as the angle's. Errors do not know

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ga.model.trajectory import Motion
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.windows import Window, is_smooth
-from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, read, solved, stretches
+from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, sampled, solved, stretches
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Ar
 
     The interval has that scatter already, unless it is of a rounding in step with the motion.
     """
-    added = _added(part, sound, _errors(read(part.motion), part.window))
+    added = _added(part, sound, _errors(sampled(part.motion), part.window))
     means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
     change = -means.mean(axis=0)
     error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
@@ -44,7 +44,7 @@ def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
     Motion that repeats is rounded alike each time. spread (p + q,): of `simulated_change`.
     """
     rng = np.random.default_rng(1)
-    shuffled = _added(part, sound, (rng.permutation(one) for one in _errors(read(part.motion), part.window)))
+    shuffled = _added(part, sound, (rng.permutation(one) for one in _errors(sampled(part.motion), part.window)))
     at = list(part.decisive)
     return bool((spread[at] > _IN_STEP * _scatter(shuffled)[at]).any())
 
@@ -52,7 +52,7 @@ def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
 def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
     """Yield pairs of motions with as many errors again of deflection and rate, of either sign, each time others."""
     smoothed = _smoothed_away(motion.whole[0], window)
-    for errors in _errors(read(motion), window):
+    for errors in _errors(sampled(motion), window):
         yield _more(motion, window, errors, smoothed)
 
 
@@ -77,7 +77,7 @@ def _more(motion: Motion, window: Window, errors: Array, of_rate: Array | float 
 
     errors are of the readings of the angle. of_rate (n,): rad/s, errors of the rate beside them.
     """
-    whole = read(motion)
+    whole = sampled(motion)
     more = np.array(behind(window, whole, errors))
     if window.low_pass is None:
         for part in stretches(whole):  # near its ends a local polynomial has many times the noise
