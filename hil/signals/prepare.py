@@ -312,18 +312,18 @@ def _nothing(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
 
 def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tuple[Motion, Array]:
     """Return the motion at the readings of the torque that are wanted (m,) and lie in a stretch, and these, N m."""
-    time, torque = own.time[wanted], own.value[wanted]
-    for is_last in (own.unsure == 0.0, True):
-        at = motion.at(time) if len(motion) else motion
+    own = replace(own, row=own.row[wanted], time=own.time[wanted], value=own.value[wanted])
+    for is_last in (own.drifts == 0.0, True):
+        at = motion.at(own.time) if len(motion) else motion
         if len(at) < FEWEST:
             raise Untrustworthy(
                 f"the torque cell has {len(at)} readings of its own beside the angle's, and Kc and Bc need at least "
                 f"{FEWEST}: record for longer"
             )
-        found = torque[np.searchsorted(time, at.time)]
+        found = own.value[np.searchsorted(own.time, at.time)]
         if is_last:
             break
-        time = slow_channel.repaced(time, motion, torque, own.unsure)
+        own = replace(own, time=slow_channel.repaced(own, motion))
     return at, found
 
 

@@ -36,9 +36,11 @@ _TWICE: Final = 1.75  # usual steps, from which a reading is missing
 _CONSTRAINTS: Final = 2000  # readings that a pace must fit
 _MOST_PLACES: Final = 49  # of the deflection at which a torque may bend, so that a gap of any width hardly differs
 _PER_PLACE: Final = 20  # readings for each
-_ROUNDS: Final = 3  # in which the age is found beside the shape
+_BRANCHES: Final = 5  # that relax, from the time of one reading
+_SLOWEST: Final = 0.05  # to so much of the recording
+_ROUNDS: Final = 3  # in which age and drift are found beside the shape
 _BLOCKS: Final = 32  # parts of a recording, whose scatter says how sure a drift of the pace is
-_SURE: Final = 4.0  # standard errors, from which the pace drifts
+_SURE: Final = 3.0  # standard errors, from which the pace drifts
 _NO_CHANGE: Final = 1e-9  # of the power of a drift's torque, that must be new
 _MS: Final = 1e3  # a solver's tolerances are for numbers of the size of one
 _ROUNDED: Final = 1e-6  # ms
@@ -62,13 +64,15 @@ _LONGEST: Final = 1.5  # usual ticks: a longer one, beside a lost reply, does no
 class Readings:
     """The readings of a sensor: when they were converted (m,), s, and their values (m,), in the order of time.
 
-    row (m,): the sample in which each stands. unsure: s, the range in which the age of all may lie together.
+    row (m,): the sample in which each stands. unsure: s, the range in which the age of all may lie together. drifts:
+    s, by which their age may change from the first to the last, either way.
     """
 
     row: NDArray[np.int64]
     time: Array
     value: Array
     unsure: float = 0.0
+    drifts: float = 0.0
 
     @property
     def step(self) -> float:
@@ -129,43 +133,47 @@ def makes_lines(count: float, bends: Array) -> bool:
     return count > _SMALL_COUNT * float(np.quantile(bends, _BENT))
 
 
-def repaced(time: Array, motion: Motion, torque: Array, unsure: float) -> Array:
-    """Return the moments (m,), s, of readings (m,) N m at a pace that is also that of the motion (n,) they belong to.
+def repaced(own: Readings, motion: Motion) -> Array:
+    """Return the moments (m,), s, of torque readings (m,) at a pace that is also that of the motion (n,) under them.
 
-    Where a cell's pace is nearly a multiple of the ticks', the ticks do not say its last digits: the age would drift by
-    up to `unsure`, s, over a recording. Both may also have one clock. A drift counts only if the torque shows it,
-    whatever the torque's shape over the deflection is, and with friction. The age itself is found first, although the
-    model's skew is for it: with another age friction turns at other moments, which no shape describes.
+    Where a cell's pace is nearly a multiple of the ticks', the ticks do not say its last digits: the age would drift
+    over a recording. Both may also have one clock. A drift counts only if the torque shows it, whatever the torque's
+    shape over the deflection is, with friction and what relaxes. The age itself is found too, although the model's
+    skew is for it: with another age friction turns at other moments, which no shape describes.
     """
+    time, torque = own.time, own.value
     few = slice(None, None, -(-len(time) // _CONSTRAINTS))  # no more than these
-    age, middle = 0.0, 0.5 * float(time[0] + time[-1])
+    since = time - 0.5 * float(time[0] + time[-1])
+    most = own.drifts / max(float(np.ptp(time)), own.drifts)
+    age = drift = 0.0
     for _ in range(_ROUNDS):
-        when = time[few] + age
+        when = (time + age + drift * since)[few]
         at = motion.at(when)
-        seen = torque[few][np.searchsorted(when, at.time)]
-        shapes, growth = _shapes(at)
+        rows = np.searchsorted(when, at.time)
+        seen, (shapes, growth) = torque[few][rows], _shapes(at)
         changes = growth @ np.linalg.lstsq(shapes, seen, rcond=None)[0]
-        known = np.column_stack([shapes, changes])
-        factors = np.linalg.lstsq(known, seen, rcond=None)[0]
-        drifting = changes * (at.time - middle)
-        age = float(np.clip(age + factors[-1], -unsure, unsure))
-    alone = drifting - known @ np.linalg.lstsq(known, drifting, rcond=None)[0]
-    power, left = float(alone @ alone), seen - known @ factors
-    if power <= _NO_CHANGE * float(drifting @ drifting):
-        return time
-    drift = float(alone @ left) / power
-    scores = [float(part.sum()) for part in np.array_split(alone * (left - drift * alone), _BLOCKS)]
+        known, drifting = np.column_stack([shapes, changes]), changes * since[few][rows]
+        alone = drifting - known @ np.linalg.lstsq(known, drifting, rcond=None)[0]
+        power = float(alone @ alone)
+        if power <= _NO_CHANGE * float(drifting @ drifting):
+            return time
+        more = float(alone @ seen) / power
+        older = np.linalg.lstsq(known, seen - more * drifting, rcond=None)[0][-1]
+        age = float(np.clip(age + older, -own.unsure, own.unsure))
+        drift = float(np.clip(drift + more, -most, most))
+    everything = np.column_stack([known, drifting])
+    left = seen - everything @ np.linalg.lstsq(everything, seen, rcond=None)[0]
+    scores = [float(part.sum()) for part in np.array_split(alone * left, _BLOCKS)]
     if abs(drift) <= _SURE * float(np.linalg.norm(scores)) / power:
         return time
-    most = unsure / max(0.5 * float(np.ptp(time)), unsure)
-    return np.asarray(time + float(np.clip(drift, -most, most)) * (time - middle))
+    return np.asarray(time + drift * since)
 
 
 def _shapes(motion: Motion) -> tuple[Array, Array]:
     """Return what a torque may be made of (n, k), each of about size one, and how each changes with time (n, k), 1/s.
 
     A line that bends at several places of the deflection, friction that grows with it, damping that grows with the
-    rate, and an inertia, which stands for the second order of an age too.
+    rate, branches that relax, and an inertia, which stands for the second order of an age too.
     """
     scale, fastest = float(np.ptp(motion.dtheta)) or 1.0, float(np.max(np.abs(motion.dtheta_dot))) or 1.0
     x, v = (motion.dtheta - motion.dtheta.min()) / scale, motion.dtheta_dot / fastest
@@ -174,8 +182,12 @@ def _shapes(motion: Motion) -> tuple[Array, Array]:
     places = np.unique(np.quantile(x, np.arange(1, many + 1) / (many + 1.0)))
     bent = x[:, None] - places
     size, none = float(np.max(np.abs(a))) or 1.0, np.zeros_like(x)
-    shapes = [np.ones_like(x), x, v, a / size, v * np.abs(v), sign, x * sign]
+    whole, rows = motion.whole
+    slow = np.geomspace(float(np.median(np.diff(motion.time))), _SLOWEST * float(np.ptp(motion.time)), _BRANCHES)
+    relaxing = [whole.lagged(whole.dtheta_dot, constant)[rows] / fastest for constant in slow]
+    shapes = [np.ones_like(x), x, v, a / size, v * np.abs(v), sign, x * sign, *relaxing]
     changes = [none, growth, a, np.gradient(a, motion.time) / size, 2.0 * np.abs(v) * a, none, growth * sign]
+    changes += [(v - left) / constant for left, constant in zip(relaxing, slow, strict=True)]
     return (
         np.stack([*shapes, *np.maximum(bent, 0.0).T], axis=1),
         np.stack([*changes, *(growth[:, None] * (bent > 0.0)).T], axis=1),
@@ -210,21 +222,23 @@ def _held(time: Array, values: Array) -> Readings:
     before, shown = time[row - 1], time[row]
     row = row[(certain := shown - before <= _LONGEST * float(np.median(np.diff(time))))]
     before, shown = before[certain], shown[certain]
-    at, unsure = _converted(before, shown)
-    return Readings(row, at, values[row], unsure)
+    at, unsure, drifts = _converted(before, shown)
+    return Readings(row, at, values[row], unsure, drifts)
 
 
-def _converted(before: Array, shown: Array) -> tuple[Array, float]:
-    """Return when readings were converted (m,), s, between these moments (m,), and the range of their common error."""
+def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
+    """Return when readings were converted (m,), s, between these moments (m,), the range of their common error, and s
+    by which that may change from the first to the last."""
     middle = 0.5 * (before + shown)
     whole = _numbered(np.diff(middle))
     for size in (len(middle), _LOCAL):
         parts = np.array_split(np.arange(len(middle)), max(1, len(middle) // size))
         paces = [_even(whole[part], before[part], shown[part]) for part in parts]
-        at = np.concatenate([pace for pace, _ in paces])
+        at = np.concatenate([pace for pace, _, _ in paces])
         if np.mean(np.abs(at - middle) <= _OFF_PACE * (shown - before)) >= _ON_PACE:
-            return np.clip(at, before, shown), max(unsure for _, unsure in paces)
-    return middle, 0.0
+            drifts = paces[0][2] if len(paces) == 1 else 0.0  # what one part leaves open, the next one says
+            return np.clip(at, before, shown), max(unsure for _, unsure, _ in paces), drifts
+    return middle, 0.0, 0.0
 
 
 def _numbered(steps: Array) -> Array:
@@ -236,10 +250,11 @@ def _numbered(steps: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(counts)])
 
 
-def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float]:
+def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, float]:
     """The moments (m,), s, at an even pace between those before and those shown (m,), and the range of their middle.
 
-    Of all paces that fit, the one that is farthest from the ends of what it must lie between.
+    Of all paces that fit, the one that is farthest from the ends of what it must lie between. Last: s, by which the
+    others are longer or shorter over all.
     """
     from scipy.optimize import linprog
 
@@ -250,8 +265,13 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float]:
     ends = (ends - np.repeat([start, -start], len(line[few]))) * _MS
     best = linprog([0.0, 0.0, -1.0], np.column_stack([inside, np.ones(len(inside))]), ends, bounds=(None, None)).x
     loose = ends - min(float(best[2]), 0.0) + _ROUNDED
-    low, high = (linprog([sign, 0.0], inside, loose, bounds=(None, None)).fun * sign for sign in (1.0, -1.0))
-    return line @ best[:2] / _MS + start, abs(float(high - low)) / _MS
+    ends_of = (
+        [linprog(sign * part, inside, loose, bounds=(None, None)).fun * sign for sign in (1.0, -1.0)]
+        for part in np.eye(2)
+    )
+    (low, high), (shortest, longest) = ends_of
+    drifts = max(longest - best[1], best[1] - shortest, 0.0)
+    return line @ best[:2] / _MS + start, abs(float(high - low)) / _MS, float(drifts) / _MS
 
 
 def _bends(time: Array, values: Array) -> Array:
