@@ -98,7 +98,7 @@ def _identified(
                 *judge(evidence),
                 *undecided,
                 *(deflection_diagnostics(evidence) or ignored_command(data.signals, dynamic)),
-                *misfit_diagnostics(described, data.choice.model.name, fit, dynamic),
+                *misfit_diagnostics(described, data.choice.model.name, fit, dynamic, selected=evidence.selected),
                 *lost_by_misfit(modelled, found),
                 *outweighed_spring(described, fit),
             ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import SeparableModel
-from hil.diagnostics import Diagnostic
+from hil.diagnostics import Diagnostic, again
 from hil.identification.fitting.described import Described
 from hil.identification.result import Estimate
 from hil.signals.torque_reading import seen_in_torque
@@ -17,20 +17,22 @@ from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit
 
 _RESPECTS = 3  # that a message names
+_TESTED = 0.1  # of the motion: with less in the samples that are tested, friction is not told from other effects
 _CHANGES = 0.03  # of K' over the band, from which it is said
 
 
 def misfit_diagnostics(
-    described: Described, model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None
+    described: Described, model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None, *, selected: bool
 ) -> list[Diagnostic]:
     """Return the warning or error about a model of that name that does not describe its recording; none where it does.
 
-    Where the torque's readings show what was done to them, that comes first, and no term that looks like it.
+    Where the torque's readings show what was done to them, that comes first, and no term that looks like it. selected:
+    whether the model was, and not named by the user.
     """
     if found is None or found.is_undecided:
         return [_untested(model, found)]
     if not found.misfit:
-        return []
+        return _untested_friction(described, model, found) if selected else []
     signals = described.signals
     longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
     seen = seen_in_torque(signals, longest)
@@ -73,6 +75,23 @@ def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
         f"the recording is too short to test model {model}{seen}. Kc and Bc may include effects that the model leaves "
         "out. Record for longer",
     )
+
+
+def _untested_friction(described: Described, model: str, found: LackOfFit) -> list[Diagnostic]:
+    """Return the error that next to nothing of the motion is in the samples that the tests are of; none for more.
+
+    Beside jumps of the acceleration, a model without friction is held against the dynamic stiffness. With friction, a
+    torque that does not follow from the motion would be in that.
+    """
+    if found.moving > _TESTED or not (isinstance(described.model, CouplingModel) and described.model.sticks):
+        return []
+    smooth = again("Drive a multisine or a chirp", "--profile", imported=described.signals.imported)
+    text = (
+        f"only {percent(found.moving)} of the motion is in samples away from jumps of the acceleration, where the fit "
+        "can be tested. Between two rests, a part of the stiffness that relaxes looks like friction and a late torque "
+        f"reading. Bc may be wrong. {smooth}. If you know that there is friction and nothing else, name --model {model}"
+    )
+    return [Diagnostic("misfit-untested", text, "Bc", is_error=True)]
 
 
 def _respects(model: str, found: LackOfFit) -> str:

@@ -44,6 +44,7 @@ _ROWS = 20_000  # samples, of which it is seen how much of an effect there is
 _JUMPS = (0.0, 1.5)  # times its computed size, within which the torque of held set-points is one of these
 _ENOUGH = 2  # pairs of simulated errors, by which it is known that they are far too small
 _SURE = 2.0  # times half a 95 % interval, beyond which none of a dozen bands is by chance
+_MOVES = 0.5  # of the rate's power, which the samples that are tested hold where the joint moves all the time
 _LACKING = 0.03  # of the dynamic stiffness in a band, which a model of another joint lacks
 _OFF_GRID = 0.2  # counts, by which a reading in counts is off their grid at most
 
@@ -85,8 +86,8 @@ class Described:
 
 def tested(described: Described) -> LackOfFit | None:
     """Test the fit; None where the recording is too short."""
-    found = _tested(described)
-    return replace(found, at_jumps=_lacking_at_jumps(described)) if found else None
+    found, moving = _tested(described), _moving(described)
+    return replace(found, at_jumps=_lacking_at_jumps(described, moving), moving=moving) if found else None
 
 
 def _tested(described: Described) -> LackOfFit | None:
@@ -131,22 +132,34 @@ def _tested_as_read(described: Described) -> LackOfFit | None:
     return found.beside_noise(np.array(added), counted=signals.window.count > 0.0)
 
 
+def _moving(described: Described) -> float:
+    """The part of the motion, as the power of its rate, that is in the samples whose residuals are tested.
+
+    Those beside jumps of the acceleration are not. Between two rests a joint moves nowhere else.
+    """
+    power = np.where(described.kept, described.signals.motion.dtheta_dot, 0.0) ** 2
+    return float(np.sum(power[described.signals.smooth])) / max(float(np.sum(power)), np.finfo(float).tiny)
+
+
 def without_model(described: Described) -> DynamicStiffness | None:
     """Return the dynamic stiffness in the excited band; None where the recording is too short."""
     signals = described.signals
     return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
 
 
-def _lacking_at_jumps(described: Described) -> Lacking | None:
+def _lacking_at_jumps(described: Described, moving: float) -> Lacking | None:
     """What the model lacks most, with the samples beside jumps of the acceleration; None for nothing that matters.
 
-    The fit leaves these out, because their rate is not known. But an inertia shows little elsewhere if set-points jump,
-    and friction that builds up may take its place. The dynamic stiffness of what the model leaves of the torque needs
-    no rate of a single sample. A model with an inertia is not held against it: the torque jumps then, and one sample of
-    a jump says little. Nor is one with friction that may hold the joint when it begins to move.
+    The fit, or its test, leaves these out, because their rate is not known; moving: the part of the motion in the
+    others. But an inertia shows little elsewhere if
+    set-points jump, and friction that builds up may take its place. The dynamic stiffness of what the model leaves of
+    the torque needs no rate of a single sample. A model with an inertia is not held against it: the torque jumps then,
+    and one sample of a jump says little. Nor is one with friction that may hold the joint when it begins to move.
     """
     signals, model = described.signals, described.model
-    if signals.rate_known.all() or not isinstance(model, CouplingModel) or model.sticks or "J" in described.names:
+    if not isinstance(model, CouplingModel) or model.sticks or "J" in described.names:
+        return None
+    if signals.rate_known.all() and moving > _MOVES:
         return None
     genes, nonlinear = np.split(described.values, [len(model.linear)])
     columns = described.linearised(signals.motion)[:, : len(genes)]
