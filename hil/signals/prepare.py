@@ -220,7 +220,10 @@ class LongRecording:
 
 def _window(usable: UsableRows, columns: _Columns) -> Window:
     angle = usable.readings(usable.dtheta, columns.dtheta)
-    return window_for(angle.time, angle.value, usable.torque[angle.row])
+    own = _own_readings(usable, columns) if columns.torque or columns.own_time else None
+    if own is None:
+        return window_for(angle.time, angle.value, usable.torque[angle.row])
+    return window_for(angle.time, angle.value, np.interp(angle.time, own.time, own.value), own)
 
 
 def _own_readings(usable: UsableRows, columns: _Columns) -> Readings | None:

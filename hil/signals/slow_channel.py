@@ -42,6 +42,7 @@ _ROUNDS: Final = 3  # in which age and drift are found beside the shape
 _BLOCKS: Final = 32  # parts of a recording, whose scatter says how sure a drift of the pace is
 _SURE: Final = 3.0  # standard errors, from which the pace drifts
 _NO_CHANGE: Final = 1e-9  # of the power of a drift's torque, that must be new
+_OF_NORMAL: Final = 1.4826  # standard deviation of normal noise, per median of its size
 _MS: Final = 1e3  # a solver's tolerances are for numbers of the size of one
 _ROUNDED: Final = 1e-6  # ms
 _STRAIGHT: Final = 2.1  # counts by which three samples on a line may be off it
@@ -167,6 +168,22 @@ def repaced(own: Readings, motion: Motion) -> Array:
     if abs(drift) <= _SURE * float(np.linalg.norm(scores)) / power:
         return time
     return np.asarray(time + drift * since)
+
+
+def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
+    """Return the standard deviation, N m, of what no torque of the motion (n,) explains in its readings (m,).
+
+    Between two of them the joint may move far, so that a smooth curve through them says nothing of their noise.
+    """
+    inside = (own.time >= motion.time[0]) & (own.time <= motion.time[-1])
+    time = own.time[inside]
+    few = slice(None, None, -(-max(len(time), 1) // _CONSTRAINTS))
+    at = motion.at(time[few])
+    shapes, _ = _shapes(at)
+    seen = own.value[inside][few][np.searchsorted(time[few], at.time)]
+    left = seen - shapes @ np.linalg.lstsq(shapes, seen, rcond=None)[0]
+    free = max(len(left) - shapes.shape[1], 1)
+    return float(_OF_NORMAL * np.median(np.abs(left)) * np.sqrt(len(left) / free))
 
 
 def _shapes(motion: Motion) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ from ga.model.trajectory import Motion, beyond_noise
 from hil.signals.deflection_noise import Read, disturbs, own_noise, smallest_step
 from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.savitzky_golay import LEAST, kernel, local_polynomial, widest
+from hil.signals.slow_channel import Readings, noise_beside_any_shape
 
 Array = NDArray[np.float64]
 
@@ -125,10 +126,11 @@ def _known(found: Array, values: Array) -> Array:
     return np.where(np.isfinite(found), found, values)
 
 
-def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
+def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None = None) -> Window:
     """Return the widest windows that the excited band allows, the slope's narrowed as far as its noise permits.
 
-    The noise of the deflection (n,) rad is held against the torque (n,) N m, in which it would show.
+    The noise of the deflection (n,) rad is held against the torque (n,) N m, in which it would show. cell: the readings
+    that the torque was made of, where they are fewer; the steps between two of them are no noise.
     """
     step, count = float(np.median(np.diff(time))), smallest_step(dtheta)
     rounding = count / float(np.sqrt(12.0))
@@ -142,8 +144,13 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     # a window across a long gap has no slope, and stamps that are alike no noise
     known = np.isfinite(rate) & np.isfinite(left) & np.isfinite(acceleration)
     some = np.flatnonzero(known)[:_LOOKED]
-    hidden = _hidden(*(values[some] for values in (time, dtheta, torque, rate)))
-    read = Read(torque[some], dtheta[some], rate[some], acceleration[some], step)
+    seen = Motion(time[some], dtheta[some], rate[some], acceleration[some], np.zeros(len(some)))
+    if cell is None:
+        of_torque = _own_noise(seen, torque[some])
+    else:
+        of_torque = max(noise_beside_any_shape(cell, seen), _KNOWN * float(np.std(torque[some])))
+    hidden = _hidden(seen, torque[some], of_torque)
+    read = Read(torque[some], seen.dtheta, seen.dtheta_dot, seen.dtheta_ddot, step)
     rate, left = rate[known], left[known]
     fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))
@@ -162,7 +169,7 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
     of_rate = _amplified(slope, step)
     noisy = disturbs(read, found.of_deflection, found.of_deflection * of_rate)
     if not noisy and smoothed_away(slope, *first, of_deflection) <= _UNSEEN * hidden:
-        return _jumping(found, *first, torque[:_LOOKED])
+        return _jumping(found, *first, torque[:_LOOKED], of_torque)
     if not noisy:
         narrow = local_polynomial(*first, slope, 1)
         apart = _differing(*first, narrow, _NARROW)
@@ -172,7 +179,9 @@ def window_for(time: Array, dtheta: Array, torque: Array) -> Window:
             _power(narrow, smooth) >= _SMOOTH * _power(narrow)
             and smoothed_away(slope, *first, of_deflection, seen=smooth) <= _UNSEEN * hidden
         ):
-            return _jumping(jerky, *first, torque[:_LOOKED])
+            return _jumping(jerky, *first, torque[:_LOOKED], of_torque)
+        if cell is not None:  # what is taken from the deflection cannot be taken from readings so far apart
+            return _jumping(found, *first, torque[:_LOOKED], of_torque)
     highest = spectrum.above(of_deflection)
     if not noisy:  # what goes on beyond is taken from torque and deflection alike, also where sampling has folded it
         highest = max(spectrum.band[1], min(highest, _FOLLOWED / step))
@@ -215,10 +224,10 @@ def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int =
     return half
 
 
-def _jumping(found: Window, time: Array, dtheta: Array, torque: Array) -> Window:
+def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: float) -> Window:
     """Return the window, with the samples beside jumps of the acceleration left out where an inertia would feel them.
 
-    torque (n,): N m, in which the inertia shows, if there is one.
+    torque (n,): N m, in which the inertia shows, if there is one. own: N m, its noise.
     """
     _, rate, acceleration = found.moved(time, dtheta)
     apart = _differing(time, dtheta, acceleration, _NARROW, order=2)
@@ -229,7 +238,7 @@ def _jumping(found: Window, time: Array, dtheta: Array, torque: Array) -> Window
     columns = np.stack([np.ones_like(rate), dtheta, rate, acceleration, np.sign(rate)], axis=1)
     # friction may hide it without the samples beside jumps, and the smoothing with them: the larger value counts
     inertia = max(abs(np.linalg.lstsq(columns[rows], torque[rows], rcond=None)[0][3]) for rows in (smooth, known))
-    is_felt = float(inertia) * away > _FELT * _own_noise(time, dtheta, torque)
+    is_felt = float(inertia) * away > _FELT * own
     noise = found.of_deflection * _amplified(found.curvature, found.step, 2)
     if is_felt and _power(rate, smooth) >= _SMOOTH * _power(rate):
         return replace(jumping, of_acceleration=noise)
@@ -265,19 +274,19 @@ def hides_in_rate(rate: Array) -> float:
     return _NOISE * float(np.sqrt(np.mean(rate**2)))
 
 
-def _hidden(time: Array, dtheta: Array, torque: Array, rate: Array) -> float:
-    """The noise of the rate, rad/s, that cannot be seen beside that of the torque (n,) N m.
+def _hidden(motion: Motion, torque: Array, own: float) -> float:
+    """The noise of the rate, rad/s, that cannot be seen beside that of the torque (n,) N m, which is `own`.
 
     More of it would make up the residuals, in which it can be predicted from the deflection's readings.
     """
-    columns = np.stack([np.ones_like(rate), dtheta, rate], axis=1)
+    columns = np.stack([np.ones(len(motion)), motion.dtheta, motion.dtheta_dot], axis=1)
     damping = float(np.linalg.lstsq(columns, torque, rcond=None)[0][2])
-    return _HIDDEN * _own_noise(time, dtheta, torque) / abs(damping) if damping else np.inf
+    return _HIDDEN * own / abs(damping) if damping else np.inf
 
 
-def _own_noise(time: Array, dtheta: Array, torque: Array) -> float:
+def _own_noise(motion: Motion, torque: Array) -> float:
     """The standard deviation of the noise of a torque (n,) N m, at least what its rate may be wrong by."""
-    own = own_noise(float(np.nanmedian(_noise_of(time, torque))), torque, dtheta)
+    own = own_noise(float(np.nanmedian(_noise_of(motion.time, torque))), torque, motion.dtheta)
     return max(own, _KNOWN * float(np.std(torque)))
 
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter
 
 from ga.model.trajectory import Motion
-from hil.signals.slow_channel import Readings, kind_of, readings, repaced, stamped
+from hil.signals.slow_channel import Readings, kind_of, noise_beside_any_shape, readings, repaced, stamped
 
 Array = NDArray[np.float64]
 TICKS = np.arange(5000) / 500.0
@@ -230,3 +230,23 @@ def test_a_motion_that_comes_to_rest_between_two_places_is_not_slow(dwell: float
     settled = 1.0 - np.exp(-damping * phase) * wave
     place = 0.02 * np.where(np.mod(TICKS, 2.0 * dwell) < dwell, 1.0 - 2.0 * settled, 2.0 * settled - 1.0)
     assert kind_of(TICKS, coarse(place, 1e-6)) is None
+
+
+def test_the_noise_of_a_slow_cell_is_what_no_torque_of_the_motion_explains() -> None:
+    """Between two readings the joint moves by up to its range: a line through three shows three times that noise."""
+    fine = np.arange(99_000) / 10_000.0
+    omega = 2.0 * np.pi * 12.0
+    command = np.where((fine / 0.1).astype(int) * 7 % 5 < 2, 0.2, -0.2)
+    drive = [omega**2], [1.0, 1.6 * omega, omega**2]
+    system = cont2discrete(drive, 1e-4)
+    angle = lfilter(system[0].ravel(), system[1], command)
+    rate = np.gradient(angle, fine)
+    at = np.arange(0.05, 9.8, 1.0 / 95.8)
+    noise = 3e-4 * np.random.default_rng(8).standard_normal(len(at))
+    values = with_play(np.interp(at, fine, angle), np.interp(at, fine, rate)) + noise
+    ticks = slice(None, None, 20)
+    motion = Motion(fine[ticks], angle[ticks], rate[ticks], np.gradient(rate, fine)[ticks], np.zeros(4950))
+    found = noise_beside_any_shape(Readings(np.arange(len(at)), at, values), motion)
+    assert found == pytest.approx(3e-4, rel=0.25)
+    steps = np.abs(values[2:] - 2.0 * values[1:-1] + values[:-2]) / np.sqrt(6.0)
+    assert 1.4826 * np.median(steps) > 3.0 * found
