@@ -16,6 +16,7 @@ from ga.model.coupling import parse
 from ga.model.memory import yielding
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
+from hil.identification.doubts import confounding
 from hil.identification.doubts.identifiability import other_stiffness
 from hil.identification.doubts.misfit import lost_by_misfit
 from hil.identification.evidence import Evidence, span_met, span_of_stiffness, with_misfit
@@ -270,6 +271,30 @@ def test_friction_at_rest_between_two_places_is_not_trusted_as_stiffness(
     found = identify([make_recording(samples=5000, change=sequence)], parse(model) if model else None, SEARCH)
     assert not found.trusted("Kc")
     assert code in {one.code for one in found.diagnostics if one.is_error}
+
+
+@pytest.mark.parametrize(("friction", "every", "doubted"), [(1e-4, 1, True), (1e-4, 6, True), (4e-3, 1, False)])
+def test_next_to_no_friction_in_the_model_is_not_what_holds_the_joint(
+    friction: float, every: int, *, doubted: bool
+) -> None:
+    """Before a slow cell, a friction of 0.03 % stood beside a reading 0.5 ms early, and Kc was 10 % too high."""
+    channels = {"dtheta": np.zeros(5000), "torque": np.zeros(5000)}
+    sequence(channels)
+    angle, time = channels["dtheta"], np.arange(5000) / 500.0
+    rate = np.gradient(angle, time)
+    motion = Motion(time, angle, rate, np.gradient(rate, time), np.zeros(5000), rate_noise=1e-4)
+    early = 0.3 / 500.0
+    evidence = SimpleNamespace(
+        names=["Kc", "Bc", "Fc", "skew"],
+        values=np.array([0.3, 3e-3, friction, -early]),
+        selected=True,
+        model=parse("linear+coulomb+skew"),
+        signals=SimpleNamespace(
+            motion=motion.of(slice(None, None, every)), coupling_torque=channels["torque"][::every], imported=False
+        ),
+    )
+    found = confounding._friction_at_rest(cast("Evidence", evidence))
+    assert bool(found) == doubted
 
 
 def relaxed_to_two_places(channels: dict[str, Array]) -> None:
