@@ -31,12 +31,13 @@ FROM_ONE_SIDE: Final = 0.8
 came from, from which on the friction that holds it there has the torque of a spring."""
 
 LATER: Final = 2
-HIDDEN: Final = 125.0
+HIDDEN: Final = {2: 125.0, 3: 50.0}
 OF_SPRING: Final = 0.5
-"""Samples between two places, the variance inflation from which friction cannot be distinguished from a function of the
-two, and the part of it that is then stiffness: of that at the ends of the range. Behind drives of first order it is
-190 or more (what the angle went through rounds the start of each move), behind those of second order 90 or less. With
-a third place it is 147 or more behind those of second order that hardly overshoot, and 17 or less in other motions."""
+"""Samples between two places; the variance inflation, by the number of places, from which friction cannot be
+distinguished from a function of these; and the part of it that is then stiffness: of that at the ends of the range.
+With two places it is 190 or more behind drives of first order (what the angle went through rounds the start of each
+move), and 90 or less behind those of second order. With three it is 120 or more behind those of second order that
+hardly overshoot, and 17 or less in other motions."""
 
 NOISY: Final = 0.5
 FINEST: Final = 0.001
@@ -161,7 +162,7 @@ def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
         ways.append(way / max(float(way.std()), np.finfo(float).tiny))
     columns = np.stack([np.ones(len(place) - last), *(way[: len(place) - last] for way in ways)], axis=1)[alike]
     parts = np.linalg.lstsq(columns, friction, rcond=None)[0]
-    return bool(parts[1] > OF_SPRING and HIDDEN * np.var(friction - columns @ parts) < np.var(friction))
+    return bool(parts[1] > OF_SPRING and HIDDEN[places] * np.var(friction - columns @ parts) < np.var(friction))
 
 
 def _resting(motion: Motion) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
+from scipy.signal import cont2discrete, lfilter
 
 from ga.model import polishing
 from ga.model.coupling import CouplingModel, parse
@@ -490,6 +491,34 @@ def test_friction_is_hidden_behind_a_drive_of_first_order_between_two_places(ord
         place, rate = up * (2.0 * since / period - 1.0), 2.0 * up / period
     motion = Motion(time, 0.2 * place, 0.2 * rate, np.gradient(0.2 * rate, step), np.zeros(len(time)))
     assert is_hidden(motion) == hidden
+
+
+@pytest.mark.parametrize(
+    ("damping", "lag", "places", "hidden"),
+    [
+        (1.0, 0.0, (-0.2, 0.2), True),
+        (1.0, 0.03, (-0.2, 0.2), True),
+        (0.6, 0.0, (-0.2, 0.2), False),
+        (1.0, 0.0, (-0.2, 0.0, 0.2), False),
+    ],
+)
+def test_friction_is_a_stiffness_and_an_inertia_behind_a_drive_that_does_not_overshoot(
+    damping: float, lag: float, places: tuple[float, ...], *, hidden: bool
+) -> None:
+    """Random steps to two places every 0.1 s, through a drive of 8 Hz and a lag; not with overshoot or a third one."""
+    fine, omega = 2.5e-4, 2.0 * np.pi * 8.0
+    command = np.repeat(np.random.default_rng(3).choice(places, 200), 400)
+    (ahead,), back, _ = cont2discrete(([omega**2], [1.0, 2.0 * damping * omega, omega**2]), fine)
+    place = lfilter(ahead, back, command)
+    if lag:
+        (ahead,), back, _ = cont2discrete(([1.0], [lag, 1.0]), fine)
+        place = lfilter(ahead, back, place)
+    rate = np.gradient(place, fine)
+    ticks = slice(None, None, 10)
+    acceleration = np.gradient(rate, fine)[ticks]
+    time = np.arange(8000) / 400.0
+    motion = Motion(time, place[ticks], rate[ticks], acceleration, np.zeros(8000), rate_noise=1e-3)
+    assert is_hidden(motion, inertia=True) == hidden
 
 
 def test_a_joint_rests_where_most_moves_end_in_rest_and_not_where_some_are_slow() -> None:
