@@ -5,6 +5,10 @@ Friction may fall with the rate, as that of grease and of soft bristles does (St
 much as it is at speed: models in which it does, over each of a few of the rates driven, weigh as one with a parameter
 more. Where the recording hardly shows the fall, its size is limited by that alone.
 
+None weighs more than the model selected. What a fall explains where the joint turns may be the turning: a rate that is
+a part of a sample late there, or friction that builds up. That one was not selected, although its evidence is strong,
+says that both values belong in the interval.
+
 Damping may grow with the rate, as that of a fluid in motion does, in one joint of ten. In much noise nothing shows it,
 and Bc is then that of the usual rate, not that of slow motion.
 """
@@ -64,7 +68,7 @@ def falling(largest: Largest, motion: Motion) -> list[tuple[Largest, float]]:
             column = values["Fd"] / _SMALL * more[rows]
         else:
             column = friction * falls(seen.dtheta_dot, over)[rows]
-        found += [(one, more + 2.0 * math.log(len(_FALLS_OVER))) for one, more in _fallen(largest, column)]
+        found += [(one, max(more, 0.0) + 2.0 * math.log(len(_FALLS_OVER))) for one, more in _fallen(largest, column)]
     # friction that is left at speed would drive the joint where it is negative
     return [(one, more) for one, more in found if all(one.values[one.names.index(name)] >= 0.0 for name in rubs)]
 
@@ -90,7 +94,7 @@ def growing(
         return []
     grown = _with_last(replace(grown, values=grown.values + by_errors(grown)), "B2")
     found = _marginal(grown, _GROWTH * damping / usual)
-    return [(replace(one, model=largest.model), more + SELDOM) for one, more in found]
+    return [(replace(one, model=largest.model), max(more + SELDOM, 0.0)) for one, more in found]
 
 
 def _with_last(largest: Largest, name: str) -> Largest:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from ga.model.separable import Problem, fit
 from ga.model.trajectory import Motion
 from hil.identification.averaging import average, largest, rate_laws
 from hil.identification.averaging.average import Averaged
-from hil.identification.averaging.largest import Largest
+from hil.identification.averaging.largest import Largest, largest_model
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.model_choice import Choice
@@ -357,6 +359,25 @@ def test_friction_that_falls_until_it_drives_the_joint_is_no_model(at_speed: flo
     found = rate_laws.falling(largest, motion)
     assert len(found) == possible
     assert all(one.values[2] >= 0.0 for one, _ in found)
+    assert sum(math.exp(-0.5 * criterion) for _, criterion in found) <= 1.0  # together no likelier than the model
+
+
+def test_damping_that_grows_is_no_likelier_than_the_model_that_was_selected(make_recording: Maker) -> None:
+    """However well it fits: that it was not selected has a reason."""
+
+    def grows(channels: dict[str, Array]) -> None:
+        sweep(channels, 0.0, 2)
+        rate = channels["dtheta_dot"]
+        channels["torque"] += BC * np.abs(rate) * rate / np.abs(rate).max()
+
+    with Recording(make_recording(samples=4000, change=grows)) as recording:
+        signals = prepare(recording, None)
+    one = Alternative(parse("linear").anchored(signals.motion), np.empty(0), 0.0)
+    larger = largest_model(one, (), signals)
+    assert larger is not None
+    (found,) = rate_laws.growing(larger, one, (), signals, lambda it: np.zeros(len(it.values)))
+    assert found[0].values[1] < 0.9 * larger.values[1]
+    assert found[1] == 0.0
 
 
 def test_an_inertia_that_a_skew_beside_it_makes_negative_is_none() -> None:
