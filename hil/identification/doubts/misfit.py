@@ -17,7 +17,9 @@ from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit
 
 _RESPECTS = 3  # that a message names
-_TESTED = 0.1  # of the motion: with less in the samples that are tested, friction is not told from other effects
+_TESTED = (
+    0.1  # of the motion: with less in the samples that are tested, friction and inertia are not told from other effects
+)
 _CHANGES = 0.03  # of K' over the band, from which it is said
 
 
@@ -32,7 +34,7 @@ def misfit_diagnostics(
     if found is None or found.is_undecided:
         return [_untested(model, found)]
     if not found.misfit:
-        return _untested_friction(described, model, found) if selected else []
+        return _untested_motion(described, model, found) if selected else []
     signals = described.signals
     longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
     seen = seen_in_torque(signals, longest)
@@ -77,19 +79,20 @@ def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
     )
 
 
-def _untested_friction(described: Described, model: str, found: LackOfFit) -> list[Diagnostic]:
+def _untested_motion(described: Described, model: str, found: LackOfFit) -> list[Diagnostic]:
     """Return the error that next to nothing of the motion is in the samples that the tests are of; none for more.
 
-    Beside jumps of the acceleration, a model without friction is held against the dynamic stiffness. With friction, a
-    torque that does not follow from the motion would be in that.
+    Beside jumps of the acceleration a model is held against the dynamic stiffness, but for one with friction, which may
+    hold the joint there, or an inertia, whose torque jumps.
     """
-    if found.moving > _TESTED or not (isinstance(described.model, CouplingModel) and described.model.sticks):
+    sticks = isinstance(described.model, CouplingModel) and described.model.sticks
+    if found.moving > _TESTED or not (sticks or "J" in described.names):
         return []
     smooth = again("Drive a multisine or a chirp", "--profile", imported=described.signals.imported)
     text = (
         f"only {percent(found.moving)} of the motion is in samples away from jumps of the acceleration, where the fit "
-        "can be tested. Between two rests, a part of the stiffness that relaxes looks like friction and a late torque "
-        f"reading. Bc may be wrong. {smooth}. If you know that there is friction and nothing else, name --model {model}"
+        "can be tested. Between two rests, friction, an inertia, a stiffness that relaxes and a late torque "
+        f"reading look alike. Bc may be wrong. {smooth}. If you know that the model is right, name --model {model}"
     )
     return [Diagnostic("misfit-untested", text, "Bc", is_error=True)]
 
