@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -122,13 +123,14 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     accounts = tuple(term for term in late if term in (*terms, *rarer))
     considered = _Considered(terms, rarer, accounts)
     seen = signals.rate_known
-    found = _select(signals, seen, considered)
+    motion = _seen(signals.motion, seen)
+    found = _select(signals, seen, considered, sticks=lambda usual: not _moving(usual, motion).all())
     moving = seen.copy()
-    moving[seen] = _moving(found, _seen(signals.motion, seen))
+    moving[seen] = _moving(found, motion)
     sticking = not np.array_equal(moving, seen)
     if sticking:
         again = _select(signals, moving, considered)
-        found = again if again.model.sticks else found
+        found = again if again.model.sticks else _select(signals, seen, considered)
     model = found.model.anchored(signals.motion)
     return Choice(model, found.steps, sticking, found.delay, found.alternatives, found.lateness)
 
@@ -144,8 +146,13 @@ class _Considered:
     accounts: tuple[str, ...]
 
 
-def _select(signals: Signals, seen: NDArray[np.bool_], considered: _Considered) -> Selection:
-    """The model selected from the samples seen (n,)."""
+def _select(
+    signals: Signals,
+    seen: NDArray[np.bool_],
+    considered: _Considered,
+    sticks: Callable[[Selection], bool] = lambda _selection: False,
+) -> Selection:
+    """The model selected from the samples seen (n,); sticks: as of `stepwise.select`."""
     return stepwise.select(
         _seen(signals.motion, seen),
         signals.torque[seen],
@@ -154,6 +161,7 @@ def _select(signals: Signals, seen: NDArray[np.bool_], considered: _Considered) 
         rarer=considered.rarer,
         accounts=considered.accounts,
         describes=lambda found, averaged: _describes(found, signals, seen, averaged=averaged),
+        sticks=sticks,
         window=signals.window,
     )
 

@@ -111,13 +111,15 @@ def select(
     rarer: tuple[str, ...] = (),
     accounts: tuple[str, ...] = (),
     describes: Callable[[Selection, bool], bool] = lambda _selection, _averaged: True,
+    sticks: Callable[[Selection], bool] = lambda _selection: False,
     window: Window | None = None,
 ) -> Selection:
     """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
 
     describes: whether a model describes the recording, the second argument: but for small effects that every bench has;
-    where it does not, rarer terms are considered too. accounts: terms by which the torque may be read late, or seem to
-    be. window: that the rate was computed in, if it is known.
+    where it does not, rarer terms are considered too. sticks: whether friction holds the joint in some samples, so that
+    no rarer terms are considered: a model is selected from the others. accounts: terms by which the torque may be read
+    late, or seem to be. window: that the rate was computed in, if it is known.
     Raises RuntimeError where not even the smallest model can be fitted.
     """
     fits, smallest = Fits(motion, torque, highest, window), _smallest(terms)
@@ -125,7 +127,7 @@ def select(
     steps = _Steps(fits, noise, terms, is_enough=lambda one: describes(one, False))
     usual = steps.forward(fits.candidate(smallest))
     late = LateReading(fits, steps.criterion, accounts)
-    if not rarer:
+    if not rarer or sticks(Selection(usual)):
         return Selection(usual, steps, late)
     if describes(Selection(usual), True):
         return Selection(late.instead_of_skew(usual), steps, late)

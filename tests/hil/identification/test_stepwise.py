@@ -186,6 +186,9 @@ def test_a_rarer_term_is_included_where_the_usual_ones_do_not_describe_the_recor
     assert found.values[:2] == pytest.approx([KC, BC], rel=0.03)
     kept = select(motion, noisy, HIGHEST, rarer=rarer, describes=lambda *_: True)
     assert term not in kept.model.name
+    # a model is selected again from the samples in which friction does not hold the joint
+    held = select(motion, noisy, HIGHEST, rarer=rarer, describes=lambda *_: False, sticks=lambda _: True)
+    assert not set(rarer).intersection(one.term for one in held.steps)
 
 
 @pytest.mark.parametrize(
