@@ -145,10 +145,7 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     known = np.isfinite(rate) & np.isfinite(left) & np.isfinite(acceleration)
     some = np.flatnonzero(known)[:_LOOKED]
     seen = Motion(time[some], dtheta[some], rate[some], acceleration[some], np.zeros(len(some)))
-    if cell is None:
-        of_torque = _own_noise(seen, torque[some])
-    else:
-        of_torque = max(noise_beside_any_shape(cell, seen), _KNOWN * float(np.std(torque[some])))
+    of_torque = _own_noise(seen, torque[some], cell)
     hidden = _hidden(seen, torque[some], of_torque)
     read = Read(torque[some], seen.dtheta, seen.dtheta_dot, seen.dtheta_ddot, step)
     rate, left = rate[known], left[known]
@@ -166,22 +163,13 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     found = Window(
         slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count, _UNSEEN * hidden
     )
-    of_rate = _amplified(slope, step)
-    noisy = disturbs(read, found.of_deflection, found.of_deflection * of_rate)
-    if not noisy and smoothed_away(slope, *first, of_deflection) <= _UNSEEN * hidden:
-        return _jumping(found, *first, torque[:_LOOKED], of_torque)
-    if not noisy:
-        narrow = local_polynomial(*first, slope, 1)
-        apart = _differing(*first, narrow, _NARROW)
-        jerky = replace(found, jerk=beyond_noise(apart, narrow))
-        smooth = ~(apart > jerky.jerk)
-        if (
-            _power(narrow, smooth) >= _SMOOTH * _power(narrow)
-            and smoothed_away(slope, *first, of_deflection, seen=smooth) <= _UNSEEN * hidden
-        ):
-            return _jumping(jerky, *first, torque[:_LOOKED], of_torque)
-        if cell is not None:  # what is taken from the deflection cannot be taken from readings so far apart
-            return _jumping(found, *first, torque[:_LOOKED], of_torque)
+    noisy = disturbs(read, found.of_deflection, found.of_deflection * _amplified(slope, step))
+    following = None if noisy else _following(found, *first, torque[:_LOOKED], of_torque)
+    if following is None and not noisy and cell is not None:
+        # what is taken from the deflection cannot be taken from readings so far apart
+        following = _jumping(found, *first, torque[:_LOOKED], of_torque)
+    if following is not None:
+        return following
     highest = spectrum.above(of_deflection)
     if not noisy:  # what goes on beyond is taken from torque and deflection alike, also where sampling has folded it
         highest = max(spectrum.band[1], min(highest, _FOLLOWED / step))
@@ -222,6 +210,23 @@ def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int =
             break
         half, found = less, narrower
     return half
+
+
+def _following(found: Window, time: Array, dtheta: Array, torque: Array, own: float) -> Window | None:
+    """Return the window where its polynomials follow the motion, but for samples beside jumps; None where they do not.
+
+    torque (n,), own: as of `_jumping`.
+    """
+    if smoothed_away(found.slope, time, dtheta, found.of_deflection) <= found.unseen:
+        return _jumping(found, time, dtheta, torque, own)
+    narrow = local_polynomial(time, dtheta, found.slope, 1)
+    apart = _differing(time, dtheta, narrow, _NARROW)
+    jerky = replace(found, jerk=beyond_noise(apart, narrow))
+    smooth = ~(apart > jerky.jerk)
+    if _power(narrow, smooth) < _SMOOTH * _power(narrow):
+        return None
+    away = smoothed_away(found.slope, time, dtheta, found.of_deflection, seen=smooth)
+    return _jumping(jerky, time, dtheta, torque, own) if away <= found.unseen else None
 
 
 def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: float) -> Window:
@@ -284,9 +289,12 @@ def _hidden(motion: Motion, torque: Array, own: float) -> float:
     return _HIDDEN * own / abs(damping) if damping else np.inf
 
 
-def _own_noise(motion: Motion, torque: Array) -> float:
+def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
     """The standard deviation of the noise of a torque (n,) N m, at least what its rate may be wrong by."""
-    own = own_noise(float(np.nanmedian(_noise_of(motion.time, torque))), torque, motion.dtheta)
+    if cell is None:
+        own = own_noise(float(np.nanmedian(_noise_of(motion.time, torque))), torque, motion.dtheta)
+    else:
+        own = noise_beside_any_shape(cell, motion)
     return max(own, _KNOWN * float(np.std(torque)))
 
 

@@ -17,9 +17,7 @@ from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit
 
 _RESPECTS = 3  # that a message names
-_TESTED = (
-    0.1  # of the motion: with less in the samples that are tested, friction and inertia are not told from other effects
-)
+_TESTED = 0.1  # of the motion: with less in the samples that are tested, too much looks like friction or inertia
 _CHANGES = 0.03  # of K' over the band, from which it is said
 
 
