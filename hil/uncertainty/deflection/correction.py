@@ -76,9 +76,14 @@ def deflection_errors(fitted: Fitted) -> DeflectionErrors:
         return found
     if instruments is not None:
         found = replace(found, strength=instruments[1])
-    change = simulated if instruments is None or found.is_weak else instruments[0]
-    method: Method = "simulation" if change is simulated else "instruments"
-    return replace(found, method=method, change=change.values, half_width=np.hypot(change.half_width, rounded))
+    if instruments is None or found.is_weak:
+        half_width = np.hypot(simulated.half_width, rounded)
+        return replace(found, method="simulation", change=simulated.values, half_width=half_width)
+    # what the command takes off and the errors' size does not explain may be errors that are not white, or a part of
+    # the torque that the model lacks: that one is weighed otherwise where the command stands for the motion
+    change, unexplained = instruments[0], instruments[0].values - simulated.values
+    half_width = np.hypot(np.maximum(change.half_width, np.abs(unexplained)), rounded)
+    return replace(found, method="instruments", change=change.values, half_width=half_width)
 
 
 def _disturbed(part: Fitted) -> bool:

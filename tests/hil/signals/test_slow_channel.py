@@ -202,7 +202,7 @@ def test_a_branch_that_relaxes_does_not_look_like_a_drift_of_the_pace_and_hides_
 
 def test_a_pace_that_crosses_the_ticks_once_is_sure_where_it_does_and_may_drift() -> None:
     """One reading in three ticks, 150 ppm late: its phase is known in the middle, and off by 0.5 ms at the ends."""
-    at = 5.0001 + (np.arange(1664) - 832.0) * 6e-3 * (1.0 + 1.5e-4)
+    at = 5.0001 + (np.arange(1664, dtype=np.float64) - 832.0) * 6e-3 * (1.0 + 1.5e-4)
     found = readings(TICKS, held(at, noisy(at)), "held")
     own = at[np.searchsorted(0.5 * (at[1:] + at[:-1]), found.time)]
     off = np.abs(found.time - own)
