@@ -173,11 +173,14 @@ def repaced(own: Readings, motion: Motion) -> Array:
 def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
     """Return the standard deviation, N m, of what no torque of the motion (n,) explains in its readings (m,).
 
-    Between two of them the joint may move far, so that a smooth curve through them says nothing of their noise.
+    Between two of them the joint may move far, so that a smooth curve through them says nothing of their noise. 0 for
+    too few readings to say it.
     """
-    inside = (own.time >= motion.time[0]) & (own.time <= motion.time[-1])
+    inside = (own.time >= motion.time.min(initial=np.inf)) & (own.time <= motion.time.max(initial=-np.inf))
     time = own.time[inside]
-    few = slice(None, None, -(-max(len(time), 1) // _CONSTRAINTS))
+    if len(time) < FEWEST_READINGS:
+        return 0.0
+    few = slice(None, None, -(-len(time) // _CONSTRAINTS))
     at = motion.at(time[few])
     shapes, _ = _shapes(at)
     seen = own.value[inside][few][np.searchsorted(time[few], at.time)]

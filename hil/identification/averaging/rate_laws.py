@@ -5,9 +5,9 @@ Friction may fall with the rate, as that of grease and of soft bristles does (St
 much as it is at speed: models in which it does, over each of a few of the rates driven, weigh as one with a parameter
 more. Where the recording hardly shows the fall, its size is limited by that alone.
 
-None weighs more than the model selected. What a fall explains where the joint turns may be the turning: a rate that is
-a part of a sample late there, or friction that builds up. That one was not selected, although its evidence is strong,
-says that both values belong in the interval.
+None weighs more than the model selected. Where the joint turns, a rate that is a part of a sample late, or friction
+that builds up, looks like a fall. If such a law has strong evidence and was not selected, both values belong in the
+interval.
 
 Damping may grow with the rate, as that of a fluid in motion does, in one joint of ten. In much noise nothing shows it,
 and Bc is then that of the usual rate, not that of slow motion.

@@ -151,10 +151,10 @@ def _lacking_at_jumps(described: Described, moving: float) -> Lacking | None:
     """What the model lacks most, with the samples beside jumps of the acceleration; None for nothing that matters.
 
     The fit, or its test, leaves these out, because their rate is not known; moving: the part of the motion in the
-    others. But an inertia shows little elsewhere if
-    set-points jump, and friction that builds up may take its place. The dynamic stiffness of what the model leaves of
-    the torque needs no rate of a single sample. A model with an inertia is not held against it: the torque jumps then,
-    and one sample of a jump says little. Nor is one with friction that may hold the joint when it begins to move.
+    others. But an inertia shows little elsewhere if set-points jump, and friction that builds up may take its place.
+    The dynamic stiffness of what the model leaves of the torque needs no rate of a single sample. A model with an
+    inertia is not held against it: the torque jumps then, and one sample of a jump says little. Nor is one with
+    friction that may hold the joint when it begins to move.
     """
     signals, model = described.signals, described.model
     if not isinstance(model, CouplingModel) or model.sticks or "J" in described.names:

@@ -232,6 +232,15 @@ def test_a_motion_that_comes_to_rest_between_two_places_is_not_slow(dwell: float
     assert kind_of(TICKS, coarse(place, 1e-6)) is None
 
 
+def test_a_few_readings_say_nothing_of_their_noise() -> None:
+    still = np.zeros(5000)
+    motion = Motion(TICKS, np.sin(OMEGA * TICKS), OMEGA * np.cos(OMEGA * TICKS), still, still)
+    few = np.linspace(1.0, 2.0, 20)
+    assert noise_beside_any_shape(Readings(np.arange(20), few, torque(few)), motion) == 0.0
+    late = few + 100.0
+    assert noise_beside_any_shape(Readings(np.arange(20), late, torque(late)), motion) == 0.0
+
+
 def test_the_noise_of_a_slow_cell_is_what_no_torque_of_the_motion_explains() -> None:
     """Between two readings the joint moves by up to its range: a line through three shows three times that noise."""
     fine = np.arange(99_000) / 10_000.0
