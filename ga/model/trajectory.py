@@ -164,11 +164,12 @@ class Motion:
         return max(1, int(min(longest / float(np.median(np.diff(self.time))), len(self))))
 
     def at(self, time: Array) -> Motion:
-        """The motion at other times (m,), s, rising, those between two stretches left out; at all else interpolated.
+        """The motion interpolated at other times (m,), s, rising, without those between two stretches or alone in one.
 
         It is some of the samples of a whole motion as dense as this one, so that it is delayed and lagged as exactly.
         """
         inside = [time[(time >= self.time[a]) & (time <= self.time[b - 1])] for a, b in self._stretches()]
+        inside = [part if len(part) > 1 else part[:0] for part in inside]  # no curve leads through one
         step = float(np.median(np.diff(self.time)))
         grids = [_subdivided(part, step) for part in inside]
         lengths = [len(grid) for grid, _ in grids if len(grid)]

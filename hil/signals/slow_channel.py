@@ -178,7 +178,7 @@ def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
     """
     inside = (own.time >= motion.time.min(initial=np.inf)) & (own.time <= motion.time.max(initial=-np.inf))
     time = own.time[inside]
-    if len(time) < FEWEST_READINGS:
+    if min(len(time), len(motion)) < FEWEST_READINGS:
         return 0.0
     few = slice(None, None, -(-len(time) // _CONSTRAINTS))
     at = motion.at(time[few])

@@ -121,6 +121,15 @@ def test_nothing_is_read_between_two_stretches() -> None:
     assert found.starts == (0, 2)
 
 
+def test_a_reading_alone_in_a_stretch_is_left_out() -> None:
+    """No curve leads through one. Of 120 broken recordings of slow cells five ended with a fault."""
+    there = replace(MOTION, starts=(0, 1500, 1600))
+    at = np.array([0.5, 1.0, float(TIME[1550]), 3.5, 4.0])
+    found = there.at(at)
+    np.testing.assert_array_equal(found.time, at[[0, 1, 3, 4]])
+    np.testing.assert_allclose(found.delayed(1e-3).dtheta, moving(found.time - 1e-3).dtheta, atol=1e-4)
+
+
 def test_motions_one_after_the_other_remain_parts_of_their_wholes() -> None:
     first, second = MOTION.at(np.arange(0.1, 2.0, 0.0127)), moving(TIME).at(np.arange(1.0, 5.0, 0.0127))
     both = joined([first, second])
