@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
 
@@ -16,7 +16,7 @@ from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import frozen, spikes
-from hil.signals.slow_channel import Kind, Readings
+from hil.signals.slow_channel import Channel, Kind, Readings
 from hil.signals.stamps import spread_stamps, within
 
 Array = NDArray[np.float64]
@@ -90,17 +90,23 @@ class UsableRows:
     spikes: NDArray[np.int64]
     clipped: NDArray[np.bool_]
     wraps: int = 0
+    _read: dict[tuple[str, Kind | None], Readings] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def stamps(self) -> tuple[Array, bool]:
         """The stamps (n,) s with repeats and bursts spread, and whether they are many."""
         return spread_stamps(self.time)
 
-    def readings(self, values: Array, kind: Kind | None) -> Readings:
-        """Return which of the values (n,) are readings: all, or of a sensor that is slower, as its kind says."""
-        time, _ = self.stamps
-        every = Readings(np.arange(len(time)), time, values)
-        return every if kind is None else slow_channel.readings(time, values, kind)
+    def readings(self, channel: Channel, kind: Kind | None) -> Readings:
+        """Return which values of a channel are readings: all, or of a sensor that is slower, as its kind says.
+
+        They are kept: the windows and the signals both need them, and the pace of a slow one takes a while to find.
+        """
+        if (channel, kind) not in self._read:
+            (time, _), values = self.stamps, self.torque if channel == "torque" else self.dtheta
+            every = Readings(np.arange(len(time)), time, values)
+            self._read[channel, kind] = every if kind is None else slow_channel.readings(time, values, kind)
+        return self._read[channel, kind]
 
     def defects(self, rows: tuple[int, int]) -> Defects:
         """Return how many rows within `rows` of the file are not used; those that a window shows are not among them."""

@@ -219,7 +219,7 @@ class LongRecording:
 
 
 def _window(usable: UsableRows, columns: _Columns) -> Window:
-    angle = usable.readings(usable.dtheta, columns.dtheta)
+    angle = usable.readings("deflection", columns.dtheta)
     own = _own_readings(usable, columns) if columns.torque or columns.own_time else None
     if own is None:
         return window_for(angle.time, angle.value, usable.torque[angle.row])
@@ -230,7 +230,7 @@ def _own_readings(usable: UsableRows, columns: _Columns) -> Readings | None:
     """The torque's own readings, N m, where they were not taken at the ticks."""
     if columns.own_time:
         return slow_channel.stamped(usable.torque_time, usable.torque)
-    return usable.readings(usable.torque, columns.torque) if columns.torque or columns.dtheta else None
+    return usable.readings("torque", columns.torque) if columns.torque or columns.dtheta else None
 
 
 def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
@@ -248,7 +248,7 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
     """Return the signals of the usable rows within `rows` of the file; the other rows only fill their windows."""
     if len(usable.row) < FEWEST:
         return _nothing(usable, columns, window, rows)
-    (stamps, _), angle = usable.stamps, usable.readings(usable.dtheta, columns.dtheta)
+    (stamps, _), angle = usable.stamps, usable.readings("deflection", columns.dtheta)
     time, dtheta = angle.time, angle.value
     if columns.rate_given:
         rate = usable.reported_rate

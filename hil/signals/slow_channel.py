@@ -19,6 +19,7 @@ from hil.signals.deflection_noise import smallest_step
 
 Array = NDArray[np.float64]
 Kind = Literal["held", "joined"]
+Channel = Literal["torque", "deflection"]
 
 FEWEST_READINGS: Final = 30
 """Readings, from which a sensor is judged."""
@@ -88,7 +89,7 @@ class Slower:
     unsure: s, the range in which the age of all its readings may lie together.
     """
 
-    channel: Literal["torque", "deflection"]
+    channel: Channel
     kind: Kind
     step: float
     tick: float
@@ -174,7 +175,7 @@ def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
     """Return the standard deviation, N m, of what no torque of the motion (n,) explains in its readings (m,).
 
     Between two of them the joint may move far, so that a smooth curve through them says nothing of their noise. 0 for
-    too few readings to say it.
+    too few readings.
     """
     inside = (own.time >= motion.time.min(initial=np.inf)) & (own.time <= motion.time.max(initial=-np.inf))
     time = own.time[inside]
@@ -285,11 +286,11 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, flo
     ends = (ends - np.repeat([start, -start], len(line[few]))) * _MS
     best = linprog([0.0, 0.0, -1.0], np.column_stack([inside, np.ones(len(inside))]), ends, bounds=(None, None)).x
     loose = ends - min(float(best[2]), 0.0) + _ROUNDED
-    ends_of = (
+    ranges = (
         [linprog(sign * part, inside, loose, bounds=(None, None)).fun * sign for sign in (1.0, -1.0)]
         for part in np.eye(2)
     )
-    (low, high), (shortest, longest) = ends_of
+    (low, high), (shortest, longest) = ranges
     drifts = max(longest - best[1], best[1] - shortest, 0.0)
     return line @ best[:2] / _MS + start, abs(float(high - low)) / _MS, float(drifts) / _MS
 

@@ -166,7 +166,7 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     noisy = disturbs(read, found.of_deflection, found.of_deflection * _amplified(slope, step))
     following = None if noisy else _following(found, *first, torque[:_LOOKED], of_torque)
     if following is None and not noisy and cell is not None:
-        # what is taken from the deflection cannot be taken from readings so far apart
+        # torque readings so far apart cannot pass the low-pass that the deflection would
         following = _jumping(found, *first, torque[:_LOOKED], of_torque)
     if following is not None:
         return following

@@ -79,8 +79,8 @@ def deflection_errors(fitted: Fitted) -> DeflectionErrors:
     if instruments is None or found.is_weak:
         half_width = np.hypot(simulated.half_width, rounded)
         return replace(found, method="simulation", change=simulated.values, half_width=half_width)
-    # what the command takes off and the errors' size does not explain may be errors that are not white, or a part of
-    # the torque that the model lacks: that one is weighed otherwise where the command stands for the motion
+    # what the size of the errors does not explain may be errors that are not white, or a torque that the model lacks:
+    # with the command in place of the motion, the latter changes the parameters
     change, unexplained = instruments[0], instruments[0].values - simulated.values
     half_width = np.hypot(np.maximum(change.half_width, np.abs(unexplained)), rounded)
     return replace(found, method="instruments", change=change.values, half_width=half_width)

@@ -131,7 +131,7 @@ def stepping(every: int) -> tuple[Array, Array, Readings]:
 
 
 def test_steps_between_the_readings_of_a_slow_cell_are_no_noise_that_would_hide_jumps() -> None:
-    """The rate beside a jump, that is left out, is wrong by up to 1 rad/s: Kc was 1.6 % too high."""
+    """Rates beside a jump are wrong by up to 1 rad/s. Before they were left out, Kc was 1.6 % too high."""
     time, angle, cell = stepping(1000)
     torque = np.interp(time, cell.time, cell.value)
     found = window_for(time, angle, torque, cell)
@@ -141,7 +141,7 @@ def test_steps_between_the_readings_of_a_slow_cell_are_no_noise_that_would_hide_
 
 
 def test_before_a_slow_cell_a_motion_that_jumps_all_the_time_passes_no_low_pass() -> None:
-    """Nothing takes from readings so far apart what a low-pass takes from the deflection."""
+    """Torque readings so far apart cannot pass the low-pass that the deflection would."""
     time, angle, cell = stepping(200)
     torque = np.interp(time, cell.time, cell.value)
     assert window_for(time, angle, torque).low_pass is not None
