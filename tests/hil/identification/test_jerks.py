@@ -16,6 +16,7 @@ from scipy.signal import cont2discrete
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
 from hil.identification.doubts import misfit
+from hil.identification.fitting import described
 from hil.identification.fitting.described import Described
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
@@ -145,9 +146,9 @@ def test_friction_or_an_inertia_that_is_tested_at_rest_only_does_not_make_bc_tru
     reading, with Bc 13 +- 6 % too high.
     """
     names = [one.name for one in parse(model).parameters]
-    described = SimpleNamespace(model=parse(model), names=names, signals=SimpleNamespace(imported=True))
+    fit = SimpleNamespace(model=parse(model), names=names, signals=SimpleNamespace(imported=True))
     seen = cast("LackOfFit", SimpleNamespace(moving=moving))
-    found = misfit._untested_motion(cast("Described", described), model, seen)
+    found = misfit._untested_motion(cast("Described", fit), model, seen)
     assert [(one.code, one.parameter, one.is_error) for one in found] == [("misfit-untested", "Bc", True)] * refused
 
 
@@ -209,6 +210,17 @@ def test_an_inertia_is_found_behind_steps_and_no_early_torque_in_its_place(turni
         low, high = found[name].ci95
         assert low < truth < high
     assert found["Bc"].half_width < 0.1 * BC
+
+
+@pytest.mark.parametrize(("model", "trusted"), [(None, False), ("linear+coulomb+inertia", True)])
+def test_a_model_that_is_tested_at_rest_only_is_trusted_where_the_user_names_it(
+    turning: Path, monkeypatch: pytest.MonkeyPatch, model: str | None, *, trusted: bool
+) -> None:
+    monkeypatch.setattr(described, "_moving", lambda _: 0.05)
+    found = identify([turning], parse(model) if model else None, SEARCH)
+    assert found.model.name == "linear+coulomb+inertia"
+    assert found.trusted("Bc") == trusted
+    assert found.trusted("Kc")
 
 
 def test_readings_of_a_slow_cell_beside_a_jump_are_left_out_too(slowly_read: Path) -> None:
