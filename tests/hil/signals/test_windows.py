@@ -7,10 +7,13 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from ga.model.trajectory import Motion
-from hil.recording.reader import Array
+from hil.recording.reader import Array, Recording
+from hil.signals.prepare import prepare
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Readings
 from hil.signals.windows import Window, is_smooth, window_for
+
+from ..conftest import Maker
 
 
 def _moving(time: Array, angle: Array, rate: Array) -> Motion:
@@ -138,6 +141,22 @@ def test_steps_between_the_readings_of_a_slow_cell_are_no_noise_that_would_hide_
     assert np.isfinite(found.jerk)
     jerked = found.jerked(time, *found.moved(time, angle))
     assert 0.02 < np.mean(jerked) < 0.3
+
+
+def test_jumps_are_seen_in_a_recording_whose_torque_is_that_of_a_slow_cell(make_recording: Maker) -> None:
+    time, angle, cell = stepping(1000)
+
+    def change(channels: dict[str, Array]) -> None:
+        channels["dtheta"] = angle
+        channels["torque"] = cell.value[np.maximum(np.searchsorted(cell.time, time, side="right") - 1, 0)]
+
+    with Recording(make_recording(samples=len(time), change=change)) as recording:
+        signals = prepare(recording, None)
+    assert [one.channel for one in signals.slower] == ["torque"]
+    assert 0.02 < signals.defects.jerked / len(signals) < 0.3
+    exact = window_for(time, angle, np.interp(time, cell.time, cell.value), cell)
+    assert signals.window is not None
+    assert signals.window.unseen == pytest.approx(exact.unseen, rel=0.2)
 
 
 def test_before_a_slow_cell_a_motion_that_jumps_all_the_time_passes_no_low_pass() -> None:
