@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _SPEEDS = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
 _TCGETS2 = 0x802C542A
+_TIOCGEXCL = 0x80045440
 _TERMIOS2 = struct.Struct("=4I20s2I")
 """Linux: flags, characters, input and output speed in bit/s. It knows every speed, `tcgetattr` only those of the
 table above.
@@ -69,8 +70,10 @@ class PtyLine:
         self._any_baudrate = any_baudrate
         self._master = -1
         self._name = ""
-        self._present = True
+        self._present = False
         """Whether a client has the port open."""
+        self._left_locked = False
+        """Whether the port was found locked; by nobody, if the next look finds no client either."""
         self._open()
         self._wake, self._waker = os.pipe()
         self._arrivals = Arrivals[bytes]()
@@ -125,12 +128,16 @@ class PtyLine:
         try:
             data = os.read(self._master, 4096)
         except BlockingIOError:
-            self._present = True
+            self._present, self._left_locked = True, False
             return b""
         except OSError:
             data = b""
         was, self._present = self._present, bool(data)
-        if was and not data:
+        if data:
+            self._left_locked = False
+        elif self._left_locked:
+            self._unlock()
+        elif was:
             self._end_session()
         return data
 
@@ -147,7 +154,22 @@ class PtyLine:
             self._arrivals.add(self._peer.receive(data, self.now(), speed))
 
     def _end_session(self) -> None:
-        """After the last close: end its exclusive lock and discard what was not read, as a serial port does."""
+        """After the last close: discard what was not read, as a serial port does, and see whether it is locked.
+
+        A client may have opened and locked it since the look that found none. The next look tells.
+        """
+        try:
+            slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
+        except OSError:  # the lock keeps out whoever is not root
+            self._left_locked = True
+            return
+        termios.tcflush(slave, termios.TCIFLUSH)
+        self._left_locked = _locked(slave)
+        os.close(slave)
+
+    def _unlock(self) -> None:
+        """End the exclusive lock that a client left, as the last close of a serial port does."""
+        self._left_locked = False
         try:
             slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
         except OSError:  # the lock keeps out whoever is not root
@@ -155,7 +177,6 @@ class PtyLine:
             self._open()
             return
         fcntl.ioctl(slave, termios.TIOCNXCL)
-        termios.tcflush(slave, termios.TCIFLUSH)
         os.close(slave)
 
     def _send(self) -> None:
@@ -197,3 +218,11 @@ def _speed(descriptor: int) -> int:
     with contextlib.suppress(OSError):
         return int(_TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size)))[-1])
     return _SPEEDS.get(termios.tcgetattr(descriptor)[5], 0)
+
+
+def _locked(descriptor: int) -> bool:
+    """Return whether a client has locked the port. macOS does not tell: it may be."""
+    try:
+        return fcntl.ioctl(descriptor, _TIOCGEXCL, bytes(4)) != bytes(4)
+    except OSError:
+        return True

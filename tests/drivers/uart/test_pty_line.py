@@ -133,6 +133,14 @@ def test_a_lock_outlives_the_close_of_another_program(line: PtyLine) -> None:
     assert eventually(lambda: not locked(line))
 
 
+def test_a_lock_that_is_taken_just_as_the_line_is_found_unused_stays(tmp_path: Path) -> None:
+    """One line in two was unlocked when this raced with the look for a session that has ended."""
+    for number in range(50):
+        with PtyLine(tmp_path / f"tty{number}", Recorder()) as line, opened(line) as port:
+            fcntl.ioctl(port, termios.TIOCEXCL)
+            assert all(locked(line) for _ in range(3))
+
+
 def test_bytes_sent_while_nobody_listens_are_lost(line: PtyLine, peer: Recorder) -> None:
     peer.to_say = [b"before"]
     assert eventually(lambda: not peer.to_say)
