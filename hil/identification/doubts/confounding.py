@@ -25,7 +25,7 @@ _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be out
 _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
 # the terms of a spring that curves or bends
 _CURVED = {"cubic", "quintic", "progressive", "hardening", "exponential", "toe", "asymmetric"}
-_RUBS = {"capstan", "sheath", "gear"}  # and those of friction in proportion to the torque
+_EARLY, _A_LITTLE_EARLY = 2.0, 0.5  # times what recorders are late or early by, from which an early reading is doubted
 _NEXT_TO_NONE = 0.01  # of the torque: a friction that is found so small is not the one that holds the joint
 
 
@@ -111,23 +111,24 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     motion, values = evidence.signals.motion, dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     terms = set(evidence.model.name.split("+"))
     # in ticks of the recorder: a slow cell is late, and never early, by its own pace
-    early = -values.get("skew", 0.0) > 2.0 * TICK_SHARE * float(np.median(np.diff(motion.whole[0].time)))
-    if not evidence.selected or terms & _RUBS or _friction(values) > _NEXT_TO_NONE * _loaded(evidence):
+    early = -values.get("skew", 0.0) / (TICK_SHARE * float(np.median(np.diff(motion.whole[0].time))))
+    if not evidence.selected or _least_friction(evidence) > _NEXT_TO_NONE * _loaded(evidence):
         return []
-    inertia = "J" in values
-    if (terms & _CURVED or early) and looks_like_spring(motion):
+    accelerates = "J" in values or early > _A_LITTLE_EARLY
+    if (terms & _CURVED or early > _EARLY) and looks_like_spring(motion):
         other = "a spring that curves" if terms & _CURVED else "a torque that is read before the angle"
         fits = f"has the torque of more stiffness, and {other} fits as well"
-    elif is_hidden(motion, inertia=inertia):
-        parts = "stiffness, damping and inertia" if inertia else "stiffness and damping"
+    elif is_hidden(motion, inertia=accelerates):
+        third = "inertia" if "J" in values else "an earlier reading"
+        parts = f"stiffness, damping and {third}" if accelerates else "stiffness and damping"
         fits = f"has the torque of more {parts}, in this motion at every sample"
     else:
         return []
     smooth = again("Drive a multisine or a chirp", "--profile", imported=evidence.signals.imported)
+    known = f". If you know that there is no friction, name --model {evidence.model.name}"
     text = (
         "the joint rests at one place after each move up, and at another after each move down. Dry friction that holds "
-        f"it there {fits}. Kc and Bc may be wrong. {smooth}. If you know that there is no friction, name --model "
-        f"{evidence.model.name}"
+        f"it there {fits}. Kc and Bc may be wrong. {smooth}{'' if {*_FRICTION, 'mu'} & set(values) else known}"
     )
     return [Diagnostic("friction-at-rest", text, is_error=True)]
 
@@ -155,6 +156,16 @@ def _little_load(evidence: Evidence) -> list[Diagnostic]:
 def _friction(values: Mapping[str, float]) -> float:
     """Return the friction, N m, of a model whose parameters (SI, by name) are given; zero without one."""
     return max((abs(values[name]) for name in _FRICTION if name in values), default=0.0)
+
+
+def _least_friction(evidence: Evidence) -> float:
+    """Return the friction, N m, that the model has at least: at the end of its interval; zero without one.
+
+    That in proportion to the torque is the friction at the largest one.
+    """
+    ends = zip(evidence.names, np.abs(evidence.values) - evidence.errors.half_width, strict=True)
+    sizes = {**dict.fromkeys(_FRICTION, 1.0), "mu": _loaded(evidence)}
+    return max((float(least) * sizes[name] for name, least in ends if name in sizes), default=0.0)
 
 
 def _loaded(evidence: Evidence) -> float:
