@@ -27,6 +27,7 @@ _EDGE: Final = 10.0  # of power lost, where the cliff begins
 _FALLS: Final = 0.1  # of the power an octave above a cliff, that is left at the end of the spectrum
 _NOTHING: Final = 1e-6  # of the power in the band, that is no noise
 _GAPS: Final = -1.0  # decades of power by which each gap of a moving mean is below what is beside it
+_SHALLOW: Final = -0.3  # the same of the direction of the motion, whose gaps friction has, beside noise that fills them
 _LOBES: Final = 0.8  # decades of power, by which those between the gaps differ from a mean's
 _LONGEST_MEAN: Final = 120  # readings
 _REPEATS: Final = 0.03  # part of the readings, from which they are no chance
@@ -73,7 +74,8 @@ def _seen_in_noise(signals: Signals, step: float) -> str:
             f"the torque has nothing above {edge:.3g} Hz, not even noise: a smooth curve joins the readings of a cell "
             f"of about {2.0 * edge:.3g} Hz. Record these readings with their own time stamps"
         )
-    if (count := _mean_of(frequency[looked], power[looked], step)) is not None:
+    count = _mean_of(frequency[looked], power[looked], step)
+    if count is not None and not _turns_lack(signals, length, step, frequency[looked], count):
         return (
             f"the noise of the torque lacks the multiples of {1.0 / (count * step):.3g} Hz: each reading is the mean "
             f"of {count} and {1e3 * 0.5 * (count - 1) * step:.3g} ms late. Switch the mean off, or pass the angle "
@@ -84,15 +86,47 @@ def _seen_in_noise(signals: Signals, step: float) -> str:
 
 def _noise_spectrum(torque: Array, angle: Array, length: int, step: float) -> tuple[Array, Array]:
     """Frequencies (l,) Hz and power (l,) of what of the torque no linear filter of the deflection makes."""
-    firsts = np.arange(0, len(torque) - length + 1, length // 2)
-    window = np.hanning(length + 1)[:-1]
-    pieces = [values[firsts[:, None] + np.arange(length)] for values in (torque, angle)]
-    tau, moved = (np.fft.rfft((one - one.mean(axis=1, keepdims=True)) * window) for one in pieces)
+    tau, moved = _spectra(torque, length), _spectra(angle, length)
     own = (np.abs(moved) ** 2).sum(axis=0)
     common = np.abs((tau * moved.conj()).sum(axis=0)) ** 2 / np.maximum(own, 1e-300)
     power = np.maximum((np.abs(tau) ** 2).sum(axis=0) - common, 0.0)
     frequency = np.asarray(np.fft.rfftfreq(length, step), dtype=np.float64)
-    return frequency, np.convolve(power, np.full(3, 1.0 / 3.0), mode="same")
+    return frequency, _smoothed(power)
+
+
+def _spectra(values: Array, length: int) -> NDArray[np.complex128]:
+    """The spectra (pieces, l) of pieces of the values (n,) that overlap by half."""
+    firsts = np.arange(0, len(values) - length + 1, length // 2)
+    pieces = values[firsts[:, None] + np.arange(length)]
+    return np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * np.hanning(length + 1)[:-1])
+
+
+def _smoothed(power: Array) -> Array:
+    return np.convolve(power, np.full(3, 1.0 / 3.0), mode="same")
+
+
+def _turns_lack(signals: Signals, length: int, step: float, frequency: Array, count: int) -> bool:
+    """Return whether the direction of the motion lacks what a mean of `count` readings takes out.
+
+    So it does where the set-points are held for as long. Friction has the direction's spectrum, and is no noise.
+    """
+    spectra = _spectra(np.sign(signals.motion.dtheta_dot), length)
+    power = np.interp(frequency, np.fft.rfftfreq(length, step), _smoothed((np.abs(spectra) ** 2).sum(axis=0)))
+    _, depths, _ = _gaps(frequency, _decades(power), count, step)
+    return bool(np.median(depths) < _SHALLOW)
+
+
+def _decades(power: Array) -> Array:
+    return np.log10(np.maximum(power, 1e-300))
+
+
+def _gaps(frequency: Array, decades: Array, count: int, step: float) -> tuple[Array, Array, Array]:
+    """Where (g,), Hz, a mean of `count` readings has gaps, their depths (g,) in decades, and the lobe after each."""
+    half = 0.5 / (count * step)
+    gaps = 2.0 * half * np.arange(1, count)
+    gaps = gaps[(gaps - half > frequency[0]) & (gaps + half < frequency[-1])]
+    before, at, after = (np.interp(gaps + shift, frequency, decades) for shift in (-half, 0.0, half))
+    return gaps, at - 0.5 * (before + after), after + 2.0 * np.log10(np.sin(np.pi * (gaps + half) * step))
 
 
 def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
@@ -113,16 +147,11 @@ def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
 
 def _mean_of(frequency: Array, power: Array, step: float) -> int | None:
     """Return the length of a moving mean, in readings, from the gaps in the noise; None if there are none."""
-    decades = np.log10(np.maximum(power, 1e-300))
     found, lobes = None, np.zeros(1)
     for count in range(3, _LONGEST_MEAN):
-        half = 0.5 / (count * step)
-        gaps = 2.0 * half * np.arange(1, count)
-        gaps = gaps[(gaps - half > frequency[0]) & (gaps + half < frequency[-1])]
-        around = [np.interp(gaps + shift, frequency, decades) for shift in (-half, 0.0, half)]
-        if gaps.size and (around[1] - 0.5 * (around[0] + around[2]) < _GAPS).all():
-            # the longest: a divisor of it has a part of the gaps
-            found, lobes = count, around[2] + 2.0 * np.log10(np.sin(np.pi * (gaps + half) * step))
+        gaps, depths, between = _gaps(frequency, _decades(power), count, step)
+        if gaps.size and (depths < _GAPS).all():
+            found, lobes = count, between  # the longest: a divisor of it has a part of the gaps
     return found if np.ptp(lobes) < _LOBES else None
 
 

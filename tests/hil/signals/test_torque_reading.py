@@ -73,9 +73,9 @@ def low_passed(order: int) -> Reading:
     return lambda torque, rng: lfilter(*butter(order, 40.0 / 250.0), plain(torque, rng))
 
 
-def seen(path: Path, reading: Reading) -> str:
-    torque = np.asarray(reading(TORQUE, np.random.default_rng(3)))
-    channels = {"time": TIME[::FINE], "torque": torque, "dtheta": ANGLE[::FINE]}
+def seen(path: Path, reading: Reading, angle: Array = ANGLE, torque: Array = TORQUE) -> str:
+    torque = np.asarray(reading(torque, np.random.default_rng(3)))
+    channels = {"time": TIME[::FINE], "torque": torque, "dtheta": angle[::FINE]}
     write(path, Header(profile={}, stand_toml=""), channels)
     with Recording(path) as recording:
         return seen_in_torque(prepare(recording, None), LONGEST)
@@ -114,3 +114,22 @@ def test_nothing_is_named_that_was_not_done(tmp_path: Path, name: str) -> None:
 
 def test_a_piecewise_cubic_is_no_mean(tmp_path: Path) -> None:
     assert "mean" not in seen(tmp_path / "a.h5", resampled(PchipInterpolator, 50.0))
+
+
+def ringing(hertz: float) -> tuple[Array, Array]:
+    """Angle and torque of a joint with dry friction whose drive rings at `hertz` after each set-point."""
+    rng, level, at = np.random.default_rng(7), np.zeros(len(TIME)), 0
+    while at < len(TIME):
+        level[at:] = rng.uniform(-0.2, 0.2)
+        at += int(rng.uniform(0.15, 0.21) * FINE / STEP)
+    pole = np.exp((-0.2 + 1j) * 2.0 * np.pi * hertz * STEP / FINE)
+    drive = np.poly([pole, pole.conj()]).real
+    angle = lfilter([drive.sum()], drive, level)
+    rate = np.gradient(angle, TIME)
+    return angle, 0.3 * angle + 3e-3 * rate + 0.02 * np.tanh(rate / 5e-3)
+
+
+@pytest.mark.parametrize("half", [13, 20])
+def test_friction_that_turns_every_so_many_readings_is_no_mean_of_these(tmp_path: Path, half: int) -> None:
+    """Its torque lacks the multiples of one frequency, as the direction of the motion does."""
+    assert seen(tmp_path / "a.h5", plain, *ringing(0.5 / (half * STEP))) == ""
