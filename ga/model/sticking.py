@@ -46,7 +46,9 @@ SMOOTHEST: Final = 0.05
 where friction slides, for 1.3 % of softness takes as much off Bc."""
 
 SIGNED: Final = 3.0
-"""Times v_s, from which the Coulomb term is the sign of the rate: 0.995 of it."""
+FULL: Final = 0.02
+"""Times v_s, from which the Coulomb term is the sign of the rate: 0.995 of it; and part of the r.m.s. rate, from which
+friction has its full size, however it comes to it."""
 
 
 def slowest(motion: Motion) -> float:
@@ -60,7 +62,7 @@ def slowest(motion: Motion) -> float:
     if not len(motion):
         return 0.0
     least, noise = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)), motion.rate_noise or 0.0
-    softest, quiet = SIGNED * smoothing(motion), QUIET * _usual(motion)
+    softest, quiet = max(SIGNED * smoothing(motion), FULL * _usual(motion)), QUIET * _usual(motion)
     if least > noise:
         return max(least, softest)
     return max(min(RESTS * noise, quiet), softest) if quiet > SIGNED * noise else 0.0
@@ -136,6 +138,8 @@ def looks_like_spring(motion: Motion) -> bool:
 
 def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
     """Return whether friction has the torque of more stiffness and damping, or of these and an inertia, in all of it.
+
+    inertia: or a torque that is read early, whose difference has the torque of damping and an inertia.
 
     So it has behind a drive of first order between two places: its rate is in proportion to the way that is left, and
     friction holds the direction until the next step. The direction is then a linear function of where the joint is, and

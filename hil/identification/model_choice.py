@@ -26,6 +26,7 @@ from hil.signals.prepare import Signals
 Array = NDArray[np.float64]
 
 _STICKING = 1.25  # times the error of the other samples, from which the model does not describe the slow ones
+_KNOWN, _NONE = 100, 1e-9  # samples whose error is known well, and the part of the fastest rate that is no motion
 
 
 class Coupling(SeparableModel, Protocol):
@@ -206,9 +207,15 @@ def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_], *, a
 
 
 def _is_sticking(model: Coupling, motion: Motion, delay: float, residuals: Array) -> bool:
-    """Whether the samples that friction may hold the joint in fit worse than the others."""
+    """Whether the samples that friction may hold the joint in fit worse than the others: all, or those of one decade.
+
+    In a long rest nothing moves, and its many samples may fit well beside those in which the joint comes to it.
+    """
     described = model.described(motion, delay)
     if described.all() or np.count_nonzero(described) < FEWEST:  # too few to fit a model to
         return False
-    left = np.abs(residuals)
-    return bool(left[~described].mean() > _STICKING * left[described].mean())
+    left, rate = np.abs(residuals), np.abs(motion.dtheta_dot)
+    decade = np.floor(np.log10(np.maximum(rate, _NONE * max(float(rate.max()), np.finfo(float).tiny))))
+    held = [left[~described & (decade == one)] for one in np.unique(decade[~described]).tolist()]
+    worst = max([left[~described], *(some for some in held if len(some) >= _KNOWN)], key=np.mean)
+    return bool(worst.mean() > _STICKING * left[described].mean())

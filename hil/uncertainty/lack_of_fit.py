@@ -61,11 +61,15 @@ class Fitted:
 def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
     """Test a fit. Return None if the recording is too short, or if the residuals are only rounding.
 
+    So they are, too, where next to no sample is one that the model describes.
+
     Raises ValueError where the arrays differ in length.
     """
     if not len(recorded) == len(fitted.residuals) == len(fitted.columns):
         raise ValueError(f"{len(recorded)} samples, {len(fitted.residuals)} residuals, {len(fitted.columns)} rows")
     if len(recorded) < FEWEST * SHORTEST or np.ptp(recorded.deflection) == 0.0:
+        return None
+    if fitted.kept is not None and np.count_nonzero(fitted.kept) <= fitted.columns.shape[1]:
         return None
     fitted = _blanked(fitted)
     if float(np.std(fitted.residuals)) <= _EXACT * float(np.std(recorded.torque)):

@@ -83,8 +83,7 @@ class LackOfFit:
     at_zero: half the intervals of Kc and Bc, SI, where their values are zero, to which all changes of them are relative
     then; else 0.
     at_jumps: what the model lacks with the samples beside jumps of the acceleration, which it was not fitted to; None
-    for nothing that matters. What shows there alone is no part of Kc and Bc that has a size. moving: the part of the
-    motion, as the power of its rate, that is in the samples tested.
+    for nothing that matters. What shows there alone is no part of Kc and Bc that has a size.
     correlation (l, 2): of the residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual, N m, in
     cells of deflection (rows, rising) and rate (columns, rising) with equal counts; NaN in empty cells.
     """
@@ -105,7 +104,6 @@ class LackOfFit:
     in_step: bool = False
     at_zero: tuple[float, float] = (0.0, 0.0)
     at_jumps: Lacking | None = None
-    moving: float = 1.0
 
     def beside_noise(self, added: Array, *, counted: bool = False) -> LackOfFit:
         """Return the result with `of_noise` set, by how the prediction grows when the errors of the motion double.

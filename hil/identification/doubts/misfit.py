@@ -10,7 +10,7 @@ import numpy as np
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import SeparableModel
 from hil.diagnostics import Diagnostic, again
-from hil.identification.fitting.described import Described
+from hil.identification.fitting.described import Described, tested_motion
 from hil.identification.result import Estimate
 from hil.signals.torque_reading import seen_in_torque
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
@@ -29,10 +29,9 @@ def misfit_diagnostics(
     Where the torque's readings show what was done to them, that comes first, and no term that looks like it. selected:
     whether the model was, and not named by the user.
     """
-    if found is None or found.is_undecided:
-        return [_untested(model, found)]
-    if not found.misfit:
-        return _untested_motion(described, model, found) if selected else []
+    if found is None or found.is_undecided or not found.misfit:
+        missed = _untested_motion(described, model) if selected else []
+        return missed or ([] if found and not found.is_undecided else [_untested(model, found)])
     signals = described.signals
     longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
     seen = seen_in_torque(signals, longest)
@@ -77,18 +76,19 @@ def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
     )
 
 
-def _untested_motion(described: Described, model: str, found: LackOfFit) -> list[Diagnostic]:
+def _untested_motion(described: Described, model: str) -> list[Diagnostic]:
     """Return the error that next to nothing of the motion is in the samples that the tests are of; none for more.
 
     Beside jumps of the acceleration a model is held against the dynamic stiffness, but for one with friction, which may
     hold the joint there, or an inertia, whose torque jumps.
     """
     sticks = isinstance(described.model, CouplingModel) and described.model.sticks
-    if found.moving > _TESTED or not (sticks or "J" in described.names):
+    moving = tested_motion(described)
+    if moving > _TESTED or not (sticks or "J" in described.names):
         return []
     smooth = again("Drive a multisine or a chirp", "--profile", imported=described.signals.imported)
     text = (
-        f"only {percent(found.moving)} of the motion is in samples away from jumps of the acceleration, where the fit "
+        f"only {percent(moving)} of the motion is in samples away from jumps of the acceleration, where the fit "
         "can be tested. Between two rests, friction, an inertia, a stiffness that relaxes and a late torque "
         f"reading look alike. Bc may be wrong. {smooth}. If you know that the model is right, name --model {model}"
     )

@@ -86,8 +86,8 @@ class Described:
 
 def tested(described: Described) -> LackOfFit | None:
     """Test the fit; None where the recording is too short."""
-    found, moving = _tested(described), _moving(described)
-    return replace(found, at_jumps=_lacking_at_jumps(described, moving), moving=moving) if found else None
+    found = _tested(described)
+    return replace(found, at_jumps=_lacking_at_jumps(described)) if found else None
 
 
 def _tested(described: Described) -> LackOfFit | None:
@@ -132,7 +132,7 @@ def _tested_as_read(described: Described) -> LackOfFit | None:
     return found.beside_noise(np.array(added), counted=signals.window.count > 0.0)
 
 
-def _moving(described: Described) -> float:
+def tested_motion(described: Described) -> float:
     """The part of the motion, as the power of its rate, that is in the samples whose residuals are tested.
 
     Those beside jumps of the acceleration are not. Between two rests a joint moves nowhere else.
@@ -147,19 +147,18 @@ def without_model(described: Described) -> DynamicStiffness | None:
     return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
 
 
-def _lacking_at_jumps(described: Described, moving: float) -> Lacking | None:
+def _lacking_at_jumps(described: Described) -> Lacking | None:
     """What the model lacks most, with the samples beside jumps of the acceleration; None for nothing that matters.
 
-    The fit, or its test, leaves these out, because their rate is not known; moving: the part of the motion in the
-    others. But an inertia shows little elsewhere if set-points jump, and friction that builds up may take its place.
-    The dynamic stiffness of what the model leaves of the torque needs no rate of a single sample. A model with an
-    inertia is not held against it: the torque jumps then, and one sample of a jump says little. Nor is one with
-    friction that may hold the joint when it begins to move.
+    The fit, or its test, leaves these out, because their rate is not known. But an inertia shows little elsewhere if
+    set-points jump, and friction that builds up may take its place. The dynamic stiffness of what the model leaves of
+    the torque needs no rate of a single sample. A model with an inertia is not held against it: the torque jumps then,
+    and one sample of a jump says little. Nor is one with friction that may hold the joint when it begins to move.
     """
     signals, model = described.signals, described.model
     if not isinstance(model, CouplingModel) or model.sticks or "J" in described.names:
         return None
-    if signals.rate_known.all() and moving > _MOVES:
+    if signals.rate_known.all() and tested_motion(described) > _MOVES:
         return None
     genes, nonlinear = np.split(described.values, [len(model.linear)])
     columns = described.linearised(signals.motion)[:, : len(genes)]

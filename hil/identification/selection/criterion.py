@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ga.model.terms import RARER, TERMS, is_addable, with_another
 from hil.identification.selection.fits import FOLDS, Candidate, Fits
+from hil.signals.defects import FEWEST
 from hil.signals.deflection_noise import smallest_step
 from hil.uncertainty.model_average import AKAIKE
 from hil.uncertainty.residual_spectrum import measure
@@ -162,7 +163,7 @@ class Criterion:
 
     def _pays_where_smooth(self, smaller: Candidate, larger: Candidate, term: str) -> bool:
         """Whether a linear term pays without the samples in which the rate is wrong too: those make a cubic."""
-        if not TERMS[term].linear or self.smooth.all():
+        if not TERMS[term].linear or self.smooth.all() or np.count_nonzero(self.smooth) < FEWEST:
             return True
         share, alike = float(np.mean(self.smooth)), self.correlation(larger, term)
         ratio = share * self.ratio(smaller.on(self.smooth), larger.on(self.smooth))

@@ -389,6 +389,13 @@ def test_a_fit_that_leaves_nothing_is_not_judged() -> None:
     assert lack_of_fit(recorded, Fitted(np.zeros_like(X), LINEAR, (0, 1), (KC, BC), (0.0, 0.0))) is None
 
 
+@pytest.mark.parametrize("described", [1, 3])
+def test_a_fit_to_no_more_samples_than_it_has_parameters_is_not_judged(described: int) -> None:
+    kept = np.isin(np.arange(len(X)), np.linspace(100, 7000, described).astype(int))
+    recorded = Recorded(TIME, PLAIN + noise(1), X, V)
+    assert lack_of_fit(recorded, Fitted(noise(1), LINEAR, (0, 1), (KC, BC), (1e-4, 1e-5), kept=kept)) is None
+
+
 def test_arrays_of_unequal_length_are_refused() -> None:
     with pytest.raises(ValueError, match="8000 samples, 10 residuals"):
         lack_of_fit(Recorded(TIME, PLAIN, X, V), Fitted(np.zeros(10), LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
