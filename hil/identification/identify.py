@@ -34,7 +34,7 @@ from hil.identification.fitting.validation import validated
 from hil.identification.model_choice import Choice, Coupling, choose
 from hil.identification.result import Estimate, Identification
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
-from hil.identification.selection.rivals import with_rivals
+from hil.identification.selection.rivals import beside_doubtful_terms, with_rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.ahead import Progress
 from hil.signals.prepare import Signals
@@ -87,7 +87,7 @@ def _identified(
         steps = _with_result(data.choice.steps, found, solution)
         differing = disagreement(evidence.names, evidence.scattered, [source.path for source in sources])
         described = _described(data, solution, evidence, differ=bool(differing))
-        fit, dynamic = tested(described), without_model(described)
+        fit, dynamic = beside_doubtful_terms(tested(described), steps, found), without_model(described)
         found = with_misfit(modelled := found, fit)
         doubts: list[Diagnostic] = []
         if not any(one.code == "implausible" for one in data.diagnostics):  # a wrong sign is the cause of all others

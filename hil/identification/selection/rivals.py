@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from itertools import pairwise
 
 from ga.model.terms import RARER, TERMS
 from hil.diagnostics import Diagnostic
@@ -10,7 +12,33 @@ from hil.identification.result import Estimate, interval
 from hil.identification.selection.criterion import STRONG
 from hil.identification.selection.stepwise import Step
 from hil.uncertainty.criteria import EVIDENCE_AGAINST, narrow
+from hil.uncertainty.misfit import LackOfFit
 from hil.units import with_unit
+
+_GAUSSIAN = math.pi / 2.0  # power of noise by the square of its mean size
+
+
+def beside_doubtful_terms(
+    fit: LackOfFit | None, steps: tuple[Step, ...], found: tuple[Estimate, ...]
+) -> LackOfFit | None:
+    """Return the result of the tests, the size of a misfit with what doubtful terms make of Kc and Bc.
+
+    A term is doubtful that explains less of the torque than what is left and follows from the motion: it may be made of
+    the same.
+    """
+    if fit is None or not fit.misfit:
+        return fit
+    included = [step for step in steps if step.included]
+    doubtful = [
+        (before, after)
+        for before, after in pairwise(included)
+        if _GAUSSIAN * (before.fitness**2 - after.fitness**2) < fit.predicted**2
+    ]
+    changes = [[abs(after.Kc - before.Kc), abs(after.Bc - before.Bc)] for before, after in doubtful]
+    for name, one, size in zip(("Kc", "Bc"), found, (max(sizes) for sizes in zip(*changes, strict=True)), strict=False):
+        if one.value and size > abs(one.value) * getattr(fit, name):
+            fit = replace(fit, outside=fit.outside or size > one.half_width, **{name: size / abs(one.value)})
+    return fit
 
 
 def with_rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> tuple[tuple[Estimate, ...], list[Diagnostic]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -23,7 +24,7 @@ from hil.identification.evidence import Evidence, span_met, span_of_stiffness, w
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.result import Estimate, Identification, Repeatability
-from hil.identification.selection.rivals import with_rivals
+from hil.identification.selection.rivals import beside_doubtful_terms, with_rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.reader import Array
 from hil.report.identification import headline, summary_lines
@@ -708,3 +709,24 @@ def test_a_joint_that_still_relaxes_is_advised_a_branch_that_its_model_lacks(mod
 def test_a_joint_that_relaxes_beside_all_branches_is_not_advised_the_model_that_it_has() -> None:
     advice = effect_of("viscoelastic").remedy(["linear", "offset", "maxwell", "maxwell2"])
     assert advice.startswith("read K'(f) and B'(f)")
+
+
+@pytest.mark.parametrize(("before", "size"), [(1.003e-4, 0.1), (2e-4, 0.002)])
+def test_a_term_that_explains_less_than_a_misfit_leaves_is_a_part_of_its_size(before: float, size: float) -> None:
+    """Friction that falls with the rate, where it does not: Bc was 21 +- 4 % too high, and said to be by 0.4 %."""
+    steps = (
+        replace(CHOSEN, fitness=before),
+        step("skew", 3e-4, included=False),
+        replace(step("stribeck", 2.2e-4, included=True), fitness=1e-4),
+    )
+    found = (FOUND[0], estimate("Bc", 2.2e-4, 1e-6))
+    fit = replace(lack_of_fit(0.01, outside=False), predicted=3e-5, Bc=0.002)
+    judged = beside_doubtful_terms(fit, steps, found)
+
+    assert judged is not None
+    assert judged.Bc == pytest.approx(size, rel=0.1)
+    assert judged.outside == (size > 0.01)
+    assert judged.Kc == fit.Kc
+    assert beside_doubtful_terms(None, steps, found) is None
+    described = replace(fit, respects=(), unexplained=0.0)
+    assert beside_doubtful_terms(described, steps, found) == described
