@@ -31,7 +31,7 @@ _ATTENUATION: Final = 70.0  # dB, in the stop band; in the pass band as little i
 _BETA: Final = 0.1102 * (_ATTENUATION - 8.7)  # of the window, by Kaiser's formula
 _FLAT: Final = 12  # neighbours a side of the differences, which are right to 0.06 % up to 0.28 times the sampling rate
 _PASSED: Final = 1.1  # times the highest frequency, up to where all is passed
-_STOPPED: Final = 1.6  # times it, from where nothing is
+STOPPED: Final = 1.6  # times it, from where nothing is
 _NYQUIST: Final = 0.9  # part of half the sampling rate that the stop band must begin below
 _SIGNALS: Final = 3  # deflection, rate, acceleration
 _BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
@@ -57,7 +57,7 @@ class LowPass:
     @property
     def longest_step(self) -> float:
         """Between two samples, s, up to which a low-pass of this cut is possible."""
-        return _NYQUIST / (4.0 * self.cut) * (_PASSED + _STOPPED) / _STOPPED
+        return _NYQUIST / (4.0 * self.cut) * (_PASSED + STOPPED) / STOPPED
 
     def of_every(self, every: int) -> LowPass:
         """Return the low-pass of this cut for every so many samples."""
@@ -90,7 +90,7 @@ def low_pass_for(time: Array, highest: float, near: int) -> LowPass | None:
     near: neighbours a side of a local polynomial that passes as much.
     """
     step = float(np.median(np.diff(time)))
-    edge, stop = _PASSED * highest, _STOPPED * highest
+    edge, stop = _PASSED * highest, STOPPED * highest
     if stop * 2.0 * step > _NYQUIST:
         return None
     # Kaiser's formula for the length

@@ -106,14 +106,18 @@ def _smoothed(power: Array) -> Array:
 
 
 def _turns_lack(signals: Signals, length: int, step: float, frequency: Array, count: int) -> bool:
-    """Return whether the direction of the motion lacks what a mean of `count` readings takes out.
+    """Return whether the motion or its direction lacks what a mean of `count` readings takes out.
 
-    So it does where the set-points are held for as long. Friction has the direction's spectrum, and is no noise.
+    So they do where a drive rings, or takes set-points, at that pace. Friction has the direction's spectrum, and is no
+    noise; nor is the torque of a ripple too fast to be sampled.
     """
-    spectra = _spectra(np.sign(signals.motion.dtheta_dot), length)
-    power = np.interp(frequency, np.fft.rfftfreq(length, step), _smoothed((np.abs(spectra) ** 2).sum(axis=0)))
-    _, depths, _ = _gaps(frequency, _decades(power), count, step)
-    return bool(np.median(depths) < _SHALLOW)
+    for values in (np.sign(signals.motion.dtheta_dot), signals.motion.dtheta):
+        spectra = _spectra(values, length)
+        power = np.interp(frequency, np.fft.rfftfreq(length, step), _smoothed((np.abs(spectra) ** 2).sum(axis=0)))
+        _, depths, _ = _gaps(frequency, _decades(power), count, step)
+        if np.median(depths) < _SHALLOW:
+            return True
+    return False
 
 
 def _decades(power: Array) -> Array:

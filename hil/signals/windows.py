@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion, beyond_noise
 from hil.signals.deflection_noise import Read, disturbs, own_noise, smallest_step
-from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passing
+from hil.signals.low_pass import STOPPED, LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.savitzky_golay import LEAST, kernel, local_polynomial, widest
 from hil.signals.slow_channel import Readings, noise_beside_any_shape
 
@@ -38,6 +39,9 @@ _CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion
 _COUNTED = 1.3  # times the power of rounding: no more of it is left above a frequency where all else is motion below
 _NARROWER = 0.8  # of a window, the next that is tried
 _FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: friction turns where the rate does
+_MAIN = 0.9  # of the rate's power: the motion, without its ripple
+_RIPPLES = 2.5  # times the upper end of that, from where on there may be ripple
+_RISES = 30.0  # times the least density between them, which that of ripple reaches
 _TAPER = 0.02  # of a recording at each end
 
 
@@ -168,10 +172,14 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     if following is None and not noisy and cell is not None:
         # torque readings so far apart cannot pass the low-pass that the deflection would
         following = _jumping(found, *first, torque[:_LOOKED], of_torque)
-    if following is not None:
+    # counts may hide in the deflection what the torque shows
+    ripple = np.inf if cell else min(spectrum.ripple_begins, Spectrum.of(time, torque).rises_beyond(spectrum.main))
+    if following is not None and np.isinf(ripple):
         return following
     highest = spectrum.above(of_deflection)
-    if not noisy:  # what goes on beyond is taken from torque and deflection alike, also where sampling has folded it
+    if np.isfinite(ripple):
+        highest = min(max(highest, band[1]), ripple / STOPPED)
+    elif not noisy:  # what goes on beyond is taken from torque and deflection alike, also where sampling has folded it
         highest = max(spectrum.band[1], min(highest, _FOLLOWED / step))
     low_pass = low_pass_for(time, highest, min(slope, _NARROWEST))
     if low_pass is None:
@@ -390,15 +398,49 @@ class Spectrum:
 
     @property
     def band(self) -> tuple[float, float]:
-        """The excited band, Hz: counts of a steady motion make lines of the power that they have in all."""
-        beyond = np.cumsum(self.density[::-1])[::-1] > _COUNTED * self.rounding * len(self.density)
-        excited = np.where(beyond & (self.density > _CLEARLY * self.floor), self.density - self.floor, 0.0)
+        """The excited band, Hz, without ripple far above it."""
+        excited = np.where(self.frequency < self.ripple_begins, self._excited, 0.0)
         if not excited.any():
             return float(self.frequency[0]), float(self.frequency[-1])
-        power, rate_power = np.cumsum(excited), np.cumsum(excited * self.frequency**2)
+        power = np.cumsum(excited)
         low = int(np.searchsorted(power, _LOW_SHARE * power[-1]))
-        high = int(np.searchsorted(rate_power, _HIGH_SHARE * rate_power[-1]))
-        return float(self.frequency[low]), float(self.frequency[max(low, high)])
+        return float(self.frequency[low]), max(float(self.frequency[low]), self._upper_end(excited, _HIGH_SHARE))
+
+    @cached_property
+    def _excited(self) -> Array:
+        """The density (n,) of motion: counts of a steady one make lines of the power that they have in all."""
+        beyond = np.cumsum(self.density[::-1])[::-1] > _COUNTED * self.rounding * len(self.density)
+        return np.where(beyond & (self.density > _CLEARLY * self.floor), self.density - self.floor, 0.0)
+
+    def _upper_end(self, excited: Array, share: float) -> float:
+        """Return up to where, Hz, that share of the rate's power is."""
+        power = np.cumsum(excited * self.frequency**2)
+        return float(self.frequency[int(np.searchsorted(power, share * power[-1]))])
+
+    @cached_property
+    def ripple_begins(self) -> float:
+        """From where on, Hz, there is nothing but ripple far above the motion; infinite where there is none.
+
+        A set-point that is held for some ticks makes the joint ripple at its rate. Sampling folds what is faster, and
+        the rate there is wrong while the torque is right. Between the motion and its ripple hardly anything moves.
+        """
+        return self.rises_beyond(self.main)
+
+    @property
+    def main(self) -> float:
+        """Up to where, Hz, the joint moves, without ripple; infinite where it does not."""
+        return self._upper_end(self._excited, _MAIN) if self._excited.any() else np.inf
+
+    def rises_beyond(self, main: float) -> float:
+        """Return from where on, Hz, the density rises far above what lies beyond a motion of up to `main` Hz."""
+        beyond = self.frequency > _RIPPLES * main
+        width = max(1, round(main / float(self.frequency[0]))) if beyond.any() else 1
+        if np.count_nonzero(beyond) <= width:
+            return np.inf
+        smooth = np.convolve(self.density, np.full(width, 1.0 / width), mode="same")[beyond]
+        least = np.minimum.accumulate(smooth)
+        rises = np.flatnonzero((smooth > _RISES * least) & (smooth > _CLEARLY * self.floor))
+        return float(self.frequency[beyond][np.argmin(smooth[: rises[0]])]) if rises.size else np.inf
 
     def above(self, noise: float) -> float:
         """Return up to where, Hz, motion is clearly above noise, rad, the hundredth of its rate beyond the band too.

@@ -304,3 +304,29 @@ def test_bc_is_refused_where_next_to_no_sample_is_away_from_a_jump_and_a_rest(
     assert low < KC < high
     (untested,) = (one for one in found.diagnostics if one.code == "misfit-untested")
     assert untested.is_error
+
+
+@pytest.mark.parametrize(("held", "hertz"), [(2, 20.0), (5, 20.0), (5, 40.0), (10, 20.0)])
+def test_the_ripple_of_set_points_that_are_held_for_some_ticks_is_no_misfit(
+    make_recording: Maker, held: int, hertz: float
+) -> None:
+    """The motion predicted 8 to 80 % of the residuals, far above 12 Hz; held for 5 ticks, Bc was 0.5 ± 0.3 % high."""
+    fine, rate, seconds, lowest = 10, 500.0, 8.0, 0.3
+    time, growth = np.arange(int(seconds * rate) * fine) / (rate * fine), np.log(12.0 / lowest) / seconds
+    aimed = 0.2 * np.sin(2.0 * np.pi * lowest * np.expm1(growth * time) / growth)
+    command = np.repeat(aimed[:: held * fine], held * fine)
+    pole = 1.0 - 2.0 * np.pi * hertz / (rate * fine)
+    angle = lfilter([(1.0 - pole) ** 2], np.poly([pole, pole]), command)
+    torque = KC * angle + BC * np.gradient(angle, time)
+    count = 2.0 * np.pi / 2**15
+
+    def change(channels: dict[str, Array]) -> None:
+        channels["dtheta"] = count * np.round(angle[::fine] / count)
+        channels["torque"] = torque[::fine] + 1e-4 * np.random.default_rng(1).standard_normal(len(torque) // fine)
+
+    found = identify([make_recording(samples=int(seconds * rate), change=change)], None, SEARCH)
+    assert found.model.name in {"linear", "linear+skew"}
+    assert "misfit" not in {one.code for one in found.diagnostics}
+    for name, truth in (("Kc", KC), ("Bc", BC)):
+        low, high = found[name].ci95
+        assert low < truth < high

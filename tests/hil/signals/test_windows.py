@@ -11,7 +11,7 @@ from hil.recording.reader import Array, Recording
 from hil.signals.prepare import prepare
 from hil.signals.savitzky_golay import local_polynomial
 from hil.signals.slow_channel import Readings
-from hil.signals.windows import Window, is_smooth, window_for
+from hil.signals.windows import Spectrum, Window, is_smooth, window_for
 
 from ..conftest import Maker
 
@@ -165,3 +165,51 @@ def test_before_a_slow_cell_a_motion_that_jumps_all_the_time_passes_no_low_pass(
     torque = np.interp(time, cell.time, cell.value)
     assert window_for(time, angle, torque).low_pass is not None
     assert window_for(time, angle, torque, cell).low_pass is None
+
+
+def _behind_drive(command: Array, hertz: float) -> tuple[Array, Array]:
+    """Times and angles at 1000 Hz of a command at 10 kHz behind a drive of second order that hardly overshoots."""
+    pole = 1.0 - 2.0 * np.pi * hertz / 1e4
+    angle = lfilter([(1.0 - pole) ** 2], np.poly([pole, pole]), command)
+    return np.arange(len(command))[::10] / 1e4, angle[::10]
+
+
+def _chirp() -> Array:
+    """Up to 8 Hz, at 10 kHz for 10 s."""
+    time, growth = np.arange(100_000) / 1e4, np.log(8.0 / 0.3) / 10.0
+    return np.asarray(0.2 * np.sin(2.0 * np.pi * 0.3 * np.expm1(growth * time) / growth))
+
+
+@pytest.mark.parametrize("ticks", [4, 8, 16])
+def test_the_ripple_of_set_points_that_are_held_is_no_part_of_the_excited_band(ticks: int) -> None:
+    """At 16 ticks it has 3 % of the rate's power, and the band reached to 72 Hz."""
+    held = np.repeat(_chirp()[:: 10 * ticks], 10 * ticks)[:100_000]
+    time, angle = _behind_drive(held, 30.0)
+    spectrum = Spectrum.of(time, angle)
+    assert 20.0 < spectrum.ripple_begins < 1000.0 / ticks - 4.0
+    assert 6.0 < spectrum.band[1] < 12.0
+    window = window_for(time, angle, 0.3 * angle + 3e-3 * np.gradient(angle, time))
+    assert window.low_pass is not None
+    assert 10.0 < window.low_pass.cut < spectrum.ripple_begins
+
+
+def _sequence(hold: int, levels: tuple[float, ...]) -> Array:
+    return np.repeat(np.random.default_rng(3).choice(levels, 100_000 // hold + 1), hold)[:100_000]
+
+
+NO_RIPPLE = {
+    "chirp": (_chirp(), 30.0),
+    "binary sequence of 40 ms": (_sequence(400, (-0.2, 0.2)), 20.0),
+    "binary sequence of 150 ms": (_sequence(1500, (-0.2, 0.2)), 10.0),
+    "steps": (_sequence(3000, (-0.2, -0.1, 0.0, 0.1, 0.2)), 15.0),
+    "triangles": (0.2 * np.abs(np.mod(np.arange(100_000) / 1e4, 1.0) - 0.5), 20.0),
+    "two sines": (0.2 * np.sin(np.arange(100_000) / 3e3) + 0.05 * np.sin(np.arange(100_000) / 2e2), 30.0),
+}
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 2e-3])
+@pytest.mark.parametrize("name", NO_RIPPLE)
+def test_motion_that_fades_beyond_its_band_has_no_ripple(name: str, noise: float) -> None:
+    time, angle = _behind_drive(*NO_RIPPLE[name])
+    read = angle + noise * np.random.default_rng(4).standard_normal(len(angle))
+    assert np.isinf(Spectrum.of(time, read).ripple_begins)
