@@ -38,6 +38,10 @@ def plain(torque: Array, rng: np.random.Generator) -> Array:
     return torque[::FINE] + 1e-3 * rng.standard_normal(len(torque) // FINE)
 
 
+def quiet(torque: Array, rng: np.random.Generator) -> Array:
+    return torque[::FINE] + 1e-4 * rng.standard_normal(len(torque) // FINE)
+
+
 def mean(count: int) -> Reading:
     return lambda torque, rng: lfilter(np.full(count, 1.0 / count), [1.0], plain(torque, rng))
 
@@ -133,3 +137,15 @@ def ringing(hertz: float) -> tuple[Array, Array]:
 def test_friction_that_turns_every_so_many_readings_is_no_mean_of_these(tmp_path: Path, half: int) -> None:
     """Its torque lacks the multiples of one frequency, as the direction of the motion does."""
     assert seen(tmp_path / "a.h5", plain, *ringing(0.5 / (half * STEP))) == ""
+
+
+@pytest.mark.parametrize(("held", "hertz"), [(12, 40.0), (20, 80.0)])
+def test_torque_of_a_ripple_too_fast_to_be_sampled_is_no_mean(tmp_path: Path, held: int, hertz: float) -> None:
+    """The set-points of a drive are held for so many readings: motion and torque lack the multiples of that pace."""
+    growth, count = np.log(40.0) / TIME[-1], 2.0 * np.pi / 2**15
+    aimed = 0.2 * np.sin(2.0 * np.pi * 0.3 * np.expm1(growth * TIME) / growth)
+    pole = 1.0 - 2.0 * np.pi * hertz * STEP / FINE
+    held_points = np.repeat(aimed[:: held * FINE], held * FINE)[: len(TIME)]
+    angle = lfilter([(1.0 - pole) ** 2], np.poly([pole, pole]), held_points)
+    torque = 0.3 * angle + 3e-3 * np.gradient(angle, TIME)
+    assert seen(tmp_path / "a.h5", quiet, count * np.round(angle / count), torque) == ""

@@ -193,6 +193,14 @@ def test_the_ripple_of_set_points_that_are_held_is_no_part_of_the_excited_band(t
     assert 10.0 < window.low_pass.cut < spectrum.ripple_begins
 
 
+def test_readings_of_a_slow_cell_pass_no_low_pass_for_their_steps_or_a_ripple() -> None:
+    held = np.repeat(_chirp()[::80], 80)
+    time, angle = _behind_drive(held, 30.0)
+    torque = (0.3 * angle + 3e-3 * np.gradient(angle, time))[::12]
+    cell = Readings(12 * np.arange(len(torque)), time[::12], torque)
+    assert window_for(time, angle, np.repeat(torque, 12)[: len(time)], cell).low_pass is None
+
+
 def _sequence(hold: int, levels: tuple[float, ...]) -> Array:
     return np.repeat(np.random.default_rng(3).choice(levels, 100_000 // hold + 1), hold)[:100_000]
 
