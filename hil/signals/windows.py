@@ -41,7 +41,7 @@ _NARROWER = 0.8  # of a window, the next that is tried
 _FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: friction turns where the rate does
 _MAIN = 0.9  # of the rate's power: the motion, without its ripple
 _RIPPLES = 2.5  # times the upper end of that, from where on there may be ripple
-_RISES = 30.0  # times the least density between them, which that of ripple reaches
+_RISES = 10.0  # times the least density between them, which that of ripple reaches
 _TAPER = 0.02  # of a recording at each end
 
 
