@@ -41,7 +41,7 @@ _NARROWER = 0.8  # of a window, the next that is tried
 _FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: friction turns where the rate does
 _MAIN = 0.9  # of the rate's power: the motion, without its ripple
 _RIPPLES = 2.5  # times the upper end of that, from where on there may be ripple
-_RISES = 10.0  # times the least density between them, which that of ripple reaches
+_RISES = 7.0  # times the least density between them, which that of ripple reaches
 _TAPER = 0.02  # of a recording at each end
 
 
@@ -437,10 +437,14 @@ class Spectrum:
         width = max(1, round(main / float(self.frequency[0]))) if beyond.any() else 1
         if np.count_nonzero(beyond) <= width:
             return np.inf
-        smooth = np.convolve(self.density, np.full(width, 1.0 / width), mode="same")[beyond]
+        # from the fast end: rounding of the sum of a large density would hide what follows a small one
+        sums = np.cumsum(np.append(0.0, self.density[beyond][::-1]))
+        smooth = ((sums[width:] - sums[:-width]) / width)[::-1]
         least = np.minimum.accumulate(smooth)
         rises = np.flatnonzero((smooth > _RISES * least) & (smooth > _CLEARLY * self.floor))
-        return float(self.frequency[beyond][np.argmin(smooth[: rises[0]])]) if rises.size else np.inf
+        if not rises.size:
+            return np.inf
+        return float(self.frequency[beyond][np.argmin(smooth[: rises[0]]) + width // 2])
 
     def above(self, noise: float) -> float:
         """Return up to where, Hz, motion is clearly above noise, rad, the hundredth of its rate beyond the band too.
