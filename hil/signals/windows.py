@@ -41,6 +41,7 @@ _NARROWER = 0.8  # of a window, the next that is tried
 _FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: friction turns where the rate does
 _MAIN = 0.9  # of the rate's power: the motion, without its ripple
 _RIPPLES = 2.5  # times the upper end of that, from where on there may be ripple
+_FELT_RIPPLE = 3e-4  # of the rate's power, from which it may change Bc
 _RISES = 7.0  # times the least density between them, which that of ripple reaches
 _TAPER = 0.02  # of a recording at each end
 
@@ -172,8 +173,7 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     if following is None and not noisy and cell is not None:
         # torque readings so far apart cannot pass the low-pass that the deflection would
         following = _jumping(found, *first, torque[:_LOOKED], of_torque)
-    # counts may hide in the deflection what the torque shows
-    ripple = np.inf if cell else min(spectrum.ripple_begins, Spectrum.of(time, torque).rises_beyond(spectrum.main))
+    ripple = np.inf if cell else min(spectrum.ripple_begins, _ripple_of_torque(time, torque, spectrum.main))
     if following is not None and np.isinf(ripple):
         return following
     highest = spectrum.above(of_deflection)
@@ -188,6 +188,17 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     # a low-pass blurs a jump over many samples, whose errors are alike
     found = replace(found, low_pass=low_pass, noisy=noisy, unseen=0.0)
     return replace(found, noise=float(of_rate), of_acceleration=float(of_acceleration))
+
+
+def _ripple_of_torque(time: Array, torque: Array, main: float) -> float:
+    """Return from where on, Hz, the torque (n,) N m has nothing but ripple, which counts may hide in the deflection.
+
+    main: Hz, up to where the joint moves. Infinite for none, and where readings are missing, which makes steps.
+    """
+    steps = np.diff(time)
+    if steps.max() > 1.5 * float(np.median(steps)):
+        return np.inf
+    return Spectrum.of(time, torque, _KNOWN * float(np.std(torque))).rises_beyond(main)
 
 
 def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
@@ -424,7 +435,9 @@ class Spectrum:
         A set-point that is held for some ticks makes the joint ripple at its rate. Sampling folds what is faster, and
         the rate there is wrong while the torque is right. Between the motion and its ripple hardly anything moves.
         """
-        return self.rises_beyond(self.main)
+        begins = self.rises_beyond(self.main)
+        power = self._excited * self.frequency**2
+        return begins if power[self.frequency > begins].sum() > _FELT_RIPPLE * power.sum() else np.inf
 
     @property
     def main(self) -> float:
