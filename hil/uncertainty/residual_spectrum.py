@@ -83,6 +83,8 @@ class ResidualSpectrum:
     def freedom(self, bread: Array) -> Array:
         """Return the degrees of freedom (p,) of the variances bread . covariance . bread (Satterthwaite 1946)."""
         parts = np.einsum("b,kp,bpq,qk->kb", self._counted, bread, self._weighted, bread)
+        # in parts of the largest: of a parameter that nothing shows, the square would overflow
+        parts /= np.maximum(np.abs(parts).max(axis=1, keepdims=True), np.finfo(float).tiny)
         squares = (parts**2 / self._left).sum(axis=1)
         return np.asarray(2.0 * parts.sum(axis=1) ** 2 / np.where(squares > 0.0, squares, np.inf))
 

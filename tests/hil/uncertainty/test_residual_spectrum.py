@@ -95,6 +95,12 @@ def test_a_band_of_many_lines_is_told_with_as_many_degrees_of_freedom() -> None:
     assert 8.0 < measure([(slow, signs(0.0, 6))]).freedom(bread)[0] < 20.0
 
 
+def test_a_parameter_that_nothing_shows_has_as_many_degrees_of_freedom_as_one_that_much_does() -> None:
+    """Its variance of 1e200 ended in a warning that a square overflows."""
+    found, bread = measure([(np.random.default_rng(5).standard_normal((SAMPLES, 1)), signs(0.0, 6))]), np.eye(1)
+    np.testing.assert_allclose(found.freedom(1e100 * bread), found.freedom(bread), rtol=1e-9)
+
+
 def test_the_interval_of_what_a_few_samples_tell_is_as_sure_as_that_of_what_all_do() -> None:
     """The second column is there in a twentieth of the recording only, as a skew is at the fast end of a chirp.
 
