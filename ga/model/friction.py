@@ -25,6 +25,10 @@ FALLS: Final = (0.02, 1.5)
 at most."""
 
 
+TURNS: Final = (0.01, 0.6)
+"""Rate over which smooth friction turns, as a part of that rate, at least and at most: beyond, it is damping."""
+
+
 def _sign(regressors: Regressors) -> tuple[Array, ...]:
     import numpy as np
 
@@ -90,6 +94,23 @@ def _falling_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
     return (-2.0 * rate * changing.dtheta_dot / regressors.own[0] ** 2 * column,)
 
 
+def turning_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
+    """Return the least and the largest rate, rad/s, over which smooth friction turns."""
+    usual = felt(motion.dtheta_dot)
+    return ((TURNS[0] * usual, TURNS[1] * usual),)
+
+
+def _turning(regressors: Regressors) -> tuple[Array, ...]:
+    import numpy as np
+
+    return (np.tanh(regressors.motion.dtheta_dot / regressors.own[0]),)
+
+
+def _turning_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
+    (column,), over = _turning(regressors), regressors.own[0]
+    return ((1.0 - column**2) * changing.dtheta_dot / over,)
+
+
 COULOMB: Final = Term(
     "coulomb",
     "dry friction",
@@ -128,6 +149,30 @@ STRIBECK: Final = Term(
     rates=_falling_on,
     bounds=stribeck_bounds,
     needs="coulomb",
+    selection="misfit",
+)
+
+SMOOTH: Final = Term(
+    "smoothcoulomb",
+    "friction that turns smoothly with the rate, as of a lubricated joint",
+    (
+        Parameter("Fr", "N*m", "friction far above that rate", presence=True, friction=True, positive=True),
+        Parameter(
+            "vr",
+            "rad/s",
+            "rate over which it turns",
+            scales=False,
+            absent=None,
+            positive=True,
+            nonlinear=True,
+            starts=(0.02, 0.1, 0.25, 0.5),
+        ),
+    ),
+    columns=_turning,
+    rates=_turning_on,
+    bounds=turning_bounds,
+    excludes=("coulomb", "stribeck"),
+    reason="coulomb is smoothcoulomb that turns at once",
     selection="misfit",
 )
 

@@ -19,6 +19,7 @@ _RECORDS: Final = (
     sensors.DRIFT,
     friction.COULOMB,
     friction.STRIBECK,
+    friction.SMOOTH,
     hysteresis.DAHL,
     hysteresis.LUGRE,
     hysteresis.BOUC_WEN,

@@ -42,7 +42,7 @@ from hil.signals.source import Source, open_sources
 from hil.signals.windows import RATE_ACCURACY
 from hil.uncertainty.confidence import confidence_intervals
 from hil.uncertainty.deflection.correction import DeflectionErrors
-from hil.uncertainty.stationarity import disagreement, pooled_intervals, stationarity_errors
+from hil.uncertainty.stationarity import disagreement, other_zeros, pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,8 @@ def _identified(
         evidence = _evidence(data, solution)
         found = estimates(evidence)
         steps = _with_result(data.choice.steps, found, solution)
-        differing = disagreement(evidence.names, evidence.scattered, [source.path for source in sources])
+        scattered = (evidence.names, evidence.scattered, [source.path for source in sources])
+        differing = disagreement(*scattered)
         described = _described(data, solution, evidence, differ=bool(differing))
         fit, dynamic = beside_doubtful_terms(tested(described), steps, found), without_model(described)
         found = with_misfit(modelled := found, fit)
@@ -95,6 +96,7 @@ def _identified(
             doubts = [
                 *_stationarity(data, solution),
                 *differing,
+                *other_zeros(*scattered, solution.optimum.fitness),
                 *judge(evidence),
                 *undecided,
                 *(deflection_diagnostics(evidence) or ignored_command(data.signals, dynamic)),

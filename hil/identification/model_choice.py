@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import parse
+from ga.model.friction import SMOOTH
 from ga.model.separable import Problem, SeparableModel, fit
-from ga.model.terms import CONSIDERED, RARER, TERMS
+from ga.model.terms import CONSIDERED, RARER, TERMS, with_another
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
 from hil.identification.fitting.described import Described, tested
 from hil.identification.selection import stepwise
-from hil.identification.selection.fits import LATE
+from hil.identification.selection.fits import LATE, Fits
 from hil.identification.selection.late import EARLIER, Alternative, Lateness
 from hil.identification.selection.stepwise import Selection, Step
 from hil.signals.defects import FEWEST
@@ -26,6 +27,7 @@ from hil.signals.prepare import Signals
 Array = NDArray[np.float64]
 
 _STICKING = 1.25  # times the error of the other samples, from which the model does not describe the slow ones
+_OF_FRICTION = 0.02  # that turns smoothly, up to which errors of the rate may move it where it turns
 _KNOWN, _NONE = 100, 1e-9  # samples whose error is known well, and the part of the fastest rate that is no motion
 
 
@@ -132,8 +134,31 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     if sticking:
         again = _select(signals, moving, considered)
         found = again if again.model.sticks else _select(signals, seen, considered)
+        smooth = _turning_smoothly(again, signals, seen, considered) if again.model.sticks else None
+        found, sticking = (smooth, False) if smooth else (found, sticking)
     model = found.model.anchored(signals.motion)
     return Choice(model, found.steps, sticking, found.delay, found.alternatives, found.lateness)
+
+
+def _turning_smoothly(
+    sticking: Selection, signals: Signals, seen: NDArray[np.bool_], considered: _Considered
+) -> Selection | None:
+    """The model whose friction turns smoothly, if it describes the samples that friction seemed to hold the joint in.
+
+    It needs them: without them it is hardly another law than friction that turns at once.
+    """
+    if SMOOTH.name not in considered.rarer:
+        return None
+    motion = _seen(signals.motion, seen)
+    turning = ~sticking.model.described(motion, sticking.delay)
+    alike = Fits(motion, signals.torque[seen], signals.band[1], signals.window)
+    first = alike.candidate(with_another(sticking.chosen.terms, SMOOTH.name))
+    little = _OF_FRICTION * first.values[SMOOTH.parameters[0].name]
+    if _are_worse(turning, motion, first.problem.residuals(first.fit), little):
+        return None
+    found = _select(signals, seen, considered.with_usual(SMOOTH.name))
+    described = SMOOTH.name in found.model.name.split("+") and not _are_worse(turning, motion, found.residuals, little)
+    return found if described and _describes(found, signals, seen, averaged=True) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +170,12 @@ class _Considered:
     terms: tuple[str, ...]
     rarer: tuple[str, ...]
     accounts: tuple[str, ...]
+
+    def with_usual(self, law: str) -> _Considered:
+        """Return the same with a rarer law among the usual terms, without those that it cannot stand beside."""
+        apart = {law, *TERMS[law].excludes}
+        terms, rarer = (tuple(term for term in some if term not in apart) for some in (self.terms, self.rarer))
+        return replace(self, terms=(*terms, law), rarer=rarer)
 
 
 def _select(
@@ -211,11 +242,19 @@ def _is_sticking(model: Coupling, motion: Motion, delay: float, residuals: Array
 
     In a long rest nothing moves, and its many samples may fit well beside those in which the joint comes to it.
     """
-    described = model.described(motion, delay)
+    return _are_worse(~model.described(motion, delay), motion, residuals)
+
+
+def _are_worse(slow: NDArray[np.bool_], motion: Motion, residuals: Array, little: float = 0.0) -> bool:
+    """Whether the slow samples (n,) of a motion fit worse than the others: all, or those of one decade of the rate.
+
+    little: N m, an error that is no sign of it.
+    """
+    described = ~slow
     if described.all() or np.count_nonzero(described) < FEWEST:  # too few to fit a model to
         return False
     left, rate = np.abs(residuals), np.abs(motion.dtheta_dot)
     decade = np.floor(np.log10(np.maximum(rate, _NONE * max(float(rate.max()), np.finfo(float).tiny))))
     held = [left[~described & (decade == one)] for one in np.unique(decade[~described]).tolist()]
     worst = max([left[~described], *(some for some in held if len(some) >= _KNOWN)], key=np.mean)
-    return bool(worst.mean() > _STICKING * left[described].mean())
+    return bool(worst.mean() > max(_STICKING * left[described].mean(), little))

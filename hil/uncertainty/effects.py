@@ -305,7 +305,12 @@ EFFECTS: Final = (
         _relaxing,
     ),
     Effect("inertia", "an inertia in the torque", "try --model {inertia}, or set motor_inertia in the stand", _inertia),
-    Effect("coulomb", "dry friction", "try --model {coulomb}", lambda r, _m: [_columns(r.sign())]),
+    Effect(
+        "coulomb",
+        "dry friction",
+        "try --model {coulomb}, or {smoothcoulomb} where it turns gradually with the rate",
+        lambda r, _m: [_columns(r.sign())],
+    ),
     Effect(
         "hysteresis",
         "friction that builds up over a distance (LuGre, Bouc-Wen)",

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 _NORMAL = 1.96
 _CHANCE = 0.001  # that recordings which do not differ are so far apart
 _NOTABLE = 0.005  # of a value, by which a recording must be apart to be named
+_OF_ERROR = 0.5  # of the mean error of the fit, from which another zero makes a part of it
+_OTHERS = {True: "the others", False: "the other one"}
 _PARTS = 4  # of a recording, each of which gives its own estimate of Kc
 _PRECISE = 0.2  # half the width of a part's interval over its value, above which its Kc is not compared
 
@@ -76,18 +78,16 @@ def disagreement(
     """
     found = []
     for name, one in zip(names, components, strict=True):
-        if name not in COUPLING or one is None or one.p_alike > _CHANCE or not one.between > BETWEEN * one.within:
+        if name not in COUPLING or one is None or not _differ(one):
             continue
         values = np.array(one.values)
-        usual = [float(np.nanmedian(np.delete(values, at))) for at in range(len(values))]
-        apart = np.abs(values - usual)
-        at = int(np.nanargmax(apart))
-        if not apart[at] > _NOTABLE * abs(usual[at]):
+        at, usual = _most_apart(values)
+        if not abs(values[at] - usual) > _NOTABLE * abs(usual):
             continue
-        other = "the others" if len(values) > 2 else "the other one"
+        other = _OTHERS[len(values) > 2]
         differs = f"is {values[at]:.3g} (SI), and that of {other} is zero"
-        if usual[at]:
-            differs = f"differs by {values[at] / usual[at] - 1.0:+.1%} from {other}"
+        if usual:
+            differs = f"differs by {values[at] / usual - 1.0:+.1%} from {other}"
         text = (
             f"{name} of {paths[at]} {differs}. The pooled {name} "
             "describes no recording. Leave that recording out, or compare them with hil compare"
@@ -97,6 +97,29 @@ def disagreement(
         is_error = len(others) > 1 and is_outside(float(values[at]), others, one.within)
         found.append(Diagnostic("recordings-differ", text, name, is_error=is_error))
     return found
+
+
+def other_zeros(
+    names: Sequence[str], components: Sequence[VarianceComponents | None], paths: Sequence[Path], error: float
+) -> list[Diagnostic]:
+    """Return a warning that names the recording whose torque at rest differs most from that of the others.
+
+    Arguments as of `disagreement`; error: N m, the mean of the fit, of which half is a difference that matters.
+    """
+    one = dict(zip(names, components, strict=True)).get("tau0")
+    if one is None or not _differ(one):
+        return []
+    values = np.array(one.values)
+    at, usual = _most_apart(values)
+    if not abs(values[at] - usual) > _OF_ERROR * error:
+        return []
+    text = (
+        f"the torque at rest of {paths[at]} differs by {values[at] - usual:+.3g} N m from {_OTHERS[len(values) > 2]}; "
+        f"the mean error of the fit is {error:.2g} N m. The torque cell or the encoder had another zero there. One "
+        "tau0 does not describe these recordings, and Kc and Bc take a part of what it leaves. Identify each recording "
+        "alone and compare them with hil compare, or set both zeros before you record again"
+    )
+    return [Diagnostic("recordings-differ", text, "tau0")]
 
 
 def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list[Diagnostic]:
@@ -120,6 +143,18 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
                 )
             )
     return found
+
+
+def _differ(one: VarianceComponents) -> bool:
+    """Whether recordings that are alike would not be so far apart by chance."""
+    return one.p_alike <= _CHANCE and one.between > BETWEEN * one.within
+
+
+def _most_apart(values: Array) -> tuple[int, float]:
+    """Which of the values (m,) is furthest from the median of the others, and that median."""
+    usual = [float(np.nanmedian(np.delete(values, at))) for at in range(len(values))]
+    at = int(np.nanargmax(np.abs(values - usual)))
+    return at, usual[at]
 
 
 def _fitted(blocks: Blocks) -> tuple[Array, Array]:

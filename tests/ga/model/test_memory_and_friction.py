@@ -408,6 +408,14 @@ def test_friction_that_falls_with_the_rate_comes_back_and_leaves_bc_alone() -> N
     assert [found[name] for name in ("Fc", "Fs", "vst")] == pytest.approx([3e-3, 1.8e-3, 0.3], rel=0.15)
 
 
+@pytest.mark.parametrize("over", [0.1, 0.3, 1.0])
+def test_friction_that_turns_smoothly_comes_back_and_leaves_bc_alone(over: float) -> None:
+    torque = spring_and_damper() + 3e-3 * np.tanh(MOTION.dtheta_dot / over) + NOISES
+    found = identified("linear+smoothcoulomb", torque)
+    assert [found[name] for name in ("Kc", "Bc")] == pytest.approx([KC, BC], rel=0.01)
+    assert [found[name] for name in ("Fr", "vr")] == pytest.approx([3e-3, over], rel=0.05)
+
+
 def test_a_stiffness_that_drifts_comes_back_with_its_mean() -> None:
     whole = MOTION.time[-1] - MOTION.time[0]
     share = (MOTION.time - MOTION.time[0]) / whole - 0.5
@@ -449,7 +457,8 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
     "name",
     ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
      "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew",
-     "linear+coulomb+stribeck+skew", "linear+offset+cubic+quintic+progressive+skew", "linear+offset+sheath+skew",
+     "linear+coulomb+stribeck+skew", "linear+smoothcoulomb+skew", "linear+offset+sheath+skew",
+     "linear+offset+cubic+quintic+progressive+skew",
      "linear+offset+backlash+gear", "linear+hardening+skew", "linear+exponential+skew",
      "linear+offset+toe+skew"],
 )  # fmt: skip

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
@@ -18,6 +19,8 @@ from hil.uncertainty.confidence import confidence_intervals
 from hil.uncertainty.stationarity import VarianceComponents, disagreement, pooled_intervals
 
 from ..conftest import Maker
+
+Array = NDArray[np.float64]
 
 STIFFNESSES = (0.0196, 0.0204, 0.0199, 0.0203, 0.0198)
 
@@ -62,6 +65,25 @@ def test_a_recording_that_differs_from_one_without_stiffness_is_named_by_its_val
     components = VarianceComponents(within=1e-3, between=1.0, values=(2.0, 0.0), p_alike=0.0)
     (found,) = disagreement(["Kc"], [components], [Path("a.h5"), Path("loose.h5")])
     assert "Kc of a.h5 is 2 (SI), and that of the other one is zero" in found.message
+
+
+@pytest.mark.parametrize("other", [0.002, 0.0])
+def test_a_recording_with_another_zero_of_the_torque_is_named(make_recording: Maker, other: float) -> None:
+    """The misfit said that no known effect explains what one offset leaves."""
+
+    def taken(name: str, seed: int, zero: float) -> Path:
+        def change(channels: dict[str, Array]) -> None:
+            channels["torque"] += zero
+
+        return make_recording(name, noise=1e-4, seed=seed, change=change)
+
+    paths = [taken(f"{seed}.h5", seed, zero) for seed, zero in enumerate((1e-3, 1e-3, 1e-3 + other))]
+    search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
+    told = [one for one in identify(paths, parse("linear+offset"), search).diagnostics if one.parameter == "tau0"]
+    assert [one.code for one in told] == ["recordings-differ"] * (other > 0.0)
+    for one in told:
+        assert f"the torque at rest of {paths[2]} differs by +0.002 N m from the others" in one.message
+        assert not one.is_error
 
 
 def test_a_recording_of_which_no_sample_is_fitted_has_no_share_in_the_pooled_interval() -> None:
