@@ -79,9 +79,9 @@ def test_a_recording_with_another_zero_of_the_torque_is_named(make_recording: Ma
 
     paths = [taken(f"{seed}.h5", seed, zero) for seed, zero in enumerate((1e-3, 1e-3, 1e-3 + other))]
     search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
-    told = [one for one in identify(paths, parse("linear+offset"), search).diagnostics if one.parameter == "tau0"]
-    assert [one.code for one in told] == ["recordings-differ"] * (other > 0.0)
-    for one in told:
+    found = [one for one in identify(paths, parse("linear+offset"), search).diagnostics if one.parameter == "tau0"]
+    assert [one.code for one in found] == ["recordings-differ"] * (other > 0.0)
+    for one in found:
         assert f"the torque at rest of {paths[2]} differs by +0.002 N m from the others" in one.message
         assert not one.is_error
 
