@@ -20,8 +20,9 @@ from ga.model.coupling import CouplingModel, parse
 from ga.model.terms import TERMS as TABLE
 from ga.model.trajectory import Motion as Signals
 from hil.experiment_design.response import Joint, Motion
-from hil.signals.savitzky_golay import kernel
-from hil.signals.windows import excited_band, hides_in_rate, narrowed, windows
+from hil.signals.rate.savitzky_golay import kernel
+from hil.signals.rate.spectrum import excited_band
+from hil.signals.rate.windows import hides_in_rate, narrowed, windows
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]

@@ -38,8 +38,8 @@ from hil.identification.selection.rivals import beside_doubtful_terms, with_riva
 from hil.identification.selection.stepwise import Step
 from hil.recording.ahead import Progress
 from hil.signals.prepare import Signals
+from hil.signals.rate.windows import RATE_ACCURACY
 from hil.signals.source import Source, open_sources
-from hil.signals.windows import RATE_ACCURACY
 from hil.uncertainty.confidence import confidence_intervals
 from hil.uncertainty.deflection.correction import DeflectionErrors
 from hil.uncertainty.stationarity import disagreement, other_zeros, pooled_intervals, stationarity_errors

@@ -24,11 +24,11 @@ from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import unwrapped
 from hil.signals.defects import FEWEST, Defects, UsableRows, refuse_hopeless, refuse_without_rows, usable_rows
-from hil.signals.own_rate import OwnRate, is_difference, refused_rate
-from hil.signals.savitzky_golay import local_polynomial
+from hil.signals.rate.own_rate import OwnRate, is_difference, refused_rate
+from hil.signals.rate.savitzky_golay import local_polynomial
+from hil.signals.rate.windows import Window, is_smooth, window_for
 from hil.signals.slow_channel import Kind, Readings, Slower
 from hil.signals.stamps import starts_within, stretches, within
-from hil.signals.windows import Window, is_smooth, window_for
 from hil.stand.file import StandTable
 from hil.stand.transmission import Transmission
 

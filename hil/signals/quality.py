@@ -14,10 +14,10 @@ from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
-from hil.signals.own_rate import OwnRate
 from hil.signals.plausibility import Swing, implausible, negative_stiffness, wrong_sign
 from hil.signals.prepare import Signals
-from hil.signals.savitzky_golay import kernel, local_polynomial, widest
+from hil.signals.rate.own_rate import OwnRate
+from hil.signals.rate.savitzky_golay import kernel, local_polynomial, widest
 from hil.signals.slow_channel import Slower
 from hil.stand.file import LimitsTable
 

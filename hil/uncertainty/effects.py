@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ga.model.memory import slide_along
 from ga.model.terms import TERMS, compatible_model
 from hil.signals.deflection_noise import smallest_step
-from hil.signals.low_pass import transform_size
+from hil.signals.rate.low_pass import transform_size
 from hil.signals.slow_channel import COUNTS_A_TICK, FEWEST_READINGS, makes_lines
 
 Array = NDArray[np.float64]

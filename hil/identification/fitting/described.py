@@ -13,7 +13,7 @@ from ga.model.trajectory import Motion
 from hil.identification.selection.held import damping_at, of_jerk
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
-from hil.signals.windows import is_smooth
+from hil.signals.rate.windows import is_smooth
 from hil.uncertainty.deflection.fitted import linearised
 from hil.uncertainty.deflection.instruments import followed, is_instrument
 from hil.uncertainty.deflection.simulation import noisier

@@ -13,7 +13,7 @@ from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, at_least_contained, best_start, descend, fit, local_minimum
 from ga.model.terms import TERMS
 from ga.model.trajectory import Motion
-from hil.signals.windows import Window, is_smooth
+from hil.signals.rate.windows import Window, is_smooth
 
 Array = NDArray[np.float64]
 

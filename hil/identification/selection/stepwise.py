@@ -22,7 +22,7 @@ from ga.model.trajectory import Motion
 from hil.identification.selection.criterion import PLAINEST_FIRST, Criterion, criterion_of
 from hil.identification.selection.fits import Candidate, Fits, own
 from hil.identification.selection.late import Alternative, Lateness, LateReading
-from hil.signals.windows import Window
+from hil.signals.rate.windows import Window
 from hil.uncertainty.model_average import AKAIKE
 
 Array = NDArray[np.float64]

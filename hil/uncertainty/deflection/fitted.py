@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
-from hil.signals.windows import Window
+from hil.signals.rate.windows import Window
 
 Array = NDArray[np.float64]
 

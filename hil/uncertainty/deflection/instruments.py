@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.signals.windows import Window
+from hil.signals.rate.windows import Window
 from hil.uncertainty.deflection.fitted import Change, Fitted, behind, clipped, moved
 from hil.uncertainty.effects import Recorded
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.signals.savitzky_golay import local_polynomial
-from hil.signals.windows import Window, is_smooth
+from hil.signals.rate.savitzky_golay import local_polynomial
+from hil.signals.rate.windows import Window, is_smooth
 from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, sampled, solved, stretches
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ga.model.coupling import parse
 from ga.model.separable import FEW, Problem, descend
 from ga.model.trajectory import Motion
-from hil.signals.low_pass import low_pass_for
-from hil.signals.windows import window_for
+from hil.signals.rate.low_pass import low_pass_for
+from hil.signals.rate.windows import window_for
 
 Array = NDArray[np.float64]
 

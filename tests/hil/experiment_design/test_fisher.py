@@ -14,8 +14,9 @@ from ga.lad.exact import least_absolute_deviations
 from hil.acquisition import excitation
 from hil.experiment_design.fisher import Prediction, Readings, covariance, mistaken_friction, predict
 from hil.experiment_design.response import Joint, Motion, respond
-from hil.signals.savitzky_golay import local_polynomial
-from hil.signals.windows import excited_band, windows
+from hil.signals.rate.savitzky_golay import local_polynomial
+from hil.signals.rate.spectrum import excited_band
+from hil.signals.rate.windows import windows
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from hil.identification.selection import fits as fits_module
 from hil.identification.selection.fits import LATE, Candidate, Fits
 from hil.identification.selection.late import EARLIER, LateReading
 from hil.identification.selection.stepwise import Selection, select
-from hil.signals.windows import Window
+from hil.signals.rate.windows import Window
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
 
 Array = NDArray[np.float64]

@@ -11,10 +11,11 @@ from scipy.signal import butter, sosfilt
 
 from ga.model.trajectory import Motion
 from hil.recording.reader import Array
-from hil.signals import low_pass as low_pass_module
-from hil.signals.low_pass import LowPass, is_sound, low_pass_for, passed, passing, transform_size
-from hil.signals.savitzky_golay import kernel, local_polynomial
-from hil.signals.windows import Spectrum, window_for, windows
+from hil.signals.rate import low_pass as low_pass_module
+from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passed, passing, transform_size
+from hil.signals.rate.savitzky_golay import kernel, local_polynomial
+from hil.signals.rate.spectrum import Spectrum
+from hil.signals.rate.windows import window_for, windows
 
 TIME = np.arange(5000) / 500.0
 SPEED = 2.0 * np.pi * 12.0

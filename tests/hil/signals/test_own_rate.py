@@ -15,7 +15,7 @@ from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.recording.reader import Array
 from hil.recording.writer import Header, write
-from hil.signals.own_rate import is_difference, own_rate
+from hil.signals.rate.own_rate import is_difference, own_rate
 
 TIME = np.arange(5000) / 500.0
 KC, BC = 0.3, 3e-3

@@ -13,8 +13,8 @@ from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
 from hil.signals.prepare import LongRecording, joined, prepare, refuse_at_rest
+from hil.signals.rate.spectrum import excited_band
 from hil.signals.stamps import spread_stamps
-from hil.signals.windows import excited_band
 from hil.stand.file import StandTable
 
 from ..conftest import Maker

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hil.signals.savitzky_golay import DEGREE, gain, kernel, local_polynomial, widest
+from hil.signals.rate.savitzky_golay import DEGREE, gain, kernel, local_polynomial, widest
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,10 @@ from scipy.signal import cont2discrete, lfilter
 from ga.model.trajectory import Motion
 from hil.recording.reader import Array, Recording
 from hil.signals.prepare import prepare
-from hil.signals.savitzky_golay import local_polynomial
+from hil.signals.rate.savitzky_golay import local_polynomial
+from hil.signals.rate.spectrum import Spectrum
+from hil.signals.rate.windows import Window, is_smooth, window_for
 from hil.signals.slow_channel import Readings
-from hil.signals.windows import Spectrum, Window, is_smooth, window_for
 
 from ..conftest import Maker
 

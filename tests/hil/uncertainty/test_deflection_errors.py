@@ -12,7 +12,7 @@ from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
 from hil.recording.reader import Array
-from hil.signals.windows import window_for
+from hil.signals.rate.windows import window_for
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
 from hil.uncertainty.deflection import correction

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.savitzky_golay import local_polynomial, local_weights
+from hil.signals.rate.savitzky_golay import local_polynomial, local_weights
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -1,0 +1,124 @@
+"""The spectrum of a reading: up to where the joint moved, its ripple, and the noise above."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
+_MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
+_CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion are not white
+_COUNTED = 1.3  # times the power of rounding: no more of it is left above a frequency where all else is motion below
+_MAIN = 0.9  # of the rate's power: the motion, without its ripple
+_RIPPLES = 2.5  # times the upper end of that, from where on there may be ripple
+_FELT_RIPPLE = 3e-4  # of the rate's power, from which it may change Bc
+_RISES = 7.0  # times the least density between them, which that of ripple reaches
+_TAPER = 0.02  # of a recording at each end
+
+
+def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
+    """Return the excited band, Hz: the frequencies at which the deflection (n,) rad is above its own noise.
+
+    It reaches from 1 % of the deflection's power at the lower end to 99 % of the rate's at the upper. The noise floor
+    is the median density in the upper half of the spectrum.
+    """
+    return Spectrum.of(time, dtheta).band
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """The spectrum of a deflection. frequency (n,) Hz, without zero; density (n,): smoothed; floor: that of its noise.
+
+    noise: rad, the standard deviation of white noise that has the floor's density. rounding: the density that the power
+    of rounding has where it is white.
+    """
+
+    frequency: Array
+    density: Array
+    floor: float
+    noise: float
+    rounding: float = 0.0
+
+    @classmethod
+    def of(cls, time: Array, dtheta: Array, least: float = 0.0) -> Spectrum:
+        """Return that of readings (n,) rad at rising stamps (n,) s; least: rad, white noise that they have at least.
+
+        Only the very ends are tapered, since a chirp is fastest at its end.
+        """
+        count = len(time)
+        uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
+        step = (time[-1] - time[0]) / (count - 1)
+        taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(count) + 0.5) / (_TAPER * count))) ** 2
+        power = np.abs(np.fft.rfft((uniform - uniform.mean()) * taper * taper[::-1])) ** 2
+        density = np.convolve(power, np.full(5, 0.2), mode="same")
+        of_white = _MEDIAN * float(np.sum((taper * taper[::-1]) ** 2))  # the density of white noise of 1 rad
+        rounding = least**2 * of_white
+        floor = max(float(np.median(density[len(density) // 2 :])), rounding)
+        return cls(np.fft.rfftfreq(count, step)[1:], density[1:], floor, float(np.sqrt(floor / of_white)), rounding)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """The excited band, Hz, without ripple far above it."""
+        excited = np.where(self.frequency < self.ripple_begins, self._excited, 0.0)
+        if not excited.any():
+            return float(self.frequency[0]), float(self.frequency[-1])
+        power = np.cumsum(excited)
+        low = int(np.searchsorted(power, _LOW_SHARE * power[-1]))
+        return float(self.frequency[low]), max(float(self.frequency[low]), self._upper_end(excited, _HIGH_SHARE))
+
+    @cached_property
+    def _excited(self) -> Array:
+        """The density (n,) of motion: counts of a steady one make lines of the power that they have in all."""
+        beyond = np.cumsum(self.density[::-1])[::-1] > _COUNTED * self.rounding * len(self.density)
+        return np.where(beyond & (self.density > _CLEARLY * self.floor), self.density - self.floor, 0.0)
+
+    def _upper_end(self, excited: Array, share: float) -> float:
+        """Return up to where, Hz, that share of the rate's power is."""
+        power = np.cumsum(excited * self.frequency**2)
+        return float(self.frequency[int(np.searchsorted(power, share * power[-1]))])
+
+    @cached_property
+    def ripple_begins(self) -> float:
+        """From where on, Hz, there is nothing but ripple far above the motion; infinite where there is none.
+
+        A set-point that is held for some ticks makes the joint ripple at its rate. Sampling folds what is faster, and
+        the rate there is wrong while the torque is right. Between the motion and its ripple hardly anything moves.
+        """
+        begins = self.rises_beyond(self.main)
+        power = self._excited * self.frequency**2
+        return begins if power[self.frequency > begins].sum() > _FELT_RIPPLE * power.sum() else np.inf
+
+    @property
+    def main(self) -> float:
+        """Up to where, Hz, the joint moves, without ripple; infinite where it does not."""
+        return self._upper_end(self._excited, _MAIN) if self._excited.any() else np.inf
+
+    def rises_beyond(self, main: float) -> float:
+        """Return from where on, Hz, the density rises far above what lies beyond a motion of up to `main` Hz."""
+        beyond = self.frequency > _RIPPLES * main
+        width = max(1, round(main / float(self.frequency[0]))) if beyond.any() else 1
+        if np.count_nonzero(beyond) <= width:
+            return np.inf
+        # from the fast end: rounding of the sum of a large density would hide what follows a small one
+        sums = np.cumsum(np.append(0.0, self.density[beyond][::-1]))
+        smooth = ((sums[width:] - sums[:-width]) / width)[::-1]
+        least = np.minimum.accumulate(smooth)
+        rises = np.flatnonzero((smooth > _RISES * least) & (smooth > _CLEARLY * self.floor))
+        if not rises.size:
+            return np.inf
+        return float(self.frequency[beyond][np.argmin(smooth[: rises[0]]) + width // 2])
+
+    def above(self, noise: float) -> float:
+        """Return up to where, Hz, motion is clearly above noise, rad, the hundredth of its rate beyond the band too.
+
+        That hundredth of a random walk, or of corners, may be far above the noise of the torque. Counts of a steady
+        motion make lines in place of a floor, so that their noise may be more than the floor shows.
+        """
+        floor = self.floor * max(1.0, noise / max(self.noise, 1e-300)) ** 2
+        gained = np.cumsum(self.density - _CLEARLY * floor)
+        return max(self.band[1], float(self.frequency[int(np.argmax(gained))]))
