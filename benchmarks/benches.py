@@ -241,9 +241,9 @@ def _noise(colour: str, count: int, rng: np.random.Generator) -> Array:
     return white
 
 
-def friction(level: float) -> Law:
-    """Dry friction of `level` N m beside spring and damper."""
-    return lambda m, k, b: k * m.deflection + b * m.rate + level * np.tanh(m.rate / 1e-3)
+def friction(level: float, over: float = 1e-3) -> Law:
+    """Friction of `level` N m that turns over `over` rad/s, beside spring and damper."""
+    return lambda m, k, b: k * m.deflection + b * m.rate + level * np.tanh(m.rate / over)
 
 
 def cubic(factor: float) -> Law:
@@ -299,6 +299,11 @@ def capstan(share: float, pulled: Law = spring_and_damper) -> Law:
         return np.asarray(carried + share * np.abs(carried) * np.tanh(m.rate / 1e-2))
 
     return law
+
+
+def pulley(share: float, over: float = 1e-2) -> Law:
+    """Friction of `share` of the spring's torque that turns over `over` rad/s; the damper acts beside it."""
+    return lambda m, k, b: k * (m.deflection + share * np.abs(m.deflection) * np.tanh(m.rate / over)) + b * m.rate
 
 
 def sheath(share: float, reach: float) -> Law:
@@ -491,6 +496,9 @@ ROWS: Mapping[str, Bench] = _with_mujoco(
         "LuGre, soft bristles": replace(_ONE, law=bristles(5e-3, 7e-3, 0.01, 0.3)),
         "Bouc-Wen 20 %": replace(_ONE, law=bouc_wen(0.2, 0.02)),
         "capstan 15 %": replace(_ONE, law=capstan(0.15)),
+        "pulley 15 %": replace(_ONE, law=pulley(0.15)),
+        "pulley 15 %, smooth": replace(_ONE, law=pulley(0.15, 0.1)),
+        "smooth friction": replace(_ONE, law=friction(2e-3, 0.1)),
         "sheath 20 %, 10 mrad": replace(_ONE, law=sheath(0.2, 0.01)),
         "gear, 40 mrad of play": replace(_ONE, law=gear(0.04, 2e-3, 0.2, 0.01)),
         "quadratic damping": replace(_ONE, law=quadratic(1e-3)),

@@ -104,7 +104,12 @@ class CouplingModel:
     @property
     def sticks(self) -> bool:
         """Whether friction may hold the joint: then its torque is anything between -Fc and Fc."""
-        return any(term.sticks for term in self.terms)
+        return any(term.sticks for term in self.terms) and not self._smooths
+
+    @cached_property
+    def _smooths(self) -> bool:
+        """Whether friction turns smoothly."""
+        return any(term.smooths for term in self.terms)
 
     @property
     def needs_ratio(self) -> bool:
@@ -197,7 +202,7 @@ class CouplingModel:
         seen = model._seen(motion, nonlinear, lag)
         found: list[Array] = []
         for term, values in model._valued(nonlinear):
-            if term.delays and not model._load_remembers:
+            if term.delays and not (model._load_remembers or model._smooths):
                 rates = seen.changing(self.delay(nonlinear)) if changing is None else (changing, changing)
                 aged = -(model._stacked(seen, nonlinear, rates) @ genes + rates[0].known)
                 found.append(model._read(motion, aged, nonlinear))
@@ -295,9 +300,12 @@ class CouplingModel:
     def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
         """The motion, seen as it was the delay before, beyond the gap or slack."""
         angle, contact, load, softness = seen.dtheta, np.ones(len(motion)), None, self.smoothing or 0.0
+        damped = not any(term.spares_dampers for term in self.terms)
         for term, values in self._valued(nonlinear):
             if term.remaining is not None:
                 angle = term.remaining(angle, values)
+            if term.smooths:
+                softness = float(values[0])
         for term, values in self._valued(nonlinear):
             if term.contact is not None:
                 own = term.contact(angle, seen, lag)
@@ -305,7 +313,7 @@ class CouplingModel:
             if term.load is not None:
                 load = term.load(angle, seen, lag, softness, values)
         elapsed = motion.time - (self.origin or 0.0)
-        return Regressors(elapsed, seen, angle, contact, load, softness, self.middle or 0.0, np.empty(0))
+        return Regressors(elapsed, seen, angle, contact, load, damped, softness, self.middle or 0.0, np.empty(0))
 
     def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
         """Each term, whether it bends, and its own of the parameters (q,); without them only those that have none."""
@@ -337,7 +345,7 @@ class CouplingModel:
                 found = term.columns(own)
             elif term.rates is not None and changing is not None:
                 found = term.rates(own, changing[reaches])
-            found = tuple(own.loaded(term, column) for column in found)
+            found = tuple(own.loaded(term, *pair) for pair in zip(found, term.parameters, strict=False))
             columns += [seen.passed(column, bends=bends) for column in found] if reaches else found
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
 

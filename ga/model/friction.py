@@ -25,8 +25,9 @@ FALLS: Final = (0.02, 1.5)
 at most."""
 
 
-TURNS: Final = (0.01, 0.6)
-"""Rate over which smooth friction turns, as a part of that rate, at least and at most: beyond, it is damping."""
+TURNS: Final = (0.002, 0.6)
+"""Rate over which friction turns where it does so smoothly, as a part of that rate, at least and at most: over more, it
+is damping."""
 
 
 def _sign(regressors: Regressors) -> tuple[Array, ...]:
@@ -95,20 +96,9 @@ def _falling_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
 
 
 def turning_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    """Return the least and the largest rate, rad/s, over which smooth friction turns."""
+    """Return the least and the largest rate, rad/s, over which friction turns where it does so smoothly."""
     usual = felt(motion.dtheta_dot)
     return ((TURNS[0] * usual, TURNS[1] * usual),)
-
-
-def _turning(regressors: Regressors) -> tuple[Array, ...]:
-    import numpy as np
-
-    return (np.tanh(regressors.motion.dtheta_dot / regressors.own[0]),)
-
-
-def _turning_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
-    (column,), over = _turning(regressors), regressors.own[0]
-    return ((1.0 - column**2) * changing.dtheta_dot / over,)
 
 
 COULOMB: Final = Term(
@@ -153,26 +143,24 @@ STRIBECK: Final = Term(
 )
 
 SMOOTH: Final = Term(
-    "smoothcoulomb",
-    "friction that turns smoothly with the rate, as of a lubricated joint",
+    "smooth",
+    "dry friction that turns smoothly with the rate, as of a lubricated joint",
     (
-        Parameter("Fr", "N*m", "friction far above that rate", presence=True, friction=True, positive=True),
         Parameter(
             "vr",
             "rad/s",
-            "rate over which it turns",
+            "rate over which friction turns",
             scales=False,
             absent=None,
             positive=True,
             nonlinear=True,
-            starts=(0.02, 0.1, 0.25, 0.5),
+            starts=(0.005, 0.02, 0.1, 0.25, 0.5),
         ),
     ),
-    columns=_turning,
-    rates=_turning_on,
     bounds=turning_bounds,
-    excludes=("coulomb", "stribeck"),
-    reason="coulomb is smoothcoulomb that turns at once",
+    smooths=True,
+    needs="coulomb",
+    or_needs=("capstan", "pulley"),
     selection="misfit",
 )
 
@@ -212,10 +200,25 @@ CAPSTAN: Final = Term(
     selection="misfit",
 )
 
+PULLEY: Final = Term(
+    "pulley",
+    "friction in proportion to the torque of the spring, with the damper beside it, as of a tendon over a pulley",
+    CAPSTAN.parameters,
+    bounds=capstan_bounds,
+    remaining=CAPSTAN.remaining,
+    load=lambda angle, motion, _lag, smoothing, values: _loaded(angle, motion, 0.0, smoothing, values),
+    spares_dampers=True,
+    needs="offset",
+    excludes=(*CAPSTAN.excludes, "capstan"),
+    reason="capstan is the same with a damper in the tendon, and where a gap is open nothing rubs",
+    sticks=True,
+    selection="misfit",
+)
+
 QUADRATIC: Final = Term(
     "quadratic",
     "a damping that grows with the rate",
-    (Parameter("B2", "N*m*s^2/rad^2", "quadratic damping", presence=True, positive=True),),
+    (Parameter("B2", "N*m*s^2/rad^2", "quadratic damping", presence=True, positive=True, damping=True),),
     columns=_square,
     rates=_squaring,
     carried=True,

@@ -100,7 +100,7 @@ DAHL: Final = Term(
     rates=_building_up,
     bounds=_dahl_bounds,
     forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
-    excludes=("coulomb", "smoothcoulomb"),
+    excludes=("coulomb",),
     reason="coulomb is dahl without the build-up",
     selection="misfit",
 )
@@ -128,7 +128,7 @@ LUGRE: Final = Term(
     rates=_bristles_on,
     bounds=lambda m, highest: (*_dahl_bounds(m, highest), (0.0, MOST_RISE), *stribeck_bounds(m, highest)),
     forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
-    excludes=("coulomb", "smoothcoulomb", "dahl"),
+    excludes=("coulomb", "dahl"),
     reason="coulomb and dahl are lugre without its fall or its build-up",
     selection="misfit",
 )
@@ -151,7 +151,7 @@ BOUC_WEN: Final = Term(
     rates=_yielding_on,
     bounds=_dahl_bounds,
     forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
-    excludes=("coulomb", "smoothcoulomb", "dahl", "lugre"),
+    excludes=("coulomb", "dahl", "lugre"),
     reason="coulomb is boucwen without the build-up, and dahl and lugre are other laws of it",
     selection="misfit",
 )
@@ -165,7 +165,7 @@ SHEATH: Final = Term(
     load=_loaded,
     forgets=_loaded_at_first,
     needs="offset",
-    excludes=(*CAPSTAN.excludes, "deadband", "capstan", "dahl", "lugre", "boucwen"),
+    excludes=(*CAPSTAN.excludes, "deadband", "capstan", "pulley", "dahl", "lugre", "boucwen"),
     reason="sheath is capstan with one law of build-up, and beside a gap its name is gear",
     selection="misfit",
 )
@@ -180,7 +180,7 @@ GEAR: Final = Term(
     load=_loaded,
     forgets=lambda m, own: m.fading(m.travelled, float(own[-1])),
     needs="backlash",
-    excludes=("coulomb", "smoothcoulomb", "dahl", "lugre", "boucwen", "capstan", "sheath"),
+    excludes=("coulomb", "dahl", "lugre", "boucwen", "capstan", "pulley", "sheath"),
     reason="coulomb, dahl, capstan and sheath are parts of gear, and lugre and boucwen are other laws of it",
     selection="misfit",
 )

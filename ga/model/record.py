@@ -31,12 +31,12 @@ class Parameter:
 
     scales: whether it is proportional to the torque. absent: the value that removes it from the model, None where none
     does. presence: whether its presence is in question, so that it is identifiable only if its interval excludes
-    `absent`. friction: whether its torque turns with the motion. positive: whether physics allows no value below zero.
-    nonlinear: whether it is searched and not solved for. Of nonlinear parameters: starts, values to begin at as parts
-    of the range; kinked, whether the torque has breaks where it ends; refined, whether breaks make the fitness rough
-    along it; open_ended, whether its upper end is no rejection: it may be as much and more; about, the parameter that
-    is the middle between the two ends that this one moves; place, whether it is a deflection, rad, that counts from
-    where the deflection does.
+    `absent`. friction: whether its torque turns with the motion. damping: whether its torque is that of a damper.
+    positive: whether physics allows no value below zero. nonlinear: whether it is searched and not solved for. Of
+    nonlinear parameters: starts, values to begin at as parts of the range; kinked, whether the torque has breaks where
+    it ends; refined, whether breaks make the fitness rough along it; open_ended, whether its upper end is no rejection:
+    it may be as much and more; about, the parameter that is the middle between the two ends that this one moves; place,
+    whether it is a deflection, rad, that counts from where the deflection does.
     """
 
     name: str
@@ -46,6 +46,7 @@ class Parameter:
     absent: float | None = 0.0
     presence: bool = False
     friction: bool = False
+    damping: bool = False
     positive: bool = False
     nonlinear: bool = False
     starts: tuple[float, ...] = ANYWHERE
@@ -67,7 +68,7 @@ class Regressors:
 
     time: s since the model's origin. motion: as the torque reading saw it. angle: rad, the deflection beyond gap or
     slack, times contact. contact: 1, and 0 where flanks part. load: what friction in proportion to the load multiplies
-    the torque of spring and damper by; None without such friction.
+    the torque of springs by; None without such friction; damped: whether that of dampers too.
     smoothing: rad/s, the v_s of friction. middle: s, the time in the middle of the recording. own: the nonlinear
     parameters of the term whose columns are computed.
     """
@@ -77,6 +78,7 @@ class Regressors:
     angle: Array
     contact: Array
     load: Array | None
+    damped: bool
     smoothing: float
     middle: float
     own: Array
@@ -87,9 +89,10 @@ class Regressors:
         angle, contact = self.angle[rows], self.contact[rows]
         return replace(self, time=self.time[rows], motion=motion, angle=angle, contact=contact, load=load)
 
-    def loaded(self, term: Term, column: Array) -> Array:
-        """Return a column (n,) of a term, with the friction in proportion to its torque."""
-        return column * self.load if term.carried and self.load is not None else column
+    def loaded(self, term: Term, column: Array, parameter: Parameter | None = None) -> Array:
+        """Return a column (n,) of a term's parameter, or a spring's, with the friction in proportion to its torque."""
+        spared = parameter is not None and parameter.damping and not self.damped
+        return column * self.load if term.carried and self.load is not None and not spared else column
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +107,13 @@ class Term:
     cell, at the samples of a motion, for its parameters; or gives remaining, the deflection (n,) that its parameters
     leave, and shifts, how much of the deflection is taken away per unit of each; or only shapes its columns.
     contact, (n,), whether flanks touch, for remaining deflection, motion and Bc/Kc in s. load, (n,), multiplies the
-    torque that is carried, for these, v_s and the term's parameters; carried: whether the term is part of that torque.
+    torque that is carried, for these, v_s and the term's parameters; carried: whether the term is part of that torque;
+    spares_dampers: whether they are no part of it, because they act beside what rubs.
     forgets: where the torque depends on earlier samples too, what is left (n,) at each sample of the state
     that its stretch began with, which is unknown; for a motion and the term's parameters.
-    needs: the term without which it means nothing. excludes: the terms that it cannot stand beside, and why.
+    smooths: whether its parameter is v_s of all friction, rad/s, in place of one so small that friction turns at once.
+    needs: the term without which it means nothing; or_needs: others of which one is enough. excludes: the terms that it
+    cannot stand beside, and why.
     bends: whether its torque is no linear filter of the motion, so that it changes in one that torque and motion pass.
     breaks: whether the torque has breaks in it. confusable: terms beside which it must pay as much as one with breaks,
     because it can pass for a part of them. sticks: whether friction holds the joint where it is slow.
@@ -129,8 +135,11 @@ class Term:
     contact: Callable[[Array, Motion, float], Array] | None = None
     load: Callable[[Array, Motion, float, float, Array], Array] | None = None
     carried: bool = False
+    spares_dampers: bool = False
     forgets: Callable[[Motion, Array], Array] | None = None
+    smooths: bool = False
     needs: str = ""
+    or_needs: tuple[str, ...] = ()
     excludes: tuple[str, ...] = ()
     reason: str = ""
     bends: bool = True

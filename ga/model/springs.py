@@ -149,7 +149,7 @@ LINEAR: Final = Term(
     "a spring Kc and a damper Bc, the paper's equation 3",
     (
         Parameter("Kc", "N*m/rad", "stiffness of the coupling", positive=True),
-        Parameter("Bc", "N*m*s/rad", "damping of the coupling", positive=True),
+        Parameter("Bc", "N*m*s/rad", "damping of the coupling", positive=True, damping=True),
     ),
     columns=lambda r: (r.angle, r.motion.dtheta_dot * r.contact),
     rates=lambda r, c: (c.dtheta * r.contact, c.dtheta_dot * r.contact),

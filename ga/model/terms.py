@@ -19,7 +19,6 @@ _RECORDS: Final = (
     sensors.DRIFT,
     friction.COULOMB,
     friction.STRIBECK,
-    friction.SMOOTH,
     hysteresis.DAHL,
     hysteresis.LUGRE,
     hysteresis.BOUC_WEN,
@@ -39,6 +38,8 @@ _RECORDS: Final = (
     gaps.DEADBAND,
     gaps.SLACK,
     friction.CAPSTAN,
+    friction.PULLEY,
+    friction.SMOOTH,
     hysteresis.SHEATH,
     hysteresis.GEAR,
     sensors.SKEW,
@@ -107,11 +108,13 @@ def is_addable(term: str, terms: Collection[str]) -> bool:
 
     A term without the one that it needs cannot be added either.
     """
-    return (
-        term not in terms
-        and (TERMS[term].needs or "linear") in terms
-        and not any(_excluded(term, other) for other in terms)
-    )
+    return term not in terms and not lacking(term, terms) and not any(_excluded(term, other) for other in terms)
+
+
+def lacking(term: str, terms: Collection[str]) -> str:
+    """Return the term that another one needs beside these terms; empty where it needs none, or one of them is there."""
+    needs = TERMS[term].needs
+    return "" if not needs or {needs, *TERMS[term].or_needs}.intersection(terms) else needs
 
 
 def with_another(terms: Collection[str], term: str, *, complete: bool = False) -> tuple[str, ...]:
@@ -122,14 +125,14 @@ def with_another(terms: Collection[str], term: str, *, complete: bool = False) -
     others = tuple(other for other in terms if other != term)
     if term in RARER:
         others = tuple(o for o in others if o not in TERMS[term].excludes and term not in TERMS[o].excludes)
-    needed = TERMS[term].needs
+    needed = lacking(term, others)
     brings = complete and needed and needed not in RARER and is_addable(needed, others)
     return (*others, needed, term) if brings else (*others, term)
 
 
 def compatible_model(term: str, terms: Collection[str]) -> str:
     """Return the name of the model of the term, the one that it needs, and those of the terms that can stand beside."""
-    needed = TERMS[term].needs or term
+    needed = lacking(term, terms) or term
     others = [other for other in terms if not any(_excluded(one, other) for one in (needed, term))]
     return canonical("+".join(dict.fromkeys(("linear", *others, needed, term))))
 

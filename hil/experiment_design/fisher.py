@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
+from ga.model.friction import COULOMB
 from ga.model.terms import TERMS as TABLE
 from ga.model.trajectory import Motion as Signals
 from hil.experiment_design.response import Joint, Motion
@@ -146,7 +147,7 @@ def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> f
     if _model(terms).sticks:
         return 0.0
     columns = sensitivities(terms, joint, motion)
-    friction = sensitivities(("linear", *(name for name, term in TABLE.items() if term.sticks)), joint, motion)[:, 2]
+    friction = sensitivities(("linear", COULOMB.name), joint, motion)[:, 2]
     norms = np.linalg.norm(columns, axis=0)
     norms[norms == 0.0] = 1.0
     return float((np.linalg.lstsq(columns / norms, friction, rcond=None)[0] / norms)[1])

@@ -145,7 +145,7 @@ def _turning_smoothly(
 ) -> Selection | None:
     """The model whose friction turns smoothly, if it describes the samples that friction seemed to hold the joint in.
 
-    It needs them: without them it is hardly another law than friction that turns at once.
+    They are needed: without them such friction is hardly another law than one that turns at once.
     """
     if SMOOTH.name not in considered.rarer:
         return None
@@ -153,7 +153,8 @@ def _turning_smoothly(
     turning = ~sticking.model.described(motion, sticking.delay)
     alike = Fits(motion, signals.torque[seen], signals.band[1], signals.window)
     first = alike.candidate(with_another(sticking.chosen.terms, SMOOTH.name))
-    little = _OF_FRICTION * first.values[SMOOTH.parameters[0].name]
+    loaded = first.values.get("mu", 0.0) * float(np.mean(np.abs(signals.torque)))
+    little = _OF_FRICTION * (first.values.get("Fc", 0.0) + loaded)
     if _are_worse(turning, motion, first.problem.residuals(first.fit), little):
         return None
     found = _select(signals, seen, considered.with_usual(SMOOTH.name))
@@ -171,11 +172,9 @@ class _Considered:
     rarer: tuple[str, ...]
     accounts: tuple[str, ...]
 
-    def with_usual(self, law: str) -> _Considered:
-        """Return the same with a rarer law among the usual terms, without those that it cannot stand beside."""
-        apart = {law, *TERMS[law].excludes}
-        terms, rarer = (tuple(term for term in some if term not in apart) for some in (self.terms, self.rarer))
-        return replace(self, terms=(*terms, law), rarer=rarer)
+    def with_usual(self, term: str) -> _Considered:
+        """Return the same with a rarer term among the usual ones."""
+        return replace(self, terms=(*self.terms, term), rarer=tuple(one for one in self.rarer if one != term))
 
 
 def _select(

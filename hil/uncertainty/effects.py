@@ -308,7 +308,7 @@ EFFECTS: Final = (
     Effect(
         "coulomb",
         "dry friction",
-        "try --model {coulomb}, or {smoothcoulomb} where it turns gradually with the rate",
+        "try --model {coulomb}, or {smooth} where it turns gradually with the rate",
         lambda r, _m: [_columns(r.sign())],
     ),
     Effect(
@@ -320,7 +320,7 @@ EFFECTS: Final = (
     Effect(
         "capstan",
         "friction in proportion to the torque, as of a tendon in its sheath",
-        "try --model {capstan} or {sheath}, beyond a gap {gear}, and record at several amplitudes and pre-loads",
+        "try --model {capstan}, {pulley} or {sheath}, beyond a gap {gear}, and record at several amplitudes",
         lambda r, m: [_columns(np.abs(m - np.median(m)) * r.sign())],
     ),
     Effect(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
 from ga.model.separable import Fit
-from ga.model.terms import CONSIDERED, TERMS, is_addable, with_another
+from ga.model.terms import CONSIDERED, TERMS, is_addable, lacking, with_another
 from ga.model.trajectory import Motion
 from hil.identification.selection.criterion import PLAINEST_FIRST, Criterion, criterion_of
 from hil.identification.selection.fits import Candidate, Fits, own
@@ -303,8 +303,9 @@ class _Steps:
         """The model without the terms that, now that all are there, do not pay."""
         idle = []
         for term in larger.terms[1:]:
-            if term not in (TERMS[other].needs for other in larger.terms):
-                smaller = self.fits.candidate(tuple(other for other in larger.terms if other != term), beside=larger)
+            fewer = tuple(other for other in larger.terms if other != term)
+            if not any(lacking(other, fewer) for other in fewer):
+                smaller = self.fits.candidate(fewer, beside=larger)
                 if not self.criterion.pays(smaller, larger, term):
                     idle.append((self.criterion.gain(smaller, larger, term), smaller))
         return self._pruned(min(idle, key=lambda pair: pair[0])[1]) if idle else larger

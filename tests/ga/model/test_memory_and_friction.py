@@ -267,6 +267,17 @@ def test_friction_in_proportion_to_the_torque_comes_back(rest: float) -> None:
     assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
 
 
+@pytest.mark.parametrize("rest", [0.02, 1.5 * float(MOTION.dtheta.min())])
+def test_a_damper_beside_a_pulley_adds_nothing_to_its_friction(rest: float) -> None:
+    angle, rate = MOTION.dtheta, MOTION.dtheta_dot
+    spring = KC * (angle - rest) + 60.0 * (angle - rest) ** 3
+    damping = BC * rate + 2e-3 * rate * np.abs(rate)
+    torque = spring + 0.15 * np.abs(spring) * np.sign(rate) + damping + 0.01 + NOISES
+    found = identified("linear+offset+quadratic+cubic+pulley", torque)
+    expected = {"Kc": KC, "Bc": BC, "B2": 2e-3, "K3": 60.0, "mu": 0.15, "rest": rest, "tau0": 0.01}
+    assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ("term", "added"),
     [
@@ -411,9 +422,9 @@ def test_friction_that_falls_with_the_rate_comes_back_and_leaves_bc_alone() -> N
 @pytest.mark.parametrize("over", [0.1, 0.3, 1.0])
 def test_friction_that_turns_smoothly_comes_back_and_leaves_bc_alone(over: float) -> None:
     torque = spring_and_damper() + 3e-3 * np.tanh(MOTION.dtheta_dot / over) + NOISES
-    found = identified("linear+smoothcoulomb", torque)
+    found = identified("linear+coulomb+smooth", torque)
     assert [found[name] for name in ("Kc", "Bc")] == pytest.approx([KC, BC], rel=0.01)
-    assert [found[name] for name in ("Fr", "vr")] == pytest.approx([3e-3, over], rel=0.05)
+    assert [found[name] for name in ("Fc", "vr")] == pytest.approx([3e-3, over], rel=0.05)
 
 
 def test_a_stiffness_that_drifts_comes_back_with_its_mean() -> None:
@@ -457,8 +468,8 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
     "name",
     ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
      "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew",
-     "linear+coulomb+stribeck+skew", "linear+smoothcoulomb+skew", "linear+offset+sheath+skew",
-     "linear+offset+cubic+quintic+progressive+skew",
+     "linear+coulomb+stribeck+skew", "linear+coulomb+smooth+skew", "linear+offset+sheath+skew",
+     "linear+offset+pulley+skew", "linear+offset+capstan+smooth", "linear+offset+cubic+quintic+progressive+skew",
      "linear+offset+backlash+gear", "linear+hardening+skew", "linear+exponential+skew",
      "linear+offset+toe+skew"],
 )  # fmt: skip

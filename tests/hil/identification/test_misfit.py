@@ -57,13 +57,31 @@ def test_a_joint_that_the_model_describes_has_no_misfit(tmp_path: Path, capfd: p
     assert not found["lack_of_fit"]["misfit"]
 
 
-@pytest.mark.parametrize(("over", "model"), [(1e-3, "coulomb"), (0.04, "smoothcoulomb"), (0.25, "smoothcoulomb")])
+@pytest.mark.parametrize(("over", "model"), [(1e-3, "coulomb"), (0.04, "smooth"), (0.25, "smooth")])
 def test_friction_that_turns_at_once_or_smoothly_has_no_misfit(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], over: float, model: str
 ) -> None:
     """over: of the r.m.s. rate. At 0.04 all but the samples left out are as those of friction that turns at once."""
     _, rate = multisine(TIME)
     torque = plain() + 3e-3 * np.tanh(rate / (over * rate.std()))
+    status, found = identified(capfd, recording(tmp_path / "a.h5", torque))
+
+    assert status == 0
+    assert model in found["model"].split("+")
+    assert not found["lack_of_fit"]["misfit"]
+    for name, truth in (("Kc", KC), ("Bc", BC)):
+        low, high = found["parameters"][name]["ci95"]
+        assert low < truth < high
+        assert high - low < 0.06 * truth
+
+
+@pytest.mark.parametrize("model", ["capstan", "pulley"])
+def test_a_tendon_that_rubs_by_all_its_torque_or_by_that_of_its_spring_has_no_misfit(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], model: str
+) -> None:
+    deflection, rate = multisine(TIME)
+    rubbing = plain() if model == "capstan" else KC * deflection
+    torque = plain() + 0.1 * np.abs(rubbing) * np.tanh(rate / 1e-2)
     status, found = identified(capfd, recording(tmp_path / "a.h5", torque))
 
     assert status == 0
