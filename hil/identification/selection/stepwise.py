@@ -318,18 +318,27 @@ def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """The terms that lower the fitness most, in any of the models, within their bounds; with richer laws of these.
+    """The terms that lower the fitness most, in any of the models, within their bounds; with other laws of these.
 
-    A richer law never fits worse than one that it contains, and would take the place of another kind.
+    A law with the parameters of another one hardly fits worse, and one with more never does: it would take the place of
+    another kind. So would one that only rounds friction off.
     """
     lowest = {}
-    containing = {term: [other for other in terms if set(own(other)) < set(own(term))] for term in terms}
+    containing = {term: [other for other in terms if _contains(term, other)] for term in terms}
     for term in (term for term in terms if not containing[term]):
         larger = [with_another(less, term, complete=True) for less in models]
         larger = [more for more in larger if term not in more[:-1] and is_addable(term, more[:-1])]
         lowest[term] = min((fits.fitness(more) for more in larger if not fits.is_rejected(more)), default=np.inf)
-    likely = sorted((term for term in lowest if lowest[term] < np.inf), key=lambda term: lowest[term])[:_LIKELY]
+    ranked = sorted((term for term in lowest if lowest[term] < np.inf), key=lambda term: lowest[term])
+    kinds = [term for term in ranked if not TERMS[term].smooths][:_LIKELY]
+    likely = ranked[: ranked.index(kinds[-1]) + 1] if kinds else ranked
     return (*likely, *(term for term in terms if containing[term] and _is_richer_law(term, containing[term], likely)))
+
+
+def _contains(term: str, other: str) -> bool:
+    """Whether a term has all parameters of another one, of two with the same the later in the table."""
+    mine, others = set(own(term)), set(own(other))
+    return others < mine or (others == mine and PLAINEST_FIRST.index(other) < PLAINEST_FIRST.index(term))
 
 
 def _is_richer_law(term: str, contained: list[str], likely: list[str]) -> bool:
