@@ -15,7 +15,7 @@ import numpy as np
 from ga.model.memory import without_beginnings
 from ga.model.record import Parameter, Regressors, Term
 from ga.model.sticking import beside_rest, slowest, smoothing, turns_unseen
-from ga.model.terms import TERMS, canonical
+from ga.model.terms import TERMS, canonical, lacking
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -358,6 +358,10 @@ def _reaches(motion: Motion, term: Term, *, bends: bool) -> bool:
 def parse(name: str) -> CouplingModel:
     """Return the model of a name such as "linear+offset+coulomb"; the order of the terms does not matter.
 
-    Raises ValueError as `ga.model.terms.canonical`.
+    Raises ValueError as `ga.model.terms.canonical`, and for a term that shapes a friction which is not there.
     """
-    return CouplingModel(canonical(name))
+    model = CouplingModel(canonical(name))
+    for term in (term for term in model.terms if term.smooths and lacking(term.name, model.name.split("+"))):
+        rubbing = f"{term.needs}, {' or '.join(term.or_needs)}"
+        raise ValueError(f'model "{name}": {term.name} says how friction turns, and there is none: add {rubbing}')
+    return model

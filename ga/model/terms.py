@@ -123,8 +123,7 @@ def with_another(terms: Collection[str], term: str, *, complete: bool = False) -
     complete: with the term that it needs, too, unless that is a rarer one.
     """
     others = tuple(other for other in terms if other != term)
-    if term in RARER:
-        others = tuple(o for o in others if o not in TERMS[term].excludes and term not in TERMS[o].excludes)
+    others = _beside((term,), others) if term in RARER else others
     needed = lacking(term, others)
     brings = complete and needed and needed not in RARER and is_addable(needed, others)
     return (*others, needed, term) if brings else (*others, term)
@@ -133,8 +132,15 @@ def with_another(terms: Collection[str], term: str, *, complete: bool = False) -
 def compatible_model(term: str, terms: Collection[str]) -> str:
     """Return the name of the model of the term, the one that it needs, and those of the terms that can stand beside."""
     needed = lacking(term, terms) or term
-    others = [other for other in terms if not any(_excluded(one, other) for one in (needed, term))]
+    others = _beside((needed, term), terms)
     return canonical("+".join(dict.fromkeys(("linear", *others, needed, term))))
+
+
+def _beside(given: Collection[str], terms: Collection[str]) -> tuple[str, ...]:
+    """Return those of the terms that can stand beside given ones, and do not lose what they need by that."""
+    kept = tuple(term for term in terms if not any(_excluded(one, term) for one in given))
+    lost = [term for term in kept if lacking(term, (*kept, *given)) and not lacking(term, terms)]
+    return tuple(term for term in kept if term not in lost)
 
 
 def _excluded(one: str, other: str) -> bool:

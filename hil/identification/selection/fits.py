@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.coupling import CouplingModel, parse
+from ga.model.coupling import CouplingModel
 from ga.model.separable import Fit, Problem, at_least_contained, best_start, descend, fit, local_minimum
-from ga.model.terms import TERMS
+from ga.model.terms import TERMS, canonical
 from ga.model.trajectory import Motion
 from hil.signals.rate.windows import Window, is_smooth
 
@@ -260,7 +260,7 @@ def _held_out(problem: Problem, found: Fit) -> Array:
 
 
 def _model(terms: tuple[str, ...]) -> CouplingModel:
-    return parse("+".join(terms))
+    return CouplingModel(canonical("+".join(terms)))  # on the way to a model it may lack what a term needs
 
 
 def _named(model: CouplingModel, found: Fit) -> dict[str, float]:

@@ -303,7 +303,7 @@ class _Steps:
         """The model without the terms that, now that all are there, do not pay."""
         idle = []
         for term in larger.terms[1:]:
-            fewer = tuple(other for other in larger.terms if other != term)
+            fewer = tuple(sorted((o for o in larger.terms if o != term), key=lambda o: TERMS[o].smooths))
             if not any(lacking(other, fewer) for other in fewer):
                 smaller = self.fits.candidate(fewer, beside=larger)
                 if not self.criterion.pays(smaller, larger, term):

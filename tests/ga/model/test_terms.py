@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ga.model.coupling import parse
-from ga.model.terms import TERMS, UnknownTerm, compatible_model
+from ga.model.terms import TERMS, UnknownTerm, compatible_model, lacking, with_another
 from ga.model.trajectory import Motion
 
 Array = NDArray[np.float64]
@@ -326,4 +326,19 @@ def test_columns_without_nonlinear_parameters_are_those_of_the_samples_of_a_part
 def test_a_term_that_is_advised_makes_a_model_with_what_it_needs_whatever_the_model_was(term: str) -> None:
     for name in ("linear", "linear+slack", "linear+offset+dahl+backlash", "linear+offset+coulomb+stribeck+capstan+lag"):
         advised = parse(compatible_model(term, name.split("+"))).name.split("+")
-        assert {"linear", term, TERMS[term].needs or term} <= set(advised)
+        assert {"linear", term, lacking(term, advised) or term} <= set(advised)
+
+
+def test_what_only_shapes_friction_is_refused_without_any() -> None:
+    with pytest.raises(
+        ValueError, match="smooth says how friction turns, and there is none: add coulomb, capstan or pulley"
+    ):
+        parse("linear+offset+smooth")
+    assert parse("linear+offset+smooth+pulley").name == "linear+offset+pulley+smooth"
+
+
+def test_a_rarer_law_takes_with_the_friction_in_its_place_what_only_that_needs() -> None:
+    terms = ("linear", "offset", "coulomb", "stribeck", "smooth", "skew")
+    assert with_another(terms, "dahl") == ("linear", "offset", "skew", "dahl")
+    assert set(with_another(terms, "pulley")) == {*terms, "pulley"}
+    assert compatible_model("dahl", terms) == "linear+offset+dahl+skew"
