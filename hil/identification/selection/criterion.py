@@ -149,6 +149,8 @@ class Criterion:
     def is_as_likely(self, plainer: Candidate, other: Candidate) -> bool:
         """Return whether the data cannot rank a plainer model below another one, by the same criterion."""
         alike = max(self.correlation(one, one.terms[-1]) for one in (plainer, other))
+        if math.isinf(alike):  # a term that does nothing says nothing of the others
+            return False
         count = max(len(self.signs) / alike, math.e)
         more = len(plainer.model.parameters) - len(other.model.parameters)
         return more * math.log(count) + self.ratio(plainer, other) / alike <= STRONG and plainer.stiffness > 0.0

@@ -208,7 +208,8 @@ class _Steps:
         others = tuple(other for other in chosen.terms if other != term)
         for law in PLAINEST_FIRST[: PLAINEST_FIRST.index(term)]:
             terms = tuple(law if other == term else other for other in chosen.terms)
-            if self._is_plainer(term, law) and is_addable(law, others) and self.fits.fitness(terms) < np.inf:
+            complete = is_addable(law, others) and not any(lacking(other, terms) for other in others)
+            if self._is_plainer(term, law) and complete and self.fits.fitness(terms) < np.inf:
                 plainer = self.fits.candidate(terms, beside=chosen)
                 if plainer.is_possible(*terms[1:]) and self.criterion.is_as_likely(plainer, chosen):
                     yield plainer

@@ -337,6 +337,12 @@ def test_what_only_shapes_friction_is_refused_without_any() -> None:
     assert parse("linear+offset+smooth+pulley").name == "linear+offset+pulley+smooth"
 
 
+def test_friction_that_turns_smoothly_holds_no_joint() -> None:
+    slow = Motion(TIME, DTHETA, np.where(np.arange(len(TIME)) % 9 == 0, 0.0, RATE), ACCELERATION, np.zeros(len(TIME)))
+    assert not parse("linear+coulomb").described(slow).all()
+    assert parse("linear+coulomb+smooth").described(slow).all()
+
+
 def test_a_rarer_law_takes_with_the_friction_in_its_place_what_only_that_needs() -> None:
     terms = ("linear", "offset", "coulomb", "stribeck", "smooth", "skew")
     assert with_another(terms, "dahl") == ("linear", "offset", "skew", "dahl")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -491,6 +492,29 @@ def test_a_plainer_law_is_held_against_the_model_chosen_and_not_against_one_in_b
         lambda _, plainer, other: (plainer.terms[-1], other.terms[-1]) != ("coulomb", "lugre"),
     )
     assert steps.plainest(fits.candidate(("linear", "offset", "lugre"))).terms[-1] == "dahl"
+
+
+def test_friction_whose_turning_is_smooth_gives_way_to_no_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gap leaves nothing that rubs; it was as likely because smooth did nothing there."""
+    moved, motion = slow()
+    spring, rate = KC * moved.dtheta, motion.dtheta_dot
+    torque = spring + 0.15 * np.abs(spring) * np.tanh(rate / (0.3 * rate.std())) + 1e-3
+    fits = Fits(motion, torque + 5e-5 * np.random.default_rng(1).standard_normal(len(torque)), 0.5)
+    terms = ("coulomb", "backlash", "pulley", "smooth")
+    noise = criterion.criterion_of(fits, terms, ("linear", "offset"))
+    steps = stepwise._Steps(fits, noise, terms, rare=terms[2:])
+    chosen = fits.candidate(("linear", "offset", "pulley", "smooth"))
+    assert steps.plainest(chosen) is chosen
+    assert not noise.is_as_likely(fits.candidate(("linear", "offset", "backlash", "smooth")), chosen)
+    monkeypatch.setattr(criterion.Criterion, "is_as_likely", lambda *_: True)
+    assert steps.plainest(chosen).terms[-2:] == ("pulley", "smooth")
+
+
+def test_two_laws_of_one_kind_and_what_rounds_friction_off_take_the_place_of_no_other_kind() -> None:
+    order = ("capstan", "pulley", "smooth", "dahl", "quadratic", "softening", "inertia")
+    fits = SimpleNamespace(fitness=lambda terms: 1.0 + order.index(terms[-1]), is_rejected=lambda _terms: False)
+    found = stepwise._likeliest(cast("Fits", fits), order, (("linear", "offset", "coulomb"),))
+    assert set(found) == {"capstan", "pulley", "smooth", "dahl", "quadratic"}
 
 
 def test_a_law_pays_for_the_parameters_that_it_has_more_than_the_one_in_its_place() -> None:

@@ -67,9 +67,9 @@ def test_a_recording_that_differs_from_one_without_stiffness_is_named_by_its_val
     assert "Kc of a.h5 is 2 (SI), and that of the other one is zero" in found.message
 
 
-@pytest.mark.parametrize("other", [0.002, 0.0])
+@pytest.mark.parametrize("other", [0.002, 3.5e-5])
 def test_a_recording_with_another_zero_of_the_torque_is_named(make_recording: Maker, other: float) -> None:
-    """The misfit said that no known effect explains what one offset leaves."""
+    """The misfit said that no known effect explains what one offset leaves; a third of the noise leaves nothing."""
 
     def taken(name: str, seed: int, zero: float) -> Path:
         def change(channels: dict[str, Array]) -> None:
@@ -80,7 +80,7 @@ def test_a_recording_with_another_zero_of_the_torque_is_named(make_recording: Ma
     paths = [taken(f"{seed}.h5", seed, zero) for seed, zero in enumerate((1e-3, 1e-3, 1e-3 + other))]
     search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
     found = [one for one in identify(paths, parse("linear+offset"), search).diagnostics if one.parameter == "tau0"]
-    assert [one.code for one in found] == ["recordings-differ"] * (other > 0.0)
+    assert [one.code for one in found] == ["recordings-differ"] * (other > 1e-3)
     for one in found:
         assert f"the torque at rest of {paths[2]} differs by +0.002 N m from the others" in one.message
         assert not one.is_error
