@@ -9,7 +9,7 @@ Dry friction never turns at once: what holds it is about as stiff as the couplin
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
+from ga.model.friction import SMOOTH
 from ga.model.separable import Problem
 from ga.model.sticking import slowest
 from ga.model.terms import PARAMETERS, TERMS, is_addable
@@ -39,6 +40,9 @@ _EXPONENTIAL = ("exponential", "toe")  # these have all powers of the deflection
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
 _SEVENTH = "seventh"  # another, of the next power of the deflection beside K5
 _CUBED = "cubed"  # another, of the cube of the deflection beside an exponential
+_ROOTED = "rooted"  # another, of friction that turns as a root of the rate in place of a tanh
+_SLOW = 1e-4  # rate over vr, below which both are in proportion to it
+_SHAPES = (_SEVENTH, _CUBED, _ROOTED)
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
 
 
@@ -75,7 +79,7 @@ class Largest:
         found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
         found |= {term: found[term] + SELDOM for term in _RARE_CURVES if term in found}
         costs = {name: cost for term, cost in (found | dict(doubtful)).items() for name in _own(term)}
-        return costs | {name: AKAIKE for name in (_SEVENTH, _CUBED) if name in self.names}
+        return costs | {name: AKAIKE for name in _SHAPES if name in self.names}
 
     @property
     def seldom(self) -> list[str]:
@@ -105,14 +109,8 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
             fit = problem.solve(np.array([start[p.name] for p in larger.nonlinear], dtype=np.float64))
             names = [parameter.name for parameter in larger.parameters]
             columns, target = problem.linearised(fit)
-            if (building := _building_up(dict(zip(names, fit.values, strict=True)), data.motion)) is not None:
-                names, columns = [*names, _PRESLIDING], np.column_stack([columns, building])
-            if "quintic" in chosen:  # what a cubic does not describe follows no power exactly
-                seventh = columns[:, names.index("K5")] * data.motion.dtheta**2
-                names, columns = [*names, _SEVENTH], np.column_stack([columns, seventh])
-            if set(_EXPONENTIAL).intersection(chosen):
-                cubed = columns[:, names.index("Kc")] * data.motion.dtheta**2
-                names, columns = [*names, _CUBED], np.column_stack([columns, cubed])
+            for name, column in _nuisances(chosen, names, columns, fit.values, data.motion):
+                names, columns = [*names, name], np.column_stack([columns, column])
             first = np.append(fit.values, np.zeros(len(names) - len(fit.values)))
             values = least_absolute_deviations(columns, target, first).genes
         except RuntimeError:  # some columns are dependent
@@ -124,6 +122,25 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
             sampling = _with_jumps(sampling, columns, float(values[names.index("Bc")]), data)
             return Largest(larger, tuple(added), names, columns, target, values, sampling, likely)
         added.remove(alike[-1])
+
+
+def _nuisances(
+    chosen: Sequence[str], names: list[str], columns: Array, values: Array, motion: Motion
+) -> Iterator[tuple[str, Array]]:
+    """The columns (n,) of what no term of the model follows exactly, each with its name.
+
+    chosen: the terms of the model; names, columns (n, p), values (p,): its parameters.
+    """
+    own = dict(zip(names, values.tolist(), strict=True))
+    if (building := _building_up(own, motion)) is not None:
+        yield _PRESLIDING, building
+    if "quintic" in chosen:  # what a cubic does not describe follows no power exactly
+        yield _SEVENTH, columns[:, names.index("K5")] * motion.dtheta**2
+    if set(_EXPONENTIAL).intersection(chosen):
+        yield _CUBED, columns[:, names.index("Kc")] * motion.dtheta**2
+    if SMOOTH.name in chosen:
+        rubs = [at for at, name in enumerate(names) if PARAMETERS[name].friction]
+        yield _ROOTED, columns[:, rubs] @ values[rubs] * _rooted(own, motion)
 
 
 def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Signals) -> Covariance:
@@ -151,15 +168,26 @@ def _likely(names: Sequence[str], motion: Motion, *, usual_skew: bool) -> Array:
 def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
     """The torque (n,), N m, by which friction that builds up over Fc/Kc differs from one that turns at once.
 
-    None where the model, whose values are given by name, has no Coulomb friction, or that is too short to be seen.
+    None where the model, whose values are given by name, has no Coulomb friction, or that is too short to be seen, or
+    where friction turns smoothly.
     """
     friction, stiffness = values.get("Fc", 0.0), values["Kc"]
-    if friction <= 0.0 or stiffness <= 0.0:
+    if friction <= 0.0 or stiffness <= 0.0 or "vr" in values:
         return None
     whole, rows = motion.whole
     seen = whole.delayed(values.get("skew", 0.0))
     found = friction * (seen.presliding(friction / stiffness) - np.sign(seen.dtheta_dot))[rows]
     return found if np.count_nonzero(np.abs(found) > _SEEN * friction) >= _FEWEST else None
+
+
+def _rooted(values: Mapping[str, float], motion: Motion) -> Array:
+    """The part (n,) by which friction that turns as v/sqrt(v^2 + vr^2) exceeds one that does as tanh(v/vr).
+
+    values: of the model's parameters by name.
+    """
+    turned = motion.delayed(values.get("skew", 0.0)).dtheta_dot / values["vr"]
+    turned = np.maximum(np.abs(turned), _SLOW)
+    return np.asarray(turned / np.hypot(1.0, turned) / np.tanh(turned) - 1.0)
 
 
 def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
@@ -170,7 +198,7 @@ def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
     """
     own = own_values(smaller, data)
     names, matrix = largest.names, largest.sampling.matrix
-    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING, _SEVENTH, _CUBED) if name in names]
+    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING, *_SHAPES) if name in names]
     if not added:
         return True
     gain = np.linalg.lstsq(matrix[np.ix_(added, added)], matrix[added], rcond=None)[0]  # (added, p)

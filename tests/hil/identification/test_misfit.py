@@ -75,6 +75,22 @@ def test_friction_that_turns_at_once_or_smoothly_has_no_misfit(
         assert high - low < 0.06 * truth
 
 
+@pytest.mark.parametrize("over", [0.2, 0.3])
+def test_the_interval_holds_bc_where_friction_turns_as_a_root_and_not_as_a_tanh(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], over: float
+) -> None:
+    """Friction that falls with the rate took up the difference: Bc was beside its interval by up to 2.3 times half."""
+    _, rate = multisine(TIME)
+    width = over * rate.std()
+    _, found = identified(capfd, recording(tmp_path / "a.h5", plain() + 3e-3 * rate / np.hypot(rate, width)))
+
+    assert "smooth" in found["model"].split("+")
+    for name, truth in (("Kc", KC), ("Bc", BC)):
+        low, high = found["parameters"][name]["ci95"]
+        assert low < truth < high
+        assert high - low < 0.2 * truth
+
+
 @pytest.mark.parametrize("model", ["capstan", "pulley"])
 def test_a_tendon_that_rubs_by_all_its_torque_or_by_that_of_its_spring_has_no_misfit(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], model: str
