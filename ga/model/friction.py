@@ -110,16 +110,13 @@ COULOMB: Final = Term(
     sticks=True,
 )
 
-FALLING: Final = Parameter(
-    "vst",
-    "rad/s",
-    "rate over which it falls",
-    scales=False,
-    absent=None,
-    positive=True,
-    nonlinear=True,
-    starts=(0.02, 0.1, 0.25, 0.5),
-)
+
+def _rate_over(name: str, meaning: str, starts: tuple[float, ...]) -> Parameter:
+    """The rate, rad/s, over which friction changes."""
+    return Parameter(name, "rad/s", meaning, scales=False, absent=None, positive=True, nonlinear=True, starts=starts)
+
+
+FALLING: Final = _rate_over("vst", "rate over which it falls", (0.02, 0.1, 0.25, 0.5))
 
 STRIBECK: Final = Term(
     "stribeck",
@@ -145,18 +142,7 @@ STRIBECK: Final = Term(
 SMOOTH: Final = Term(
     "smooth",
     "dry friction that turns smoothly with the rate, as of a lubricated joint",
-    (
-        Parameter(
-            "vr",
-            "rad/s",
-            "rate over which friction turns",
-            scales=False,
-            absent=None,
-            positive=True,
-            nonlinear=True,
-            starts=(0.005, 0.02, 0.1, 0.25, 0.5),
-        ),
-    ),
+    (_rate_over("vr", "rate over which friction turns", (0.005, 0.02, 0.1, 0.25, 0.5)),),
     bounds=turning_bounds,
     smooths=True,
     needs="coulomb",

@@ -50,6 +50,14 @@ def identified(capfd: pytest.CaptureFixture[str], path: Path, *options: str) -> 
     return status, json.loads(capfd.readouterr().out)
 
 
+def assert_held(found: dict[str, Any], width: float) -> None:
+    """The intervals hold Kc and Bc and are narrower than a part of them."""
+    for name, truth in (("Kc", KC), ("Bc", BC)):
+        low, high = found["parameters"][name]["ci95"]
+        assert low < truth < high
+        assert high - low < width * truth
+
+
 def test_a_joint_that_the_model_describes_has_no_misfit(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     status, found = identified(capfd, recording(tmp_path / "a.h5", plain()))
 
@@ -69,10 +77,7 @@ def test_friction_that_turns_at_once_or_smoothly_has_no_misfit(
     assert status == 0
     assert model in found["model"].split("+")
     assert not found["lack_of_fit"]["misfit"]
-    for name, truth in (("Kc", KC), ("Bc", BC)):
-        low, high = found["parameters"][name]["ci95"]
-        assert low < truth < high
-        assert high - low < 0.06 * truth
+    assert_held(found, 0.06)
 
 
 @pytest.mark.parametrize("over", [0.2, 0.3])
@@ -85,10 +90,7 @@ def test_the_interval_holds_bc_where_friction_turns_as_a_root_and_not_as_a_tanh(
     _, found = identified(capfd, recording(tmp_path / "a.h5", plain() + 3e-3 * rate / np.hypot(rate, width)))
 
     assert "smooth" in found["model"].split("+")
-    for name, truth in (("Kc", KC), ("Bc", BC)):
-        low, high = found["parameters"][name]["ci95"]
-        assert low < truth < high
-        assert high - low < 0.2 * truth
+    assert_held(found, 0.2)
 
 
 @pytest.mark.parametrize("model", ["capstan", "pulley"])
@@ -103,10 +105,7 @@ def test_a_tendon_that_rubs_by_all_its_torque_or_by_that_of_its_spring_has_no_mi
     assert status == 0
     assert model in found["model"].split("+")
     assert not found["lack_of_fit"]["misfit"]
-    for name, truth in (("Kc", KC), ("Bc", BC)):
-        low, high = found["parameters"][name]["ci95"]
-        assert low < truth < high
-        assert high - low < 0.06 * truth
+    assert_held(found, 0.06)
 
 
 @pytest.mark.parametrize("inertia", [4e-5, 2.4e-5])
