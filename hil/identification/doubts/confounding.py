@@ -23,8 +23,9 @@ Array = NDArray[np.float64]
 
 _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
 _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
-# the terms of a spring that curves or bends
-_CURVED = {"cubic", "quintic", "progressive", "hardening", "exponential", "toe", "asymmetric"}
+CURVES = {"cubic", "quintic", "progressive", "hardening", "exponential", "toe", "asymmetric"}
+"""The terms of a spring that curves or bends."""
+
 _EARLY, _A_LITTLE_EARLY = 2.0, 0.5  # times what recorders are late or early by, from which an early reading is doubted
 _NEXT_TO_NONE = 0.01  # of the torque: a friction that is found so small is not the one that holds the joint
 
@@ -115,8 +116,8 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     if not evidence.selected or _least_friction(evidence) > _NEXT_TO_NONE * _loaded(evidence):
         return []
     accelerates = "J" in values or early > _A_LITTLE_EARLY
-    if (terms & _CURVED or early > _EARLY) and looks_like_spring(motion):
-        other = "a spring that curves" if terms & _CURVED else "a torque that is read before the angle"
+    if (terms & CURVES or early > _EARLY) and looks_like_spring(motion):
+        other = "a spring that curves" if terms & CURVES else "a torque that is read before the angle"
         fits = f"has the torque of more stiffness, and {other} fits as well"
     elif is_hidden(motion, inertia=accelerates):
         third = "inertia" if "J" in values else "an earlier reading"

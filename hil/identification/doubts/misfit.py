@@ -10,6 +10,7 @@ import numpy as np
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import SeparableModel
 from hil.diagnostics import Diagnostic, again
+from hil.identification.doubts.confounding import CURVES
 from hil.identification.fitting.described import Described, tested_motion
 from hil.identification.result import Estimate
 from hil.signals.torque_reading import seen_in_torque
@@ -80,19 +81,22 @@ def _untested_motion(described: Described, model: str) -> list[Diagnostic]:
     """Return the error that next to nothing of the motion is in the samples that the tests are of; none for more.
 
     Beside jumps of the acceleration a model is held against the dynamic stiffness, but for one with friction, which may
-    hold the joint there, or an inertia, whose torque jumps.
+    hold the joint there, or an inertia, whose torque jumps. It is an error of Kc, too, where the spring curves: what is
+    not the curve's would change it.
     """
     sticks = isinstance(described.model, CouplingModel) and described.model.sticks
     moving = tested_motion(described)
     if moving > _TESTED or not (sticks or "J" in described.names):
         return []
     smooth = again("Drive a multisine or a chirp", "--profile", imported=described.signals.imported)
+    curves = bool(CURVES.intersection(model.split("+")))
+    wrong = "and each changes how a spring seems to curve. Kc and Bc" if curves else "and Bc"
     text = (
         f"only {percent(moving)} of the motion is in samples away from jumps of the acceleration, where the fit "
         "can be tested. Between two rests, friction, an inertia, a stiffness that relaxes and a late torque "
-        f"reading look alike. Bc may be wrong. {smooth}. If you know that the model is right, name --model {model}"
+        f"reading look alike, {wrong} may be wrong. {smooth}. If you know that the model is right, name --model {model}"
     )
-    return [Diagnostic("misfit-untested", text, "Bc", is_error=True)]
+    return [Diagnostic("misfit-untested", text, None if curves else "Bc", is_error=True)]
 
 
 def _respects(model: str, found: LackOfFit) -> str:
