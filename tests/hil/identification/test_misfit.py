@@ -80,6 +80,33 @@ def test_friction_that_turns_at_once_or_smoothly_has_no_misfit(
     assert_held(found, 0.06)
 
 
+def test_friction_that_turns_smoothly_is_found_between_rests_too(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The rate is least known where a move begins and ends, and friction turns there: those samples fit worse."""
+    steps = np.random.default_rng(2).uniform(0.15, 0.6, 40)
+    places = np.random.default_rng(3).uniform(-0.2, 0.2, 41)
+    begins, deflection, rate = np.cumsum(steps) - steps[0], np.zeros(5000), np.zeros(5000)
+    for begin, step, before, after in zip(begins, 0.8 * steps, places, places[1:], strict=False):
+        part = np.clip((TIME - begin) / step, 0.0, 1.0)
+        deflection = np.where(
+            begin <= TIME, before + (after - before) * part**3 * (10.0 - 15.0 * part + 6.0 * part**2), deflection
+        )
+        rate = np.where(begin <= TIME, (after - before) / step * 30.0 * part**2 * (1.0 - part) ** 2, rate)
+    noise = 2e-5 * np.random.default_rng(0).standard_normal(5000)
+    torque = KC * deflection + BC * rate + 5e-3 * np.tanh(rate / (0.03 * rate.std())) + noise
+    path = tmp_path / "a.h5"
+    write(
+        path,
+        Header(profile={"kind": "prescribed"}, stand_toml=""),
+        {"time": TIME, "torque": torque, "dtheta": deflection},
+    )
+    _, found = identified(capfd, path)
+
+    assert "smooth" in found["model"].split("+")
+    assert_held(found, 0.06)
+
+
 @pytest.mark.parametrize("over", [0.2, 0.3])
 def test_the_interval_holds_bc_where_friction_turns_as_a_root_and_not_as_a_tanh(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], over: float
