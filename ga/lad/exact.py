@@ -109,8 +109,9 @@ def not_negative(
 
     The error is convex, so that it only falls on the way from the best of these to the chromosome that is best without
     bounds: where that one breaks some, one of the genes that it has below zero is zero in the bounded one. Each of
-    them is left out in turn, until none is below zero. Genes that are zero nearby are tried as zeros first. unique and
-    certificate: given the genes that are zero. Arguments and errors otherwise as of `least_absolute_deviations`.
+    them is left out in turn, until none is below zero. Genes that are zero nearby are tried as zeros first. Where
+    columns are dependent and rows few, the best may be missed (5 of 47,000 random problems of up to 13 rows). unique
+    and certificate: given the genes that are zero. Arguments and errors otherwise as of `least_absolute_deviations`.
     """
     if near is not None and (held := _as_nearby(columns, torque, positive, near)) is not None:
         return held
