@@ -152,7 +152,10 @@ def _turning_smoothly(
     motion = _seen(signals.motion, seen)
     turning = ~sticking.model.described(motion, sticking.delay)
     alike = Fits(motion, signals.torque[seen], signals.band[1], signals.window)
-    first = alike.candidate(with_another(sticking.chosen.terms, SMOOTH.name))
+    terms = with_another(sticking.chosen.terms, SMOOTH.name)
+    if not alike.fitness(terms) < np.inf:
+        return None
+    first = alike.candidate(terms)
     loaded = first.values.get("mu", 0.0) * float(np.mean(np.abs(signals.torque)))
     little = _OF_FRICTION * (first.values.get("Fc", 0.0) + loaded)
     if _are_worse(turning, motion, first.problem.residuals(first.fit), little):

@@ -16,12 +16,13 @@ import pytest
 
 from drivers.servo import Quantity
 from ga.model.coupling import parse as model_of
-from ga.model.separable import Problem, fit
+from ga.model.separable import Fit, Problem, fit
 from ga.model.trajectory import Motion
 from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.identification.model_choice import _is_sticking, choose
+from hil.identification.selection.fits import Candidate, Fits
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.signals.prepare import Signals, prepare
@@ -122,6 +123,27 @@ def test_the_ladder_leaves_them_out_as_well() -> None:
     assert choice.model.name == "linear+coulomb"
     assert choice.sticking
     assert all(abs(step.Kc / KC - 1.0) < 3e-3 for step in choice.steps if step.included and step.term == "coulomb")
+
+
+def test_where_no_smooth_friction_can_be_fitted_the_samples_are_left_out_as_well(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What cannot be fitted is no model; it does not keep the others from being one."""
+    preview, candidate = Fits.preview, Fits.candidate
+
+    def seen(fits: Fits, terms: tuple[str, ...]) -> Fit | None:
+        return None if "smooth" in terms else preview(fits, terms)
+
+    def fitted(fits: Fits, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate:
+        if "smooth" in terms:
+            raise RuntimeError("columns are dependent")
+        return candidate(fits, terms, beside)
+
+    monkeypatch.setattr(Fits, "preview", seen)
+    monkeypatch.setattr(Fits, "candidate", fitted)
+    choice = choose(None, recorded(2e-3), linear_only=False)
+    assert choice.sticking
+    assert "coulomb" in choice.model.name.split("+")
 
 
 def test_a_model_without_friction_takes_all_samples() -> None:
