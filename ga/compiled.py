@@ -12,11 +12,14 @@ and load what it made. A function locks those that it calls while it is locked i
 processes never wait for each other.
 
 Ctrl-C takes effect between two functions: LLVM calls back into Python, where a KeyboardInterrupt would be lost.
+
+Where no folder can be written, or the disk is full, functions are compiled in memory, and a warning is logged once.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import shutil
 import signal
@@ -46,6 +49,7 @@ R = TypeVar("R")
 _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _numba: Any = numba.config  # set from the environment by name, unseen by a type checker
 _appdirs: Any = appdirs
+_log: Final = logging.getLogger(__name__)
 KEPT: Final = 20
 """Folders of machine code kept for each package, the last used first."""
 _POLL: Final = 0.05
@@ -89,10 +93,16 @@ def _compiled(function: Callable[P, R], **options: bool | str) -> Callable[P, R]
     folder = cache_folder(_package(Path(function.__code__.co_filename)))
     every: dict[str, Any] = _OPTIONS | options | {"cache": folder is not None}
     with _numba_set_for(folder):
-        dispatcher: Any = numba.njit(**every)(function)
-    if folder is not None:
+        try:
+            dispatcher: Any = numba.njit(**every)(function)
+        except RuntimeError:  # a full disk has no room for a folder of this module's functions
+            folder, dispatcher = None, numba.njit(**(every | {"cache": False}))(function)
+    if folder is None:
+        dispatcher.compile = partial(_compiled_in_memory, dispatcher.compile)
+    else:
         lock = folder / f"{function.__module__}.{function.__qualname__}.lock".replace("<", "").replace(">", "")
         dispatcher.compile = partial(_compiled_once, dispatcher.compile, lock)
+        dispatcher._cache.save_overload = partial(_kept, dispatcher._cache.save_overload)
     return cast("Callable[P, R]", dispatcher)
 
 
@@ -113,6 +123,27 @@ def _compiled_once(compile_or_load: Callable[..., Any], lock: Path, *signature: 
         with file, uncollected():  # it takes a sixteenth of the time
             _lock(file)
             return _between_interrupts(compile_or_load, *signature)
+
+
+def _compiled_in_memory(compile_: Callable[..., Any], *signature: Any) -> Any:
+    _say_not_kept()
+    return _between_interrupts(compile_, *signature)
+
+
+def _kept(save: Callable[..., None], *made: Any) -> None:
+    """Save machine code, or say that it cannot be kept."""
+    try:
+        save(*made)
+    except OSError:
+        _say_not_kept()
+
+
+@cache
+def _say_not_kept() -> None:
+    _log.warning(
+        "warning: compiled functions cannot be kept, no cache folder has room or may be written; Kc and Bc are the "
+        "same, but every run compiles again; make room, or name another folder in NUMBA_CACHE_DIR"
+    )
 
 
 class _Held:
@@ -181,12 +212,14 @@ event.register("numba:compile", _Announced())  # type: ignore[no-untyped-call]
 @contextmanager
 def _numba_set_for(folder: Path | None) -> Iterator[None]:
     # numba reads its settings when a function is decorated; the user's own functions keep the user's settings
-    before = _numba.CACHE_DIR, _numba.DISABLE_JIT
-    _numba.CACHE_DIR, _numba.DISABLE_JIT = before[0] if folder is None else str(folder), 0
+    names = ("CACHE_DIR", "CACHE_LOCATOR_CLASSES", "DISABLE_JIT")
+    before = {name: getattr(_numba, name, None) for name in names}
+    ours = {} if folder is None else {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
+    vars(_numba).update(ours, DISABLE_JIT=0)
     try:
         yield
     finally:
-        _numba.CACHE_DIR, _numba.DISABLE_JIT = before
+        vars(_numba).update(before)
 
 
 def _package(source: Path) -> Path:

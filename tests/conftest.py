@@ -33,11 +33,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure() -> None:
-    """Take both signals: a shell ignores them in what it starts in the background, and so would what tests start."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    if signal.getsignal(signal.SIGQUIT) is signal.SIG_IGN:
-        signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+    """Take every signal that whoever started this has ignored: what tests start would ignore it too.
+
+    A shell ignores SIGINT and SIGQUIT in the background, and `nohup` SIGHUP. A handler that does nothing is not handed
+    on to a program that is started, and leaves the tests themselves as deaf as they were asked to be.
+    """
+    for number in signal.valid_signals() - {signal.SIGPIPE, signal.SIGXFSZ}:  # Python itself ignores these two
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else lambda *_: None)
 
 
 @pytest.hookimpl(tryfirst=True)

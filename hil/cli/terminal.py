@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import shlex
@@ -45,6 +46,7 @@ class _Quiet:
 def be_quiet(wanted: bool) -> None:
     """Let `detail` and `note`, the tables and the progress print nothing from now on, or again."""
     _Quiet.wanted = wanted
+    logging.getLogger("ga").setLevel(logging.ERROR if wanted else logging.NOTSET)
 
 
 def is_quiet() -> bool:

@@ -6,6 +6,7 @@ again in each. A process here gets its tasks on standard input, pickled, and end
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import subprocess
@@ -120,6 +121,7 @@ def serve() -> None:
     """Run tasks from standard input until it ends, each with its answer on standard output."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a task prints goes to standard error
+    logging.getLogger("ga").setLevel(logging.ERROR)  # one warning for each process would be the same many times
     while True:
         try:
             function, arguments = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the process that started this one

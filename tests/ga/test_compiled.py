@@ -41,11 +41,12 @@ def ask(package: Path, cache: Path) -> tuple[float, bool]:
 
 
 def answer(question: str, package: Path, cache: Path) -> str:
-    """What a new process that finds the package and this cache prints."""
+    """What a new process that finds the package and this cache prints, also to standard error."""
     search = os.pathsep.join([str(package.parent), str(ROOT)])
     env = {**os.environ, "PYTHONPATH": search, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
     env.pop("NUMBA_CACHE_DIR", None)
-    run = subprocess.run([sys.executable, "-c", question], capture_output=True, text=True, check=True, env=env)
+    command = [sys.executable, "-c", question]
+    run = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True, env=env)
     return run.stdout
 
 
@@ -108,10 +109,18 @@ def test_without_a_folder_that_can_be_written_the_package_keeps_its_machine_code
     assert list(package.rglob("*.nbi"))
 
 
-def test_where_nothing_can_be_written_the_program_still_works(package: Path) -> None:
+FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)); "
+
+
+@pytest.mark.parametrize(("cache", "first"), [("joint/__init__.py", ""), ("cache", FULL)], ids=["read-only", "full"])
+def test_where_nothing_can_be_written_the_program_works_and_says_so_once(
+    package: Path, tmp_path: Path, cache: str, first: str
+) -> None:
     (package / "__pycache__").write_text("a file where the folder would be")
-    assert ask(package, package / "__init__.py") == (2.0, False)
-    assert not list(package.rglob("*.nbi"))
+    warning, result = answer(first + ASK, package, tmp_path / cache).splitlines()
+    assert "compiled functions cannot be kept" in warning
+    assert result == "2.0 0"
+    assert not list(tmp_path.rglob("*.nbi"))
 
 
 def test_only_the_last_used_folders_are_kept(package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
