@@ -35,7 +35,7 @@ def block(mark: str) -> str:
 def test_the_commands_of_the_page_run_on_its_stand_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(emulator, "WATCHDOG", 1.0)  # a busy machine keeps a board waiting that lives in this process
-    stand, count = re.subn(r"watchdog = 0.1", "watchdog = 1.0\nreply_timeout = 0.3", block("stand"))
+    stand, count = re.subn(r"watchdog = 0.1", "watchdog = 1.0\nreply_timeout = 0.3", block("write stand.toml"))
     assert count == 1
     (tmp_path / "stand.toml").write_text(stand)
     emulate, *commands = block("commands").splitlines()
