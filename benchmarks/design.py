@@ -1,6 +1,6 @@
 """The errors that `hil design` predicts against those found: many recordings of each profile on the simulated stand.
 
-python benchmarks/design.py               200 seeds of every case, into docs/design.md
+python benchmarks/design.py               200 seeds of every case, into results/design.csv
 python benchmarks/design.py --seeds 1000
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from page import DOCS, machine
+from page import machine, write_result
 
 from drivers.servo import Quantity
 from ga.evolution.evolution import PRESETS
@@ -29,8 +29,6 @@ from hil.identification.identify import identify
 from hil.stand.file import SIMULATED, Stand, parse
 
 RATE = 500.0
-PAGE = DOCS / "design.md"
-BEGIN, END = "<!-- monte carlo: begin -->\n", "<!-- monte carlo: end -->\n"
 
 
 @dataclass(frozen=True)
@@ -122,8 +120,7 @@ def main() -> None:
             *table,
         ]
     )
-    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-    PAGE.write_text(f"{before}{BEGIN}{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    write_result("design", text)
 
 
 if __name__ == "__main__":

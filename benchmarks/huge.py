@@ -1,7 +1,7 @@
 """Recordings larger than memory, identified exactly: `python benchmarks/huge.py [--samples N ...] [--folder DIR]`.
 
 Makes a recording of a prescribed deflection with a torque in closed form, block by block, then runs `hil identify` on
-it as a process of its own and asks the system how much memory that took. Writes its section of docs/performance.md.
+it as a process of its own and asks the system how much memory that took. Writes results/huge.csv.
 With 100,000,000 samples it wants 25 GB of disk and a quarter of an hour; an earlier recording spares the making.
 """
 
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from page import machine, write_section
+from page import machine, write_result
 
 from hil.recording.channels import ROW, Row
 from hil.recording.writer import Header, RecordingWriter
@@ -82,7 +82,7 @@ def row(found: dict[str, Any], size: int, cost: Cost) -> str:
 def report(rows: list[str]) -> None:
     text = (
         "## A recording larger than memory\n\n"
-        "`python benchmarks/huge.py` writes this section. A recording of two sines with a 14-bit encoder and 0.2 mN m "
+        "`python benchmarks/huge.py` writes this file. A recording of two sines with a 14-bit encoder and 0.2 mN m "
         f"of noise, made with Kc = {KC * 1e3:g} mN m/rad and Bc = {BC * 1e3:g} mN m s/rad, identified as a process of "
         "its own. The bars, by the clock on 2 idle cores, are 10 s for 10,000,000 samples, and 150 s and 1 GiB for "
         f"100,000,000.\n\nMeasured on {machine()}.\n\n"
@@ -90,7 +90,7 @@ def report(rows: list[str]) -> None:
         "| --- | --- | --- | --- | --- | --- | --- | --- |\n" + "\n".join(rows)
     )
     print(text)
-    write_section("huge", text)
+    write_result("huge", text)
 
 
 def measured(path: Path) -> str:

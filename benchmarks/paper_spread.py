@@ -3,13 +3,12 @@
 Two kinds of rows. In the first the data are one recording of the simulated stand and the search is what varies: how
 long it runs and how the paper's text is read. In the second every trial has its own recording, from a stand with one
 imperfection, and the exact optimum stands for the search, so that nothing of the spread is the search's. The table goes
-into docs/paper.md, between its marks. Takes some two minutes on two cores.
+into results/paper_spread.csv. Takes some two minutes on two cores.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from page import machine, write_result
 
 from drivers.servo import Quantity
 from ga.bounds import PAPER_BOUNDS
@@ -30,7 +30,6 @@ from hil.signals.source import open_sources
 from hil.stand.file import SIMULATED, parse
 
 Array = NDArray[np.float64]
-PAGE = Path(__file__).parent.parent / "docs" / "paper.md"
 TRIALS = 30
 RATE = 500.0
 PAPER = "| **the paper** | | **17.52 ± 6.62** | **0.19 ± 0.075** | |"
@@ -124,9 +123,7 @@ def main() -> None:
     head = "| what varies | how | Kc, mN m/rad | Bc, mN m s/rad | correlation |\n| --- | --- | --- | --- | --- |"
     table = "\n".join([head, *rows])
     print(table)
-    text = PAGE.read_text(encoding="utf-8")
-    marked = re.sub(r"(<!-- spread -->\n).*?(<!-- end -->)", rf"\g<1>{table}\n\g<2>", text, flags=re.DOTALL)
-    PAGE.write_text(marked, encoding="utf-8")
+    write_result("paper_spread", f"{machine()}.\n\n{table}")
 
 
 if __name__ == "__main__":

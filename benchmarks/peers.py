@@ -1,7 +1,7 @@
 """How soon others and we come near the exact optimum of the same fitness: `python benchmarks/peers.py`.
 
 Everything runs in one process on one thread, seed by seed and method by method in turn, so that what else the machine
-does hits all alike. Needs the `bench` extra. Writes its section of docs/performance.md and docs/pictures/peers.png.
+does hits all alike. Needs the `bench` extra. Writes results/peers.csv and docs/pictures/peers.png.
 
 A clock starts where a user's would: from columns and torque as arrays and the bounds, everything imported and compiled.
 Others are watched through their fitness, which ends a run when the last target is reached or the cap is over; only what
@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import numpy as np
 from optimisers import PEERS, TARGETS, Data, Ended, Reached, Watched, recording
+from page import revision, write_result
 
 from ga.evolution.evolution import PRESETS, Settings
 from ga.trials.outcome import Trials
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-BEGIN, END = "<!-- peers: begin -->", "<!-- peers: end -->"
 BAR, BAR_TARGET, BAR_SAMPLES = 10.0, 1e-6, 2500
 PACKAGES = ("numpy", "numba", "scipy", "pymoo", "pygad", "deap", "cma", "cmaes")
 NEVER = Reached(math.inf, math.inf)
@@ -254,17 +254,16 @@ def remarks(one: Round, cap: float) -> list[str]:
 
 
 def section(rounds: Mapping[int, Round], seeds: int, cap: float) -> str:
-    lines = [BEGIN, "## Time to the optimum, against other optimisers", "", *PROSE, "", machine(seeds, cap), ""]
-    lines += ["![Time to come near the exact optimum](pictures/peers.png)", ""]
+    lines = ["## Time to the optimum, against other optimisers", "", *PROSE, "", machine(seeds, cap), ""]
     for n, one in rounds.items():
         lines += [f"### {n:,} samples", "", *table(one, cap), ""]
         lines += [f"* {line}" for line in [*verdict(n, one, cap), *remarks(one, cap)]]
         lines += [""]
-    return "\n".join([*lines, END])
+    return "\n".join(lines)
 
 
 PROSE = (
-    "`python benchmarks/peers.py` writes this section. All search the same box (`bounds_from_data`) for the least mean",
+    "`python benchmarks/peers.py` writes this file. All search the same box (`bounds_from_data`) for the least mean",
     "absolute error of the same recording, the paper's joint under a chirp with 0.2 mN m of noise, in one process and",
     "one thread, in turn, seed by seed. Times are wall-clock, warm, from columns and torque as arrays to the first",
     "chromosome whose error is within the target, relative to the exact optimum of `ga.lad.exact`; in brackets the",
@@ -292,7 +291,7 @@ def machine(seeds: int, cap: float) -> str:
     packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
     return (
         f"Measured on {datetime.datetime.now(tz=datetime.UTC).date()}, {cpu}, {os.cpu_count()} cores, Python"
-        f" {platform.python_version()}, {packages}; seeds: {seeds}, cap {cap:g} s a run."
+        f" {platform.python_version()}, {packages}; seeds: {seeds}, cap {cap:g} s a run; revision {revision()}."
     )
 
 
@@ -319,15 +318,6 @@ def draw(rounds: Mapping[int, Round], cap: float) -> None:
     plt.close(figure)
 
 
-def write(text: str) -> None:
-    """Put the section in its place in the page: between its marks, or at the end."""
-    page = DOCS / "performance.md"
-    old = page.read_text(encoding="utf-8") if page.exists() else "# Performance\n"
-    before, mark, after = old.partition(BEGIN)
-    rest = after.partition(END)[2] if mark else "\n"
-    page.write_text(f"{before if mark else old.rstrip() + chr(10) * 2}{text}{rest}", encoding="utf-8")
-
-
 def main() -> None:
     options = argparse.ArgumentParser(description="How soon others and we come near the exact optimum.")
     options.add_argument("--samples", type=int, nargs="+", default=[2500, 1_000_000], help="lengths of the recordings")
@@ -338,7 +328,7 @@ def main() -> None:
     rounds = measure(given.samples, given.seeds, given.cap)
     text = section(rounds, given.seeds, given.cap)
     draw(rounds, given.cap)
-    write(text)
+    write_result("peers", text)
     print(text)
     print(f"{time.perf_counter() - began:.0f} s")
 

@@ -1,10 +1,10 @@
 """What `hil identify` says of real ramps of locked actuators: `python benchmarks/real_ramps.py FOLDER`.
 
-FOLDER holds tables (.csv.gz) of the public recordings that docs/accuracy.md names, several ramps each. Every ramp is
+FOLDER holds tables (.csv.gz) of the public recordings that results/ramps.csv names, several ramps each. Every ramp is
 imported and identified unasked. Nobody knows the true Kc of these actuators: what can be held against the tool is that
 consecutive ramps of one actuator get the same model and the same Kc, where they get one, and that what the model leaves
 unexplained is small or said. A Kc that is refused is no answer: these are counted. Results go to a file of JSON lines,
-so that a study that was stopped goes on; the table goes into docs/accuracy.md. Ends with 1 where a bar is missed.
+so that a study that was stopped goes on; the table goes into results/ramps.csv. Ends with 1 where a bar is missed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from page import machine, write_section
+from page import machine, write_result
 from results import append, rows_of
 
 from hil.cli import app as cli
@@ -161,7 +161,7 @@ def misses(found: dict[str, list[Row]]) -> list[str]:
 
 
 def page(rows: Sequence[Row]) -> str:
-    """The section of docs/accuracy.md: both kinds of ramps, the bars that are missed, and every ramp."""
+    """The tables of results/ramps.csv: both kinds of ramps, the bars that are missed, and every ramp."""
     found = groups(rows)
     kinds = {kind: [mine for name, mine in found.items() if name.endswith(kind)] for kind in ("stiffness", "play")}
     in_order = sorted(rows, key=lambda row: (row["file"], row["number"]))
@@ -187,7 +187,7 @@ def main() -> None:
     append(judge, wanted, options.workers, options.results)
     rows = rows_of(options.results)
     text, broken = page(rows), misses(groups(rows))
-    write_section("ramps", text, file="accuracy.md")
+    write_result("ramps", text)
     print(text)
     sys.exit(1 if broken else 0)
 

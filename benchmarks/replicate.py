@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from page import machine, write_section
+from page import machine, write_result
 
 from ga.bounds import PAPER_BOUNDS
 from ga.evolution.evolution import PRESETS
@@ -101,9 +101,9 @@ def main() -> None:
     print(machine())
     title = "The paper's experiment, in full" if options.full else "The paper's experiment, a hundredth of it"
     command = f"python benchmarks/replicate.py{' --full' * options.full}"
-    write_section(
+    write_result(
         "replicate-full" if options.full else "replicate",
-        f"## {title}\n\n`{command}` writes this section. Measured on {machine()}.\n\n{text}",
+        f"## {title}\n\n`{command}` writes this file. Measured on {machine()}.\n\n{text}",
     )
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from page import DOCS, machine, write_section
+from page import DOCS, machine, write_result
 
 from ga.bounds import bounds_from_data
 from ga.evolution.evolution import PRESETS, advance, begin
@@ -138,14 +138,14 @@ def main() -> None:
         for longest_n in (10**6,)
         if (longest_n, p) in at
     ]
-    write_section(
+    write_result(
         "scaling",
         "## The cost of an evaluation against the length of the recording\n\n"
-        "`python benchmarks/scaling.py` writes this section. One search of the `paper` preset on one core: its first "
+        "`python benchmarks/scaling.py` writes this file. One search of the `paper` preset on one core: its first "
         "million generations grow the cell tree, the next million are timed. Beside it stands the dense engine, which "
         "looks at every sample. The data are five seconds of a chirp, however finely sampled, with 0.2 mN m of noise."
         f"\n\nMeasured on {machine()}; {time.perf_counter() - began:.0f} s in all, at most {peak:.0f} MiB resident.\n\n"
-        f"![Cost of an evaluation](pictures/scaling.png)\n\n{_table(costs)}\n\n"
+        f"{_table(costs)}\n\n"
         f"An evaluation at 1,000,000 samples over one at 2,500, by the number of parameters: {', '.join(ratios)} (bar: "
         f"5).{' Left out for time: ' + ', '.join(left_out) + '.' if left_out else ''}",
     )

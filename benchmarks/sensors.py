@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from page import machine, write_section
+from page import machine, write_result
 from scipy import signal
 
 from hil.errors import Untrustworthy
@@ -289,7 +289,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--only", default="", help="cases whose name holds this")
     parser.add_argument("--verbose", action="store_true")
-    parser.add_argument("--write", action="store_true", help="write the section of docs/accuracy.md")
+    parser.add_argument("--write", action="store_true", help="write results/sensors.csv")
     options = parser.parse_args()
     names = [name for name in CASES if any(part in name for part in options.only.split("|"))]
     head = ["| recording | Kc, worst | Bc, worst | verdicts | model of the first |", "| --- | --- | --- | --- | --- |"]
@@ -302,7 +302,7 @@ def main() -> None:
                 f"    {one.Kc:+.2%} {one.Bc:+.2%} {one.verdict} {one.model} {one.codes} {one.seconds:.1f} s", flush=True
             )
     if options.write:
-        write_section("sensors", "\n".join(["## What sensors do", "", f"{machine()}.", "", *rows]), file="accuracy.md")
+        write_result("sensors", "\n".join([f"{machine()}.", *rows]))
 
 
 if __name__ == "__main__":

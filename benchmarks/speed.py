@@ -2,7 +2,7 @@
 
 Each line is a whole command, imports included: the shortest of some runs by the clock, and the processor time of all
 its processes, which other work on the machine changes less. The first run compiles into an empty cache. With --write it
-writes its section of docs/performance.md.
+writes results/commands.csv.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from page import machine, write_section
+from page import machine, write_result
 
 from ga.model.memory import lagged
 from hil.recording.channels import ROW, Row
@@ -84,7 +84,7 @@ def measured(runs: int) -> Iterator[tuple[str, str, Cost]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--write", action="store_true", help="into docs/performance.md")
+    parser.add_argument("--write", action="store_true", help="write results/commands.csv")
     given = parser.parse_args()
     lines = ["| command | bar | by the clock | processor time |", "| --- | --- | --- | --- |"]
     for what, bar, (clock, processor) in measured(given.runs):
@@ -92,10 +92,10 @@ def main() -> None:
         print(lines[-1], flush=True)
     if given.write:
         table = "\n".join(lines)
-        write_section(
+        write_result(
             "commands",
             "## How long the commands take\n\n"
-            "`python benchmarks/speed.py --write` writes this section: whole commands, imports included, the "
+            "`python benchmarks/speed.py --write` writes this file: whole commands, imports included, the "
             f"shortest of {given.runs} runs. The bars are by the clock on 2 idle cores.\n\n"
             f"Measured on {machine()}.\n\n{table}",
         )

@@ -3,7 +3,7 @@
 Every case of `truth_cases` is recorded `--seeds` times by the simulated stand and as often written from a closed form;
 each recording is identified as `hil identify --json --model MODEL` does it, and by plain least squares with a gradient.
 Results are appended to a file of JSON lines, one recording each, so that a study that was stopped goes on where it was;
-the file's name carries the fingerprint of the code that it judges. The tables and a picture go into docs/accuracy.md.
+the file's name carries the fingerprint of the code that it judges. The tables and a picture go into results/.
 
 `--short` takes a few seeds and goes on with the benches of `truth_benches.py`; it writes no page. Either ends with 1
 where more of a case or bench is confidently wrong than chance explains with 2 % of it.

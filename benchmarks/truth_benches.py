@@ -3,7 +3,7 @@
 Each bench of `benches`, one with two effects drawn at random for each seed, and the default simulated stand as the
 README's command records it, is recorded `--seeds` times and identified as `hil identify REC.h5 --json` does it. A
 result is confidently wrong where the command ends with 0, warns of no misfit, and Kc or Bc is further from the truth
-than 1.5 times half its interval. The table of all results in the file goes into docs/accuracy.md; a study that was
+than 1.5 times half its interval. The table of all results in the file goes into results/benches.csv; a study that was
 stopped goes on. `--short` takes few seeds; both end with 1 where a bench breaks a promise: at most 2 % of a bench
 confidently wrong, and at most 1 % of the benches that a model describes flagged as misfit.
 """
@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import default_stand
 import numpy as np
 from benches import DESCRIBED, MUJOCO, ROWS, Bench, drawn, record, write_csv, write_recording
-from page import machine, write_section
+from page import machine, write_result
 from results import append, rows_of, usual_place
 from truth_page import BEYOND, most_by_chance
 
@@ -222,7 +222,7 @@ def main() -> None:
         seeds, names = range(options.first, options.first + options.seeds), options.bench or NAMES
         judged([Job(seed, name) for seed in seeds for name in names], options.workers, results)
         rows = rows_of(results)
-        write_section("benches", page(rows), file="accuracy.md")
+        write_result("benches", page(rows))
         print(page(rows))
         broken = breaches(rows)
     print("\n".join(broken) or "no promise is broken")

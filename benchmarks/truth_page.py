@@ -1,4 +1,4 @@
-"""The figures of the truth study and the section of docs/accuracy.md that shows them, with its picture."""
+"""The figures of the truth study and the files of results/ that hold them, with a picture."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from page import DOCS, machine, write_section
+from page import RESULTS, machine, write_result
 from scipy.stats import binom
 from truth_cases import BC, CASES, KC, Array, Case, bound
 from truth_recordings import SOURCES
@@ -226,7 +226,6 @@ def tables(model: str, rows: list[Row]) -> str:
             "\n".join([ERROR_HEAD, *identifiable]),
             "\n".join([UNIDENTIFIABLE_HEAD, *unidentifiable]),
             "\n".join([CHOSEN_HEAD, *(chosen_line(*group) for group in groups)]),
-            f"![errors of each case](pictures/{picture_name(model)})",
         ]
     )
 
@@ -272,14 +271,14 @@ def draw(model: str, rows: list[Row]) -> None:
     axes.set_xticks(range(len(shown)), [case.name for case in shown], rotation=20)
     figure.axes[0].legend()
     figure.axes[0].set_title(f"hil identify --model {model}: 5 to 95 % (bars), median and extremes (dots)")
-    (DOCS / "pictures").mkdir(parents=True, exist_ok=True)
-    figure.savefig(DOCS / "pictures" / picture_name(model), dpi=110)
+    RESULTS.mkdir(exist_ok=True)
+    figure.savefig(RESULTS / picture_name(model), dpi=110)
 
 
 def write_page(model: str, rows: list[Row]) -> str:
     """Write the sections on the study and on this model and the picture; the model's section."""
     text = tables(model, rows)
-    write_section("cases", cases_section(), file="accuracy.md")
-    write_section(f"truth {model}", text, file="accuracy.md")
+    write_result("truth-cases", cases_section())
+    write_result(f"truth-{model.replace('+', '-')}", text)
     draw(model, rows)
     return text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import os
 import shutil
@@ -17,17 +18,13 @@ BENCH = ("cma", "cmaes", "deap", "pygad", "pymoo")
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a page of others' sections in which peers.py has run with its tiniest settings."""
+    """A folder in which peers.py has run with its tiniest settings."""
     missing = [name for name in BENCH if importlib.util.find_spec(name) is None]
     if missing:
         pytest.skip(f"PEERS NOT TESTED: {', '.join(missing)} not installed, pip install '.[bench]'")
     folder = tmp_path_factory.mktemp("peers")
-    # a copy writes beside itself, not over the page of the repository
-    shutil.copytree(ROOT / "benchmarks", folder / "benchmarks", ignore=shutil.ignore_patterns("__pycache__"))
-    (folder / "docs").mkdir()
-    (folder / "docs" / "performance.md").write_text(
-        "# Performance\n\nbefore\n\n<!-- peers: begin -->\nold\n<!-- peers: end -->\n\nafter\n"
-    )
+    # a copy writes beside itself, not over the results of the repository
+    shutil.copytree(ROOT / "benchmarks", folder / "benchmarks", ignore=shutil.ignore_patterns("__pycache__", "results"))
     subprocess.run(
         [sys.executable, "benchmarks/peers.py", "--samples", "300", "--seeds", "1", "--cap", "0.1"],
         cwd=folder,
@@ -39,7 +36,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_comparison_with_others_names_every_method_in_its_table(written: Path) -> None:
-    page = (written / "docs" / "performance.md").read_text(encoding="utf-8")
+    text = (written / "benchmarks" / "results" / "peers.csv").read_text(encoding="utf-8")
     methods = (
         "pymoo GA",
         "pygad",
@@ -48,17 +45,11 @@ def test_the_comparison_with_others_names_every_method_in_its_table(written: Pat
         "scipy DE",
         "pycma",
         "cmaes",
-        "hil, default",
-        "hil, paper",
+        '"hil, default"',
+        '"hil, paper"',
     )
-    assert [name for name in methods if f"\n| {name} | " not in page] == []
-
-
-def test_the_comparison_with_others_replaces_its_own_section_only(written: Path) -> None:
-    page = (written / "docs" / "performance.md").read_text(encoding="utf-8")
-    assert page.startswith("# Performance\n\nbefore\n\n<!-- peers: begin -->\n## ")
-    assert page.endswith("<!-- peers: end -->\n\nafter\n")
-    assert "old" not in page.split()
+    assert text.startswith("# Time to the optimum")
+    assert [name for name in methods if f"\n{name}," not in text] == []
 
 
 def test_the_comparison_with_others_draws_its_picture(written: Path) -> None:
@@ -71,18 +62,14 @@ def test_the_design_benchmark_compares_every_case_with_its_prediction(
     """With two of its six cases: a torque that is prescribed, and a deflection."""
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     design = importlib.import_module("design")
-    page = tmp_path / "design.md"
-    page.write_text("before\n<!-- monte carlo: begin -->\nold\n<!-- monte carlo: end -->\nafter\n")
-    monkeypatch.setattr(design, "PAGE", page)
+    monkeypatch.setattr("page.RESULTS", tmp_path)
     monkeypatch.setattr(design, "CASES", (design.CASES[0], design.CASES[4]))
     monkeypatch.setattr("sys.argv", ["design.py", "--seeds", "2"])
     design.main()
-    text = page.read_text(encoding="utf-8")
-    assert text.startswith("before\n")
-    assert text.endswith("after\n")
-    rows = [line.split("|") for line in text.splitlines() if "%" in line and line.startswith("|")]
-    assert [row[3].strip() for row in rows] == ["Kc", "Bc"] * 2
-    assert all(0.0 < float(row[6]) < 10.0 for row in rows)  # the ratio of found to predicted error, of two recordings
+    table = (tmp_path / "design.csv").read_text(encoding="utf-8")
+    rows = list(csv.reader(line for line in table.splitlines() if "%" in line and not line.startswith("#")))
+    assert [row[2] for row in rows] == ["Kc", "Bc"] * 2
+    assert all(0.0 < float(row[5]) < 10.0 for row in rows)  # the ratio of found to predicted error, of two recordings
 
 
 def test_a_changed_byte_of_a_recording_is_noticed_or_has_no_effect() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -254,7 +255,7 @@ def test_the_commands_of_the_page_run(
     monkeypatch.setattr("hil.api.planning.best", lambda asked, duration, _: short(asked, duration))
     Path("stand.toml").write_text(REAL)
     page = (Path(__file__).parents[3] / "docs" / "design.md").read_text(encoding="utf-8")
-    commands = [line for line in page.splitlines() if line.startswith("hil design")]
+    commands = re.findall(r"(?m)(?:^|`)(hil design --[^`\n]+)", page)
     assert len(commands) == 3
     for command in commands:
         assert hil(shlex.split(command)[1:]) == 0, capfd.readouterr().err
