@@ -1,4 +1,4 @@
-"""Several recordings of one joint side by side: whether Kc and Bc repeat and drift, and the error of one recording."""
+"""Compare several recordings of one joint: whether Kc and Bc repeat or drift, and how far one recording is off."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 
 COMPARED = ("Kc", "Bc")
-"""The parameters that are compared: the coupling's; other terms belong to the stand."""
+"""The parameters that are compared: those of the coupling. Other terms belong to the stand."""
 
 _CHANCE = 0.05
 _SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_scale_uncertainty` has it
@@ -31,11 +31,12 @@ _HOUR = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The result of one recording. created: UTC, None where it is not known. hours: since the first of all.
+    """The result of one recording. created: UTC, None if unknown. hours: since the first recording.
 
-    estimates: of COMPARED, by name; {} where the recording could not be used. identifiable: the names of those that it
-    identifies. model: the model that was fitted. torque_uncertainty: of the torque's scale, relative, one standard
-    deviation: it widens the intervals of all recordings of a stand alike, and is in no difference between them.
+    estimates: those of COMPARED, by name; {} if the recording could not be used. identifiable: the names of the
+    parameters that it identifies. model: the fitted model. torque_uncertainty: of the torque's scale, relative, one
+    standard deviation: it widens the intervals of all recordings of a stand in common, and cancels in their
+    differences.
     """
 
     path: Path
@@ -51,9 +52,9 @@ class Measured:
 class Repeated:
     """One parameter over all recordings that identify it.
 
-    pooled: None with fewer than two recordings; the torque's uncertainty is in its error and interval, and not in its
-    variance components. drift: per hour, in the parameter's unit; None with fewer than three.
-    repeats: whether the recordings' own errors explain all differences; None where that cannot be decided. verdict: a
+    pooled: None for fewer than two recordings. It includes the torque's uncertainty in its error and interval, not in
+    its variance components. drift: per hour, in the parameter's unit; None for fewer than three recordings. repeats:
+    whether the errors of the single recordings explain all differences; None if that cannot be decided. verdict: a
     sentence or two.
     """
 
@@ -88,11 +89,12 @@ def compare(
     progress: Progress | None = None,
     cluster: str | None = None,
 ) -> Comparison:
-    """Identify `model` in each recording on its own, and separate the variance within recordings from that between.
+    """Identify `model` in each recording separately, and split the variance into that within and that between
+    recordings.
 
-    progress is called with the fraction that is done; cluster: as `identify_each`. Raises WrongUse for fewer than two
-    recordings, for different stands, for the same run twice and for a model without Kc and Bc. A recording that cannot
-    be used is left out, with a warning.
+    progress is called with the fraction done. cluster: see `identify_each`. A recording that cannot be used is left out
+    with a warning. Raises WrongUse for fewer than two recordings, different stands, the same run twice, or a model
+    without Kc and Bc.
     """
     if len(paths) < 2:
         raise WrongUse("a comparison needs at least two recordings")
@@ -136,7 +138,7 @@ def _name(model: Coupling | None) -> str:
 
 
 def _origin(source: Source) -> tuple[datetime | None, bool]:
-    """When a recording was made, None where it is not known; and whether it was imported, at another time."""
+    """Return when a recording was made, None if unknown, and whether it was imported, at a later time."""
     if source.recording.imported:
         return None, True
     try:

@@ -1,4 +1,4 @@
-"""From recordings to the searched data: signals in memory where they fit, else a table of columns on disk."""
+"""Build the data of the search from recordings: signals in memory if they fit, otherwise a table of columns on disk."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from hil.uncertainty.blocks import Block, Blocks
 
 Array = NDArray[np.float64]
 Choose = Callable[[Signals, bool], Choice]
-"""Return the model for signals; the second argument is whether they are all the signals."""
+"""A function that returns the model for signals; its second argument says whether these are all signals."""
 
 IN_MEMORY = 4_000_000
-"""Rows, of all recordings together, up to which they are held in memory."""
+"""Rows of all recordings together, up to which the signals are held in memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dataset:
-    """The recordings, pooled.
+    """The pooled recordings.
 
-    choice: the model, anchored to them, and why. signals: all of them, or stretches of larger ones; whole: whether they
-    are all. used (n,): which of these signals are fitted. blocks: columns of the linear parameters, and torque, of all
-    fitted samples; in_memory: of those in `signals`. edges: where each recording ends in the blocks. uncertainty: of
-    the torque's scale, relative, one standard deviation. place: where the joint is unloaded, from which the deflections
-    of the signals count.
+    choice: the model, anchored to them, and why it was chosen. signals: all signals, or pieces of them if they do not
+    fit in memory; whole: whether they are all. used (n,): which of these samples are fitted. blocks: columns of the
+    linear parameters, and torque, of all fitted samples; in_memory: of those in `signals`. edges: the row at which each
+    recording ends in the blocks. uncertainty: of the torque's scale, relative, one standard deviation. place: the
+    deflection at which the joint is unloaded, from which the deflections of the signals count.
     """
 
     choice: Choice
@@ -52,7 +52,7 @@ class Dataset:
 
     @property
     def samples(self) -> int:
-        """The number of samples that are fitted."""
+        """Return the number of fitted samples."""
         return self.blocks.rows
 
 
@@ -60,10 +60,10 @@ class Dataset:
 def open_dataset(
     sources: Sequence[Source], choose: Choose, progress: Progress | None = None, *, rest: Rest = unloaded
 ) -> Iterator[Dataset]:
-    """Pool the recordings with the model that `choose` returns.
+    """Pool the recordings, with the model that `choose` returns.
 
-    progress is called at every pass through recordings that do not fit in memory. rest: by which it is found where the
-    joint is unloaded, from which deflections count. Raises WrongUse, Untrustworthy as `Source.verify`, reading and
+    progress is called at every pass through recordings that do not fit in memory. rest: the function that finds the
+    unloaded place, from which deflections count. Raises WrongUse, Untrustworthy as `Source.verify`, reading and
     `prepare`.
     """
     for source in sources:
@@ -120,7 +120,7 @@ def _other_zero(reference: float) -> list[Diagnostic]:
 
 
 def _command(source: Source, part: Signals) -> Array | None:
-    """The set-points (n,) at the times of the signals; None where they were not recorded."""
+    """Return the set-points (n,) at the times of the signals; None if they were not recorded."""
     time, command = source.recording.channel("time"), source.recording.channel("command")
     good = np.isfinite(time) & np.isfinite(command)
     return np.interp(part.motion.time, time[good], command[good]) if good.any() else None
@@ -135,7 +135,9 @@ def _to_disk(
     *,
     reference: float,
 ) -> tuple[tuple[int, ...], list[Diagnostic]]:
-    """Write all columns and torque to the table; return where each recording ends in it, and the diagnostics."""
+    """Write all columns and the torque to the table; return the row at which each recording ends, and the
+    diagnostics.
+    """
     edges, diagnostics, read, held = [], [], 0, 0
     rows = sum(len(source.recording) for source in sources)
     for source, (recording, stretches) in zip(sources, long, strict=True):
@@ -153,7 +155,7 @@ def _to_disk(
 
 
 def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> Block:
-    """Columns (m, p) and torque (m,) of the samples that are used; nonlinear parameters are left at zero."""
+    """Return columns (m, p) and torque (m,) of the samples that are used, with the nonlinear parameters at zero."""
     model, motion = choice.model, signals.motion
     columns, target = model.columns(motion), model.target(motion, signals.torque)
     kept = slice(None) if used.all() else used  # mostly all are: nothing need be copied

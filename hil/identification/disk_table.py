@@ -23,9 +23,9 @@ _ROWS = 1 << 18  # rows read at a time
 
 
 class DiskTable:
-    """Rows of columns and torque, in SI, in an unnamed file beside `beside`, deleted when closed.
+    """Rows of columns and torque, SI, in an unnamed file in the folder of `beside`, deleted when closed.
 
-    progress is called during each pass. Raises WrongUse where the disk has no room for `rows` rows of `width` columns.
+    progress is called during each pass. Raises WrongUse if the disk has no room for `rows` rows of `width` columns.
     """
 
     def __init__(self, beside: Path, rows: int, width: int, progress: Progress | None = None) -> None:
@@ -45,7 +45,7 @@ class DiskTable:
         self._file.close()
 
     def extend(self, columns: Array, torque: Array) -> None:
-        """Add rows: columns (m, p), torque (m,) N m. Raises WrongUse where the disk is full."""
+        """Add rows: columns (m, p), torque (m,) N m. Raises WrongUse if the disk is full."""
         with writing(Path(str(self._file.name))):
             self._write(columns, self.rows * self._width)
             self._write(torque, self._torque + self.rows)

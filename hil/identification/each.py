@@ -1,4 +1,6 @@
-"""Recordings identified each on its own, here or spread over processes and computers, with the same bits."""
+"""Identify several recordings separately, in this process or spread over processes and computers, with equal
+results.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,10 @@ _FEWEST = 3  # tasks that are spread
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One identification: recordings, pooled, with a model (None: model selection). fixture: the empty rig's recording.
+    """One identification: recordings to pool, the model (None: model selection), and the empty rig's recording
+    (fixture).
 
-    folder: where the paths begin, on every computer.
+    folder: the folder that relative paths start from, on every computer.
     """
 
     recordings: tuple[Path, ...]
@@ -38,7 +41,7 @@ class Task:
 
 
 Result = Identification | Untrustworthy
-"""An identification, or why there is none."""
+"""An identification, or the reason why there is none."""
 
 
 def identified(task: Task, progress: Progress | None = None) -> Result:
@@ -61,11 +64,11 @@ def identified(task: Task, progress: Progress | None = None) -> Result:
 
 
 def identify_each(tasks: Sequence[Task], cluster: str | None = None, progress: Progress | None = None) -> list[Result]:
-    """Return the result of each task, in their order.
+    """Return the result of each task, in the order of the tasks.
 
-    The search of the first task says how many may run at a time. cluster: the address of a Dask scheduler, or "local";
-    None: processes of this computer, which are started where the tasks after one take long enough, judged while the
-    first still runs. Raises WrongUse.
+    The search of the first task says how many may run at a time. cluster: the address of a Dask scheduler, or "local".
+    None: processes of this computer, which are started if the remaining tasks take long enough, as estimated while the
+    first one runs. Raises WrongUse.
     """
     if not tasks:
         return []
@@ -89,7 +92,7 @@ def identify_each(tasks: Sequence[Task], cluster: str | None = None, progress: P
 def _spread(
     tasks: Sequence[Task], alone: Sequence[Task], progress: Progress | None, on_done: Callable[[int], None]
 ) -> list[Result]:
-    """Do the tasks here and in other processes. alone: the same for one core each."""
+    """Run the tasks here and in other processes. alone: the same tasks with one core each."""
     workers, count, began = tasks[0].search.workers, len(tasks), time.perf_counter()
     delay = _WORTH / (count - 1)
 
@@ -101,7 +104,9 @@ def _spread(
 
 
 def _whole(task: Task, progress: Progress | None = None) -> Result:
-    """Return the result of a task. Raises KeyboardInterrupt where Ctrl-C ended its search: it ends the others too."""
+    """Return the result of a task. Raises KeyboardInterrupt if Ctrl-C ended its search, so that the other tasks end
+    too.
+    """
     found = identified(task, progress)
     if isinstance(found, Identification) and found.trials.interrupted:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""What a fit and its recording say of each parameter: value, interval, whether it is identifiable, its bounds."""
+"""What a fit and its recording say about each parameter: value, interval, bounds, and whether it is identifiable."""
 
 from __future__ import annotations
 
@@ -33,28 +33,29 @@ Array = NDArray[np.float64]
 
 UNLOADED_PLACE = "unloaded place"
 DEFLECTION = "deflection"
-"""What the Kc of a spring that curves depends on, where nobody knows where the joint is unloaded."""
+"""What the Kc of a spring that curves depends on, if it is not known where the joint is unloaded."""
 
 _NONE = (0.0, 0.0)  # the size of a misfit in a parameter that is neither Kc nor Bc
 _MARGIN = 1e-4  # part of a range within which a value is at its end
 
 
 Span = tuple[float, float, str]
-"""The least and the largest Kc, N m/rad, of a model without a single one, and what it depends on, "" for its errors."""
+"""The smallest and the largest Kc, N m/rad, of a model that has no single one, and what Kc depends on ("": only on
+errors).
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What identifiability is derived from.
+    """The facts from which identifiability is derived.
 
-    reference: rad, the encoder's reading that the deflections of the signals count from. columns: (m, p + q), of the
-    signals. values, low, high: (p + q,), SI, of all parameters. exact: the values and half the intervals given the
-    model, where `values` and `errors` are averaged over models. scattered: the variance components of pooled
-    recordings. unbounded: the values without signs, and half of their intervals, None where they are the same. gap: of
-    the optimiser, relative. deflection: what its errors do to the values, None where the rate was recorded too.
-    unmoved: why nothing moved, "" where it did.
-    selected: whether the model was selected, and not named. span: of Kc, where a model was selected that has no single
-    one and the motion met all of it, or where it is not known where the joint is unloaded.
+    reference: the encoder reading, rad, that the deflections count from. columns (m, p + q): of the signals. values,
+    low, high (p + q,): of all parameters, SI. exact: values and half intervals for the selected model, where `values`
+    and `errors` are averaged over models. scattered: the variance components of pooled recordings. unbounded: the
+    values without sign constraints, and their half intervals; None if they are the same. gap: the optimiser's,
+    relative. deflection: what errors of the deflection do to the values; None if the rate was recorded too. unmoved:
+    why nothing moved, "" if it did. selected: whether the model was selected, and not named. span: the range of Kc, if
+    a selected model has no single one and the motion covered the range, or if the unloaded place is unknown.
     """
 
     model: Coupling
@@ -78,26 +79,26 @@ class Evidence:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, the linear ones first."""
+        """Return all parameters, the linear ones first."""
         return (*self.model.linear, *self.model.nonlinear)
 
     @property
     def names(self) -> list[str]:
-        """All parameters' names."""
+        """Return the names of all parameters."""
         return [parameter.name for parameter in self.parameters]
 
     @property
     def zeros(self) -> Array:
-        """What parameters (p + q,) that are a place count from, by the encoder's reading; 0 for all others."""
+        """Return the encoder reading that each parameter (p + q,) counts from if it is a place; 0 for all others."""
         return np.array([self.reference if parameter.place else 0.0 for parameter in self.parameters])
 
     @property
     def has_friction(self) -> bool:
-        """Whether a parameter of the model is friction."""
+        """Return whether a parameter of the model is friction."""
         return any(parameter.friction for parameter in self.parameters)
 
     def identifiable(self, at: int) -> bool:
-        """Return whether the recording identifies the parameter at that place."""
+        """Return whether the recording identifies the parameter with this index."""
         half, value, name = float(self.errors.half_width[at]), float(self.values[at]), self.names[at]
         found = distinguishable(half, float(self.errors.inflation[at])) or self._known_beside_its_term(at)
         if name == "Bc":  # friction that the model leaves out would be in it, whatever the interval
@@ -109,9 +110,10 @@ class Evidence:
         return found
 
     def _known_beside_its_term(self, at: int) -> bool:
-        """Whether a parameter that is only like another one of its own term is known within its interval.
+        """Return whether a parameter that resembles only a parameter of its own term is known within its interval.
 
-        The two say together how a law is shaped, as the rise of an exponential stiffness and its exponent do.
+        Two such parameters together describe the shape of one law, as the rise and the exponent of an exponential
+        stiffness do.
         """
         terms = self.model.terms if isinstance(self.model, CouplingModel) else ()
         alike = {one.name for term in terms for one in term.parameters if self.parameters[at] in term.parameters}
@@ -124,25 +126,27 @@ class Evidence:
 
     @property
     def friction_likeness(self) -> float:
-        """The part of a damping torque that dry friction would explain, 0 where the model has friction.
+        """Return the fraction of a damping torque that dry friction would explain; 0 if the model has friction.
 
-        0 for a user's own model, which may have friction by any name.
+        0 for a user's own model, which may contain friction under any name.
         """
         return 0.0 if self.has_friction or not self.model.linear else friction_likeness(self.signals.motion.dtheta_dot)
 
     def is_zero(self, at: int) -> bool:
-        """Return whether the bounds of the parameter end at zero, which physics allows nothing below of."""
+        """Return whether physics allows no negative value of the parameter and its bounds include zero."""
         return self.parameters[at].positive and bool(self.low[at] <= 0.0)
 
     def contradicted(self, at: int) -> float | None:
-        """Return the negative value that the data give a parameter which has none; None where they allow zero."""
+        """Return the negative value that the data give to a parameter that cannot be negative; None if they allow
+        zero.
+        """
         if self.unbounded is None or not self.parameters[at].positive:
             return None
         value, half = (float(of[at]) for of in self.unbounded)
         return value if value + half < 0.0 else None
 
     def at_bound(self, at: int) -> str | None:
-        """Return which end of its bounds the exact optimum lies at or beyond, None for neither."""
+        """Return which end of its bounds the exact optimum reaches; None for neither."""
         value, half = (float(of[at]) for of in self.exact)
         near = min(_MARGIN * (self.high[at] - self.low[at]), half)
         if value <= self.low[at] + near:
@@ -151,9 +155,10 @@ class Evidence:
 
 
 def sliding(values: Mapping[str, float], deflected: float = 0.0) -> tuple[float, float] | None:
-    """Return by how much Kc is higher before friction slides, N m/rad, and over which deflection, rad; None without.
+    """Return by how much Kc is higher before friction slides, N m/rad, and up to which deflection, rad; None if it is
+    not.
 
-    values: of a model, SI, by name. deflected: rad, at whose torque friction in proportion to it is taken.
+    values: of a model, SI, by name. deflected: the deflection, rad, at whose torque proportional friction is taken.
     """
     length = values.get("reach", values.get("yield", 0.0))
     force = values.get("Fd", values.get("Fy", 0.0)) + values.get("mu", 0.0) * values.get("Kc", 0.0) * deflected
@@ -161,11 +166,11 @@ def sliding(values: Mapping[str, float], deflected: float = 0.0) -> tuple[float,
 
 
 def span_of_stiffness(values: Mapping[str, float], *, sliding_only: bool = False) -> Span | None:
-    """Return the least and the largest Kc, N m/rad, of a model that has no single one, and what it depends on.
+    """Return the smallest and the largest Kc, N m/rad, of a model without a single one, and what it depends on.
 
-    None for one Kc, or the mean of two that are not far apart. Friction that grows with the torque is no stiffness: a
-    spring that yields would not. values: as of `sliding`. sliding_only: whether the stiffness before friction slides
-    counts for nothing.
+    None for a single Kc, and for two that are close, where Kc is their mean. Friction in proportion to the torque is
+    not counted as a stiffness. values: see `sliding`. sliding_only: whether the stiffness before friction slides is
+    ignored.
     """
     before = None if "mu" in values else sliding(values)
     kc, half = values.get("Kc", 0.0), abs(values.get("Ka", 0.0))
@@ -177,20 +182,21 @@ def span_of_stiffness(values: Mapping[str, float], *, sliding_only: bool = False
 
 
 def span_met(motion: Motion, names: Sequence[str], values: Array, half_width: Array) -> Span | None:
-    """Return `span_of_stiffness` of values (p + q,), SI, without what hardly any of a motion meets.
+    """Return `span_of_stiffness` of values (p + q,), SI, limited to what the motion meets.
 
-    half_width (p + q,): of their intervals; stiffness before friction slides counts where it moves Kc out of its own.
+    half_width (p + q,): the half intervals of the values. Stiffness before friction slides counts if it moves Kc out of
+    its interval.
     """
     given = dict(zip(names, values.tolist(), strict=True))
     return span_of_stiffness(given, sliding_only=_slides(motion, given, float(half_width[names.index("Kc")])))
 
 
 def _slides(motion: Motion, values: Mapping[str, float], half_width: float) -> bool:
-    """Whether friction slides in nearly all of a motion: it stiffens it by less than half the interval of Kc.
+    """Return whether friction slides in nearly all of a motion: sticking changes Kc by less than half of its interval.
 
-    values: as of `sliding`; half_width: N m/rad. The stiffening is the slope, over the deflection between two
-    reversals, of friction that builds up as -1 + 2 (1 - exp(-x/reach)): small where the joint travels many reaches. The
-    travel is that of a sine of the same standard deviation.
+    values: see `sliding`; half_width: N m/rad. The stiffening is the slope, over the deflection between two reversals,
+    of friction that builds up as -1 + 2 (1 - exp(-x/reach)); it is small where the joint travels many times `reach`.
+    The travel is that of a sine with the same standard deviation.
     """
     before = sliding(values)
     if before is None:
@@ -202,7 +208,7 @@ def _slides(motion: Motion, values: Mapping[str, float], half_width: float) -> b
 
 
 def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
-    """Return the estimates of all parameters, in the model's order; places count from the encoder's zero."""
+    """Return the estimates of all parameters in the model's order; places count from the encoder's zero."""
     found, span, trials = [], evidence.span, evidence.trials
     for at, (parameter, zero) in enumerate(zip(evidence.parameters, evidence.zeros.tolist(), strict=True)):
         value, half = zero + float(evidence.values[at]), float(evidence.errors.half_width[at])
@@ -231,9 +237,10 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
 
 
 def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Estimate, ...]:
-    """Return the estimates, the intervals of Kc and Bc wider by what the model lacks.
+    """Return the estimates, with the intervals of Kc and Bc widened by what the model lacks.
 
-    One that is too wide by it is not identifiable, unless the misfit is an error by itself, which says how large it is.
+    A parameter whose interval becomes too wide is not identifiable, unless the misfit is already an error that states
+    its size.
     """
     sizes = dict(zip(COUPLING, zip(fit.in_intervals, fit.at_zero, strict=True), strict=True)) if fit else {}
     lacks = {one.name: size * (zero or abs(one.value)) for one in found for size, zero in [sizes.get(one.name, _NONE)]}
@@ -242,9 +249,10 @@ def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Est
 
 
 def _wider(one: Estimate, lack: float, *, is_said: bool) -> Estimate:
-    """Return the estimate with an interval wider by a lack, in its unit.
+    """Return the estimate with its interval widened by a misfit, in the parameter's unit.
 
-    Pooled recordings that differ fail the tests of the fit by that, and their interval holds it: the larger counts.
+    Differences between pooled recordings also fail the lack-of-fit tests, and the interval already includes them: the
+    larger of the two widenings is used.
     """
     half = one.half_width
     more = lack if one.components is None else max(0.0, lack - half)

@@ -1,4 +1,4 @@
-"""Kc and Bc of the joint without the compliance of its fixture, which an empty-rig recording identifies."""
+"""Kc and Bc of the joint alone: the compliance of its fixture, known from an empty-rig recording, is removed."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def identify_without_fixture(
 ) -> Identification:
     """Fit a model to the recordings of the joint and to the empty-rig recording, and remove the fixture's compliance.
 
-    fixture: that recording, or a stand file that names it. Raises as `hil.identification.identify.identify`, WrongUse
-    where the empty rig is another stand or one of the recordings, and for a model without Kc and Bc; Untrustworthy as
-    `without_fixture`.
+    fixture: the empty-rig recording, or a stand file that names it. Raises as `hil.identification.identify.identify`;
+    WrongUse if the empty rig is of another stand or is one of the recordings, and for a model without Kc and Bc;
+    Untrustworthy as `without_fixture`.
     """
     _check_names(model)
     with open_sources([*paths, empty_rig(fixture)]) as (*sources, rig):
@@ -43,9 +43,9 @@ def identify_without_fixture(
 
 
 def empty_rig(path: Path) -> Path:
-    """Return the empty-rig recording: the file itself, or the one that `hil calibrate fixture` wrote into a stand file.
+    """Return the empty-rig recording: the given file, or the one that `hil calibrate fixture` wrote into a stand file.
 
-    Raises WrongUse where the stand file names none, or where its recording has been replaced.
+    Raises WrongUse if the stand file names none, or if that recording has been replaced.
     """
     if path.suffix != ".toml":
         return path
@@ -74,8 +74,8 @@ def _check_names(model: Coupling | None) -> None:
 def without_fixture(found: Identification, fixture: Identification) -> Identification:
     """Return Kc and Bc of the joint alone, with the errors of both recordings in their intervals.
 
-    The diagnostics of the empty-rig recording are among the result's, with an error for a parameter that is no longer
-    identifiable. Raises Untrustworthy where the fixture is softer than the joint, or its recording does not identify
+    The diagnostics include those of the empty-rig recording, and an error for each parameter that is no longer
+    identifiable. Raises Untrustworthy if the fixture is softer than the joint, or if its recording does not identify
     its stiffness.
     """
     if not fixture["Kc"].identifiable:
@@ -114,7 +114,9 @@ def _explained(found: Identification) -> list[Diagnostic]:
 
 
 def _of_fixture(fixture: Identification) -> list[Diagnostic]:
-    """The diagnostics of the fixture; an unidentifiable damping is no error, since the intervals include it."""
+    """Return the diagnostics of the fixture; damping that is not identifiable is no error, as the intervals include
+    it.
+    """
     return [
         Diagnostic(
             one.code,

@@ -52,10 +52,10 @@ _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable mo
 def identify(
     paths: Sequence[Path], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
-    """Fit a model to the recordings, pooled; None: the model that model selection chooses.
+    """Fit a model to the pooled recordings. model None: the model that model selection chooses.
 
-    Ctrl-C during the search ends the search only: its result so far is returned, with the trials marked as interrupted.
-    Raises WrongUse, and Untrustworthy where the recordings cannot be used at all; lesser doubts are in the diagnostics.
+    Ctrl-C during the search ends only the search: the result so far is returned, with its trials marked as interrupted.
+    Raises WrongUse, and Untrustworthy if the recordings cannot be used at all; lesser doubts are in the diagnostics.
     """
     with compiled_ahead(), open_sources(paths) as sources:
         return identify_sources(sources, model, search, progress)
@@ -64,7 +64,7 @@ def identify(
 def identify_sources(
     sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
-    """Do what `identify` does with open recordings, on one core: on several, the last digit would be the computer's."""
+    """Do what `identify` does with open recordings, on one core: several cores would change the last digit."""
     with ThreadpoolController().limit(limits=1, user_api="blas"):
         return _identified(sources, model, search, progress)
 
@@ -132,7 +132,7 @@ def _identified(
 
 
 def _evidence(data: Dataset, solution: Solution) -> Evidence:
-    """The intervals, the validation and the gap, by which the result is judged."""
+    """Return what the result is judged by: intervals, validation and optimiser gap."""
     parameters = (*data.choice.model.linear, *data.choice.model.nonlinear)
     sampling = confidence_intervals(solution.blocks, solution.values)
     pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
@@ -175,7 +175,9 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
 
 
 def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
-    """The relative uncertainty (p,) of what the parameters are proportional to: the torque, and for Bc the rate too."""
+    """Return the relative uncertainty (p,) of the scale of each parameter: that of the torque and, for Bc, of the
+    rate.
+    """
     torque = np.array([data.uncertainty if parameter.scales else 0.0 for parameter in parameters])
     rate = np.array([RATE_ACCURACY if parameter.name == "Bc" else 0.0 for parameter in parameters])
     return np.asarray(np.hypot(torque, rate))
@@ -184,9 +186,9 @@ def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
 def _averaged(
     data: Dataset, solution: Solution, half_width: Array, deflection: DeflectionErrors | None
 ) -> tuple[Array, Array]:
-    """The values (p + q,) and half of their intervals, Kc and Bc averaged over models where one was selected.
+    """Return the values (p + q,) and half intervals, with Kc and Bc averaged over models if one was selected.
 
-    All are corrected for errors of the deflection, each model on its own: a larger one suffers more from them.
+    Each model is corrected separately for errors of the deflection: they change a larger model more.
     """
     half_width = half_width.copy()
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
@@ -201,7 +203,7 @@ def _averaged(
 
 
 def _described(data: Dataset, solution: Solution, evidence: Evidence, *, differ: bool) -> Described:
-    """The signals and the fit to them, to be tested; differ: whether the recordings do."""
+    """Return the signals and the fit to be tested; differ: whether the recordings differ from each other."""
     columns, target = next(iter(solution.blocks())) if data.choice.model.nonlinear else data.in_memory
     return Described(
         model=data.choice.model,
@@ -217,10 +219,10 @@ def _described(data: Dataset, solution: Solution, evidence: Evidence, *, differ:
 
 
 def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: Solution) -> tuple[Step, ...]:
-    """The steps of model selection, the last included one with the values of the result.
+    """Return the steps of model selection, with the values of the result in the last included one.
 
-    Model selection sees the samples before those where the joint may stick are left out, and of a recording that does
-    not fit in memory only a part, so that its own values differ in the last digits.
+    Model selection also uses samples in which the joint may stick, and only a part of a recording that does not fit in
+    memory, so its own values differ in the last digits.
     """
     if not steps:
         return ()
@@ -230,7 +232,7 @@ def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: Sol
 
 
 def _stationarity(data: Dataset, solution: Solution) -> list[Diagnostic]:
-    """The check of Kc over each recording; left out where the samples would have to be read from disk again for it."""
+    """Return the diagnostics of Kc over each recording; [] if the samples would have to be read from disk again."""
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
     return stationarity_errors(solution.blocks, data.edges, names.index("Kc")) if data.whole and "Kc" in names else []
 

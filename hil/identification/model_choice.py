@@ -1,4 +1,4 @@
-"""The model that a recording is fitted with: a named one, a user's own, or the one that model selection finds."""
+"""The model that is fitted to a recording: a named one, a user's own, or the one that model selection finds."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ class Coupling(SeparableModel, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The model, anchored to the data, and the steps of its selection, none where it was named, with the alternatives.
+    """The model, anchored to the data, with the steps of its selection (none if it was named) and the alternatives.
 
-    sticking: whether friction holds the joint where it is slow, so that the model does not describe those samples.
-    delay: s, how much older the torque reading is, which decides where it is slow.
+    sticking: whether friction holds the joint in slow samples, so that the model does not describe these. delay: how
+    much older the torque reading is than the angle's, s; it decides which samples are slow.
     """
 
     model: Coupling
@@ -64,15 +64,15 @@ class Choice:
         return self.model.described(motion, self.delay) if self.sticking else np.ones(len(motion), dtype=bool)
 
     def described(self, signals: Signals) -> NDArray[np.bool_]:
-        """Return which samples (n,) the model describes: the joint moves, at a rate that is known."""
+        """Return which samples (n,) the model describes: those in which the joint moves, at a known rate."""
         return self.moving(signals.motion) & signals.rate_known
 
 
 def choose(model: Coupling | None, signals: Signals, *, linear_only: bool) -> Choice:
-    """Return the model for the signals, for None by model selection.
+    """Return the model for the signals; None: by model selection.
 
-    linear_only: only models that are linear in their parameters, as a search of the `paper` preset or of a recording
-    that does not fit in memory asks for. Raises WrongUse for another, Untrustworthy where no model can be fitted.
+    linear_only: allow only models that are linear in their parameters, as the `paper` preset and recordings that do not
+    fit in memory need. Raises WrongUse for another model, Untrustworthy if no model can be fitted.
     """
     if model is not None and linear_only and model.nonlinear:
         raise WrongUse(
@@ -102,9 +102,9 @@ def _named(model: Coupling, signals: Signals) -> Choice:
 
 
 def _selected(signals: Signals, *, linear_only: bool) -> Choice:
-    """The model selected; where friction holds the joint, selected again without the samples it does so in.
+    """Return the selected model; if friction holds the joint, selected again without the samples in which it does.
 
-    Where a sign is wrong, no model is right, and the smallest shows it.
+    If torque or angle has the wrong sign no model is right, and the smallest one shows it.
     """
     if negative_stiffness(signals.motion, signals.torque) is not None:
         return _named(parse("linear+offset"), signals)
@@ -143,9 +143,10 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
 def _turning_smoothly(
     sticking: Selection, signals: Signals, seen: NDArray[np.bool_], considered: _Considered
 ) -> Selection | None:
-    """The model whose friction turns smoothly, if it describes the samples that friction seemed to hold the joint in.
+    """Return the model with smoothly reversing friction, if it describes the samples that seemed to be held by
+    friction.
 
-    They are needed: without them such friction is hardly another law than one that turns at once.
+    These samples are needed: without them such friction is hardly distinguishable from friction that reverses at once.
     """
     if SMOOTH.name not in considered.rarer:
         return None
@@ -167,8 +168,9 @@ def _turning_smoothly(
 
 @dataclass(frozen=True, slots=True)
 class _Considered:
-    """The terms that model selection may include, rarer ones only where those are not enough, and those by which the
-    torque may be read late.
+    """The terms that model selection may include. rarer: considered only if the others do not describe the recording.
+
+    accounts: the terms by which the torque reading may be delayed.
     """
 
     terms: tuple[str, ...]
@@ -176,7 +178,7 @@ class _Considered:
     accounts: tuple[str, ...]
 
     def with_usual(self, term: str) -> _Considered:
-        """Return the same with a rarer term among the usual ones."""
+        """Return the same with a rare term among the common ones."""
         return replace(self, terms=(*self.terms, term), rarer=tuple(one for one in self.rarer if one != term))
 
 
@@ -186,7 +188,7 @@ def _select(
     considered: _Considered,
     sticks: Callable[[Selection], bool] = lambda _selection: False,
 ) -> Selection:
-    """The model selected from the samples seen (n,); sticks: as of `stepwise.select`."""
+    """Return the model selected from the samples seen (n,); sticks: see `stepwise.select`."""
     return stepwise.select(
         _seen(signals.motion, seen),
         signals.torque[seen],
@@ -201,7 +203,7 @@ def _select(
 
 
 def _moving(found: Selection, motion: Motion) -> NDArray[np.bool_]:
-    """In which samples (n,) friction does not hold the joint, where those that it may hold it in fit worse."""
+    """Return in which samples (n,) friction does not hold the joint, if the model fits the others worse."""
     if _is_sticking(found.model, motion, found.delay, found.residuals):
         return found.model.described(motion, found.delay)
     return np.ones(len(motion), dtype=bool)
@@ -212,11 +214,11 @@ def _seen(motion: Motion, rows: NDArray[np.bool_]) -> Motion:
 
 
 def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_], *, averaged: bool) -> bool:
-    """Whether the model selected from the samples seen (n,) passes the tests of its fit, however small what it lacks.
+    """Return whether the model selected from the samples seen (n,) passes the lack-of-fit tests, however small its
+    misfit.
 
-    averaged: whether it may lack small effects that every bench has, and whether no proof that it lacks any is enough.
-
-    Noise of the deflection is no lack of a term, and rarer ones would be made of it.
+    averaged: whether it may lack the small effects that every bench has, and whether a test that proves nothing is
+    enough. Noise of the deflection is not counted as a missing term: rare terms would be selected to explain it.
     """
     fitted = _moving(found, _seen(signals.motion, seen))
     kept = seen.copy()
@@ -240,17 +242,19 @@ def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_], *, a
 
 
 def _is_sticking(model: Coupling, motion: Motion, delay: float, residuals: Array) -> bool:
-    """Whether the samples that friction may hold the joint in fit worse than the others: all, or those of one decade.
+    """Return whether the samples in which friction may hold the joint fit worse than the others, in all or in one
+    decade.
 
-    In a long rest nothing moves, and its many samples may fit well beside those in which the joint comes to it.
+    During a long rest nothing moves, and its many samples may fit well while those at its beginning do not.
     """
     return _are_worse(~model.described(motion, delay), motion, residuals)
 
 
 def _are_worse(slow: NDArray[np.bool_], motion: Motion, residuals: Array, little: float = 0.0) -> bool:
-    """Whether the slow samples (n,) of a motion fit worse than the others: all, or those of one decade of the rate.
+    """Return whether the slow samples (n,) of a motion fit worse than the others, all or those of one decade of the
+    rate.
 
-    little: N m, an error that is no sign of it.
+    little: an error, N m, that is too small to count.
     """
     described = ~slow
     if described.all() or np.count_nonzero(described) < FEWEST:  # too few to fit a model to

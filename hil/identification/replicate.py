@@ -32,7 +32,9 @@ _MEASURE = 0.5  # s over which the NumPy expression is timed
 
 @dataclass(frozen=True, slots=True)
 class Replication:
-    """The result. truth: of the simulated stand, SI. numpy_seconds: of one evaluation with NumPy, same data."""
+    """The result. truth: of the simulated stand, SI. numpy_seconds: time of one evaluation with NumPy on the same
+    data.
+    """
 
     identification: Identification
     truth: dict[str, float]
@@ -41,14 +43,14 @@ class Replication:
 
     @property
     def evaluations_per_second(self) -> float:
-        """Fitness evaluations a second, all cores together, of the run that ended here."""
+        """Return the fitness evaluations a second, all cores together, of the run that ended here."""
         return self.identification.trials.made / self.identification.search_seconds
 
     @property
     def ratio_to_numpy(self) -> float:
-        """The speed of one evaluation, on one core, over that of the NumPy expression in the same process.
+        """Return how many times faster one evaluation is, on one core, than the NumPy expression in the same process.
 
-        By processor time, so that other work of the machine counts for neither.
+        Both are processor times, so other work on the machine does not count.
         """
         trials = self.identification.trials
         return self.numpy_seconds * trials.made / trials.processor_seconds
@@ -66,8 +68,8 @@ def replicate(
 ) -> Replication:
     """Record the paper's 2,500 samples into `folder` and search them as the paper did.
 
-    evaluations: of each trial. seed: of the simulated stand and of the search. checkpoint: as of `Search`; the same
-    seed records the same samples again, so that a search can be resumed. Raises WrongUse, DriverError.
+    evaluations: of each trial. seed: of the simulated stand and of the search. checkpoint: see `Search`; the same seed
+    records the same samples again, so a search can be resumed. Raises WrongUse, DriverError.
     """
     path = _record(folder, seed)
     settings = replace(PRESETS["paper"], generations=evaluations)
@@ -111,7 +113,7 @@ def _record(folder: Path, seed: int) -> Path:
 
 
 def _numpy_seconds(signals: Signals) -> float:
-    """The processor time of one fitness evaluation as one writes it with NumPy, s: the best of many."""
+    """Return the processor time, s, of one fitness evaluation in plain NumPy: the best of many."""
     dtheta, rate, torque = signals.motion.dtheta, signals.motion.dtheta_dot, signals.torque
     best, end = float("inf"), time.process_time() + _MEASURE
     while time.process_time() < end:

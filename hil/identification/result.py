@@ -27,7 +27,7 @@ _ROUNDING = 1e-9  # of a value: the error of a recording without noise, which wo
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:
-    """One parameter over the optimiser's trials: the best of them, their mean and standard deviation.
+    """One parameter over the optimiser's trials: the best trial, the mean and the standard deviation.
 
     It shows how well the optimiser repeats; the uncertainty is the confidence interval. std: NaN for a single trial.
     """
@@ -39,7 +39,7 @@ class Repeatability:
 
 @dataclass(frozen=True, slots=True)
 class Conditional:
-    """One parameter given the selected model, SI: the exact optimum and the 95 % interval around it."""
+    """One parameter for the selected model, SI: the exact optimum and its 95 % interval."""
 
     value: float
     ci95: tuple[float, float]
@@ -47,13 +47,13 @@ class Conditional:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter in SI. value: of the exact optimum, or its average over models; ci95: around it.
+    """One parameter in SI. value: the exact optimum, or its average over models; ci95: its 95 % interval.
 
-    conditional: given the selected model, None where that is what value and ci95 are.
-    bounds: NaN where the parameter was solved for and not searched. components: within and between pooled recordings,
-    None for a single recording and where fewer than two can estimate the parameter. depends_on: what the parameter
-    changes with, "amplitude", where it has no single value: ci95 then spans what it may be, and value is its middle.
-    positive: whether physics allows no value below zero.
+    conditional: the same for the selected model alone, None if that is what value and ci95 are. bounds: NaN if the
+    parameter was solved for and not searched. components: variance within and between pooled recordings, None for a
+    single recording and if fewer than two identify the parameter. depends_on: what the parameter changes with, such as
+    "amplitude", if it has no single value: ci95 then spans its values, and value is the middle. positive: whether
+    physics allows no value below zero.
     """
 
     name: str
@@ -71,17 +71,17 @@ class Estimate:
 
     @property
     def half_width(self) -> float:
-        """Half of the interval as it is where zero does not cut it."""
+        """Return half of the interval before it is cut at zero."""
         return max(self.ci95[1] - self.value, self.value - self.ci95[0])
 
     @property
     def exact(self) -> float:
-        """The exact optimum of the selected model, with which the optimiser's trials are compared."""
+        """Return the exact optimum of the selected model, with which the optimiser's trials are compared."""
         return self.value if self.conditional is None else self.conditional.value
 
     @property
     def choice(self) -> float:
-        """The part of the interval's width that comes from the choice of the model, 0 to 1."""
+        """Return the fraction of the interval's width, 0 to 1, that comes from the choice of the model."""
         if self.conditional is None:
             return 0.0
         (low, high), (least, most) = self.ci95, self.conditional.ci95
@@ -90,9 +90,9 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """The error on 20 % held-out data of a fit to the other 80 %.
+    """The error on held-out 20 % of the data, of a fit to the other 80 %.
 
-    fitness: mean |error|, N m. nrmse: RMS error over the torque's standard deviation, NaN where that is zero.
+    fitness: mean |error|, N m. nrmse: r.m.s. error over the torque's standard deviation, NaN if that is zero.
     """
 
     fitness: float
@@ -101,7 +101,7 @@ class Validation:
 
 @dataclass(frozen=True, slots=True)
 class Fixture:
-    """The compliance that holds the joint, from an empty-rig recording; its Kc and Bc are removed from the result's."""
+    """The compliance of the fixture, from an empty-rig recording; it is removed from the result's Kc and Bc."""
 
     recording: Path
     model: str
@@ -110,12 +110,12 @@ class Fixture:
 
 @dataclass(frozen=True, slots=True)
 class Deflection:
-    """The errors of the deflection: noise in rad, standard deviation; counts of the encoder, peak to peak.
+    """The errors of the deflection: noise, rad, standard deviation; counts of the encoder over the motion, peak to
+    peak.
 
-    low_pass: Hz, of the low-pass that deflection and rate come from, None where they were clean enough without.
-    method: by which Kc and Bc were corrected. strength: of the command as an instrument, 0 to 1; None: not needed or
-    not recorded. before: how far Kc and Bc were from their values before the correction, relative; predicted: the same
-    by a simulation of the errors.
+    low_pass: its corner, Hz, None if deflection and rate were clean enough without. method: how Kc and Bc were
+    corrected. strength: of the command as an instrument, 0 to 1; None if not needed or not recorded. before: how far Kc
+    and Bc were from their corrected values, relative; predicted: the same from a simulation of the errors.
     """
 
     noise: float
@@ -131,14 +131,14 @@ class Deflection:
 class Identification:
     """The result of `hil identify`.
 
-    fitness: mean |error| of the best trial, optimum: of the exact solution, N m; optimiser_gap: how far the former is
-    above the latter, relative. steps: of model selection, empty where the model was named. seconds: in all;
-    search_seconds: for the trials alone. torque_uncertainty: of the torque's scale, relative, one standard deviation.
-    lack_of_fit: the test whether the model describes the recordings; dynamic_stiffness: of the joint without a model;
-    None where the recordings are too short. fixture: the fixture that was removed, None where it counts as rigid.
-    values (p + q,): of the exact optimum, SI, for the signals, whose deflections may count from another zero than the
-    estimates. fitted (n,): which of the signals the model was fitted to.
-    deflection: its errors, None where they are too small to do anything.
+    fitness: mean |error| of the best trial, N m; optimum: of the exact solution, N m; optimiser_gap: how far the former
+    is above the latter, relative. steps: of model selection, empty if the model was named. seconds: in all;
+    search_seconds: for the trials. torque_uncertainty: of the torque's scale, relative, one standard deviation.
+    lack_of_fit: the test whether the model describes the recordings, and dynamic_stiffness: of the joint without a
+    model; None if the recordings are too short. fixture: the fixture that was removed, None if it counts as rigid.
+    values (p + q,): the exact optimum, SI, for the signals, whose deflections may count from another zero than the
+    estimates. fitted (n,): which samples of the signals were fitted. deflection: its errors, None if they are too small
+    to have an effect.
     """
 
     recordings: tuple[Path, ...]
@@ -169,34 +169,39 @@ class Identification:
         return next(estimate for estimate in self.estimates if estimate.name == name)
 
     def doubts(self, name: str) -> list[str]:
-        """Return the codes of the errors that concern a parameter or all; empty where it may be trusted."""
+        """Return the codes of the errors that concern the parameter, or all parameters; empty if it may be trusted."""
         return [one.code for one in self.diagnostics if one.is_error and one.parameter in {name, None}]
 
     def trusted(self, name: str) -> bool:
-        """Return whether a parameter may be trusted; one that the model has not, by the errors that concern all."""
+        """Return whether a parameter may be trusted; for one that the model lacks, the errors that concern all
+        decide.
+        """
         known = all(estimate.identifiable for estimate in self.estimates if estimate.name == name)
         return known and not self.doubts(name)
 
     @property
     def sign_is_wrong(self) -> bool:
-        """Whether torque or angle has the wrong sign: then no number of the result means anything."""
+        """Return whether torque or angle has the wrong sign: then no number of the result has a meaning."""
         return any(one.code == "implausible" and one.parameter is None for one in self.diagnostics)
 
     @property
     def trustworthy(self) -> bool:
-        """Whether there is no error among the diagnostics."""
+        """Return whether there is no error among the diagnostics."""
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
 
 def interval(value: float, half: float, *, positive: bool) -> tuple[float, float]:
-    """Return the interval around a value of half a width, cut at zero where physics allows nothing below.
+    """Return the interval of a value with this half width, cut at zero if physics allows nothing below.
 
-    So the normal distribution is truncated: a true value from zero on is in it as often as without the cut.
+    This is the interval of a truncated normal distribution: it contains a true value above zero as often as without the
+    cut.
     """
     return max(value - half, 0.0) if positive and math.isfinite(half) else value - half, value + half
 
 
 def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
-    """An estimate's own standard error, in its unit, from its 95 % interval without the torque's uncertainty."""
+    """Return the standard error of an estimate, in its unit, from its 95 % interval without the torque's
+    uncertainty.
+    """
     half = math.sqrt(max(estimate.half_width**2 - (_SCALE_NORMAL * uncertainty * estimate.value) ** 2, 0.0))
     return float(max(half / _NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))

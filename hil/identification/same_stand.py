@@ -1,4 +1,4 @@
-"""Check that recordings that are pooled or compared are of one stand, and that no run is in them twice."""
+"""Check that pooled or compared recordings are of one stand, and that no run is among them twice."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from hil.stand.file import Stand
 
 
 def same_stand_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
-    """Return a warning for each stand that differs from the first, and for recordings that name none.
+    """Return a warning for each stand that differs from the first, and for recordings that name no stand.
 
-    Raises WrongUse where two are of stands with different names, or are the same run.
+    Raises WrongUse if two recordings are of stands with different names, or are the same run.
     """
     seen: dict[str, Path] = {}
     stands: list[tuple[Path, dict[str, Any]]] = []
@@ -45,7 +45,7 @@ def same_stand_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
 
 
 def calibration_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
-    """Return a warning for each calibration that was old when a recording was made, or is not the one that was used."""
+    """Return a warning for each calibration that was old when a recording was made, or that was not the one in use."""
     found: dict[str, Diagnostic] = {}
     for source in sources:
         created = str(source.recording.attributes.get("created", ""))
@@ -58,7 +58,7 @@ def calibration_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
 
 
 def _facts(stand: Stand) -> dict[str, Any]:
-    """The keys and values of [stand] and [limits], without the backend, which only drives the stand."""
+    """Return the keys and values of [stand] and [limits], except the backend, which only drives the stand."""
     facts: dict[str, Any] = stand.stand.model_dump(exclude={"backend"})
     if stand.limits is not None:
         facts |= {f"limits.{name}": value for name, value in stand.limits.model_dump().items()}

@@ -41,7 +41,7 @@ _STEP = 1e-6  # of the bounds' width, for the Jacobian
 
 @dataclass(frozen=True)
 class UserModel:
-    """A model of `ga.model.separable` without columns: each parameter is nonlinear. low, high: (q,), SI."""
+    """A user's model as `ga.model.separable` needs it: no columns, every parameter nonlinear. low, high: (q,), SI."""
 
     name: str
     function: Callable[..., Any]
@@ -53,11 +53,11 @@ class UserModel:
     sticks: bool = False
 
     def __reduce__(self) -> tuple[Callable[[str], UserModel], tuple[str]]:
-        """Return what another process loads the model by: its file is no module."""
+        """Return how another process loads the model: by its name, since its file is no importable module."""
         return load, (self.name,)
 
     def anchored(self, motion: Motion) -> UserModel:
-        """Return the model itself. Raises WrongUse where the function cannot be used on these data."""
+        """Return the model itself. Raises WrongUse if the function cannot be used on these data."""
         self._torque(motion, 0.5 * (self.low + self.high))
         return self
 
@@ -78,14 +78,14 @@ class UserModel:
         return np.zeros((len(motion), 0))
 
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
-        """Return the torque (n,), N m, less what is known of it and what the function gives."""
+        """Return the torque (n,), N m, less the known part of it and less what the function returns."""
         values = 0.5 * (self.low + self.high) if nonlinear is None else nonlinear
         return np.asarray(torque - motion.known - self._torque(motion, values))
 
     def jacobian(
         self, motion: Motion, nonlinear: Array, _genes: Array, _lag: float = 0.0, _torque: Array | None = None
     ) -> Array:
-        """Return how the torque changes with each parameter, (n, q), by differences within the bounds."""
+        """Return the derivative of the torque by each parameter, (n, q), from differences within the bounds."""
         found = []
         for at, width in enumerate(self.high - self.low):
             step = np.zeros(len(nonlinear))
@@ -121,9 +121,9 @@ def _read_only(values: Array) -> Array:
 
 
 def of_package(name: str) -> UserModel | None:
-    """Return the model of an entry point of group `hil.models`, a function; None where it is none.
+    """Return the model of an entry point of the group `hil.models`; None if there is none of this name.
 
-    Where entry points name coupling terms (`ga.model.record.Term`) of the model, these are added to the table of terms.
+    If entry points name coupling terms (`ga.model.record.Term`) of the model, these are added to the table of terms.
     Raises WrongUse.
     """
     known = plugins(MODELS)
@@ -139,9 +139,9 @@ def of_package(name: str) -> UserModel | None:
 
 
 def listed() -> list[tuple[str, str]]:
-    """Return name and meaning of every term and of the models of other packages, these with their package.
+    """Return name and meaning of every term, and of the models of other packages with their package.
 
-    One that cannot be loaded is among them, with the reason.
+    A model that cannot be loaded is listed with the reason.
     """
     lines = [(term.name, term.meaning) for term in TERMS.values() if term.name not in plugins(MODELS)]
     for name, plugin in plugins(MODELS).items():
@@ -155,7 +155,7 @@ def listed() -> list[tuple[str, str]]:
 
 
 def load(name: str) -> UserModel:
-    """Return the model of `path/to/model.py:name`, or of an entry point. Raises WrongUse for what is none."""
+    """Return the model of `path/to/model.py:name`, or of an entry point. Raises WrongUse if there is none."""
     if ".py:" not in name and (found := of_package(name)) is not None:
         return found
     path, _, function = name.rpartition(":")

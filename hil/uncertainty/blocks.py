@@ -1,4 +1,4 @@
-"""The rows of a linear problem: columns and torque, read in order, a block at a time, as often as they are needed."""
+"""The rows of a linear problem, columns and torque: read in order, one block at a time, as often as needed."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Block = tuple[Array, Array]
 Keep = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
-"""Return whether each of the rows with these numbers (m,) is kept."""
+"""A function that returns which of the rows with these numbers (m,) are kept."""
 
 _COUNTED = 1 << 18  # row numbers at a time: those of all rows would not fit in memory either
 
 
 @dataclass(frozen=True, slots=True)
 class Blocks:
-    """Columns (m, p) and torque (m,), N m, of any number of rows at a time; each call begins at the first row.
+    """Blocks of columns (m, p) and torque (m,), N m; each call reads from the first row again.
 
-    rows: the number of all rows. read: begin to read them.
+    rows: the number of all rows. read: the function that starts reading them.
     """
 
     rows: int
@@ -50,7 +50,9 @@ class Blocks:
         return Blocks(stop - start, lambda: self._selected(keep))
 
     def searching(self, searched: NDArray[np.bool_], values: Array) -> Blocks:
-        """Return the rows with the columns (p,) that are searched, less the torque of the others at values (p,), SI."""
+        """Return the rows with the columns (p,) that are searched; the torque of the others at values (p,), SI, is
+        subtracted.
+        """
         return Blocks(
             self.rows,
             lambda: (

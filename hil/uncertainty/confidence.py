@@ -1,11 +1,11 @@
 """Confidence intervals of the parameters: the sampling error of a least-absolute-deviations fit.
 
 For residuals e and columns X the estimate is asymptotically normal with covariance A^-1 B A^-1 (Koenker, Quantile
-Regression, 2005, section 4.3), where A is twice the sum of x x' weighted with the residuals' density at zero (Powell's
-kernel estimate) and B the covariance of the sum of x sign(e), from the spectrum of the signs: correlated residuals, as
-on any real stand, widen the interval.
+Regression, 2005, section 4.3). A is twice the sum of x x' weighted by the residuals' density at zero (Powell's kernel
+estimate). B is the covariance of the sum of x sign(e), from the spectrum of the signs: correlated residuals, which
+every real stand has, widen the interval.
 
-This is the error of the data, given the model. It does not include effects that the model leaves out.
+This is the error due to the data for a given model. It does not include effects that the model lacks.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _PART = 1e-5  # of a dependent combination, below which a parameter takes no par
 
 @dataclass(frozen=True, slots=True)
 class ConfidenceIntervals:
-    """Half the width of each parameter's 95 % interval (p,), in SI, and its variance inflation (p,).
+    """The half width of each parameter's 95 % interval (p,), SI, and its variance inflation (p,).
 
     inflation: how many times larger the parameter's variance is than if its column were orthogonal to all others.
     """
@@ -38,14 +38,14 @@ class ConfidenceIntervals:
     inflation: Array
 
     def with_scale_uncertainty(self, uncertainty: Array, values: Array) -> ConfidenceIntervals:
-        """Return the intervals widened by what no number of samples averages away.
+        """Return the intervals widened by the uncertainty of a scale, which more samples do not reduce.
 
-        uncertainty: relative, one standard deviation, of what the parameters (p,) are proportional to.
+        uncertainty: relative, one standard deviation, of the quantity that the parameters (p,) are proportional to.
         """
         return ConfidenceIntervals(np.hypot(self.half_width, 1.96 * uncertainty * np.abs(values)), self.inflation)
 
     def with_choice(self, chosen: Array, sampling: Array) -> ConfidenceIntervals:
-        """Return the intervals with half the widths of averages over models (p,) in place of those of sampling (p,)."""
+        """Return the intervals with the sampling half widths (p,) replaced by those of averages over models (p,)."""
         known = np.isfinite(sampling)
         squares = np.subtract(self.half_width**2, sampling**2, out=np.zeros_like(sampling), where=known)
         other = np.sqrt(np.maximum(squares, 0.0))
@@ -56,9 +56,9 @@ class ConfidenceIntervals:
 
 @dataclass(frozen=True, slots=True)
 class Covariance:
-    """The sampling covariance of the parameters, (p, p), SI, zero for those that are not distinct (p,) from others.
+    """The sampling covariance of the parameters (p, p), SI; zero for those that cannot be distinguished from others.
 
-    quantile (p,): half a 95 % interval in standard errors. inflation (p,): as of `ConfidenceIntervals`.
+    quantile (p,): half a 95 % interval in standard errors. inflation (p,): see `ConfidenceIntervals`.
     """
 
     matrix: Array
@@ -70,8 +70,8 @@ class Covariance:
 def confidence_intervals(blocks: Blocks, genes: Array) -> ConfidenceIntervals:
     """Return the intervals around the exact optimum `genes` (p,) of the data in `blocks`, which are read twice.
 
-    A parameter that the columns, or their rows near zero residual, cannot distinguish from others has an infinite
-    half-width and inflation; the others keep theirs.
+    A parameter that the columns, or their rows with small residuals, cannot distinguish from others has infinite half
+    width and inflation; the other parameters are unaffected.
     """
     found = covariance(blocks, genes)
     variance = np.diag(found.matrix)  # negative by rounding: nearly dependent columns
@@ -108,7 +108,7 @@ def distinct(blocks: Blocks) -> NDArray[np.bool_]:
 def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the inverse (p, p) of a Gram matrix, and which parameters (p,) its columns can distinguish from others.
 
-    Where columns are dependent it is the pseudo-inverse, which is right for the parameters that are not among them.
+    For dependent columns it is the pseudo-inverse, which is correct for the other parameters.
     """
     size = np.sqrt(np.diag(gram))
     excited = size > 0.0
@@ -122,7 +122,9 @@ def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 @dataclass(frozen=True, slots=True)
 class _Sums:
-    """gram: sum of x x' (p, p). residuals: a regular subset, N m. rounding: N m, below which one is zero."""
+    """gram: the sum of x x' (p, p). residuals: those of every n-th row, N m. rounding: N m, below which one counts as
+    zero.
+    """
 
     count: int
     gram: Array
@@ -144,7 +146,7 @@ def _first_pass(blocks: Blocks, genes: Array) -> _Sums:
 
 
 def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, ResidualSpectrum]:
-    """Powell's estimate of twice the sum of f(0) x x' (p, p), and the spectrum of the residuals' signs."""
+    """Return Powell's estimate of twice the sum of f(0) x x' (p, p), and the spectrum of the residuals' signs."""
     width, kernel = _kernel_width(sums), np.zeros_like(sums.gram)
 
     def signed() -> Iterator[tuple[Array, Array]]:
@@ -159,10 +161,10 @@ def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, Resi
 
 
 def _kernel_width(sums: _Sums) -> float:
-    """The residuals that count as near zero, N m: the bandwidth of Bofinger (1975) for the median.
+    """Return the residual, N m, up to which one counts as near zero: the bandwidth of Bofinger (1975) for the median.
 
-    In quantiles it is n^(-1/5) (4.5 phi(0)^4)^(1/5), the least mean square error of the density, which is needed by
-    parameters that few rows determine; never so narrow that fewer than a hundred rows remain.
+    In quantiles it is n^(-1/5) (4.5 phi(0)^4)^(1/5), which minimises the mean square error of the density; parameters
+    that few rows determine need it. It always keeps at least a hundred rows.
     """
     from scipy.special import ndtri
 

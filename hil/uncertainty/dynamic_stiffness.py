@@ -1,12 +1,12 @@
 """The dynamic stiffness G = K' + i 2 pi f B' of a joint, without a model: stiffness and damping in bands of frequency.
 
-Torque and deflection are cut into overlapping segments, and G is the quotient of their cross spectra with an
-instrument, summed over the segments and the lines of a band (Pintelon and Schoukens, System Identification, 2012,
-section 2.7): the commanded deflection where it was recorded, whose errors have nothing to do with those of the
-readings, else the deflection itself, whose noise then makes K' too low. Within a band K' and B' count as constant.
-Damping is what follows the rate and not i 2 pi f times the deflection, so that a window leaves a spring and damper
-exactly what they are. Intervals are of the scatter of the lines about G, each line counting as often as Hann's window
-and the overlap allow.
+Torque and deflection are cut into overlapping segments. G is the quotient of their cross spectra with an instrument,
+summed over the segments and the lines of a band (Pintelon and Schoukens, System Identification, 2012, section 2.7). The
+instrument is the commanded deflection if it was recorded, whose errors are independent of those of the readings; else
+the deflection itself, whose noise makes K' too low. Within a band K' and B' are taken as constant. Damping is computed
+from the measured rate and not from i 2 pi f times the deflection, so that the window does not distort a spring and
+damper. Intervals come from the scatter of the lines about G; a line counts for as much independent data as Hann's
+window and the overlap leave.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ _HARMONICS: Final = 3.0  # times the upper end of the band, up to which distorti
 
 @dataclass(frozen=True, slots=True)
 class Bands:
-    """Stiffness N m/rad and damping N m s/rad in bands of mean frequency (b,) Hz, with half their 95 % intervals.
+    """Stiffness, N m/rad, and damping, N m s/rad, in bands of mean frequency (b,), Hz, with half their 95 % intervals.
 
-    coherence: the share (b,) of the torque's power in the band that follows from the deflection, 0 to 1.
-    deflection: rad, r.m.s. of the segments.
+    coherence (b,): the fraction, 0 to 1, of the torque's power in the band that follows from the deflection.
+    deflection: r.m.s. over the segments, rad.
     """
 
     frequency: Array
@@ -63,7 +63,7 @@ class Bands:
 class Distortion:
     """The torque at frequencies that a periodic excitation does not contain, r.m.s., relative to the whole torque.
 
-    noise: the same of what differs from period to period. period: s.
+    noise: the same for the differences between periods. period: s.
     """
 
     level: float
@@ -73,9 +73,11 @@ class Distortion:
 
 @dataclass(frozen=True, slots=True)
 class DynamicStiffness:
-    """bands: of all segments. by_amplitude: of the half with the smaller and the larger deflection, none where they
-    are alike. instrument: "command" or "deflection". distortion: None where the excitation is not periodic,
-    or has no frequency free of motion.
+    """The bands of all segments, and by_amplitude: of the half with the smaller and with the larger deflection, () if
+    equal.
+
+    instrument: "command" or "deflection". distortion: None if the excitation is not periodic, or has power at every
+    frequency.
     """
 
     bands: Bands
@@ -85,13 +87,15 @@ class DynamicStiffness:
 
     @property
     def groups(self) -> list[tuple[str, Bands]]:
-        """The bands by what they are of: "all" segments, and those of "small" and "large" deflection."""
+        """Return the bands with what they are of: "all" segments, and those of "small" and "large" deflection."""
         return [("all", self.bands), *zip(("small", "large"), self.by_amplitude, strict=False)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Spectra:
-    """Of each segment (s, l): torque, deflection, rate and instrument at frequencies (l,) Hz; deflection: rms (s,)."""
+    """Spectra of each segment (s, l) at frequencies (l,) Hz: torque, deflection, rate, instrument. deflection: r.m.s.
+    (s,).
+    """
 
     frequency: Array
     torque: Complex
@@ -114,10 +118,10 @@ class _Spectra:
 def dynamic_stiffness(
     recorded: Recorded, band: tuple[float, float], command: Array | None = None
 ) -> DynamicStiffness | None:
-    """Return the dynamic stiffness in the band, Hz, that moved; None where the recording is too short for a segment.
+    """Return the dynamic stiffness in the band, Hz, of the motion; None if the recording is shorter than a segment.
 
-    command: (n,), what was commanded (rad or N m), in the order of the samples; one with gaps, that never changes or
-    that the motion does not follow is not used.
+    command (n,): rad or N m, in the order of the samples. It is not used if it has gaps, is constant, or the motion
+    does not follow it.
     """
     usable = command is not None and bool(np.isfinite(command).all()) and float(np.ptp(command)) > 0.0
     instrument = command if command is not None and usable else recorded.deflection
@@ -138,7 +142,7 @@ def dynamic_stiffness(
 
 
 def _even(recorded: Recorded, part: slice, values: Array) -> Array:
-    """Values of a stretch on an even grid."""
+    """Return the values of one piece on an even time grid."""
     time = recorded.time[part]
     count = 1 + round(float(time[-1] - time[0]) / recorded.step)
     return np.interp(np.linspace(time[0], time[-1], count), time, values[part])
@@ -170,7 +174,7 @@ def _spectra(recorded: Recorded, instrument: Array, band: tuple[float, float]) -
 
 
 def _edges(frequency: Array, band: tuple[float, float]) -> NDArray[np.int64]:
-    """Return the edges of the bands, in lines of the spectrum: in equal ratios, each wider than a main lobe."""
+    """Return the edges of the bands, in lines of the spectrum: in equal ratios, each band wider than a main lobe."""
     low, high = np.searchsorted(frequency, band)
     first = max(1, int(low) - 2)
     last = max(int(high) + 2, first + _LINES)
@@ -184,7 +188,7 @@ def _edges(frequency: Array, band: tuple[float, float]) -> NDArray[np.int64]:
 
 
 def _follows(spectra: _Spectra, band: tuple[float, float]) -> bool:
-    """Return whether the deflection goes with the instrument, in all segments by the same filter."""
+    """Return whether the deflection follows the instrument, through the same filter in all segments."""
     edges = _edges(spectra.frequency, band)
     moved, instrument = (one[:, edges[0] : edges[-1]] for one in (spectra.moved, spectra.instrument))
     own = np.sum(np.abs(instrument) ** 2, axis=0)
@@ -193,9 +197,9 @@ def _follows(spectra: _Spectra, band: tuple[float, float]) -> bool:
 
 
 def _in_bands(spectra: _Spectra, band: tuple[float, float], every: _Spectra) -> Bands:
-    """Return those of segments, without the bands in which they hardly moved; every: all segments, the measure of it.
+    """Return the bands of some segments, without those in which they hardly moved. every: all segments.
 
-    By their own power, noise would be motion where they rest.
+    Motion is judged relative to all segments: relative to segments at rest, noise would count as motion.
     """
     edges = _edges(spectra.frequency, band)
     inside = slice(int(edges[0]), int(edges[-1]))
@@ -215,13 +219,15 @@ def _in_bands(spectra: _Spectra, band: tuple[float, float], every: _Spectra) -> 
 
 
 def _power(lines: Complex, some: slice) -> float:
-    """The mean power of some of the lines (s, l), 0 where there are none."""
+    """Return the mean power of some of the lines (s, l); 0 if there are none."""
     chosen = lines[:, some]
     return float(np.mean(np.abs(chosen) ** 2)) if chosen.size else 0.0
 
 
 def _band(spectra: _Spectra, lines: slice) -> list[tuple[float, ...]]:
-    """Frequency Hz, K', half its interval, B', half its interval, coherence; none where K' and B' are not two."""
+    """Return frequency (Hz), K', its half interval, B', its half interval, coherence; [] if K' and B' cannot be
+    separated.
+    """
     from scipy.special import stdtrit
 
     torque, moved, rate = spectra.torque[:, lines], spectra.moved[:, lines], spectra.rate[:, lines]
@@ -244,7 +250,7 @@ def _band(spectra: _Spectra, lines: slice) -> list[tuple[float, ...]]:
 
 
 def _by_amplitude(spectra: _Spectra, band: tuple[float, float]) -> tuple[Bands, ...]:
-    """Of the half of the moving segments with the smaller and the larger deflection; none where they are alike."""
+    """Return the bands of the half of the moving segments with smaller, and with larger, deflection; () if equal."""
     moving = spectra.deflection**2 > _WEAK * np.mean(spectra.deflection**2)
     large = moving & (spectra.deflection > np.median(spectra.deflection[moving]))
     small = moving & ~large
@@ -255,10 +261,9 @@ def _by_amplitude(spectra: _Spectra, band: tuple[float, float]) -> tuple[Bands, 
 
 
 def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> Distortion | None:
-    """The distortion, of the periods of the longest stretch that repeat: one that fades in or out does not.
+    """Return the distortion, from the repeating periods of the longest piece; fading periods do not repeat.
 
-    None where too few repeat, as where the amplitude grows, and where the motion has no line to itself: nothing that is
-    free of motion can be looked at then.
+    None if too few periods repeat, as with a growing amplitude, and if no frequency is free of motion.
     """
     part = max(recorded.stretches(), key=lambda one: one.stop - one.start)
     torque, moved = (_even(recorded, part, values) for values in (recorded.torque, recorded.deflection))
@@ -269,7 +274,9 @@ def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> 
 
 
 def _repeating(torque: Array, moved: Array, samples: float) -> tuple[Array, Array] | None:
-    """Torque and deflection (k, n) of the periods that repeat, of so many samples each; None where too few do."""
+    """Return torque and deflection (k, n) of the periods of `samples` samples that repeat; None if there are too
+    few.
+    """
     count, length = int(len(moved) / samples + 0.01), int(samples)
     grid = np.arange(count * length) * (samples / length)
     cut = [np.interp(grid, np.arange(len(moved)), values).reshape(count, length) for values in (torque, moved)]
@@ -287,7 +294,9 @@ def _repeating(torque: Array, moved: Array, samples: float) -> tuple[Array, Arra
 def _distorted(
     torque: Array, moved: Array, period: float, band: tuple[float, float], bands: Bands
 ) -> Distortion | None:
-    """The distortion of a torque (k, n), moved as much in each of the periods, s; None where no line is free."""
+    """Return the harmonic distortion of the torque (k, n), for periods of `period` s; None if no frequency is free of
+    motion.
+    """
     repeated, length = torque.shape
     lines = [np.fft.rfft(one, axis=1) for one in (torque, moved)]
     frequency = np.fft.rfftfreq(length, period / length)
@@ -312,9 +321,10 @@ def _distorted(
 
 
 def _periods(values: Array, shortest: int) -> list[float]:
-    """What may be the period, in samples, fractional: where the values are first alike, and where they are most alike.
+    """Return candidates for the period in samples, fractional: the first and the highest maximum of the
+    autocorrelation.
 
-    They are alike before the period is over where their amplitude changes slowly.
+    A slowly changing amplitude makes values similar before a whole period has passed.
     """
     centred = values - values.mean()
     count = len(values)

@@ -1,8 +1,8 @@
-"""The signatures of effects that a model of the coupling may have left out: columns that residuals are held against.
+"""The signatures of effects that a model of the coupling may lack: columns that are compared with residuals.
 
-Each effect says, for one recording, which torque it would add per unit: what a Maxwell branch, an inertia or friction
-in proportion to the torque would look like in the residuals. Effects with a time constant or a length have a column for
-each of a few values.
+Each effect gives, for one recording, the torque that it would add per unit: what a Maxwell branch, an inertia or
+friction in proportion to the torque would look like in the residuals. Effects with a time constant or a length have a
+column for each of a few values.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SMALL: Final = 0.05  # part of the samples, those with the smallest torque
 _SOFT: Final = 0.02  # of the r.m.s. rate, within which friction turns
 _SIXTH: Final = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0]) / 20.0
 NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
-"""The variance that `reading_noise` makes of white noise of variance one."""
+"""The variance of `reading_noise` for white noise of variance one."""
 
 _SMOOTH: Final = 0.05  # periods a sample, above which a reading is noise
 _STRAIGHT: Final = 1e-6  # of the usual step between two torque readings, below which three lie on a line
@@ -40,9 +40,9 @@ _LAG: Final = 1e-3  # s: a lag or delay this short looks like any other short on
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Arrays (n,) of one length: time s, torque of the coupling N m, deflection rad, rate rad/s.
+    """A recording as arrays (n,): time s, torque of the coupling N m, deflection rad, rate rad/s.
 
-    starts: where a new stretch begins, 0 first: nothing is carried from one stretch to the next.
+    starts: the first sample of each piece, beginning with 0; filters start anew there.
     """
 
     time: Array
@@ -55,13 +55,13 @@ class Recorded:
         return len(self.time)
 
     def at(self, rows: NDArray[np.int64], starts: set[int]) -> Recorded:
-        """Return the samples at `rows`, rising; starts: where stretches begin among them besides those there are."""
+        """Return the samples at `rows`, rising; starts: additional first samples of pieces among them."""
         known = np.searchsorted(rows, self.starts).tolist()
         begin = tuple(sorted(start for start in {0, *starts, *known} if start < len(rows)))
         return Recorded(self.time[rows], self.torque[rows], self.deflection[rows], self.rate[rows], begin)
 
     def stretches(self) -> Iterator[slice]:
-        """Yield the samples of each stretch."""
+        """Yield the samples of each piece."""
         ends = [*(at for at in self.starts if at < len(self)), len(self)]
         return (slice(first, last) for first, last in pairwise(ends) if last > first)
 
@@ -71,14 +71,14 @@ class Recorded:
         return float(np.median(np.diff(self.time)))
 
     def delayed(self, values: Array, delay: float) -> Array:
-        """Return values (n,) as they were `delay` s before; the ends of a stretch continue."""
+        """Return values (n,) delayed by `delay` s; the first value of a piece is held before it."""
         found = np.empty(len(self))
         for part in self.stretches():
             found[part] = np.interp(self.time[part] - delay, self.time[part], values[part])
         return found
 
     def slope(self, values: Array) -> Array:
-        """Return how fast values (n,) change, per second."""
+        """Return the time derivative of values (n,)."""
         found = np.zeros(len(self))
         for part in self.stretches():
             if part.stop - part.start > 1:
@@ -86,7 +86,9 @@ class Recorded:
         return found
 
     def convolved(self, values: Array, weights: Array, centre: int) -> Array:
-        """Return values (n,) filtered by weights (m,), of which that at `centre` acts at once; ends are held."""
+        """Return values (n,) filtered by weights (m,), the one at `centre` acting without delay; values at the ends are
+        held.
+        """
         found = np.empty(len(self))
         for part in self.stretches():
             padded = np.pad(values[part], (len(weights) - 1 - centre, centre), mode="edge")
@@ -96,20 +98,20 @@ class Recorded:
         return found
 
     def low_passed(self, values: Array, constant: float) -> Array:
-        """Return values (n,) behind a first-order lag of `constant` s, which has settled at the first sample."""
+        """Return values (n,) behind a first-order lag of `constant` s that has settled at the first sample."""
         ratio = self.step / constant
         weights = np.exp(-ratio * np.arange(1 + int(8.0 / ratio)))
         return self.convolved(values, weights / weights.sum(), 0)
 
     def smoothed(self, values: Array, frequency: float) -> Array:
-        """Return what of values (n,) lies below `frequency`, Hz, without a phase shift (a Gaussian window)."""
+        """Return values (n,) low-passed at `frequency`, Hz, without phase shift (Gaussian window)."""
         width = np.sqrt(np.log(2.0)) / (2.0 * np.pi * frequency * self.step)
         half = int(np.ceil(3.0 * width))
         weights = np.exp(-0.5 * (np.arange(-half, half + 1) / width) ** 2)
         return self.convolved(values, weights / weights.sum(), half)
 
     def centred(self) -> Array:
-        """Return the deflection, rad, about the middle of its range."""
+        """Return the deflection, rad, relative to the middle of its range."""
         return self.deflection - 0.5 * float(self.deflection.max() + self.deflection.min())
 
     def reach(self) -> float:
@@ -117,11 +119,11 @@ class Recorded:
         return float(np.abs(self.centred()).max())
 
     def elapsed(self) -> Array:
-        """Return the place (n,) of each sample in the whole, from -0.5 to 0.5: recordings may have been pooled."""
+        """Return the position (n,) of each sample in the whole, -0.5 to 0.5, since recordings may have been pooled."""
         return np.linspace(-0.5, 0.5, len(self))
 
     def presliding(self, length: float) -> Array:
-        """Return the friction of Dahl (1976), -1 to 1, that is reached over `length` rad after a reversal."""
+        """Return the friction state of Dahl (1976), -1 to 1, which builds up over `length` rad after a reversal."""
         moves = np.diff(self.time, prepend=self.time[0]) * self.rate
         moves[list(self.starts)] = 0.0
         keep, found = np.exp(-np.abs(moves[1:]) / length), np.zeros(len(self))
@@ -129,21 +131,22 @@ class Recorded:
         return found
 
     def sign(self) -> Array:
-        """Return the sign of the rate, rounded where it is slow."""
+        """Return the sign of the rate, smoothed where the rate is small."""
         usual = float(np.sqrt(np.mean(self.rate**2)))
         return np.tanh(self.rate / (_SOFT * usual)) if usual > 0.0 else np.zeros(len(self))
 
 
 Signature = Callable[[Recorded, Array], list[Array]]
-"""The candidates (n, k) of an effect for a recording and the torque (n,), N m, that the model gives."""
+"""A function that returns the columns (n, k) of an effect for a recording and the torque (n,), N m, of the model."""
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """An effect that residuals may look like. name: for people; advice: what to try, a model by its term in braces.
+    """An effect that residuals may look like. name: for people. advice: what to try; models are named by their term in
+    braces.
 
-    in_deflection: whether it lies in the reading of the deflection, so that it moves Bc by way of a false skew.
-    takes_spring: whether it takes all of the spring's torque away over the range in which its column changes.
+    in_deflection: whether it is an effect of the deflection's reading, which moves Bc through a false skew.
+    takes_spring: whether it removes the spring's whole torque over the range in which its column changes.
     """
 
     code: str
@@ -154,9 +157,10 @@ class Effect:
     takes_spring: bool = False
 
     def remedy(self, terms: Sequence[str] = ("linear", "offset")) -> str:
-        """Return the advice for a model of these terms, each term in braces beside those that it can stand beside.
+        """Return the advice for a model of these terms; each term in braces is combined with those that it does not
+        exclude.
 
-        A model that it is already is no advice.
+        Advice that gives the present model again is left out.
         """
         models = {name: compatible_model(name, terms) for name in TERMS}
         if "maxwell" in terms:  # beside a branch, what still relaxes is another one
@@ -164,7 +168,7 @@ class Effect:
         return self.advice.format_map(models).removeprefix(f"try --model {'+'.join(terms)}, ")
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
-        """Pickle the effect as its code: its signature may be a lambda."""
+        """Pickle the effect as its code, since its signature may be a lambda."""
         return effect_of, (self.code,)
 
 
@@ -173,7 +177,7 @@ def _columns(*columns: Array) -> Array:
 
 
 def _smooth(recorded: Recorded, values: Array) -> Array:
-    """Values without the noise of their readings, which is an effect of its own."""
+    """Return values without the noise of their readings, which is a separate effect."""
     return recorded.smoothed(values, _SMOOTH / recorded.step)
 
 
@@ -202,7 +206,7 @@ def _hysteresis(recorded: Recorded, _model: Array) -> list[Array]:
 
 
 def _from_middles(recorded: Recorded) -> list[Array]:
-    """The deflection, rad, about where the torque is small, and about the middle of its range."""
+    """Return the deflection, rad, relative to where the torque is small, and to the middle of its range."""
     angle, torque = recorded.centred(), np.abs(recorded.torque)
     return [angle - float(np.median(angle[torque <= np.quantile(torque, _SMALL)])), angle]
 
@@ -223,13 +227,17 @@ def _periodic(recorded: Recorded, _model: Array) -> list[Array]:
 
 
 def of_readings(recorded: Recorded, model: Array) -> Array:
-    """Return what the sensors themselves may add (n, k): noise of the deflection, torque readings that repeat."""
+    """Return the torque (n, k) that the sensors themselves may add: noise of the deflection, repeated torque
+    readings.
+    """
     held = _held(recorded, model) or _joined(recorded, model)
     return np.concatenate([*held, *_reading_noise(recorded, model)], axis=1)
 
 
 def reading_noise(recorded: Recorded) -> Array:
-    """Return what of the deflection (n,), rad, no smooth motion makes: its sixth difference, 1 for a single spike."""
+    """Return the part of the deflection (n,), rad, that no smooth motion makes: its sixth difference, 1 for a single
+    spike.
+    """
     found = np.zeros(len(recorded))
     for part in recorded.stretches():
         values = recorded.deflection[part]
@@ -239,7 +247,9 @@ def reading_noise(recorded: Recorded) -> Array:
 
 
 def _held(recorded: Recorded, model: Array) -> list[Array]:
-    """The torque that a reading lacks by its age, where readings repeat, though counts would not."""
+    """Return the torque that is missing because of the age of repeated readings, where rounding does not explain
+    them.
+    """
     fresh = np.diff(recorded.torque, prepend=np.nan) != 0.0
     moves = np.abs(np.diff(model)) > COUNTS_A_TICK * smallest_step(recorded.torque)
     if np.count_nonzero(moves) < FEWEST_READINGS or np.mean(~fresh[1:][moves]) < _SOME:
@@ -248,7 +258,7 @@ def _held(recorded: Recorded, model: Array) -> list[Array]:
 
 
 def _joined(recorded: Recorded, model: Array) -> list[Array]:
-    """The torque that a reading lacks where lines join the readings of a slower cell: the chord of a parabola."""
+    """Return the torque that is missing where a slow cell's readings were joined by lines: the chord of a parabola."""
     steps = np.diff(recorded.torque)
     bends = np.abs(np.diff(steps))
     bent = bends > _STRAIGHT * float(np.median(np.abs(steps)))
@@ -260,7 +270,7 @@ def _joined(recorded: Recorded, model: Array) -> list[Array]:
 
 
 def _since(recorded: Recorded, marked: NDArray[np.bool_], *, backwards: bool = False) -> Array:
-    """The time (n,) s since the last marked sample; backwards: to the next one, negative."""
+    """Return the time (n,), s, since the last marked sample; backwards: until the next one, negative."""
     order = slice(None, None, -1) if backwards else slice(None)
     marks = np.where(marked, np.arange(len(recorded)), len(recorded) - 1 if backwards else 0)[order]
     found = np.minimum.accumulate(marks) if backwards else np.maximum.accumulate(marks)

@@ -1,12 +1,12 @@
-"""Test whether a model describes its recording: which part of the residuals follows from the motion, and how.
+"""Test for lack of fit: which part of the residuals follows from the motion, and how.
 
-The test holds regressors that the model does not have against the residuals: Kc and Bc of one part of the samples
-(Chow 1960; Hausman 1978), the earlier motion, powers, signs and products of the motion, waves over the angle, time.
-The part of a regressor that the model's own columns can make is removed first; its product with the residuals is then a
-score (Rao 1948), which is summed over blocks in time. If the model is right, each block's sum may as well have the
-other sign, however the residuals within a block are correlated and distributed. Random signs for the blocks therefore
-show how large the scores are by chance. Holm's (1979) correction accounts for the number of tests. The share of the
-residuals that ridge regression predicts in blocks that it was not fitted to says how much the misfit matters.
+The test compares the residuals with regressors that the model lacks: Kc and Bc of one part of the samples (Chow 1960;
+Hausman 1978), the earlier motion, powers, signs and products of the motion, waves over the angle, time. The part of a
+regressor that the model's own columns explain is removed first. Its product with the residuals is then a score (Rao
+1948), summed over blocks in time. If the model is right, the sum of each block has either sign with equal probability,
+however the residuals within a block are correlated and distributed. Random signs of the blocks therefore give the
+distribution of the scores by chance. Holm's (1979) correction accounts for the number of tests. The fraction of the
+residuals that ridge regression predicts in blocks that it was not fitted to says how large the misfit is.
 """
 
 from __future__ import annotations
@@ -40,12 +40,11 @@ _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averag
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The fit that is tested, in SI. residuals: (n,) N m; columns: (n, p), how the torque changes with each parameter.
+    """The fit that is tested, SI. residuals (n,): N m. columns (n, p): the derivative of the torque by each parameter.
 
-    coupling: the places of Kc and Bc among them, None for a model without. half_width: of their intervals. skew: the
-    place of a skew among the columns, None without.
-    kept: the samples (n,) that the model describes; residuals and columns of the others are not read. None: all.
-    included: the codes of effects that the model has a term for, which are therefore no remedy.
+    coupling: the indices of Kc and Bc, None for a model without them. half_width: of their intervals. skew: the index
+    of a skew, None without. kept (n,): the samples that the model describes; the others are not read. None: all.
+    included: the codes of effects that the model already has a term for, which are no remedy.
     """
 
     residuals: Array
@@ -61,9 +60,7 @@ class Fitted:
 def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
     """Test a fit. Return None if the recording is too short, or if the residuals are only rounding.
 
-    So they are, too, where next to no sample is one that the model describes.
-
-    Raises ValueError where the arrays differ in length.
+    None also if the model describes almost no sample. Raises ValueError if the arrays differ in length.
     """
     if not len(recorded) == len(fitted.residuals) == len(fitted.columns):
         raise ValueError(f"{len(recorded)} samples, {len(fitted.residuals)} residuals, {len(fitted.columns)} rows")
@@ -98,15 +95,17 @@ class _Tests:
         self._coupling = own - own.mean(axis=0)  # where an encoder has its zero says nothing
 
     def features(self) -> dict[str, Array]:
-        """The regressors (n, k) of each respect, without the part that the model can make."""
+        """Return the regressors (n, k) of each respect, without the part that the model explains."""
         return {name: self._tested.new(values) for name, values in regressors(self._recorded, self._model).items()}
 
     def predicted(self, features: Array) -> tuple[float, float]:
-        """The share of the residuals' power that features (n, k) predict in unseen blocks, and its size, N m r.m.s."""
+        """Return the fraction of the residuals' power that features (n, k) predict in unseen blocks, and its size, N m
+        r.m.s.
+        """
         return self._tested.predicted(features)
 
     def result(self) -> LackOfFit:
-        """Do all tests."""
+        """Run all tests and return their result."""
         features = self.features()
         everything = np.concatenate(list(features.values()), axis=1)
         compared = [self._compared(*cut) for cut in cuts(self._recorded)]
@@ -142,7 +141,9 @@ class _Tests:
         return min(predicted, float(np.sqrt(share)) * residuals) / torque if torque > 0.0 else 0.0
 
     def _compared(self, code: str, weights: Array | float) -> Respect | None:
-        """Compare Kc and Bc of one part, marked by weights (n,) or as the band below so many Hz, with the rest."""
+        """Compare Kc and Bc of one part, given by weights (n,) or as the band below this frequency, Hz, with those of
+        the rest.
+        """
         own = self._coupling
         if isinstance(weights, float):
             part = np.stack([self._recorded.smoothed(column, weights) for column in own.T], axis=1)
@@ -193,10 +194,11 @@ class _Tests:
         return best
 
     def _takes_spring(self, columns: Array, factor: float, moved: float) -> bool:
-        """Return whether a gap's column (n, 1) has the factor of a gap, about -Kc, with which Kc is moved, relative.
+        """Return whether a gap's column (n, 1) has the coefficient of a gap, about -Kc; moved: the relative change of
+        Kc.
 
-        A spring that curves resembles a gap in which a part of the spring is left. A gap narrower than the columns
-        has a smaller factor.
+        A spring that curves resembles a gap in which a part of the stiffness remains. A gap narrower than the columns
+        has a smaller coefficient.
         """
         stiffness = self._fitted.values[0] + moved * float(self._scale[0])
         if self._fitted.coupling is None:
@@ -206,7 +208,7 @@ class _Tests:
         return (0.0 if narrow else least * stiffness) < -factor < most * stiffness
 
     def _moved(self, effect: Effect, torque: Array) -> tuple[float, float]:
-        """Return the relative change of Kc and Bc if a torque (n,) is removed from the fit."""
+        """Return the relative change of Kc and Bc if the effect's torque (n,) is removed from the fit."""
         if self._fitted.coupling is None:
             return 0.0, 0.0
         moved = -np.linalg.lstsq(self._fitted.columns, torque, rcond=None)[0][list(self._fitted.coupling)]
@@ -217,8 +219,9 @@ class _Tests:
     def _moved_by_noise(self) -> Array:
         """Return the change of Kc and Bc (2,), SI, by noise in the deflection.
 
-        It makes Kc too low. A delay by a part of the time between two readings averages the noise, by up to a half
-        midway, so that a skew is drawn there as far as its own residuals let it; Bc follows the skew by Kc.
+        The noise makes Kc too low. A delay by a fraction of the sampling period averages the noise, by up to a half
+        midway between two readings, and so biases a skew in that direction as far as its residuals allow; Bc changes by
+        Kc times the skew.
         """
         fitted, recorded = self._fitted, self._recorded
         stiffness, noise = fitted.values[0], float(np.var(reading_noise(recorded))) / NOISE_GAIN
@@ -233,28 +236,30 @@ class _Tests:
         return np.array([attenuated, stiffness * min(longest, drawn)])
 
     def _relative(self, changes: Array) -> tuple[float, float]:
-        """Return changes (2,) of Kc and Bc relative to their scale; where that is zero they count as zero."""
+        """Return changes (2,) of Kc and Bc relative to their scale; 0 where the scale is zero."""
         first, second = np.divide(changes, self._scale, out=np.zeros(2), where=self._scale > 0.0).tolist()
         return first, second
 
     @property
     def _scale(self) -> Array:
-        """What changes of Kc and Bc (2,) are relative to: their values, or half the interval of one that is zero."""
+        """Return what changes of Kc and Bc (2,) are relative to: the value, or half the interval if the value is
+        zero.
+        """
         values = np.abs(self._fitted.values)
         return np.where(values > 0.0, values, self._at_zero)
 
     @property
     def _at_zero(self) -> Array:
-        """Half the intervals of Kc and Bc (2,), SI, where they stand at their bound, zero; else 0."""
+        """Return half the intervals of Kc and Bc (2,), SI, if they are at their bound, zero; else 0."""
         values, half_width = np.abs(self._fitted.values), np.asarray(self._fitted.half_width)
         return np.where((values == 0.0) & np.isfinite(half_width), half_width, 0.0)
 
     def _sizes(
         self, respects: tuple[Respect, ...], suspects: tuple[Suspect, ...], torque: float, *, explained: bool
     ) -> Array:
-        """Return the size of the misfit in Kc and Bc (2,), relative, not negative. torque: N m r.m.s., predicted.
+        """Return the size of the misfit in Kc and Bc (2,), relative, not negative. torque: predicted, N m r.m.s.
 
-        explained: whether the likeliest effect explains nearly all of that.
+        explained: whether the likeliest effect explains nearly all of it.
         """
         if not any(one.fails for one in respects):
             return np.zeros(2)
@@ -274,7 +279,7 @@ class _Tests:
         return bool((sizes * scale > np.maximum(self._fitted.half_width, _ACCURATE * scale)).any())
 
     def _correlation(self) -> tuple[Array, Array]:
-        """The correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""
+        """Return the correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""
         lags = np.linspace(-0.1, 0.3, 41)
         size = float(np.linalg.norm(self._tested.scores))
         found = [[self._alike(values, lag) / size for values in self._coupling.T] for lag in lags.tolist()]
@@ -287,7 +292,7 @@ class _Tests:
 
 
 def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
-    """Return at most about `_LIMIT` samples: every n-th one, then stretches spread over the recording."""
+    """Return at most about `_LIMIT` samples: every n-th one, then pieces spread over the recording."""
     if len(recorded) <= _LIMIT:
         return recorded, fitted
     speed = np.sqrt(np.mean(recorded.rate**2) / np.var(recorded.deflection))  # rad/s, of a sine that moves alike
@@ -306,7 +311,7 @@ def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
 
 
 def _apart(coupling: Array) -> Array:
-    """Return the part of each of two columns (n, 2) that the other cannot make."""
+    """Return the part of each of two columns (n, 2) that is orthogonal to the other."""
     first, second = coupling.T
     product = float(first @ second)
     return np.stack(
@@ -319,7 +324,7 @@ def _apart(coupling: Array) -> Array:
 
 
 def _blanked(fitted: Fitted) -> Fitted:
-    """Return the fit with zeros at the samples that the model does not describe, so that they add to no sum."""
+    """Return the fit with zeros at the samples that the model does not describe, so that they add nothing to sums."""
     if fitted.kept is None:
         return fitted
     residuals = np.where(fitted.kept, fitted.residuals, 0.0)

@@ -1,4 +1,6 @@
-"""The result of the tests of a fit: how it is rejected, the effects that look like it, and whether it matters."""
+"""The result of the lack-of-fit tests: how the model is rejected, which effects explain it, and whether it is
+relevant.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from hil.uncertainty.effects import Effect
 Array = NDArray[np.float64]
 
 FALSE_ALARMS: Final = 0.002
-"""Probability that any test calls a model wrong that is right."""
+"""The probability that any test rejects a model that is right."""
 
 _SHARE: Final = 0.02  # of the residuals' power, below which what is predicted is of no size
 _GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
@@ -31,9 +33,9 @@ _UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so 
 
 @dataclass(frozen=True, slots=True)
 class Respect:
-    """One test. p: the probability by chance, corrected for the number of tests.
+    """One test. p: its probability by chance, corrected for the number of tests.
 
-    Kc, Bc: by how much they differ between the two parts, relative; None where the test compares no parts.
+    Kc, Bc: by how much they differ between the two parts, relative; None if the test compares no parts.
     """
 
     code: str
@@ -44,15 +46,15 @@ class Respect:
 
     @property
     def fails(self) -> bool:
-        """Whether the model is rejected in this respect."""
+        """Return whether this test rejects the model."""
         return self.p < FALSE_ALARMS
 
 
 @dataclass(frozen=True, slots=True)
 class Suspect:
-    """An effect that the residuals look like. share: of the residuals' power that it explains.
+    """An effect that the residuals look like. share: the fraction of the residuals' power that it explains.
 
-    Kc, Bc: by how much they would change with it in the model, relative.
+    Kc, Bc: their relative change if the effect were in the model.
     """
 
     effect: Effect
@@ -63,7 +65,7 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True)
 class Lacking:
-    """What a model lacks of the dynamic stiffness in a band of mean frequency, Hz, relative to all of it."""
+    """What the model lacks of the dynamic stiffness in a band of mean frequency, Hz, relative to the whole."""
 
     frequency: float
     part: float
@@ -73,19 +75,16 @@ class Lacking:
 class LackOfFit:
     """The result of the tests.
 
-    share: part of the residuals' power that is predicted in unseen blocks; predicted: its size, N m r.m.s.;
-    unexplained: the same, relative to the torque's standard deviation. of_noise: whether noise of the deflection
-    explains the prediction. in_step: whether it does so only because roundings to counts repeat with the motion, and
-    add much by chance; the size of the misfit is then a part of the intervals.
-    Kc, Bc: the size of the misfit, relative. It is the largest change by a suspect or half the difference between
-    parts; without either, the change that would make the torque that is predicted. outside: whether that leaves the
-    interval of Kc or Bc.
-    at_zero: half the intervals of Kc and Bc, SI, where their values are zero, to which all changes of them are relative
-    then; else 0.
-    at_jumps: what the model lacks with the samples beside jumps of the acceleration, which it was not fitted to; None
-    for nothing that matters. What shows there alone is no part of Kc and Bc that has a size.
-    correlation (l, 2): of the residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual, N m, in
-    cells of deflection (rows, rising) and rate (columns, rising) with equal counts; NaN in empty cells.
+    share: the fraction of the residuals' power that is predicted in unseen blocks. predicted: its size, N m r.m.s.;
+    unexplained: the same relative to the torque's standard deviation. of_noise: whether noise of the deflection
+    explains the prediction. in_step: whether it does so only because rounding repeats with the motion; the size of the
+    misfit is then included in the intervals. Kc, Bc: the size of the misfit, relative: the largest change by a suspect,
+    or half the difference between parts; without either, the change that would give the predicted torque. outside:
+    whether that leaves the interval of Kc or Bc. at_zero: half the intervals of Kc and Bc, SI, if their values are
+    zero, to which changes are then relative; else 0. at_jumps: what the model lacks in the samples beside jumps of the
+    acceleration, to which it was not fitted; None if nothing relevant. An effect visible only there has no size in Kc
+    and Bc. correlation (l, 2): of the residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual,
+    N m, in cells of deflection (rows, rising) and rate (columns, rising) with equal counts; NaN in empty cells.
     """
 
     respects: tuple[Respect, ...]
@@ -106,12 +105,13 @@ class LackOfFit:
     at_jumps: Lacking | None = None
 
     def beside_noise(self, added: Array, *, counted: bool = False) -> LackOfFit:
-        """Return the result with `of_noise` set, by how the prediction grows when the errors of the motion double.
+        """Return the result with `of_noise` set, from the growth of the prediction when the errors of the motion
+        double.
 
-        added (k,): the growth of the predicted power, (N m)^2, in k simulations. With a wrong model the prediction
-        does not grow; with errors it does (Cook and Stefanski 1994). The growth scatters where the motion rests or
-        repeats. The scatter is allowed for unless Kc or Bc would be wrong by much, and then too if the errors are
-        counts (counted) whose rounding adds far more in one place of their grid than in another.
+        added (k,): the growth of the predicted power, (N m)^2, in k simulations. With a wrong model the prediction does
+        not grow; with errors of the motion it does (Cook and Stefanski 1994). Where the motion rests or repeats, the
+        growth scatters. The scatter is allowed for unless Kc or Bc would be clearly wrong, and even then if the errors
+        are rounding to counts (counted) that adds far more at one place of the encoder's grid than at another.
         """
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
@@ -123,35 +123,35 @@ class LackOfFit:
         return replace(self, of_noise=in_step, in_step=in_step)
 
     def _is_explained(self, added: float) -> bool:
-        """Return whether errors that add so much power, (N m)^2, as they are doubled, explain the prediction."""
+        """Return whether errors that add this power, (N m)^2, when doubled explain the prediction."""
         left = self.predicted**2 - added / _AGAIN
         return left < min(_SHARE / self.share, _OF_NOISE) * self.predicted**2
 
     def is_far_beyond_noise(self, added: float) -> bool:
-        """Return whether errors that add so much power, (N m)^2, as they are doubled, explain next to nothing of it."""
+        """Return whether errors that add this power, (N m)^2, when doubled explain almost nothing of it."""
         return self.share > 0.0 and added < _NEXT_TO_NOTHING * self.predicted**2
 
     @property
     def affected(self) -> str | None:
-        """The parameter, Kc or Bc, that alone is wrong by an amount that matters; None if both are, or neither."""
+        """Return the one parameter, Kc or Bc, that is wrong by a relevant amount; None if both are, or neither."""
         return self._grave[0] if len(self._grave) == 1 and not self.is_of_another_joint else None
 
     @property
     def is_grave(self) -> bool:
-        """Whether Kc or Bc would leave its interval by an amount that matters: 0.5 % of Kc or 3 % of Bc.
+        """Return whether Kc or Bc would leave its interval by a relevant amount: 0.5 % of Kc or 3 % of Bc.
 
-        Also if it is a model of another joint, whose intervals mean nothing.
+        True also for the model of another joint, whose intervals have no meaning.
         """
         return self.is_of_another_joint or (self.outside and bool(self._grave))
 
     @property
     def explains_too_little(self) -> bool:
-        """Whether a large part of the torque follows from the motion but not from the model."""
+        """Return whether a large part of the torque follows from the motion but not from the model."""
         return self.unexplained > _UNEXPLAINED
 
     @property
     def is_of_another_joint(self) -> bool:
-        """Whether the model leaves so much of the torque, or cannot move as fast as the joint did."""
+        """Return whether the model leaves most of the torque unexplained, or cannot move as fast as the joint did."""
         return self.explains_too_little or self.at_jumps is not None
 
     @property
@@ -160,24 +160,24 @@ class LackOfFit:
         return [name for name, size, most in sizes if size > most]
 
     def _limits(self, relative: tuple[float, float]) -> tuple[float, float]:
-        """Return limits for Kc and Bc, relative; that of one which is zero is half its interval."""
+        """Return limits for Kc and Bc, relative; for a value of zero, half its interval."""
         first, second = (1.0 if half > 0.0 else most for most, half in zip(relative, self.at_zero, strict=True))
         return first, second
 
     def change(self, of: int, size: float) -> float:
-        """Return a relative change of Kc (0) or Bc (1) in SI where its value is zero; NaN where it is not."""
+        """Return a relative change of Kc (0) or Bc (1) in SI if its value is zero; else NaN."""
         return size * self.at_zero[of] if self.at_zero[of] > 0.0 else math.nan
 
     @property
     def failed(self) -> tuple[Respect, ...]:
-        """The respects in which the model is rejected, the surest first."""
+        """Return the respects in which the model is rejected, the most significant first."""
         return tuple(sorted((one for one in self.respects if one.fails), key=lambda one: one.p))
 
     @property
     def misfit(self) -> bool:
-        """Whether the model is rejected, and by an amount that matters.
+        """Return whether the model is rejected, by a relevant amount.
 
-        Also if it is a model of another joint, whatever the tests say.
+        True also for the model of another joint, whatever the tests say.
         """
         if self.is_of_another_joint:
             return True
@@ -191,30 +191,33 @@ class LackOfFit:
 
     @property
     def is_undecided(self) -> bool:
-        """Whether no test rejects the model, and its residuals can be predicted: few of its samples are independent."""
+        """Return whether no test rejects the model although its residuals are predictable: too few independent
+        samples.
+        """
         return not self.failed and not self.misfit and self.share >= _PLAIN
 
     @property
     def in_intervals(self) -> tuple[float, float]:
-        """The amounts, relative, by which the intervals of Kc and Bc grow because of the misfit."""
+        """Return by how much, relative, the intervals of Kc and Bc grow because of the misfit."""
         return (self.Kc, self.Bc) if self.misfit or self.in_step or self._is_small or self._is_vague else (0.0, 0.0)
 
     @property
     def _is_small(self) -> bool:
-        """Whether it is below the accuracy of real sensors, in Kc and Bc or in the torque."""
+        """Return whether the misfit is below the accuracy of real sensors, in Kc and Bc or in the torque."""
         first, second = self._limits(_SMALL)
         return (self.Kc <= first and self.Bc <= second) or self.unexplained <= _ACCURATE
 
     @property
     def _is_vague(self) -> bool:
-        """Whether next to nothing is predicted, and no effect and no two parts say that it moves Kc or Bc.
+        """Return whether almost nothing is predicted, and no effect and no two parts show that it moves Kc or Bc.
 
-        Their change is then the most that so much torque could make, and a part of the intervals, not a warning.
+        Its size is then the largest change that so much torque could cause; it is added to the intervals, without a
+        warning.
         """
         vague = not self.suspects and all(one.Kc is None for one in self.failed)
         return bool(self.failed) and not self.of_noise and self.share < _SHARE and vague and not self._grave
 
     @property
     def _is_harmless(self) -> bool:
-        """Whether it is noise in the deflection that changes neither Kc nor Bc by an amount that matters."""
+        """Return whether it is noise in the deflection that changes neither Kc nor Bc by a relevant amount."""
         return bool(self.suspects) and self.suspects[0].effect.in_deflection and not self._grave

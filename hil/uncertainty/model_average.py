@@ -1,13 +1,13 @@
-"""Averages over models that the data cannot decide between: estimates and errors that include the choice.
+"""Average over models that the data cannot decide between: estimates and errors that include the choice of model.
 
-All models are contained in one, the largest. Leaving some of its parameters out moves the others by what the sampling
-covariance says, to first order, and costs the likelihood their Wald statistic (Hjort and Claeskens 2003), so that one
-fit gives every model. The variance of the average is the mean of theirs plus that of their estimates (Buckland, Burnham
-and Augustin 1997; Burnham and Anderson 2004).
+All models are contained in the largest one. Leaving some of its parameters out moves the others according to the
+sampling covariance, to first order, and lowers the likelihood by their Wald statistic (Hjort and Claeskens 2003), so
+one fit gives every model. The variance of the average is the mean of the models' variances plus that of their estimates
+(Buckland, Burnham and Augustin 1997; Burnham and Anderson 2004).
 
-In the value a parameter weighs by its odds, those by which it would be selected: by Akaike's criterion the value would
-follow noise that looks a little like a parameter which is seldom there. But it may be there, small, and the interval
-must hold what it changes: the variance is about that value, with the weights of Akaike's criterion.
+In the value, a parameter is weighted by its odds in model selection. With the weights of Akaike's criterion the value
+would follow noise that resembles a rare parameter. But a small one may exist, and the interval must include its effect:
+the variance is about that value, with the weights of Akaike's criterion.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 AKAIKE: Final = 2.0
-"""The cost of a parameter in Akaike's criterion: that of one which is as a rule there."""
+"""The cost of a parameter in Akaike's criterion, for one that most benches have."""
 
 SELDOM: Final = 2.0 * math.log(10.0)
-"""The further cost of one that one joint in ten has."""
+"""The additional cost of a parameter that one joint in ten has."""
 
 _FAR: Final = -20.0
-"""Standard deviations below zero, from which the positive part of a normal distribution is a tail."""
+"""Standard deviations below zero from which the positive part of a normal distribution is only its tail."""
 
 
 @dataclass(frozen=True, eq=False)
 class Average:
     """The averages of the parameters (p,) and their standard errors (p,), in their units.
 
-    left_out: for each model the numbers of the parameters that it does without; weights: of the models for the values,
-    of sum one.
+    left_out: for each model the indices of the parameters that it lacks. weights: of the models for the values, of sum
+    one.
     """
 
     values: Array
@@ -57,14 +57,14 @@ def average(
     bounded: Sequence[int] = (),
     seldom: Sequence[int] = (),
 ) -> Average | None:
-    """Return the average over all models with and without the doubtful parameters; None where none is possible.
+    """Return the average over all models with and without the doubtful parameters; None if none is possible.
 
-    values (p,) and covariance (p, p): of the model with all of them. costs: of each doubtful parameter, by its number,
-    how far it must raise twice the log likelihood for a model with it to be as likely as one without. positive:
-    parameters of which a negative estimate makes a model impossible. likely (2, p): what a parameter is likely to be,
-    and one standard deviation of that, infinite where nothing is known: where the data say less, this does (ridge
-    regression). bounded: parameters of every model that are zero where their estimate would be negative, with the
-    variance that they have without that bound. seldom: doubtful parameters that have their cost in the interval too.
+    values (p,) and covariance (p, p): of the model with all of them. costs: for each doubtful parameter, by index, how
+    much it must raise twice the log likelihood for a model with it to be as likely as one without. positive: parameters
+    whose negative estimate makes a model impossible. likely (2, p): the expected value of each parameter and its
+    standard deviation, infinite if nothing is known; it decides where the data say less (ridge regression). bounded:
+    parameters of every model that are set to zero if their estimate is negative, with the variance that they have
+    without that bound. seldom: doubtful parameters whose cost also applies to the interval.
     """
     variance = np.diag(covariance)  # negative by rounding: nearly dependent columns
     if not (np.isfinite(variance).all() and (variance > 0.0).all()):
@@ -90,11 +90,11 @@ def average(
 
 
 def without_positive(values: Array, covariance: Array, likely: Array) -> tuple[Array, Array, float]:
-    """Return values (p - 1,) and covariance (p - 1, p - 1) of all parameters but the last, whatever that one is.
+    """Integrate over the last parameter: return values (p - 1,) and covariance (p - 1, p - 1) of the others.
 
-    likely (2, p): as of `average`; the last parameter has one, around zero, and is not negative: its own distribution
-    is the positive part of a normal one, here by its mean and variance. Then Akaike's criterion with it less that
-    without, where it counts as far as the data and not its likely size say what it is.
+    likely (2, p): see `average`; the last parameter is expected around zero and is not negative, so its distribution is
+    the positive part of a normal one, here with its mean and variance. Also returned is Akaike's criterion with it less
+    that without, which counts as far as the data, and not its expected size, determine it.
     """
     size = np.sqrt(np.diag(covariance))
     values, covariance = _penalised(
@@ -113,7 +113,9 @@ def without_positive(values: Array, covariance: Array, likely: Array) -> tuple[A
 
 
 def _positive_part(centre: float) -> tuple[float, float]:
-    """The mean and the standard deviation of the positive part of a normal distribution of standard deviation one."""
+    """Return mean and standard deviation of the positive part of a normal distribution around `centre`, standard
+    deviation one.
+    """
     if centre < _FAR:  # the tail of an exponential distribution, by its first term
         return -1.0 / centre, -1.0 / centre
     ratio = math.exp(-0.5 * centre**2) / (math.sqrt(0.5 * math.pi) * math.erfc(-centre / math.sqrt(2.0)))
@@ -121,14 +123,18 @@ def _positive_part(centre: float) -> tuple[float, float]:
 
 
 def _weights(falls: Array, left_out: Sequence[Sequence[int]], costs: Mapping[int, float]) -> Array:
-    """The weights (m,) of models, of sum one, by the fall of twice their log likelihood and what leaving out saves."""
+    """Return the weights (m,) of models, of sum one, from the fall of twice their log likelihood and the costs
+    saved.
+    """
     criteria = falls - np.array([sum(costs[at] for at in one) for one in left_out])
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     return np.asarray(weights / weights.sum())
 
 
 def _penalised(values: Array, covariance: Array, centres: Array, precision: Array) -> tuple[Array, Array]:
-    """Values (p,) and covariance (p, p) with the penalty of parameters around centres (p,) of precisions (p,)."""
+    """Return values (p,) and covariance (p, p) after a penalty on the distance from centres (p,), of precisions
+    (p,).
+    """
     known = np.flatnonzero(precision > 0.0)
     if not known.size:
         return values, covariance
@@ -140,7 +146,7 @@ def _penalised(values: Array, covariance: Array, centres: Array, precision: Arra
 def _bounded(
     values: Array, covariance: Array, left_out: list[int], bounded: Sequence[int]
 ) -> tuple[Array, Array, float]:
-    """Return `_without` some parameters, with those that are bounded at zero where they would be negative."""
+    """Return `_without` for some parameters; the bounded ones that would be negative are set to zero."""
     estimates, variances, fall = _without(values, covariance, left_out)
     at_zero = list(left_out)
     while below := [at for at in bounded if estimates[at] < 0.0 and at not in at_zero]:
@@ -151,7 +157,9 @@ def _bounded(
 
 
 def _without(values: Array, covariance: Array, left_out: list[int]) -> tuple[Array, Array, float]:
-    """Values (p,) and variances (p,) of the model without some parameters, and the fall of twice its log likelihood."""
+    """Return values (p,) and variances (p,) of the model without some parameters, and the fall of twice its log
+    likelihood.
+    """
     block = covariance[np.ix_(left_out, left_out)]
     gain = np.linalg.solve(block, covariance[left_out]).T
     without, fall = values - gain @ values[left_out], values[left_out] @ np.linalg.solve(block, values[left_out])

@@ -1,11 +1,12 @@
-"""Several measurements of one quantity: the variance within each of them, the variance between them, and the drift.
+"""Several measurements of one quantity: the variance within each, the variance between them, and the drift.
 
-The model is value_i = x_i . beta + u_i + e_i, where e_i has the known standard error of measurement i (within) and u_i,
-the same unknown standard deviation for all, changes from one measurement to the next (between): the cable laid anew,
-the room's temperature. The between variance is Paule and Mandel's (1982): the one that makes the weighted sum of
-squares equal to its degrees of freedom. Intervals are Hartung and Knapp's (2001) with Student's quantile, because a
-normal quantile covers far too little with the handful of recordings a stand yields; they are never narrower than the
-measurements' own errors allow, for two recordings may agree by luck. docs/data.md holds the study that chose them.
+The model is value_i = x_i . beta + u_i + e_i. e_i has the known standard error of measurement i (within). u_i has one
+unknown standard deviation for all and changes from one measurement to the next (between), as when the cable is laid
+anew or the room's temperature changes. The between variance is that of Paule and Mandel (1982): it makes the weighted
+sum of squares equal to its degrees of freedom. Intervals are those of Hartung and Knapp (2001) with Student's quantile,
+because a normal quantile covers far too little with a handful of recordings. They are never narrower than the
+measurements' own errors allow, because two recordings may agree by luck. docs/data.md has the outcome of the study that
+chose them.
 """
 
 from __future__ import annotations
@@ -76,8 +77,8 @@ def between(values: Array, standard_errors: Array) -> Pooled:
 def is_outside(value: float, values: Array, standard_error: float) -> bool:
     """Return whether a measurement is outside the 99 % prediction interval of others (m,), m at least 2.
 
-    standard_error: of each alone. The others may differ among themselves: one that differs as they do is not outside.
-    Raises ValueError as `between`.
+    standard_error: of each alone. The others may differ among themselves; a measurement that differs by as much is not
+    outside. Raises ValueError as `between`.
     """
     from scipy.special import stdtrit
 
@@ -89,8 +90,8 @@ def is_outside(value: float, values: Array, standard_error: float) -> bool:
 def drift(times: Array, values: Array, standard_errors: Array) -> Drift:
     """Return the slope of measurements (m,) with their standard errors (m,) over times (m,), m at least 3.
 
-    The variance between the measurements is that about the line. Raises ValueError as `between`, and where all times
-    are the same.
+    The variance between the measurements is that about the line. Raises ValueError as `between`, and if all times are
+    equal.
     """
     if np.ptp(times) == 0.0:
         raise ValueError("all measurements have the same time: no drift can be estimated")
@@ -108,7 +109,7 @@ def drift(times: Array, values: Array, standard_errors: Array) -> Drift:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """beta (p,), and half the width of their 95 % intervals (p,).
+    """The coefficients beta (p,), and the half width of their 95 % intervals (p,).
 
     by_residuals, by_errors: standard errors (p,) from the residuals, and from the measurements' own errors alone.
     variance: between the measurements. freedom: degrees of freedom.
@@ -146,9 +147,9 @@ def _fit(design: Array, values: Array, errors: Array) -> _Fit:
 
 
 def _weighted_squares(design: Array, values: Array, variances: Array) -> tuple[float, float]:
-    """The sum of squares about the best fit, each measurement weighted with its variance (m,), and its derivative.
+    """Return the sum of squares about the best fit, each measurement weighted by its variance (m,), and its derivative.
 
-    The derivative is that with respect to a common addition to all variances, its sign reversed.
+    The derivative is that by a common addition to all variances, with the sign reversed.
     """
     root = 1.0 / np.sqrt(variances)
     beta = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
@@ -157,9 +158,9 @@ def _weighted_squares(design: Array, values: Array, variances: Array) -> tuple[f
 
 
 def _variance_where(design: Array, values: Array, errors: Array, squares: float) -> float:
-    """The between variance at which the weighted sum of squares is `squares`; 0 if none is.
+    """Return the between variance at which the weighted sum of squares equals `squares`; 0 if there is none.
 
-    The sum falls with the variance and is convex, so that Newton's steps from 0 never overshoot.
+    The sum falls with the variance and is convex, so Newton's steps from 0 never overshoot.
     """
     variance = 0.0
     for _ in range(_STEPS):
@@ -171,7 +172,9 @@ def _variance_where(design: Array, values: Array, errors: Array, squares: float)
 
 
 def _between_interval(design: Array, values: Array, errors: Array, freedom: int) -> tuple[float, float]:
-    """Viechtbauer's Q-profile (2007): the variances at which the sum of squares is within its chi-squared quantiles."""
+    """Return the Q-profile interval of Viechtbauer (2007): variances whose sum of squares is within chi-squared
+    quantiles.
+    """
     from scipy.special import chdtri
 
     low, high = (_variance_where(design, values, errors, float(chdtri(freedom, tail))) for tail in (0.025, 0.975))

@@ -1,4 +1,6 @@
-"""Regressors that residuals are held against, parts of the samples to compare, and the plane of deflection and rate."""
+"""Regressors that residuals are compared with, parts of the samples to compare, and the plane of deflection and
+rate.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def cuts(recorded: Recorded) -> list[tuple[str, Array | float]]:
-    """Return the parts to compare Kc and Bc between: weights (n,) of one part, or the Hz that split the band."""
+    """Return the parts between which Kc and Bc are compared: weights (n,) of one part, or the frequency, Hz, that
+    splits the band.
+    """
     angle, rate = recorded.centred(), recorded.rate
     speed = float(np.sqrt(np.mean(rate**2) / np.mean(angle**2)))  # rad/s
     size = np.abs(angle)
@@ -50,7 +54,7 @@ def cuts(recorded: Recorded) -> list[tuple[str, Array | float]]:
 
 
 def regressors(recorded: Recorded, model: Array) -> dict[str, Array]:
-    """Return regressors (n, k) for each respect; model: the torque (n,) N m that the model gives."""
+    """Return the regressors (n, k) of each respect; model: the torque (n,), N m, of the model."""
     angle, rate = recorded.centred(), recorded.rate
     x, v = angle / np.abs(angle).max(), rate / max(float(np.abs(rate).max()), 1e-300)
     return {

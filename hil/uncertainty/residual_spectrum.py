@@ -1,15 +1,15 @@
-"""Autocorrelated residuals: the power of their signs in bands of frequency, and the covariance it gives estimates.
+"""Autocorrelated residuals: the power of their signs in bands of frequency, and the covariance of estimates from it.
 
 The sum of x sign(e) of a median regression has the covariance sum over s, t of x_s x_t' E[sign(e_s) sign(e_t)]. By
-Parseval's theorem that is the columns' cross-spectrum weighted with the power spectrum of the signs (Hannan 1963 has it
-for least squares). The power is estimated from all residuals, wherever a column is large: blocks in time, the usual
-way, are too few where a column is large in few of them, as a skew's is at the fast end of a chirp.
+Parseval's theorem that is the cross-spectrum of the columns weighted with the power spectrum of the signs (Hannan 1963
+for least squares). The power is estimated from all residuals, wherever a column is large. Blocks in time, the usual
+way, are too few where a column is large in only a few of them, as that of a skew is at the fast end of a chirp.
 
-A fit removes the part of the noise that its own columns can make, most where they have their power: an offset and a
-drift from the lowest band. What is left there is the power of fewer lines than the band has.
+A fit removes the part of the noise that its own columns can explain, mostly where they have their power: an offset and
+a drift from the lowest band. The remaining power there comes from fewer lines than the band has.
 
-A torque whose zero walks has a power that rises towards slow changes, inside the lowest band too. How steeply follows
-from the power of the next band.
+If the zero of the torque drifts randomly, the power rises towards low frequencies, also within the lowest band. The
+slope is taken from the power of the next band.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ _STEPS = np.log(_SHAPES.mean(axis=1) / np.mean(_NEXT ** -_FALLS[:, None], axis=1
 
 @dataclass(frozen=True, eq=False)
 class ResidualSpectrum:
-    """In bands of rising frequency (b,): lines, their number in each; power, the signs' mean square in each, 1 where
-    they are uncorrelated; crossed (b, p, p), the columns' products, which add up to columns^T columns. fitted (b,):
-    lines that a fit of these signs has removed from each. slowest (k, p, p): the products of the lowest band, by line.
+    """The spectrum in bands of rising frequency (b,).
 
-    A power below one counts as one: it is so by chance, or by a fit with other columns.
+    lines: the number of lines in each. power: mean square of the signs in each, 1 if uncorrelated. crossed (b, p, p):
+    the columns' products, which add up to columns^T columns. fitted (b,): lines that a fit of these signs has removed
+    from each. slowest (k, p, p): the products of the lowest band, by line. A power below one counts as one: it is
+    chance, or the result of a fit with other columns.
     """
 
     lines: Array
@@ -49,17 +50,17 @@ class ResidualSpectrum:
 
     @property
     def _left(self) -> Array:
-        """Lines that are left of each band, never fewer than half: its power is known to no better than that."""
+        """Return the remaining lines of each band, at least half of them: its power is known no better than that."""
         return np.asarray(np.maximum(self.lines - self.fitted, 0.5 * self.lines))
 
     @property
     def covariance(self) -> Array:
-        """The covariance of the sum of x sign(e), (p, p)."""
+        """Return the covariance (p, p) of the sum of x sign(e)."""
         return np.asarray(np.einsum("b,bpq->pq", self._counted, self._weighted))
 
     @property
     def by_bands(self) -> Array:
-        """The same covariance, with all lines of the lowest band counted alike."""
+        """Return the same covariance with equal weights for all lines of the lowest band."""
         return np.asarray(np.einsum("b,bpq->pq", self._counted, self.crossed))
 
     @property
@@ -68,10 +69,11 @@ class ResidualSpectrum:
 
     @property
     def _weighted(self) -> Array:
-        """The columns' products (b, p, p), those of the lowest band by the power of each line over that of the band.
+        """Return the columns' products (b, p, p); those of the lowest band are weighted by each line's power over the
+        band's.
 
-        No line counts for less than the band: motion that is slow in a part of the recording only has noise of its own.
-        The power rises by chance too, which a standard error of its logarithm allows for.
+        No weight is below one: motion that is slow only in a part of the recording meets other noise. The slope of the
+        power has a chance error, which one standard error of its logarithm allows for.
         """
         if len(self.slowest) < _FEWEST:
             return self.crossed
@@ -90,9 +92,9 @@ class ResidualSpectrum:
 
 
 def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
-    """Return the spectrum of signs (m,) beside columns (m, p), in blocks of any length, in the order of time.
+    """Return the spectrum of signs (m,) and columns (m, p), in blocks of any length, in the order of time.
 
-    The signs count as those of a fit with these columns.
+    The signs are taken as those of a fit with these columns.
     """
     edges, lines, power, crossed, slow = np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 1
     for columns, signs in _segments(blocks):
@@ -117,7 +119,9 @@ def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
 
 
 def _fitted(crossed: Array) -> Array:
-    """The lines (b,) that a fit removes from each band: half the trace of its projection there, two numbers a line."""
+    """Return how many lines (b,) a fit removes from each band: half the trace of its projection there, two numbers a
+    line.
+    """
     gram = crossed.sum(axis=0)
     sizes = np.sqrt(np.diag(gram))
     units = np.outer(*[np.where(sizes > 0.0, sizes, 1.0)] * 2)
@@ -126,9 +130,10 @@ def _fitted(crossed: Array) -> Array:
 
 
 def _edges(count: int) -> tuple[Array, int]:
-    """The lower ends, in cycles a sample, of the lines of the lowest band and of the other bands, and how many lines.
+    """Return the lower ends of the lines of the lowest band and of the other bands, cycles a sample, and the number of
+    lines.
 
-    count: samples of a segment. With a single band it is one in place of its lines.
+    count: samples of a segment. With a single band, that band is given in place of its lines.
     """
     starts, last = [0], count // 2 + 1
     while (following := starts[-1] + max(_FEWEST, int(_WIDENING * starts[-1]))) <= last - _FEWEST:
@@ -138,7 +143,7 @@ def _edges(count: int) -> tuple[Array, int]:
 
 
 def _segments(blocks: Iterable[tuple[Array, Array]]) -> Iterator[tuple[Array, Array]]:
-    """The rows in segments of `_LONGEST`, the last of them shorter."""
+    """Yield the rows in segments of `_LONGEST`, the last one shorter."""
     waiting: list[tuple[Array, Array]] = []
     for block in blocks:
         waiting.append(block)

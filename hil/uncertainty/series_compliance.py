@@ -1,14 +1,14 @@
 """The coupling of a joint whose fixture is not rigid, from its own recording and an empty-rig recording.
 
-The fixture holds the joint, so the coupling and the fixture carry the same torque and their deflections add:
-1/Z_measured = 1/Z_coupling + 1/Z_fixture, each Z = K + j w B. At rest that is 1/K_measured = 1/Kc + 1/K_fixture, and
-slowly B_measured/K_measured^2 = Bc/Kc^2 + B_fixture/K_fixture^2. But two such elements in series are not one of the
-kind: their stiffness rises with frequency, and a fit of K and B depends on the excitation. `series` is that fit, the
-least squares over the spectrum of the deflection; `corrected` finds the coupling for which it gives the measured K, B.
-The closed forms above are its limit where 2 pi f B/K is small for both; over the paper's band, up to its joint's corner
-at 15 Hz, they miss by a third of the correction.
+Coupling and fixture carry the same torque, and their deflections add: 1/Z_measured = 1/Z_coupling + 1/Z_fixture, each Z
+= K + j w B. At rest that is 1/K_measured = 1/Kc + 1/K_fixture, and for slow motion B_measured/K_measured^2 = Bc/Kc^2 +
+B_fixture/K_fixture^2. But two such elements in series are not a single spring and damper: their stiffness rises with
+frequency, and a fit of K and B depends on the excitation. `series` is that fit, by least squares over the spectrum of
+the deflection; `corrected` finds the coupling for which it gives the measured K and B. The closed forms above are its
+limit if 2 pi f B/K is small for both. Over the paper's band, up to its joint's corner at 15 Hz, they are wrong by a
+third of the correction.
 
-It holds while the joint's own inertia, between the two springs, carries little of the torque: well below
+The correction holds while the joint's own inertia, between the two springs, carries little of the torque: well below
 sqrt((Kc + K_fixture)/J)/(2 pi).
 """
 
@@ -53,7 +53,9 @@ class Excitation:
 
     @classmethod
     def of(cls, time: Array, dtheta: Array) -> Excitation:
-        """Return the excitation of a recording: deflection (n,) rad at times (n,) s, which need not be even."""
+        """Return the excitation of a recording: deflection (n,) rad at times (n,) s, which need not be evenly
+        spaced.
+        """
         even = np.interp(np.linspace(time[0], time[-1], len(time)), time, dtheta)
         # flat but for its ends: a window over all of it would weigh a sweep's frequencies by their hour
         rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, len(even) // _TAPER + 1) / (len(even) // _TAPER + 1))
@@ -65,9 +67,9 @@ class Excitation:
 def corrected(measured: Element, fixture: Element, excitation: Excitation) -> Element:
     """Return the coupling alone, with the errors of both recordings propagated to first order.
 
-    measured: from the recording of the joint; fixture: from the empty-rig recording; excitation: of the recording of
-    the joint. Where a damping is not identifiable, its error is infinite, and so is that of the coupling's damping.
-    Raises Untrustworthy where the fixture is softer than the coupling, or both together have no stiffness.
+    measured: from the recording of the joint. fixture: from the empty-rig recording. excitation: of the recording of
+    the joint. If a damping is not identifiable, its error is infinite, and so is that of the coupling's damping. Raises
+    Untrustworthy if the fixture is softer than the coupling, or if both together have no stiffness.
     """
     _refuse_soft(measured, fixture)
     target = np.array([measured.stiffness, measured.damping])
@@ -86,7 +88,7 @@ def corrected(measured: Element, fixture: Element, excitation: Excitation) -> El
 
 
 def series(first: Array, second: Array, excitation: Excitation) -> Array:
-    """Return K and B (2,) by least squares over the excitation, for two elements (2,) in series."""
+    """Return K and B (2,), fitted by least squares over the excitation to two elements (2,) in series."""
     omega = 2.0 * np.pi * excitation.frequency
     one, other = (element[0] + 1j * omega * element[1] for element in (first, second))
     together = one * other / (one + other)
@@ -95,7 +97,7 @@ def series(first: Array, second: Array, excitation: Excitation) -> Array:
 
 
 def _closed_form(target: Array, held: Array) -> Array:
-    """The limit for slow motion."""
+    """Return the coupling in the limit of slow motion."""
     stiffness = 1.0 / (1.0 / target[0] - 1.0 / held[0])
     damping = stiffness**2 * (target[1] / target[0] ** 2 - held[1] / held[0] ** 2)
     return np.array([stiffness, damping])
@@ -115,7 +117,9 @@ def _jacobian(first: Array, second: Array, excitation: Excitation) -> Array:
 def _propagated(
     found: Array, held: Array, excitation: Excitation, measured: Element, fixture: Element
 ) -> tuple[float, float]:
-    """Standard errors of the corrected stiffness and damping, from the independent ones of both recordings."""
+    """Return the standard errors of the corrected stiffness and damping from the independent errors of both
+    recordings.
+    """
     of_measured = np.linalg.inv(_jacobian(found, held, excitation))
     of_fixture = -of_measured @ _jacobian(held, found, excitation)
     errors = np.array(

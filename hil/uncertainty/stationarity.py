@@ -1,4 +1,4 @@
-"""Whether the parameters stay the same: over one recording, and from one pooled recording to the next."""
+"""Whether the parameters are constant: during one recording, and from one pooled recording to the next."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ _PRECISE = 0.2  # half the width of a part's interval over its value, above whic
 
 @dataclass(frozen=True, slots=True)
 class VarianceComponents:
-    """Standard deviations of one parameter, in its unit: within a recording (its standard error), and between them.
+    """Standard deviations of one parameter, in its unit: within a recording (its standard error), and between
+    recordings.
 
-    values: of each recording on its own, NaN where it cannot be estimated; p_alike: the probability of values so far
-    apart if the recordings did not differ.
+    values: of each recording alone, NaN if it cannot be estimated. p_alike: the probability of values this far apart if
+    the recordings did not differ.
     """
 
     within: float
@@ -45,10 +46,10 @@ class VarianceComponents:
 def pooled_intervals(
     blocks: Blocks, edges: tuple[int, ...], intervals: ConfidenceIntervals
 ) -> tuple[ConfidenceIntervals, tuple[VarianceComponents | None, ...]]:
-    """Return the intervals widened by what differs between the recordings, and each parameter's variance components.
+    """Return the intervals widened by the differences between recordings, and each parameter's variance components.
 
-    blocks: the pooled linear problem; edges: where each recording ends, in rows. A parameter that fewer than two
-    recordings can estimate on their own keeps its interval, and its components are None.
+    blocks: the pooled linear problem. edges: the row at which each recording ends. A parameter that fewer than two
+    recordings can estimate alone keeps its interval, and its components are None.
     """
     if len(edges) < 2:
         return intervals, (None,) * len(intervals.half_width)
@@ -71,10 +72,10 @@ def pooled_intervals(
 def disagreement(
     names: Sequence[str], components: Sequence[VarianceComponents | None], paths: Sequence[Path]
 ) -> list[Diagnostic]:
-    """Return a diagnostic that names the recording which differs most from the others, where they differ in Kc or Bc.
+    """Return a diagnostic that names the recording that differs most from the others, if they differ in Kc or Bc.
 
-    It is an error where that recording is outside of what the others, which may differ too, predict.
-    names (p,) and components (p,) of the parameters; paths (m,) of the recordings.
+    It is an error if that recording lies outside the prediction from the others, which may differ too. names (p,) and
+    components (p,): of the parameters. paths (m,): of the recordings.
     """
     found = []
     for name, one in zip(names, components, strict=True):
@@ -104,7 +105,7 @@ def other_zeros(
 ) -> list[Diagnostic]:
     """Return a warning that names the recording whose torque at rest differs most from that of the others.
 
-    Arguments as of `disagreement`; error: N m, the mean of the fit, of which half is a difference that matters.
+    Arguments as for `disagreement`. error: mean |error| of the fit, N m; half of it is a relevant difference.
     """
     one = dict(zip(names, components, strict=True)).get("tau0")
     if one is None or not _differ(one):
@@ -123,9 +124,9 @@ def other_zeros(
 
 
 def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list[Diagnostic]:
-    """Return an error for each recording of which two quarters differ in Kc by more than a factor of three.
+    """Return an error for each recording with two quarters whose Kc differ by more than a factor of three.
 
-    blocks: the linear problem around the solution; edges: where each recording ends, in rows; kc: the column of Kc.
+    blocks: the linear problem around the solution. edges: the row at which each recording ends. kc: the column of Kc.
     """
     found = []
     for first, last in pairwise((0, *edges)):
@@ -146,19 +147,19 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
 
 
 def _differ(one: VarianceComponents) -> bool:
-    """Whether recordings that are alike would not be so far apart by chance."""
+    """Return whether the recordings are further apart than equal ones would be by chance."""
     return one.p_alike <= _CHANCE and one.between > BETWEEN * one.within
 
 
 def _most_apart(values: Array) -> tuple[int, float]:
-    """Which of the values (m,) is furthest from the median of the others, and that median."""
+    """Return which of the values (m,) is furthest from the median of the others, and that median."""
     usual = [float(np.nanmedian(np.delete(values, at))) for at in range(len(values))]
     at = int(np.nanargmax(np.abs(values - usual)))
     return at, usual[at]
 
 
 def _fitted(blocks: Blocks) -> tuple[Array, Array]:
-    """The exact optimum (p,) and half the width of its intervals (p,); empty without rows or independent columns."""
+    """Return the exact optimum (p,) and its half intervals (p,); empty without rows or independent columns."""
     if not blocks.rows:
         return np.zeros(0), np.zeros(0)
     try:
@@ -169,6 +170,6 @@ def _fitted(blocks: Blocks) -> tuple[Array, Array]:
 
 
 def _stiffness(blocks: Blocks, kc: int) -> list[float]:
-    """Kc, N m/rad; empty where the rows do not estimate it well enough to be compared."""
+    """Return [Kc], N m/rad; [] if the rows do not estimate it well enough to be compared."""
     values, half = _fitted(blocks)
     return [float(values[kc])] if len(values) and half[kc] < _PRECISE * values[kc] else []

@@ -1,20 +1,21 @@
-"""Kc and Bc averaged over the models that the data cannot decide between, so that the interval includes the choice.
+"""Average Kc and Bc over the models that the data cannot decide between, so that the interval includes this choice.
 
-Model selection leaves out what is not significant, but no bench is without offset, drift, friction and skew: the
-interval given the selected model is too narrow. The average is over that model with and without those effects, and the
-terms without strong evidence for or against them. Of these, one that a bench seldom has, a spring that curves, weighs
-in the value as model selection judges it: noise often looks a little like a cubic spring, which moves Kc by far more
-than its error. An offset and a skew are always there, the latter of a size that one recorder can produce, because the
-two readings of one tick never have quite the same age.
+Model selection leaves out every term that is not significant. But no bench is without offset, drift, friction and skew,
+so the interval of the selected model alone is too narrow. The average is over the selected model with and without these
+small effects, and with and without the terms for which the evidence is weak in either direction. A rare term, such as a
+spring that curves, has the weight that model selection gives it: noise often looks a little like a cubic spring, which
+moves Kc by far more than its standard error. An offset and a skew always exist. The skew has the size that one recorder
+can produce, because the two readings of one tick never have the same age.
 
-A reading that is late is known by how it stiffens fast motion, and so does a viscoelastic branch that relaxes faster
-than the joint moved. Any part of what looks late may be that, in one joint of ten, and is then not missing from Bc.
+A delayed torque reading shows in fast motion, where the joint seems stiffer. A viscoelastic branch that relaxes faster
+than the joint moves does the same. In one joint of ten, a part of the apparent delay is such a branch, and that part
+must not be subtracted from Bc.
 
-An angle that passed a filter which the torque did not looks like one that is read late, and exactly like an inertia: of
-each model with an inertia in place of a skew, both readings are in the average.
+An angle that passed a filter, where the torque passed none, looks like a delayed angle, and exactly like an inertia.
+For each model with an inertia in place of a skew, both explanations are in the average.
 
-In slow motion a late reading is less damping and shows in nothing else. Where none is selected, each likely time by
-which it may be late stands beside the model, with its likelihood.
+In slow motion a delayed reading only looks like less damping. Where no delay is selected, models with each likely delay
+are added, weighted by their likelihood.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ _PLACES = 2**44  # steps of a range, to one of which a quantile is found
 
 @dataclass(frozen=True, slots=True)
 class Averaged:
-    """An estimate averaged over models, SI: its value and half its 95 % interval, given the noise and the choice."""
+    """An estimate averaged over models, SI: its value, and the half width of its 95 % interval for noise and choice of
+    model.
+    """
 
     value: float
     half_width: float
@@ -59,10 +62,10 @@ class Averaged:
 def averaged(
     choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinear: Array, change: Mapping[str, float]
 ) -> dict[str, Averaged]:
-    """Return Kc and Bc averaged over models around the selected one; {} where the larger ones cannot be fitted.
+    """Return Kc and Bc averaged over models around the selected one; {} if the larger models cannot be fitted.
 
-    used (n,): the samples that it is fitted to. nonlinear (q,): its nonlinear parameters. change: by which errors of
-    the deflection are taken off its parameters, SI, by name; of a larger model other changes are.
+    used (n,): which samples the model is fitted to. nonlinear (q,): the model's nonlinear parameters. change: the
+    correction for errors of the deflection, SI, by name of the parameter; for larger models it is computed again.
     """
     if not (choice.steps and isinstance(choice.model, CouplingModel)):
         return {}
@@ -114,10 +117,11 @@ def averaged(
 def _behind_filter(
     one: Alternative, around: Sequence[tuple[dict[str, Averaged], float]], data: Signals
 ) -> list[tuple[dict[str, Averaged], float]]:
-    """The estimates of a model with an inertia, read as those of a joint whose angle passed a filter; [] without one.
+    """Return the estimates of a model with an inertia, read as a joint whose angle passed a filter; [] if there is no
+    inertia.
 
-    The torque of both is the same (`damping_behind_filter`), so that neither is likelier. Of two filters the faster one
-    is meant: a slow one would be known.
+    Both explanations give the same torque (`damping_behind_filter`), so neither is likelier. Of the two possible
+    filters the faster one is taken, because a slow filter would be known to the user.
     """
     inertia = own_values(one, data).get("J", 0.0) if "inertia" in one.model.name.split("+") else 0.0
     found = []
@@ -134,11 +138,13 @@ def _behind_filter(
 
 
 def _hidden(one: Alternative, data: Signals, stiffness: float) -> float:
-    """The damping, N m s/rad, a standard deviation, that is in Bc if a branch makes a part of what looks late.
+    """Return the standard deviation of the damping, N m s/rad, that a branch hides in Bc if it explains a part of the
+    delay.
 
-    Beside one branch, `LateReading.lateness` has every second one. A third one relaxes as much faster than two as one
-    of these does than the other. To the second order it looks late by K tau^2/Bc, and its damping is K tau; in fast
-    motion the two are stiff too.
+    For a model with one branch, `LateReading.lateness` already contains every second branch. A third branch is taken to
+    relax faster than the second by the same ratio as the second does than the first. To second order a branch of
+    stiffness K and time constant tau delays the torque by K tau^2/Bc and adds a damping of K tau; in fast motion both
+    branches act as stiffness.
     """
     nonlinear = dict(zip((own.name for own in one.model.nonlinear), one.nonlinear.tolist(), strict=True))
     late = sum(abs(nonlinear.get(name, 0.0)) for name in ("skew", "lag"))
@@ -150,10 +156,11 @@ def _hidden(one: Alternative, data: Signals, stiffness: float) -> float:
 
 
 def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
-    """The median of a mixture of normal estimates with weights (m,) of sum one, and how far its middle 95 % reaches.
+    """Return the median of a mixture of normal estimates with weights (m,) of sum one, and how far its middle 95 %
+    reaches.
 
-    Its standard deviation would not do: a model that is as likely as one in ten, and far away, is as far outside. Its
-    mean, and the middle of that interval, would follow such a model where nothing speaks for it.
+    A standard deviation would miss a distant model with a probability of one in ten. The mean would follow such a model
+    where no data support it.
     """
     values, errors = (np.array(of) for of in zip(*((one.value, one.half_width) for one in found), strict=True))
     low, high = float(np.min(values - 2.0 * errors)), float(np.max(values + 2.0 * errors))
@@ -170,10 +177,10 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
 
 
 def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Array:
-    """The change (p,) by which errors of the deflection are taken off the parameters of the larger model.
+    """Return the correction (p,) of the larger model's parameters for errors of the deflection.
 
-    Its fit is that of a problem linearised at a smaller model. It may lie beyond the bounds, where no torque can be
-    computed, so that the bounds are used instead.
+    The larger model's fit is linearised at a smaller model. It may lie beyond the bounds, where no torque can be
+    computed; then the bounds are used.
     """
     found, count = np.zeros(len(larger.values)), len(larger.model.parameters)
     values, linear = larger.values[:count].copy(), len(larger.model.linear)
@@ -195,13 +202,13 @@ def _around(
     *,
     grows: bool,
 ) -> list[tuple[dict[str, Averaged], float]]:
-    """Kc and Bc averaged over one model with and without the effects that every bench has; [] where none can be.
+    """Return Kc and Bc averaged over one model with and without the effects that every bench has; [] if impossible.
 
-    Then those of models with friction that falls, or (grows) damping that grows, each with Akaike's criterion less that
-    of the first. Where the larger model does not contain the smaller one, its average would lead away from both: the
-    values are those of the smaller one, with the error of the average and the distance from it. doubtful: the terms
-    that the data do not decide on, and the cost of each. by_errors: the change of all parameters by which errors of the
-    deflection are taken off them.
+    They are followed by the averages of models with friction that falls with the rate, or (grows) damping that grows
+    with it, each with its difference in Akaike's criterion. Where the larger model does not contain the smaller one,
+    averaging would lead away from both: then the values are those of the smaller one, with the standard error of the
+    average and the distance between the two added. doubtful: the terms that the data do not decide on, and the cost of
+    each. by_errors: the correction of all parameters for errors of the deflection.
     """
     largest = largest_model(model, tuple(doubtful), data)
     if largest is None:
@@ -222,12 +229,12 @@ def _around(
 
 
 def _about(value: float, mean: Averaged) -> Averaged:
-    """A value with the error of an average elsewhere, and the distance from it."""
+    """Return a value with the error of an average found elsewhere, and the distance to that average added to it."""
     return Averaged(value, math.hypot(mean.half_width, mean.value - value))
 
 
 def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged]:
-    """Kc and Bc averaged over all models in the largest; {} where none is possible."""
+    """Return Kc and Bc averaged over all models contained in the largest one; {} if that is impossible."""
     names, sampling = largest.names, largest.sampling
     costs = largest.costs(doubtful)
     found = average(
@@ -251,11 +258,11 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
 
 
 def _is_positive(name: str) -> bool:
-    """Whether a name is of a parameter that cannot be negative; a nuisance parameter may be."""
+    """Return whether a parameter of this name cannot be negative; a nuisance parameter can."""
     return name in PARAMETERS and PARAMETERS[name].positive
 
 
 def _is_doubtful(step: Step) -> bool:
-    """Whether the evidence for or against the term of a step is not strong."""
+    """Return whether the evidence for or against the term of a step is weak."""
     term = TERMS[step.term]
     return term.linear and term.selection != "smallest" and abs(step.gain) < -EVIDENCE_AGAINST

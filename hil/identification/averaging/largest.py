@@ -1,10 +1,10 @@
 """The largest of the models that are averaged over: it contains all others, and its fit gives theirs.
 
-A spring that curves is selected with the curve that fits best, and no spring follows one of these curves exactly: the
-stiffness at zero deflection depends on which.
+If the spring curves, the curve that fits best is selected. No real spring follows one of these curves exactly, and the
+stiffness at zero deflection depends on the curve.
 
-Dry friction never turns at once: what holds it is about as stiff as the coupling, so that it builds up over some Fc/Kc
-(Dahl 1976), which stiffens small motion.
+Dry friction never reverses at once: what holds the joint is about as stiff as the coupling. Friction therefore builds
+up over a deflection of about Fc/Kc (Dahl 1976), which stiffens small motion.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its b
 class Largest:
     """The fit of the model that contains all others: values (p,) of the parameters `names`, and the terms added.
 
-    The names are those of the model's parameters, and the one of friction that builds up, where it is added.
+    The names are those of the model's parameters, and that of friction that builds up where it is added.
 
-    columns (n, p) and target (n,), N m: of the linear problem around it. likely (2, p): as of `average`.
+    columns (n, p) and target (n,), N m: the linear problem around the fit. likely (2, p): see `average`.
     """
 
     model: CouplingModel
@@ -66,14 +66,15 @@ class Largest:
 
     @property
     def added_names(self) -> list[str]:
-        """The names of the parameters of the terms added."""
+        """Return the names of the parameters of the added terms."""
         return [name for term in self.added for name in _own(term)]
 
     def costs(self, doubtful: Mapping[str, float]) -> dict[str, float]:
-        """The cost of each parameter that a model may do without: of the terms added, and of the doubtful ones.
+        """Return the cost of each parameter that a model can do without: those of the added terms and of the doubtful
+        ones.
 
-        doubtful: the terms that the data do not decide on, and the cost of each. Where they do not decide whether the
-        spring curves at all, no other curve is likelier than the one in doubt.
+        doubtful: the terms that the data do not decide on, and the cost of each. If the data do not decide whether the
+        spring curves at all, only the curve in doubt is considered.
         """
         curving = max((cost for term, cost in doubtful.items() if term in _CURVES), default=AKAIKE)
         found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
@@ -83,14 +84,15 @@ class Largest:
 
     @property
     def seldom(self) -> list[str]:
-        """The names of the parameters added that one joint in ten has."""
+        """Return the names of the added parameters that only one joint in ten has."""
         return [name for term in _RARE_CURVES if term in self.added for name in _own(term)]
 
 
 def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> Largest | None:
-    """The largest model in which each added term can be distinguished from the others; None where there is none.
+    """Return the largest model in which each added term can be distinguished from the others; None if there is none.
 
-    It is linearised at the fit of the smaller one: what is added is small, and would wander off together with a lag.
+    It is linearised at the fit of the smaller model: the added effects are small, and a nonlinear search would move
+    them far away together with a lag.
     """
     chosen = smaller.model.name.split("+")
     added: list[str] = []
@@ -127,9 +129,9 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
 def _nuisances(
     chosen: Sequence[str], names: list[str], columns: Array, values: Array, motion: Motion
 ) -> Iterator[tuple[str, Array]]:
-    """The columns (n,) of what no term of the model follows exactly, each with its name.
+    """Yield the columns (n,) of effects that no term of the model follows exactly, each with its name.
 
-    chosen: the terms of the model; names, columns (n, p), values (p,): its parameters.
+    chosen: the terms of the model. names, columns (n, p), values (p,): its parameters.
     """
     own = dict(zip(names, values.tolist(), strict=True))
     if (building := _building_up(own, motion)) is not None:
@@ -144,7 +146,9 @@ def _nuisances(
 
 
 def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Signals) -> Covariance:
-    """The covariance with what rates beside jumps of the acceleration do to the parameters of columns (n, p)."""
+    """Return the covariance, including what wrong rates beside jumps of the acceleration do to the parameters of
+    columns (n, p).
+    """
     missing = rate_beside_jumps(data.motion, data.command)
     if missing is None:
         return sampling
@@ -153,9 +157,9 @@ def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Sign
 
 
 def _likely(names: Sequence[str], motion: Motion, *, usual_skew: bool) -> Array:
-    """What each parameter is likely to be, and a standard deviation of that, (2, p).
+    """Return the expected value of each parameter and its standard deviation before the data are seen, (2, p).
 
-    usual_skew: whether the skew is no larger than every recorder has it.
+    usual_skew: whether the skew is no larger than that of every recorder.
     """
     likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
     if usual_skew:
@@ -166,10 +170,11 @@ def _likely(names: Sequence[str], motion: Motion, *, usual_skew: bool) -> Array:
 
 
 def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
-    """The torque (n,), N m, by which friction that builds up over Fc/Kc differs from one that turns at once.
+    """Return the difference in torque (n,), N m, between friction that builds up over Fc/Kc and friction that reverses
+    at once.
 
-    None where the model, whose values are given by name, has no Coulomb friction, or that is too short to be seen, or
-    where friction turns smoothly.
+    None if the model has no Coulomb friction, if the build-up is too short to be seen, or if friction reverses
+    smoothly. values: those of the model's parameters by name.
     """
     friction, stiffness = values.get("Fc", 0.0), values["Kc"]
     if friction <= 0.0 or stiffness <= 0.0 or "vr" in values:
@@ -181,7 +186,7 @@ def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
 
 
 def _rooted(values: Mapping[str, float], motion: Motion) -> Array:
-    """The part (n,) by which friction that turns as v/sqrt(v^2 + vr^2) exceeds one that does as tanh(v/vr).
+    """Return by how much (n,) friction of the form v/sqrt(v^2 + vr^2) exceeds friction of the form tanh(v/vr).
 
     values: of the model's parameters by name.
     """
@@ -191,10 +196,11 @@ def _rooted(values: Mapping[str, float], motion: Motion) -> Array:
 
 
 def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
-    """Return whether the larger fit, with what was added set to zero, is the smaller fit, within its interval.
+    """Return whether the larger fit, with the added parameters set to zero, equals the smaller fit within its interval.
 
-    Both are of the same data. Where they differ, the error of the larger one does not say how its parameters move
-    together (residuals that last longer than what is averaged over), and an average would lead away from both.
+    Both are fits to the same data. If they differ, because residuals are correlated over longer times than the average
+    assumes, the covariance of the larger fit does not describe how its parameters move together, and an average would
+    lead away from both.
     """
     own = own_values(smaller, data)
     names, matrix = largest.names, largest.sampling.matrix
@@ -210,7 +216,7 @@ def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
 
 
 def own_values(one: Alternative, data: Signals) -> dict[str, float]:
-    """The linear parameters of a model, SI, by name, at its nonlinear ones."""
+    """Return the linear parameters of a model, SI, by name, fitted at the model's nonlinear parameters."""
     bounds = one.model.bounds(data.motion, data.band[1])
     values = Problem(one.model, data.motion, data.torque, *bounds).solve(one.nonlinear).values.tolist()
     return dict(zip((parameter.name for parameter in one.model.linear), values, strict=False))

@@ -1,16 +1,16 @@
-"""The fits of the largest model with friction that falls with the rate, and with damping that grows with it.
+"""The largest model with friction that falls with the rate, and with damping that grows with it.
 
-Friction may fall with the rate, as that of grease and of soft bristles does (Stribeck 1902; Canudas de Wit and others
-1995): it then takes from the torque what damping adds. Over which rate it falls is not known, nor by how much, up to as
-much as it is at speed: models in which it does, over each of a few of the rates driven, weigh as one with a parameter
-more. Where the recording hardly shows the fall, its size is limited by that alone.
+Friction can fall with the rate, as that of grease and of soft bristles does (Stribeck 1902; Canudas de Wit and others
+1995): it then subtracts from the torque what damping adds. The rate over which it falls and the size of the fall, at
+most the friction at speed, are unknown. The models with a few of these rates together have the weight of one model with
+one more parameter. Where the recording hardly shows the fall, only that limit bounds its size.
 
-None weighs more than the model selected. Where the joint turns, a rate that is a part of a sample late, or friction
-that builds up, looks like a fall. If such a law has strong evidence and was not selected, both values belong in the
-interval.
+No such model gets more weight than the selected one. Where the joint reverses, a rate that is a fraction of a sample
+late, or friction that builds up, looks like a fall. If such a law has strong evidence and was not selected, both values
+belong in the interval.
 
-Damping may grow with the rate, as that of a fluid in motion does, in one joint of ten. In much noise nothing shows it,
-and Bc is then that of the usual rate, not that of slow motion.
+In one joint of ten damping grows with the rate, as that of a moving fluid does. Noise can hide this, and Bc is then the
+damping at the usual rate, not that of slow motion.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ _GROWTH = 1.0  # of Bc, by which damping is higher at the rate of which it is fe
 
 
 def falling(largest: Largest, motion: Motion) -> list[tuple[Largest, float]]:
-    """The fits with friction that falls over some rate, and Akaike's criterion of each less that without.
+    """Return the fits with friction that falls over some rate, each with its change of Akaike's criterion.
 
-    [] where the model selected has no friction, or some that falls.
+    [] if the selected model has no friction, or has friction that falls.
     """
     values = dict(zip(largest.names, largest.values.tolist(), strict=True))
     rubs = [name for name in values if _rubs(name)]
@@ -80,10 +80,10 @@ def growing(
     data: Signals,
     by_errors: Callable[[Largest], Array],
 ) -> list[tuple[Largest, float]]:
-    """The fit with damping that grows with the rate, and Akaike's criterion of it less that without; [] without one.
+    """Return the fit with damping that grows with the rate, with its change of Akaike's criterion; [] if there is none.
 
-    smaller, doubtful: the model in the largest one, and terms that the data do not decide on. by_errors: the change by
-    which errors of the deflection are taken off all parameters. They look like such damping themselves.
+    smaller, doubtful: the model inside the largest one, and the terms that the data do not decide on. by_errors: the
+    correction of all parameters for errors of the deflection, which themselves look like such damping.
     """
     terms, usual = smaller.model.name.split("+"), felt(data.motion.dtheta_dot)
     damping = float(largest.values[largest.names.index("Bc")])
@@ -98,7 +98,7 @@ def growing(
 
 
 def _with_last(largest: Largest, name: str) -> Largest:
-    """The same fit with a parameter as its last."""
+    """Return the same fit with the named parameter moved to the end."""
     order = sorted(range(len(largest.names)), key=lambda at: largest.names[at] == name)
     known = largest.sampling
     sampling = Covariance(
@@ -115,9 +115,9 @@ def _with_last(largest: Largest, name: str) -> Largest:
 
 
 def _fallen(largest: Largest, column: Array) -> list[tuple[Largest, float]]:
-    """The fit with friction that falls, and Akaike's criterion of it; [] where it cannot be distinguished from others.
+    """Return the fit with falling friction, with its change of Akaike's criterion; [] if it is not distinguishable.
 
-    column (n,): the torque, N m, by which friction at rest is higher if that is as much as at speed.
+    column (n,): the additional torque of friction at rest, N m, if it is twice that at speed.
     """
     columns = np.column_stack([largest.columns, column])
     try:
@@ -132,9 +132,10 @@ def _fallen(largest: Largest, column: Array) -> list[tuple[Largest, float]]:
 
 
 def _marginal(larger: Largest, likely: float) -> list[tuple[Largest, float]]:
-    """The fit, whatever its last parameter is, and Akaike's criterion of it less that without; [] if not distinct.
+    """Return the fit integrated over its last parameter, with its change of Akaike's criterion; [] if not
+    distinguishable.
 
-    likely: a standard deviation of that parameter, in its unit.
+    likely: the standard deviation of that parameter before the data are seen, in its unit.
     """
     sampling = larger.sampling
     if not (sampling.distinct & (np.diag(sampling.matrix) > 0.0)).all():
@@ -155,7 +156,7 @@ def _marginal(larger: Largest, likely: float) -> list[tuple[Largest, float]]:
 
 
 def _blurred(columns: Array, values: Array, target: Array) -> float:
-    """The factor by which errors of the rate make the likelihood of a fit less certain.
+    """Return the factor by which errors of the rate reduce the information in the likelihood of a fit.
 
     columns (n, p), values (p,), target (n,) N m: of the fit.
     """
@@ -164,5 +165,5 @@ def _blurred(columns: Array, values: Array, target: Array) -> float:
 
 
 def _rubs(name: str) -> bool:
-    """Whether a name is of a parameter of friction; a nuisance parameter is none."""
+    """Return whether this is the name of a friction parameter; a nuisance parameter is not."""
     return name in PARAMETERS and PARAMETERS[name].friction

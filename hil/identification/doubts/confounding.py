@@ -1,4 +1,4 @@
-"""What passes for something else in this recording: an inertia, friction, a filter or a late reading."""
+"""Effects that this recording cannot distinguish: inertia, friction, a filter or a delayed reading."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Array = NDArray[np.float64]
 _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
 _FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
 CURVES = {"cubic", "quintic", "progressive", "hardening", "exponential", "toe", "asymmetric"}
-"""The terms of a spring that curves or bends."""
+"""The terms of a spring whose stiffness depends on the deflection."""
 
 _EARLY, _A_LITTLE_EARLY = 2.0, 0.5  # times what recorders are late or early by, from which an early reading is doubted
 _NEXT_TO_NONE = 0.01  # of the torque: a friction that is found so small is not the one that holds the joint
 
 
 def several_speeds(evidence: Evidence) -> str:
-    """Return the remedy where one speed hides an effect."""
+    """Return the remedy for an effect that cannot be seen at a single speed."""
     imported = evidence.signals.imported
     return again("Drive at several speeds over two octaves", "--profile chirp or multisine", imported=imported)
 
@@ -43,7 +43,7 @@ def confounded(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _inertia(evidence: Evidence) -> list[Diagnostic]:
-    """Return the warning of an inertia in the joint's torque."""
+    """Return the warning that the joint's torque contains an inertia."""
     if "J" not in evidence.names or evidence.signals.torque_from == "motor":
         return []
     inertia = float(evidence.values[evidence.names.index("J")])
@@ -56,14 +56,16 @@ def _inertia(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _as_motors(evidence: Evidence) -> str:
-    """Return how to say that the torque is the motor's: of a table, or of a stand."""
+    """Return the instruction for declaring that the torque is the motor's, for a table or for a stand."""
     if evidence.signals.imported or evidence.signals.torque_from == "given":
         return "import it with --motor-torque, and set motor_inertia in the stand file"
     return 'set torque_source = "motor" and motor_inertia in the stand file'
 
 
 def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
-    """Return the diagnostic for an inertia that may as well be a filter of the angle, unless it is the motor's."""
+    """Return the diagnostic for an inertia that may equally be a filter of the angle; [] if the torque is the
+    motor's.
+    """
     values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     if not {"Kc", "Bc", "J"} <= set(values) or evidence.signals.torque_from == "motor" or values["J"] <= 0.0:
         return []
@@ -84,9 +86,10 @@ def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
-    """Return the diagnostic for a motion at one frequency, where more than one coupling has the same torque.
+    """Return the diagnostic for motion at one frequency, where more than one coupling gives the same torque.
 
-    Beside a part that relaxes, or an inertia, a spring and a damper fit as well. Nobody can select one of these models.
+    For a part that relaxes, or an inertia, there is a spring and damper that fit equally well, and the data cannot
+    select one of them.
     """
     motion, selected = evidence.signals.motion, evidence.selected
     if not selected and ("J" in evidence.names or evidence.signals.torque_from != "given"):
@@ -103,11 +106,12 @@ def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
-    """Return the error of Kc and Bc where friction at rest would be a part of them.
+    """Return the error of Kc and Bc if friction at rest would become a part of them.
 
-    After a step of the set-point of a motion of first order, friction's torque is a sum of those of deflection and
-    rate: nothing shows it. After one of second order it has a part of the acceleration too: more stiffness and damping,
-    read too early. After another motion it is nearly that of a curve.
+    If a first-order drive answers a step of the set-point, the torque of friction is a sum of the torques of deflection
+    and rate, and nothing shows it. If a second-order drive does, friction is partly proportional to the acceleration
+    too: it looks like more stiffness and damping, and a torque that is read too early. In other motion friction looks
+    nearly like the torque of a spring that curves.
     """
     motion, values = evidence.signals.motion, dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     terms = set(evidence.model.name.split("+"))
@@ -135,7 +139,7 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _little_load(evidence: Evidence) -> list[Diagnostic]:
-    """Return the warning if friction takes most of the torque, or play most of the motion."""
+    """Return the warning if friction makes most of the torque, or play most of the motion."""
     values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     torque, angle, friction = _loaded(evidence), _middle_of(evidence.signals.motion.dtheta), _friction(values)
     gap, causes, times = values.get("gap", 0.0), [], 1.0
@@ -155,14 +159,14 @@ def _little_load(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _friction(values: Mapping[str, float]) -> float:
-    """Return the friction, N m, of a model whose parameters (SI, by name) are given; zero without one."""
+    """Return the friction, N m, of a model with these parameters (SI, by name); zero if it has none."""
     return max((abs(values[name]) for name in _FRICTION if name in values), default=0.0)
 
 
 def _least_friction(evidence: Evidence) -> float:
-    """Return the friction, N m, that the model has at least: at the end of its interval; zero without one.
+    """Return the least friction, N m, that the model may have: the lower end of its interval; zero if it has none.
 
-    That in proportion to the torque is the friction at the largest one.
+    Friction in proportion to the torque is taken at the largest torque.
     """
     ends = zip(evidence.names, np.abs(evidence.values) - evidence.errors.half_width, strict=True)
     sizes = {**dict.fromkeys(_FRICTION, 1.0), "mu": _loaded(evidence)}
@@ -175,13 +179,13 @@ def _loaded(evidence: Evidence) -> float:
 
 
 def _middle_of(values: Array) -> float:
-    """Return half the range of values (n,) without the outermost, which may be outliers."""
+    """Return half the range of values (n,) after the outermost ones, which may be outliers, are left out."""
     low, high = np.quantile(values, [_OUTERMOST, 1.0 - _OUTERMOST])
     return float(0.5 * (high - low))
 
 
 def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
-    """Return the warning of a skew that is too long for one recorder, or of a filter."""
+    """Return the warning of a skew that is too long for one recorder or is the effect of a filter."""
     if "window" in evidence.names:
         return [_filtered(evidence)]
     if "skew" not in evidence.names:
@@ -200,9 +204,9 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _filtered(evidence: Evidence) -> Diagnostic:
-    """Return the diagnostic for a torque that a filter averages: an error, unless the user names the mean.
+    """Return the diagnostic for a torque that a filter averages: an error, unless the user named the term `mean`.
 
-    Another filter of the same delay fits nearly as well and has another Bc (a Butterworth of 30 Hz: 8 % more).
+    Another filter with the same delay fits nearly as well and gives another Bc (for a Butterworth of 30 Hz, 8 % more).
     """
     window, late = (
         float(evidence.values[evidence.names.index(name)]) if name in evidence.names else 0.0

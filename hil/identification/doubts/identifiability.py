@@ -1,4 +1,4 @@
-"""Identifiability: the doubts about a result, and the reasons why a recording does not identify a parameter."""
+"""Identifiability: the warnings and errors of a result, and why a recording does not identify a parameter."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
 
 
 def wide_intervals(evidence: Evidence, doubts: Sequence[Diagnostic]) -> list[Diagnostic]:
-    """Return the warnings about intervals of Kc and Bc that are wide, where none of the doubts is about the parameter.
+    """Return warnings of wide intervals of Kc and Bc, for parameters that none of the doubts concerns.
 
-    Where recordings differ, other doubts say so.
+    Differences between recordings have warnings of their own.
     """
     half, values = evidence.errors.half_width, evidence.values
     return [
@@ -84,8 +84,8 @@ def other_stiffness(
 ) -> list[Diagnostic]:
     """Return a diagnostic for each second stiffness of a model with these values (SI, by name of the parameter).
 
-    deflected: rad, r.m.s., of the motion. model: its name. spans: what Kc depends on ("amplitude", "direction" or
-    "deflection") if the interval of Kc spans both stiffnesses.
+    deflected: r.m.s. deflection, rad. model: its name. spans: what Kc depends on ("amplitude", "direction" or
+    "deflection") if the interval of Kc contains both stiffnesses.
     """
     found = []
     if (before := sliding(values, deflected)) is not None:
@@ -127,12 +127,14 @@ def other_stiffness(
 
 
 def _relaxing(values: Mapping[str, float]) -> list[tuple[float, str]]:
-    """Return the time, s, in which each branch of a model with these values relaxes, with its parameter."""
+    """Return the relaxation time, s, of each branch of a model with these values, and the name of its parameter."""
     return [(values[name], name) for name in ("tau1", "tau2") if name in values]
 
 
 def _unloaded(evidence: Evidence) -> list[Diagnostic]:
-    """Return the diagnostic for a spring that curves and an unknown unloaded place; an error if Kc is too uncertain."""
+    """Return the diagnostic for a spring that curves and whose unloaded place is unknown; an error if Kc is too
+    uncertain.
+    """
     if evidence.span is None or evidence.span[2] != UNLOADED_PLACE:
         return []
     least, most, _ = evidence.span
@@ -205,7 +207,7 @@ def _why_not(evidence: Evidence, at: int) -> str:
 
 
 def _alike(evidence: Evidence, at: int) -> str:
-    """Return the parameter that this one cannot be distinguished from, and the remedy."""
+    """Return the parameter that cannot be distinguished from this one, and the remedy."""
     name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
     relaxing = _relaxing(dict(zip(evidence.names, evidence.values.tolist(), strict=True)))
     constant, slowest = max(relaxing, default=(0.0, ""))
@@ -234,7 +236,7 @@ def _alike(evidence: Evidence, at: int) -> str:
 
 
 def _wide(evidence: Evidence, at: int) -> str:
-    """Return why the interval of the parameter is wide, or too wide, and the remedy."""
+    """Return why the interval of the parameter is wide or too wide, and the remedy."""
     name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
     uncertain = f"{name} is uncertain by {half / abs(value):.0%}" if evidence.identifiable(at) else ""
@@ -257,13 +259,15 @@ def _wide(evidence: Evidence, at: int) -> str:
 
 
 def _differs(evidence: Evidence, at: int) -> VarianceComponents | None:
-    """Return how the parameter scatters, if it differs between the recordings by more than its error in one."""
+    """Return the variance components of the parameter if it differs between recordings by more than its error; else
+    None.
+    """
     scatter = evidence.scattered[at]
     return scatter if scatter is not None and scatter.between > BETWEEN * scatter.within else None
 
 
 def _by_the_choice(evidence: Evidence, at: int) -> str:
-    """Return the value by the selected model alone, for a parameter on which likely models disagree, and the remedy."""
+    """Return the value that the selected model alone gives, where likely models disagree on it, and the remedy."""
     name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = (float(of[at]) for of in evidence.exact)
     corner, imported = _corner(evidence) if name == "Bc" else "", evidence.signals.imported
@@ -288,7 +292,9 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
 
 
 def _corner(evidence: Evidence) -> str:
-    """Return the corner Kc/(2 pi Bc), from which on damping shows; "" if the joint moved so fast."""
+    """Return the corner frequency Kc/(2 pi Bc), above which damping dominates, as text; "" if the joint moved that
+    fast.
+    """
     if "Kc" not in evidence.names:
         return ""
     kc, bc, high = evidence.names.index("Kc"), evidence.names.index("Bc"), evidence.signals.band[1]

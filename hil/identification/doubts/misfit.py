@@ -25,10 +25,10 @@ _CHANGES = 0.03  # of K' over the band, from which it is said
 def misfit_diagnostics(
     described: Described, model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None, *, selected: bool
 ) -> list[Diagnostic]:
-    """Return the warning or error about a model of that name that does not describe its recording; none where it does.
+    """Return the warning or error that the named model does not describe its recording; [] if it does.
 
-    Where the torque's readings show what was done to them, that comes first, and no term that looks like it. selected:
-    whether the model was, and not named by the user.
+    If the torque's readings show how they were processed, that is reported first, in place of a term that looks like
+    it. selected: whether the model was selected, and not named by the user.
     """
     if found is None or found.is_undecided or not found.misfit:
         missed = _untested_motion(described, model) if selected else []
@@ -49,9 +49,9 @@ def misfit_diagnostics(
 
 
 def lost_by_misfit(before: Sequence[Estimate], found: Sequence[Estimate]) -> list[Diagnostic]:
-    """Return the error of each parameter that the model identifies, but not with what the model may leave out.
+    """Return the error of each parameter that is identified by the model, but no longer when its misfit is included.
 
-    before, found: the estimates with the intervals of the model, and with those that its lack of fit makes wider.
+    before, found: the estimates with the intervals of the model, and with those widened by the misfit.
     """
     return [
         Diagnostic(
@@ -68,7 +68,7 @@ def lost_by_misfit(before: Sequence[Estimate], found: Sequence[Estimate]) -> lis
 
 
 def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
-    """Return the warning that the recording is too short for the tests, or that they can decide nothing by it."""
+    """Return the warning that the recording is too short for the lack-of-fit tests, or that they can decide nothing."""
     seen = f", but the motion predicts {100.0 * found.share:.0f} % of its residuals" if found else ""
     return Diagnostic(
         "misfit-untested",
@@ -78,11 +78,11 @@ def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
 
 
 def _untested_motion(described: Described, model: str) -> list[Diagnostic]:
-    """Return the error that next to nothing of the motion is in the samples that the tests are of; none for more.
+    """Return the error that hardly any of the motion is in the samples that the tests use; [] otherwise.
 
-    Beside jumps of the acceleration a model is held against the dynamic stiffness, but for one with friction, which may
-    hold the joint there, or an inertia, whose torque jumps. It is an error of Kc, too, where the spring curves: what is
-    not the curve's would change it.
+    Beside jumps of the acceleration the model is compared with the dynamic stiffness. That is impossible for a model
+    with friction, which may hold the joint there, and for one with an inertia, whose torque jumps. If the spring
+    curves, Kc is an error too, because any other effect would change the curve.
     """
     sticks = isinstance(described.model, CouplingModel) and described.model.sticks
     moving = tested_motion(described)
@@ -111,7 +111,7 @@ def _respects(model: str, found: LackOfFit) -> str:
 
 
 def _at_jumps(found: LackOfFit) -> list[str]:
-    """What the model lacks beside jumps of the acceleration; [] for nothing."""
+    """Return what the model lacks beside jumps of the acceleration; [] for nothing."""
     lacking = found.at_jumps
     if lacking is None:
         return []
@@ -135,7 +135,9 @@ def _consequence(found: LackOfFit, names: Sequence[str]) -> str:
 
 
 def _size(found: LackOfFit, of: int, size: float | None, *, sign: str = "") -> str:
-    """A relative change of Kc (0) or Bc (1), in its unit where the value is zero; sign: "+", to print its sign."""
+    """Return a relative change of Kc (0) or Bc (1) as text, in its unit if the value is zero. sign: "+" prints its
+    sign.
+    """
     absolute = found.change(of, size or 0.0)
     if math.isfinite(absolute):
         return f"{absolute if sign else abs(absolute):{sign}.2g} {('N m/rad', 'N m s/rad')[of]}"
@@ -143,13 +145,13 @@ def _size(found: LackOfFit, of: int, size: float | None, *, sign: str = "") -> s
 
 
 def percent(size: float | None) -> str:
-    """Return the size of a relative change for people."""
+    """Return a relative change as text in percent."""
     size = abs(size or 0.0)
     return "more than 100 %" if size > 1.0 else f"{100.0 * size:.2g} %"
 
 
 def _remedy(model: SeparableModel, found: LackOfFit) -> str:
-    """What the residuals look like, with the model or experiment to try."""
+    """Return what the residuals look like, and the model or experiment to try."""
     if found.at_jumps is not None and not found.suspects:
         return (
             "An inertia, or friction from rest on, may show there only. Drive a multisine or a chirp, or read the "
@@ -169,7 +171,7 @@ def _remedy(model: SeparableModel, found: LackOfFit) -> str:
 
 
 def _frequencies(dynamic: DynamicStiffness | None) -> str:
-    """How K' changes over the band, where it does."""
+    """Return how the storage stiffness K' changes over the excited band, as text, if it does."""
     if dynamic is None:
         return ""
     bands = dynamic.bands

@@ -1,4 +1,4 @@
-"""A Kc that rests on less torque than the model leaves unexplained."""
+"""A Kc whose torque is smaller than the torque that the model leaves unexplained."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ _ROWS = 20_000  # samples, of which it is seen how much of a column others can m
 
 
 def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Diagnostic]:
-    """Return the error of a Kc that rests on less torque than the model leaves unexplained; none where it does not.
+    """Return the error if the torque that determines Kc is smaller than what the model leaves unexplained; []
+    otherwise.
 
-    Friction, play and the other parameters can make most of what a spring that is hardly loaded does: Kc follows from
-    the rest of its torque. An effect that the model lacks may look like that rest: it would change Kc by the ratio of
-    the two. Noise is averaged away and does not: so a model that the tests do not reject is not doubted, and the noise
-    of the reading is not counted. A Kc of zero, its bound, is refused already, with what is wrong.
+    Friction, play and the other parameters can explain most of the torque of a spring that is hardly loaded: Kc then
+    follows from the small rest. An effect that the model lacks may look like that rest, and would change Kc by the
+    ratio of the two. Noise averages out, so it is not counted, and a model that passes the tests is not doubted. A Kc
+    of zero, its bound, is refused elsewhere, with the reason.
     """
     if found is None or not (found.misfit or found.is_undecided) or "Kc" not in described.names:
         return []
@@ -43,7 +44,7 @@ def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Dia
 
 
 def _carried(described: Described) -> float:
-    """The size of the spring's torque, N m r.m.s., without what the columns of the other parameters can make."""
+    """Return the r.m.s. torque of the spring, N m, after projecting out the columns of the other parameters."""
     at = described.names.index("Kc")
     columns = described.columns[:: max(1, len(described.columns) // _ROWS)]
     others, own = np.delete(columns, at, axis=1), columns[:, at]
@@ -54,9 +55,9 @@ def _carried(described: Described) -> float:
 
 
 def _beyond_noise(described: Described) -> float:
-    """The size of the residuals without the noise of the reading, N m r.m.s.
+    """Return the r.m.s. residual without the noise of the reading, N m.
 
-    Noise is what differs between readings that follow each other; of it a low-pass lets its part of the band through.
+    The noise is estimated from differences between successive readings; a low-pass passes the part of it in its band.
     """
     signals, residuals = described.signals, np.zeros(len(described.signals))
     residuals[described.kept] = described.residuals

@@ -1,1 +1,3 @@
-"""The parts of one fit: bounds of its search, exact optimum, validation, and whether it describes the recording."""
+"""The parts of one fit: bounds of the search, exact optimum, validation, and the test whether it describes the
+recording.
+"""

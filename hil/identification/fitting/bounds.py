@@ -1,4 +1,4 @@
-"""The bounds of a search: the ranges that were given, the paper's or those from the data."""
+"""The bounds of a search: ranges given by the user, those of the paper, or those derived from the data."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ Given = Mapping[str, tuple[float, float]]
 
 
 def bounds_for(model: Coupling, given: Given, columns: Array, torque: Array, *, papers: bool) -> Bounds:
-    """Return the bounds of the linear parameters: the given ranges, else the paper's if asked for, else the data's.
+    """Return the bounds of the linear parameters: the given ranges, else the paper's if requested, else those from the
+    data.
 
-    None is below zero where physics allows no negative value. Raises WrongUse as `narrowed`.
+    No bound is below zero if physics allows no negative value. Raises WrongUse as `narrowed`.
     """
     found = bounds_from_data(columns, torque, positive=positive_among(model.linear))
     low, high = found.low.copy(), found.high.copy()
@@ -31,9 +32,10 @@ def bounds_for(model: Coupling, given: Given, columns: Array, torque: Array, *, 
 
 
 def narrowed(low: Array, high: Array, given: Given, parameters: Sequence[Parameter], model: str) -> tuple[Array, Array]:
-    """Return the bounds (p,) with the given ranges, as far as physics allows them.
+    """Return the bounds (p,), narrowed to the given ranges as far as physics allows.
 
-    Raises WrongUse for an unknown parameter, or a range that is empty or all negative where nothing is.
+    Raises WrongUse for an unknown parameter, an empty range, or a negative range of a parameter that cannot be
+    negative.
     """
     low, high, names = low.copy(), high.copy(), [parameter.name for parameter in parameters]
     for name, (lowest, highest) in given.items():

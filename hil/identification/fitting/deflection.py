@@ -32,8 +32,8 @@ def read_with_errors(
 ) -> DeflectionErrors | None:
     """Return the effect of errors of the deflection on the exact optimum; None if the rate was recorded too.
 
-    used (n,): the samples that the model is fitted to. values (p + q,): of the exact optimum, half_width (p + q,): of
-    its intervals, SI.
+    used (n,): the samples that the model is fitted to. values (p + q,): the exact optimum; half_width (p + q,): its
+    half intervals, SI.
     """
     window, motion = signals.window, signals.motion
     places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in COUPLING]
@@ -58,7 +58,7 @@ def read_with_errors(
 
 
 def summarised(evidence: Evidence) -> Deflection | None:
-    """Return the summary for the result; None where the errors of the deflection are too small to do anything."""
+    """Return the summary for the result; None if the errors of the deflection are too small to have an effect."""
     found = evidence.deflection
     if found is None or (found.method == "none" and found.low_pass is None):
         return None
@@ -74,7 +74,7 @@ def summarised(evidence: Evidence) -> Deflection | None:
 
 
 def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
-    """Return warnings where Kc or Bc was corrected by much, and errors where it cannot be."""
+    """Return warnings if Kc or Bc was corrected by much, and errors if the correction is impossible."""
     found = evidence.deflection
     if found is None:
         return []
@@ -100,7 +100,7 @@ def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
 
 
 def ignored_command(signals: Signals, found: DynamicStiffness | None) -> list[Diagnostic]:
-    """Return the warning that a command was recorded and not used, because the motion does not follow it."""
+    """Return the warning that a command was recorded but not used, because the motion does not follow it."""
     if found is None or found.instrument == "command" or not is_instrument(signals.command):
         return []
     text = (
@@ -125,7 +125,7 @@ def _cause(found: DeflectionErrors) -> str:
 
 
 def _relative(evidence: Evidence, change: Array) -> dict[str, float]:
-    """Return a change (p + q,) of Kc and Bc, relative to the corrected values."""
+    """Return a change (p + q,) of Kc and Bc relative to their corrected values."""
     found: dict[str, float] = {}
     for name in COUPLING:
         if name in evidence.names:

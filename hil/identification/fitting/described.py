@@ -1,4 +1,4 @@
-"""A recording and the model fitted to it: whether the model describes it, and its stiffness without any model."""
+"""A recording and the model fitted to it: whether the model describes it, and the joint's stiffness without a model."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ _OFF_GRID = 0.2  # counts, by which a reading in counts is off their grid at mos
 class Described:
     """A recording and the model fitted to it, SI.
 
-    signals: all samples (n,). kept (n,): those that the model describes. residuals (m,) N m and columns (m, p): of
-    these m, the columns of its parameters. values and half_width (p,): of these and of their intervals.
-    averaged: whether the intervals include the small effects that every bench has, so that these are no misfit.
-    differing: where each recording ends, in rows of these m, of pooled ones that differ, which is said already: no
-    effect that changes with time is to explain it. () where they do not differ.
+    signals: all samples (n,). kept (n,): which samples the model describes; there are m. residuals (m,) N m and columns
+    (m, p): at these samples. values and half_width (p,): of the parameters and of their intervals. averaged: whether
+    the intervals include the small effects of every bench, which are then no misfit. differing: the row at which each
+    recording ends, for pooled recordings that differ from each other. That is reported already, so no effect that
+    changes with time is sought to explain it. () if they do not differ.
     """
 
     model: SeparableModel
@@ -76,7 +76,7 @@ class Described:
         return tuple(parameter.name for parameter in (*self.model.linear, *self.model.nonlinear))
 
     def linearised(self, motion: Motion) -> Array:
-        """Return the columns (n, p) of all samples with this motion."""
+        """Return the columns (n, p) of all samples, computed with this motion."""
         return linearised(self.model, motion, *np.split(self.values, [len(self.model.linear)]))
 
     def recorded(self, motion: Motion) -> Recorded:
@@ -85,13 +85,13 @@ class Described:
 
 
 def tested(described: Described) -> LackOfFit | None:
-    """Test the fit; None where the recording is too short."""
+    """Test the fit for lack of fit; None if the recording is too short."""
     found = _tested(described)
     return replace(found, at_jumps=_lacking_at_jumps(described)) if found else None
 
 
 def _tested(described: Described) -> LackOfFit | None:
-    """Test the fit at the samples that it is of."""
+    """Test the fit at the samples that it was made from."""
     signals, motion = described.signals, _without_errors(described.signals)
     if motion is signals.motion:
         return _tested_as_read(described)
@@ -104,7 +104,7 @@ def _tested(described: Described) -> LackOfFit | None:
 
 
 def _tested_without_errors(described: Described, motion: Motion) -> LackOfFit | None:
-    """Test the fit with a motion (n,) that follows from the command."""
+    """Test the fit with a motion (n,) computed from the command, which has no errors of reading."""
     columns = described.linearised(motion)
     recorded, fitted = _held_against(described, motion, columns)
     # where the acceleration jumps no low-pass gives the rate, which only a motion without noise shows
@@ -119,7 +119,7 @@ def _tested_without_errors(described: Described, motion: Motion) -> LackOfFit | 
 
 
 def _tested_as_read(described: Described) -> LackOfFit | None:
-    """Test the fit with the motion as it was read, and hold a misfit against what errors of the reading predict."""
+    """Test the fit with the motion as it was read, and compare a misfit with what errors of the reading predict."""
     signals, motion = described.signals, described.signals.motion
     found = lack_of_fit(*_held_against(described, motion, None))
     if found is None or not found.misfit or signals.window is None:
@@ -133,27 +133,28 @@ def _tested_as_read(described: Described) -> LackOfFit | None:
 
 
 def tested_motion(described: Described) -> float:
-    """The part of the motion, as the power of its rate, that is in the samples whose residuals are tested.
+    """Return the fraction of the motion, by power of the rate, in the samples whose residuals are tested.
 
-    Those beside jumps of the acceleration are not. Between two rests a joint moves nowhere else.
+    Samples beside jumps of the acceleration are not tested. A joint that steps between two rests moves nowhere else.
     """
     power = np.where(described.kept, described.signals.motion.dtheta_dot, 0.0) ** 2
     return float(np.sum(power[described.signals.smooth])) / max(float(np.sum(power)), np.finfo(float).tiny)
 
 
 def without_model(described: Described) -> DynamicStiffness | None:
-    """Return the dynamic stiffness in the excited band; None where the recording is too short."""
+    """Return the dynamic stiffness in the excited band; None if the recording is too short."""
     signals = described.signals
     return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
 
 
 def _lacking_at_jumps(described: Described) -> Lacking | None:
-    """What the model lacks most, with the samples beside jumps of the acceleration; None for nothing that matters.
+    """Return what the model lacks most, judged with the samples beside jumps of the acceleration; None if nothing
+    relevant.
 
-    The fit, or its test, leaves these out, because their rate is not known. But an inertia shows little elsewhere if
-    set-points jump, and friction that builds up may take its place. The dynamic stiffness of what the model leaves of
-    the torque needs no rate of a single sample. A model with an inertia is not held against it: the torque jumps then,
-    and one sample of a jump says little. Nor is one with friction that may hold the joint when it begins to move.
+    The fit and its test leave these samples out, because their rate is not known. But if set-points jump, an inertia
+    shows hardly anywhere else, and friction that builds up may take its place. The dynamic stiffness of the unexplained
+    torque needs no rate of single samples. It is not applied to a model with an inertia, whose torque jumps, nor to one
+    with friction, which may hold the joint when it starts to move.
     """
     signals, model = described.signals, described.model
     if not isinstance(model, CouplingModel) or model.sticks or "J" in described.names:
@@ -180,10 +181,11 @@ def _lacking_at_jumps(described: Described) -> Lacking | None:
 
 
 def _of_errors(described: Described, followed: Array) -> Array:
-    """The torque (n,), N m, that errors of the deflection add: of the motion that was read less that which follows.
+    """Return the torque (n,), N m, caused by errors of the deflection: that of the motion read less that of the true
+    one.
 
-    followed (n, p): the columns of the latter. Where the joint rests at a few angles the errors of counts go with the
-    motion, and are no misfit.
+    followed (n, p): the columns of the motion that follows from the command. If the joint rests at only a few angles,
+    rounding errors follow the motion, and are no misfit.
     """
     p = len(described.model.linear)
     read = described.linearised(described.signals.motion)
@@ -191,10 +193,10 @@ def _of_errors(described: Described, followed: Array) -> Array:
 
 
 def _added(described: Described, before: Array, noisy: Motion) -> float:
-    """What more errors of the motion (n,) add to the power that is predicted, (N m)^2, by standing in the residuals.
+    """Return the power, (N m)^2, that additional errors of the motion (n,) add to the predicted residuals.
 
-    before (n, p): the columns without them. They stand in the regressors too, of which some show little but errors:
-    these are the same with and without.
+    before (n, p): the columns without these errors. The errors appear in the regressors too, and some regressors show
+    little else; these are equal with and without.
     """
     p = len(described.model.linear)
     after = described.linearised(noisy)
@@ -205,7 +207,7 @@ def _added(described: Described, before: Array, noisy: Motion) -> float:
 
 
 def _held_against(described: Described, motion: Motion, of_motion: Array | None) -> tuple[Recorded, Fitted]:
-    """The recording and the fit with the columns (n, p) of a motion with other errors; None: with its own."""
+    """Return recording and fit with the columns (n, p) of a motion with other errors; None: of the fit's motion."""
     names, count, recorded = described.names, len(described.signals), described.recorded(motion)
     coupling = (names.index("Kc"), names.index("Bc")) if {"Kc", "Bc"} <= set(names) else None
     residuals, columns = np.zeros(count), np.zeros((count, len(names)))
@@ -228,9 +230,9 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
 
 
 def _without_errors(signals: Signals) -> Motion:
-    """The motion to test with: what follows from the command, where the deflection's noise stands in the residuals too.
+    """Return the motion for the test: computed from the command if the noise of the deflection is in the residuals.
 
-    The tests would find that noise in both.
+    With the motion as read, the same noise would be in both, and the test would find it.
     """
     window, command = signals.window, signals.command
     if window is None or not window.noisy or not is_instrument(command) or signals.motion.part_of is not None:
@@ -242,7 +244,7 @@ def _without_errors(signals: Signals) -> Motion:
 
 
 def _of_every_bench(described: Described, recorded: Recorded, residuals: Array, columns: Array) -> list[Array]:
-    """What the small effects add (n, 1) each that the model of columns (n, p) lacks and every bench has."""
+    """Return the columns (n, 1) of the small effects that every bench has and the model of columns (n, p) lacks."""
     model, lacking = recorded.torque - residuals, set(_OF_EVERY_BENCH).difference(described.names)
     codes = {code for name, code in _OF_EVERY_BENCH.items() if name in lacking}
     found = [column for one in EFFECTS if one.code in codes for column in one.signature(recorded, model)]
@@ -250,9 +252,9 @@ def _of_every_bench(described: Described, recorded: Recorded, residuals: Array, 
 
 
 def _of_each_recording(described: Described, coupling: Array) -> Array:
-    """The columns (n, k) with which each recording has a Kc and a Bc of its own; coupling (n, 2): those of both.
+    """Return the columns (n, k) that give each recording its own Kc and Bc; coupling (n, 2): the common columns.
 
-    Their means over the recordings stay those of the model.
+    Their mean over the recordings is zero, so the common Kc and Bc do not change.
     """
     count = len(described.differing)
     at = np.searchsorted(described.differing, np.cumsum(described.kept) - 1, side="right").clip(0, count - 1)
@@ -261,9 +263,9 @@ def _of_each_recording(described: Described, coupling: Array) -> Array:
 
 
 def _is_small(described: Described, residuals: Array, columns: Array, effect: Array) -> bool:
-    """Whether the residuals ask for so little of an effect (n, 1) that it leaves the most of Kc and Bc.
+    """Return whether the residuals need so little of an effect (n, 1) that most of Kc and Bc remains.
 
-    Averages over models contain no other one: a skew that takes the damping would stand for an inertia.
+    Model averages contain only small effects: a skew that replaces the whole damping would really be an inertia.
     """
     rows = slice(None, None, max(1, len(residuals) // _ROWS))
     both = np.concatenate([columns[rows], effect[rows] * described.kept[rows, None]], axis=1)
@@ -273,10 +275,11 @@ def _is_small(described: Described, residuals: Array, columns: Array, effect: Ar
 
 
 def _of_jumps(described: Described, motion: Motion, residuals: Array, columns: Array) -> list[Array]:
-    """What set-points that are held until the next reading add (n, 1), N m; none where the residuals ask for another.
+    """Return the torque (n, 1), N m, of set-points that are held until the next reading; [] if the residuals contradict
+    it.
 
-    The jumps of the acceleration take a part off the rate that goes with rate, acceleration and jerk. Bc and a skew
-    take the first two. The size of the third follows from Bc and the step, so no other effect may hide behind it.
+    The jumps of the acceleration change the rate in proportion to rate, acceleration and jerk. Bc and a skew absorb the
+    first two. The size of the third follows from Bc and the time step, so it can hide no other effect.
     """
     damping = damping_at(motion.dtheta_dot, dict(zip(described.names, described.values.tolist(), strict=True)))
     jumps = -(damping * of_jerk(motion))[:, None]
@@ -287,9 +290,9 @@ def _of_jumps(described: Described, motion: Motion, residuals: Array, columns: A
 
 
 def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:
-    """What rounding the torque to counts adds (n, 5), N m, none where it is small beside residuals (n,).
+    """Return the torque (n, 5), N m, that rounding to counts adds; [] if it is small beside the residuals (n,).
 
-    It is a sawtooth of the model, of which noise leaves the first waves only.
+    It is a sawtooth of the model's torque; noise leaves only its first harmonics.
     """
     count = smallest_step(signals.as_read)
     if count**2 / 12.0 < _ROUNDED * float(np.var(residuals)):

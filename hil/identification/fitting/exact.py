@@ -1,4 +1,4 @@
-"""The exact optimum of a linear problem, or a sentence why none could be proven."""
+"""The exact optimum of a linear problem, or the error that none could be proven."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ Array = NDArray[np.float64]
 
 
 def solved(blocks: Blocks, positive: tuple[int, ...] = ()) -> Reduced:
-    """Return the exact optimum of the blocks; positive: the places of the parameters that are not negative in it.
+    """Return the exact optimum of the blocks. positive: the indices of the parameters that are kept from negative
+    values.
 
-    Raises Untrustworthy where none could be proven.
+    Raises Untrustworthy if no optimum could be proven.
     """
     try:
         return reduce(blocks, blocks.rows, positive)
@@ -25,9 +26,10 @@ def solved(blocks: Blocks, positive: tuple[int, ...] = ()) -> Reduced:
 
 
 def without_signs(blocks: Blocks, values: Array, positive: tuple[int, ...]) -> tuple[Array, Array] | None:
-    """Return the optimum (p,) without signs, and half of its intervals; None where none of the values (p,) is at zero.
+    """Return the optimum (p,) without sign constraints, and its half intervals; None if none of the values (p,) is
+    zero.
 
-    positive: the places of those that are not negative. Raises Untrustworthy as `solved`.
+    positive: the indices of the constrained parameters. Raises Untrustworthy as `solved`.
     """
     if not any(values[at] <= 0.0 for at in positive):
         return None
@@ -36,5 +38,5 @@ def without_signs(blocks: Blocks, values: Array, positive: tuple[int, ...]) -> t
 
 
 def unproven(error: RuntimeError) -> Untrustworthy:
-    """Return the error of an optimum that could not be proven."""
+    """Return the error for an optimum that could not be proven."""
     return Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model")

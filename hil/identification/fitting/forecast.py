@@ -27,9 +27,9 @@ def forecast(
     workers: int,
     progress: Progress,
 ) -> None:
-    """Report the predicted time of a long steady-state search, from the rate of a short one.
+    """Report the predicted duration of a long steady-state search, measured on a short one.
 
-    For a search that is resumed, the part that is done counts too.
+    For a resumed search, the part that is already done is subtracted.
     """
     if settings.generations < _LONG_SEARCH:
         return

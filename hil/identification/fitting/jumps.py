@@ -1,8 +1,9 @@
-"""The rate that no low-pass gives, where a command that steps makes the acceleration jump.
+"""The error of the rate beside jumps of the acceleration, which a stepping command causes and no low-pass can show.
 
-At a reading where the acceleration jumps, the rate is by a twelfth of the jump times the step between two readings less
-than that of the band-limited motion through all readings; halfway between two readings it is by half as much more
-(docs/rate.md). When between two readings a drive takes a new set-point is not known, and an eighth is between these.
+At a reading where the acceleration jumps, the true rate is lower than that of the band-limited motion through all
+readings, by a twelfth of the jump times the sampling period; halfway between two readings it is higher, by half as much
+(docs/rate.md). It is unknown when between two readings a drive takes its new set-point; an eighth is a value between
+these.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ _BESIDE: Final = (
 
 
 def rate_beside_jumps(motion: Motion, command: Array | None) -> Array | None:
-    """Return by how much the rate of each sample (n,), rad/s, may be wrong behind a low-pass.
+    """Return the possible error of the rate of each sample (n,), rad/s, behind a low-pass.
 
-    command: the set-points of all samples of the whole motion, which step, or prescribe it. None where nothing passed a
-    low-pass, or no command was recorded.
+    command: the set-points of all samples of the motion, which step, or prescribe the motion. None if no low-pass was
+    applied or no command was recorded.
     """
     whole, rows = motion.whole
     if whole.behind is None or command is None or len(whole) <= 2 * _LATEST or not np.ptp(command) > 0.0:
@@ -44,14 +45,16 @@ def rate_beside_jumps(motion: Motion, command: Array | None) -> Array | None:
 
 
 def _prescribed(dtheta: Array, command: Array, period: float) -> Array:
-    """The jumps (n,), rad/s^2, of the acceleration of a motion that the command prescribes."""
+    """Return the jumps (n,), rad/s^2, of the acceleration of a motion that the command prescribes."""
     size = float(np.cov(dtheta, command)[0, 1] / np.var(command))
     changes = np.diff(command, n=3, prepend=command[:1], append=command[[-1, -1]]) * (size / period**2)
     return np.asarray(changes - np.median(sliding_window_view(np.pad(changes, _BESIDE), 2 * _BESIDE + 1), axis=1))
 
 
 def _following(acceleration: Array, steps: Array) -> Array:
-    """The jumps (n,), rad/s^2, of the acceleration (n,) that follows steps (n,) of the command after some samples."""
+    """Return the jumps (n,), rad/s^2, of an acceleration (n,) that follows steps (n,) of the command a few samples
+    later.
+    """
     count = len(steps) - _LATEST
     after = np.array([steps[:count] @ acceleration[lag : lag + count] for lag in range(_LATEST)])
     late = int(np.argmax(after >= 0.5 * after.max()))

@@ -37,10 +37,10 @@ _TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap ta
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The settings of a search. bounds: the parameters whose range was given, SI.
+    """The settings of a search. bounds: the given ranges of parameters, SI, by name.
 
-    trials: independent searches; None: the paper's 30, or 5 for a model with nonlinear parameters.
-    checkpoint: a file that keeps the state of the search; where it exists, the search continues from it.
+    trials: the number of independent searches; None: the paper's 30, or 5 for a model with nonlinear parameters.
+    checkpoint: a file that keeps the state of the search; if it exists, the search continues from it.
     """
 
     preset: str = "default"
@@ -56,8 +56,8 @@ class Search:
 class Solution:
     """The result of the search and of the exact solution.
 
-    values (p + q,): of the exact solution. gap: the optimiser's, relative. low and high (p + q,): the bounds of the
-    parameters that were searched, NaN for the others. columns (m, p + q): of the signals. blocks: the linear problem
+    values (p + q,): the exact solution. gap: the optimiser gap, relative. low and high (p + q,): the bounds of the
+    searched parameters, NaN for the others. columns (m, p + q): at the signals' samples. blocks: the linear problem
     around the solution.
     """
 
@@ -75,13 +75,13 @@ class Solution:
 def solve(data: Dataset, search: Search, progress: Progress | None) -> Solution:
     """Search the parameters of the chosen model, and solve for its exact optimum.
 
-    Raises WrongUse where the search cannot be what was asked for, and Untrustworthy where no optimum could be proven.
+    Raises WrongUse if the requested search is impossible, and Untrustworthy if no optimum could be proven.
     """
     return (_nonlinear if data.choice.model.nonlinear else _linear)(data, search, progress)
 
 
 def _linear(data: Dataset, search: Search, progress: Progress | None) -> Solution:
-    """The solution of a model that is linear in its parameters: all of them are searched."""
+    """Return the solution of a model that is linear in its parameters: all are searched."""
     columns, torque = data.in_memory
     bounds = bounds_for(data.choice.model, search.bounds, columns, torque, papers=search.preset == "paper")
     reduced = solved(data.blocks, positive_among(data.choice.model.linear))
@@ -93,7 +93,9 @@ def _linear(data: Dataset, search: Search, progress: Progress | None) -> Solutio
 
 
 def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> Solution:
-    """The solution of a model with nonlinear parameters: they are searched, and the linear ones solved for exactly."""
+    """Return the solution of a model with nonlinear parameters: these are searched, the linear ones solved for
+    exactly.
+    """
     model, motion = data.choice.model, data.signals.motion
     if search.checkpoint is not None:
         names = ", ".join(parameter.name for parameter in model.nonlinear)
@@ -126,9 +128,10 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> Solu
 
 
 def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, progress: Progress | None) -> Trials:
-    """The trials on the data, or on the reduced data where they do not fit in memory; fitness in N m of the whole.
+    """Run the trials on the data, or on the reduced data if they do not fit in memory; the fitness is that of all data,
+    N m.
 
-    Raises WrongUse for a population that is too small, or a checkpoint that is of another search or cannot be written.
+    Raises WrongUse for a population that is too small, or a checkpoint of another search or that cannot be written.
     """
     _check_population(search, len(bounds.low))
     columns, torque = data.in_memory if data.whole else (reduced.columns, reduced.torque)

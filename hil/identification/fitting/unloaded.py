@@ -1,11 +1,11 @@
-"""Find the deflection at which the joint is unloaded, where Kc of a spring that curves is its stiffness.
+"""Find the deflection at which the joint is unloaded: there the Kc of a spring that curves is defined.
 
-Three witnesses know that place, and none of them need be right: the encoder's zero, if it was set there; the zero of
-the torque, if its reading has no offset; and the symmetry of the spring, if it is alike in both directions. Two that
-agree are believed: they have no common cause to be wrong by the same. So is one that is nearer to the encoder's zero,
-or where that is far away to the torque's, than by chance, and Kc is the stiffness anywhere between. Otherwise it is
-that of any place in the motion. Deflections then count from that place, so that Kc does not depend on an angle added
-to all readings.
+Three indicators of this place exist, and each can be wrong: the encoder's zero, if it was set there; the zero of the
+torque, if its reading has no offset; and the symmetry of the spring, if it is equal in both directions. Two that agree
+are believed, because they have no common cause of the same error. A single one is believed if it lies closer to the
+encoder's zero (or, if that is far away, to the torque's zero) than chance explains; Kc is then the stiffness anywhere
+between the two. Otherwise Kc is the stiffness at any place of the motion. Deflections count from the place found, so
+that Kc does not depend on an angle added to all readings.
 """
 
 from __future__ import annotations
@@ -40,9 +40,10 @@ _RESOLVED = 1e-4  # of the torque's range, below which no disagreement changes a
 
 @dataclass(frozen=True, slots=True)
 class Unloaded:
-    """reference: rad, the encoder's reading that deflections count from, 0 for its own zero.
+    """The unloaded place. reference: the encoder reading, rad, that deflections count from; 0 for the encoder's own
+    zero.
 
-    low, high: rad from there, between which the joint is unloaded. agreed: whether two witnesses nearly agree on it.
+    low, high: the range, rad from there, in which the joint is unloaded. agreed: whether two indicators nearly agree.
     """
 
     reference: float = 0.0
@@ -51,9 +52,9 @@ class Unloaded:
     agreed: bool = True
 
     def span(self, values: Mapping[str, float]) -> Span | None:
-        """Return the least and the largest Kc, N m/rad, of a model with these values, SI, by name.
+        """Return the smallest and the largest Kc, N m/rad, of a model with these values, SI, by name.
 
-        None for a spring that does not curve, or whose model has a place of its own, and where the place is known.
+        None for a spring that does not curve, for a model with its own unloaded place, and if the place is known.
         """
         curves = [values.get(name, 0.0) for name in ("Kp", "Kh", "K3", "K5")]
         if not any(curves) or self.low == self.high == 0.0 or {"gap", "slack", "rest"} & set(values):
@@ -65,10 +66,11 @@ class Unloaded:
         return float(found.min()), float(found.max()), "" if self.agreed else UNLOADED_PLACE
 
     def beside_turn(self, values: Mapping[str, float], motion: float) -> Span | None:
-        """Return the stiffness of both sides, N m/rad, where it changes at a place that is not the unloaded one.
+        """Return the two stiffnesses, N m/rad, of a spring whose stiffness changes at a place that is not the unloaded
+        one.
 
-        Then these are no two directions from rest, and their mean is the stiffness of nothing. None otherwise, and
-        where the unloaded place is not known. values: as of `span`; motion: the range of the deflection, rad.
+        They are then not those of two directions from rest, and their mean describes nothing. None otherwise, and if
+        the unloaded place is unknown. values: see `span`; motion: the range of the deflection, rad.
         """
         if not {"Ka", "turn"} <= set(values) or not self.agreed:
             return None
@@ -80,14 +82,14 @@ class Unloaded:
 
 
 Rest = Callable[[Signals], Unloaded]
-"""Return where the joint of the signals is unloaded."""
+"""A function that returns where the joint of the signals is unloaded."""
 
 
 def rest_for(model: Coupling | None) -> Rest:
-    """Return the function that finds the unloaded place, for a named model, or None if it is to be selected.
+    """Return the function that finds the unloaded place for a named model, or None if the model is to be selected.
 
-    It is at the encoder's zero where a parameter counts from it, as a user's own may and those of gap and slack do. A
-    model that is named without an offset of the torque says that its reading has none.
+    It returns the encoder's zero if a parameter counts from it, as those of gap and slack do, and those of a user's
+    model may. A model named without an offset states that the torque reading has none.
     """
     if model is None:
         return unloaded
@@ -97,9 +99,10 @@ def rest_for(model: Coupling | None) -> Rest:
 
 
 def unloaded(signals: Signals, *, balanced: bool = False) -> Unloaded:
-    """Return where the joint is unloaded: at the encoder's zero, unless that is far away or the others contradict it.
+    """Return where the joint is unloaded: at the encoder's zero, unless that is far away or the other indicators
+    contradict it.
 
-    balanced: whether the torque is known to have no offset, so that its zero needs no other witness.
+    balanced: whether the torque is known to have no offset; then its zero needs no second indicator.
     """
     angle = signals.motion.dtheta
     middle = far_zero(angle)
@@ -124,7 +127,9 @@ def unloaded(signals: Signals, *, balanced: bool = False) -> Unloaded:
 
 
 def _agreeing(curve: _Curve, encoder: float | None, balance: float | None) -> list[float]:
-    """The places, rad, of encoder and torque that another witness agrees with, the encoder's first."""
+    """Return the places, rad, of the encoder's and the torque's zero that another indicator confirms, the encoder's
+    first.
+    """
     places = [place for place in (encoder, balance) if place is not None]
     if encoder is not None and curve.imbalance(encoder) <= curve.limit:
         return places
@@ -141,7 +146,7 @@ def _between(places: list[float], reference: float, *, agreed: bool) -> Unloaded
 class _Curve:
     """The static torque, N m, over the deflection, rad: a series with coefficients (p,) and their covariance (p, p).
 
-    scale: N m, the range of the torque. limit: the evidence, a square over its variance, that is strong.
+    scale: the range of the torque, N m. limit: from which squared deviation over its variance evidence is strong.
     """
 
     coefficients: Array
@@ -156,7 +161,7 @@ class _Curve:
 
     @property
     def is_straight(self) -> bool:
-        """Whether the stiffness is the same everywhere."""
+        """Return whether the stiffness is the same everywhere."""
         return len(self.coefficients) == 2
 
     def imbalance(self, place: float) -> float:
@@ -164,10 +169,9 @@ class _Curve:
         return self._evidence(self._series(place))
 
     def asymmetry(self, place: float) -> float:
-        """Return the evidence that the torque rises on one side of a deflection, rad, other than it falls beyond.
+        """Return the evidence that the torque on the two sides of a deflection, rad, is not antisymmetric.
 
-        As far as the motion goes on both sides, at least over an eighth of it; infinite beyond its ends, where nobody
-        knows.
+        It uses the motion that exists on both sides, at least an eighth of it; infinite outside the motion.
         """
         low, high = self.domain
         if not low < place < high:
@@ -183,7 +187,7 @@ class _Curve:
         return float(series @ self.coefficients) ** 2 / variance
 
     def crossing(self, order: int) -> float | None:
-        """Return the deflection, rad, nearest the middle of the motion at which a derivative of the torque is zero."""
+        """Return the deflection, rad, nearest the middle of the motion, at which a derivative of the torque is zero."""
         roots = self.torque.deriv(order).trim().roots()
         real = np.real(roots[np.isreal(roots)])
         inside = real[(real >= self.domain[0]) & (real <= self.domain[1])]
@@ -191,7 +195,7 @@ class _Curve:
 
 
 def _curve(signals: Signals) -> _Curve:
-    """The static torque beside damping and friction. Raises RuntimeError where they cannot be distinguished."""
+    """Return the static torque beside damping and friction. Raises RuntimeError if these cannot be distinguished."""
     for degree, more in pairwise(_DEGREES):
         richer = _fitted(signals, more)
         if (richer.coefficients**2 <= richer.limit * np.diag(richer.covariance))[degree + 1 :].all():

@@ -1,1 +1,1 @@
-"""Model selection: the terms that a recording pays for, and other models of a late torque reading."""
+"""Model selection: the terms that improve the score of a recording, and other causes of a delayed torque."""

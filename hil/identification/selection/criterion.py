@@ -1,11 +1,12 @@
-"""Whether a term pays: its gain beyond chance, by the noise of the recording.
+"""Whether a term improves the score: its gain beyond chance, under the noise model of the recording.
 
-The gain of a term is the likelihood ratio of a median regression (Koenker and Machado 1999, 4 f(0) times the fall of
-the sum of absolute residuals), divided by the factor by which the residuals' correlation raises the variance of its
-parameters (`hil.uncertainty.residual_spectrum`), less log n for each (Schwarz 1978) and the cost of choosing from so
-many terms (Chen and Chen 2008). Held-out blocks must not be predicted clearly worse. A term with a break, whose
-likelihood ratio has no known law, must predict them better and gain much. The density f(0) and the correlation are
-those of the richest model's residuals, because a missing term must not be taken for noise.
+The gain of a term is the likelihood ratio of a median regression (Koenker and Machado 1999: 4 f(0) times the fall of
+the sum of absolute residuals), divided by the factor by which the correlation of the residuals raises the variance of
+its parameters (`hil.uncertainty.residual_spectrum`), less log n for each parameter (Schwarz 1978) and the cost of
+choosing among many terms (Chen and Chen 2008). The term must also not predict held-out blocks clearly worse. A term
+with a break, whose likelihood ratio has no known distribution, must predict them better and have a large gain. The
+density f(0) and the correlation come from the residuals of the richest model, because the effect of a missing term must
+not be taken for noise.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from hil.uncertainty.residual_spectrum import measure
 Array = NDArray[np.float64]
 
 STRONG = 10.0
-"""The gain of a term with a break, whose chance is not known to be that of others; of one that is rejected with more
-than that, the gain is not the reason.
+"""The gain that a term with a break must exceed, because its chance distribution is unknown. If a term with a larger
+gain is rejected, the gain is not the reason.
 """
 
 PLAINEST_FIRST = (*(term for term in TERMS if term not in RARER), *RARER)
-"""All terms, a usual one before a rarer one, and then as in the table."""
+"""All terms: common ones before rare ones, and within each class in the order of the table."""
 
 _WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, and better
 _CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
@@ -40,12 +41,12 @@ _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what exp
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """The noise of a recording, and by it whether a term pays.
+    """The noise model of a recording, and the score of a term under it.
 
-    richest: terms of the model whose residuals are taken for the noise; signs: (n,), of these; fitted: lines of their
-    spectrum that the fit has removed from each band; density: 1/(N m), of these at zero. size: N m, the mean torque.
-    smooth: (n,), where the rate is right. choices: from how many terms one is chosen. doubted: whether the usual terms
-    do not describe the recording.
+    richest: terms of the model whose residuals are taken for the noise; signs (n,): the signs of these residuals;
+    fitted: how many lines of their spectrum the fit has removed from each band; density: of the residuals at zero, 1/(N
+    m). size: mean |torque|, N m. smooth (n,): where the rate is right. choices: the number of terms to choose from.
+    doubted: whether the common terms do not describe the recording.
     """
 
     richest: tuple[str, ...]
@@ -59,10 +60,11 @@ class Criterion:
     _correlations: dict[tuple[Candidate, str], float] = field(default_factory=dict, init=False)
 
     def pays(self, smaller: Candidate, larger: Candidate, term: str, *, nearly: bool = False) -> bool:
-        """Return whether the term pays that the larger model has and the smaller has not.
+        """Return whether the term that the larger model has and the smaller one lacks improves the score.
 
-        nearly: Akaike's criterion is enough where held-out blocks are predicted clearly better. These follow it (Stone
-        1977): where they do not, their difference is small, or chance.
+        nearly: Akaike's criterion is enough, provided that held-out blocks are predicted clearly better. Held-out
+        prediction agrees with Akaike's criterion asymptotically (Stone 1977); where the two disagree, the difference is
+        small or chance.
         """
         if smaller.fit.fitness < _EXPLAINED * self.size:
             return False
@@ -80,28 +82,29 @@ class Criterion:
         return gain > enough and self._pays_where_smooth(smaller, larger, term)
 
     def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
-        """Return the gain beyond chance of the term that the larger model has and the smaller has not."""
+        """Return the gain beyond chance of the term that the larger model has and the smaller one lacks."""
         return self.weighed(smaller, larger, term)[0]
 
     def weighed(self, smaller: Candidate, larger: Candidate, term: str) -> tuple[float, float]:
-        """Return the gain of a term, and its cost: what of the likelihood ratio is no gain, twice the log odds."""
+        """Return the gain of a term and its cost: the part subtracted from the likelihood ratio, twice the log odds."""
         alike, count = self.correlation(larger, term), len(self.signs)
         more = _more_parameters(smaller, larger)
         return self._gain(self.ratio(smaller, larger), count, alike, more), self._cost(count, alike, more)
 
     def ratio(self, one: Candidate, other: Candidate) -> float:
-        """Return twice by how much the other model's logarithmic likelihood is higher, for independent residuals."""
+        """Return twice the difference of log likelihood, other model less one, for independent residuals."""
         return self.gained(one.fit.fitness - other.fit.fitness)
 
     def gained(self, better: float) -> float:
-        """Return the same for a fitness that is better by so much, N m."""
+        """Return twice the difference of log likelihood for a fitness that is better by this much, N m."""
         return 4.0 * self.density * len(self.signs) * better
 
     def correlation(self, fitted: Candidate, term: str) -> float:
-        """Return the factor by which the residuals' correlation raises the variance of the term's parameters.
+        """Return the factor by which the correlation of the residuals raises the variance of the term's parameters.
 
-        What no term describes comes a few times in a recording, however many samples see it. Where such a thing may be
-        there, the factor is the largest of all parameters: the residuals may be quiet at what one term alone moves.
+        An effect that no term describes occurs only a few times in a recording, however many samples contain it. If
+        such an effect may exist, the factor is the largest of all parameters, because the residuals may be uncorrelated
+        along this term alone.
         """
         if (fitted, term) in self._correlations:
             return self._correlations[fitted, term]
@@ -114,7 +117,9 @@ class Criterion:
         return found
 
     def _correlation(self, alone: Array) -> float:
-        """The same of one parameter: its column (n,), as far as no other has it; infinite where nothing is left."""
+        """Return that factor for one parameter, from its column (n,) after projection; infinite if nothing remains of
+        it.
+        """
         power = float(alone @ alone)
         if power <= 0.0:
             return math.inf
@@ -123,19 +128,22 @@ class Criterion:
         return float(spectrum.by_bands[0, 0]) / power
 
     def blurred(self, fitted: Candidate, term: str) -> float:
-        """Return the factor by which a likelihood ratio is less certain: of correlation, and of the rate.
+        """Return the factor by which a likelihood ratio is less certain, because of correlation and of errors of the
+        rate.
 
-        What the rate is wrong by lasts as long as the recording, however many samples see it: two models that differ by
-        less cannot be ranked.
+        An error of the rate lasts as long as the recording, however many samples see it: two models that differ by less
+        cannot be ranked.
         """
         return self.correlation(fitted, term) + by_rate(len(self.signs), self.density, self.size)
 
     def likeliest(self, smaller: Candidate, paying: list[Candidate]) -> Candidate:
-        """Return the plainest of some larger models, the last term of each paying, that the data cannot rank.
+        """Return the plainest of several larger models that the data cannot rank; the last term of each improves the
+        score.
 
-        By Schwarz's criterion for as many samples as count, within what is strong for terms whose law is not known. A
-        usual term is plainer than a rarer one, and an earlier one in the table plainer than a later one; of usual ones
-        held-out blocks may rank two that the likelihood cannot.
+        The models are compared by Schwarz's criterion for the number of independent samples, up to the difference that
+        is strong for terms whose distribution is unknown. A common term is plainer than a rare one, and an earlier one
+        in the table plainer than a later one. Held-out blocks decide between common terms that the likelihood cannot
+        rank.
         """
         alike = max(self.correlation(one, one.terms[-1]) for one in paying)
         count = max(len(self.signs) / alike, math.e)
@@ -147,7 +155,7 @@ class Criterion:
         return plainest
 
     def is_as_likely(self, plainer: Candidate, other: Candidate) -> bool:
-        """Return whether the data cannot rank a plainer model below another one, by the same criterion."""
+        """Return whether the data cannot rank a plainer model below another one, by the same comparison."""
         alike = max(self.correlation(one, one.terms[-1]) for one in (plainer, other))
         if math.isinf(alike):  # a term that does nothing says nothing of the others
             return False
@@ -156,7 +164,9 @@ class Criterion:
         return more * math.log(count) + self.ratio(plainer, other) / alike <= STRONG and plainer.stiffness > 0.0
 
     def _gain(self, ratio: float, count: float, alike: float, more: int) -> float:
-        """The gain of `more` parameters by the likelihood ratio of so many samples, alike: their correlation factor."""
+        """Return the gain of `more` parameters by the likelihood ratio of `count` samples; alike: their correlation
+        factor.
+        """
         return ratio / alike - self._cost(count, alike, more)
 
     def _cost(self, count: float, alike: float, more: int) -> float:
@@ -164,7 +174,9 @@ class Criterion:
         return more * math.log(max(count / alike, math.e)) + chosen_from
 
     def _pays_where_smooth(self, smaller: Candidate, larger: Candidate, term: str) -> bool:
-        """Whether a linear term pays without the samples in which the rate is wrong too: those make a cubic."""
+        """Return whether a linear term improves the score without the samples with a wrong rate, which imitate a cubic
+        spring.
+        """
         if not TERMS[term].linear or self.smooth.all() or np.count_nonzero(self.smooth) < FEWEST:
             return True
         share, alike = float(np.mean(self.smooth)), self.correlation(larger, term)
@@ -173,12 +185,12 @@ class Criterion:
 
 
 def by_rate(count: int, density: float, size: float) -> float:
-    """Return by how much errors of the rate blur the likelihood of `count` samples; arguments as of `Criterion`."""
+    """Return by how much errors of the rate blur the likelihood of `count` samples; arguments: see `Criterion`."""
     return count * (2.0 * density * _EXPLAINED * size) ** 2
 
 
 def density_at_zero(residuals: Array, least: float) -> float:
-    """Return the density of residuals (n,), N m, at zero, 1/(N m); least: N m, within which they are rounded."""
+    """Return the density of residuals (n,), N m, at zero, 1/(N m). least: the step, N m, to which they are rounded."""
     near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
     near = max(near, least)
     inside = np.count_nonzero(np.abs(residuals) <= near)
@@ -188,9 +200,9 @@ def density_at_zero(residuals: Array, least: float) -> float:
 def criterion_of(
     fits: Fits, considered: tuple[str, ...], start: tuple[str, ...], *, doubted: bool = False
 ) -> Criterion:
-    """Return the criterion by which terms are chosen from those considered; start: terms that the richest model has.
+    """Return the criterion for the terms considered. start: the terms that the richest model has in any case.
 
-    The residuals of the richest model are taken for the noise: those of a smaller one would hold missing terms.
+    The residuals of the richest model are taken for the noise: those of a smaller model would contain missing terms.
     """
     richest = _richest(fits, considered, start)
     columns, residuals = fits.linearised(richest)
@@ -208,19 +220,21 @@ def criterion_of(
 
 
 def _more_parameters(smaller: Candidate, larger: Candidate) -> int:
-    """How many parameters a model has more than another; a law in the place of a plainer one has the others already."""
+    """Return how many more parameters a model has than another; a law that replaces a plainer one shares its
+    parameters.
+    """
     return max(1, len(larger.model.parameters) - len(smaller.model.parameters))
 
 
 def _predicts_better(one: Candidate, other: Candidate) -> float:
-    """By how many standard errors over the blocks one model predicts held-out blocks better than another."""
+    """Return by how many standard errors over the blocks one model predicts held-out blocks better than another."""
     better = other.held_out - one.held_out
     mean, error = float(better.mean()), float(better.std(ddof=1)) / math.sqrt(FOLDS)
     return mean / error if error > 0.0 else math.copysign(math.inf, mean)
 
 
 def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) -> tuple[str, ...]:
-    """All terms that lower the fitness one after the other, the better of two that exclude each other."""
+    """Return all terms that lower the fitness one after the other, the better one of two that exclude each other."""
     found = [start]  # in an order that does not depend on hashes: some fits are equally good
     for term in considered:
         for terms in tuple(found):
@@ -233,13 +247,14 @@ def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) ->
 
 
 def _has_rivals(term: str, considered: tuple[str, ...]) -> bool:
-    """Whether there is a term considered that the term cannot stand beside."""
+    """Return whether one of the terms considered is excluded by this term."""
     return bool(TERMS[term].excludes) or any(term in TERMS[other].excludes for other in considered)
 
 
 def _is_distinct(fitted: Candidate, term: str) -> bool:
-    """Whether the term can be distinguished from the others: where the joint moves slowly a skew is a damping.
+    """Return whether the term can be distinguished from the others: in slow motion a skew equals a damping.
 
-    Its own parameters need not be distinguishable: how slowly a branch relaxes may show, and not how stiff it is.
+    Its parameters need not be distinguishable from each other: the relaxation time of a branch may be visible while its
+    stiffness is not.
     """
     return any(column @ column < _CONFUSED * (alone @ alone) for column, alone in fitted.columns_of(term))

@@ -1,4 +1,4 @@
-"""Fits of models to one recording: to some of its samples for a preview, to all of them, and to held-out blocks."""
+"""Fits of models to one recording: to a subset of its samples as a preview, to all samples, and to held-out blocks."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from hil.signals.rate.windows import Window, is_smooth
 Array = NDArray[np.float64]
 
 LATE = ("skew", "lag")
-"""The terms of a torque reading that is late."""
+"""The terms that delay the torque reading."""
 
 FOLDS = 10
-"""Blocks in time, two of which at a time are held out."""
+"""The number of blocks in time; two at a time are held out."""
 
 _STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
 _ALIKE = 1e-9  # of a fitness, within which two are the same
@@ -31,9 +31,9 @@ _OUTERMOST = 6.0  # standard deviations from the outermost reading, within which
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model's fit to all the samples; held_out: (FOLDS,) N m, of blocks that fits to the others did not see.
+    """A model's fit to all samples. held_out (FOLDS,): the errors, N m, of blocks, from fits that did not see them.
 
-    error: rad, the standard deviation of that of the deflection.
+    error: standard deviation of the error of the deflection, rad.
     """
 
     terms: tuple[str, ...]
@@ -64,22 +64,24 @@ class Candidate:
         return self.model.anchored(self.problem.motion)
 
     def on(self, rows: NDArray[np.bool_]) -> Candidate:
-        """Return the fit to some of the samples (n,), with the nonlinear parameters of all."""
+        """Return the fit to some of the samples (n,), at the nonlinear parameters of the fit to all."""
         part = self.problem.of(rows)
         return replace(self, problem=part, fit=part.solve(self.fit.nonlinear, self.fit))
 
     def is_worse_than_contained(self, smaller: Candidate) -> bool:
-        """Return whether the fit is worse than that of a model with some of its parameters: it ended too early."""
+        """Return whether the fit is worse than that of a model it contains: its search ended too early."""
         is_contained = set(smaller.values) < set(self.values)
         return is_contained and smaller.fit.fitness < (1.0 - _ALIKE) * self.fit.fitness
 
     @property
     def columns(self) -> Array:
-        """Those (n, p + q) of the problem linearised at the fit; many megabytes, which are not kept."""
+        """Return the columns (n, p + q) of the problem linearised at the fit; they take many megabytes and are not
+        kept.
+        """
         return self.problem.linearised(self.fit)[0]
 
     def own_columns(self, *terms: str) -> Iterator[tuple[Array, Array]]:
-        """For each parameter of the terms: its column (n,), and the part of it orthogonal to all other columns."""
+        """Yield for each parameter of the terms its column (n,), and the part of it orthogonal to all other columns."""
         columns = self.columns
         names = [parameter.name for parameter in self.model.parameters]
         for name in (name for term in terms for name in own(term)):
@@ -88,7 +90,9 @@ class Candidate:
             yield columns[:, at], columns[:, at] - others @ np.linalg.lstsq(others, columns[:, at], rcond=None)[0]
 
     def columns_of(self, term: str) -> Iterator[tuple[Array, Array]]:
-        """For each parameter of the term: its column (n,), and the part of it orthogonal to those of other terms."""
+        """Yield for each parameter of the term its column (n,), and the part of it orthogonal to other terms'
+        columns.
+        """
         columns = self.columns
         mine = np.array([parameter.name in own(term) for parameter in self.model.parameters])
         others = columns[:, ~mine]
@@ -96,11 +100,11 @@ class Candidate:
             yield column, column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
 
     def is_possible(self, *terms: str) -> bool:
-        """Return whether these terms are possible, and the data do not reject one of them."""
+        """Return whether these terms are physically possible and the data reject none of them."""
         return not any(self.is_at_end(term) or self.is_impossible(term) for term in terms)
 
     def is_at_end(self, term: str) -> bool:
-        """Return whether a parameter of the term came to an end of its bounds: the data reject it."""
+        """Return whether a parameter of the term reached an end of its bounds: then the data reject the term."""
         problem, values = self.problem, self.fit.nonlinear
         near = _MARGIN * (problem.high - problem.low)
         open_ended = np.array([parameter.open_ended for parameter in self.model.nonlinear], dtype=bool)
@@ -108,9 +112,9 @@ class Candidate:
         return any(end and p.name in own(term) for end, p in zip(ends, self.model.nonlinear, strict=True))
 
     def is_impossible(self, term: str) -> bool:
-        """Return whether a parameter of the term is at its bound, zero, as a friction that would be negative.
+        """Return whether a parameter of the term is at zero because it would be negative, as friction cannot be.
 
-        A skew may be negative, but not to undo a part of the lag beside it.
+        A skew can be negative, unless it only undoes a part of the lag beside it.
         """
         values = self.values
         at_zero = any(parameter.positive and values[parameter.name] <= 0.0 for parameter in TERMS[term].parameters)
@@ -118,9 +122,9 @@ class Candidate:
         return at_zero or early or self.is_stop(term) or self.is_in_errors(term)
 
     def is_in_errors(self, term: str) -> bool:
-        """Return whether a gap reaches no further than the errors of the outermost readings.
+        """Return whether a gap is no larger than the errors of the outermost readings.
 
-        Where the joint rests, a gap fits the errors of the readings there, so it is no sign of one.
+        Where the joint rests, a gap fits the errors of the readings there; that is no evidence of a gap.
         """
         if not {"gap", "slack"}.intersection(own(term)):
             return False
@@ -133,7 +137,7 @@ class Candidate:
         return bool(highest - readings.min() < errors or readings.max() - lowest < errors)
 
     def is_stop(self, term: str) -> bool:
-        """Return whether the term makes the spring many times as stiff in one direction: that is a stop."""
+        """Return whether the term makes the spring many times stiffer in one direction, as a mechanical stop does."""
         if term != "asymmetric":
             return False
         stiffness, half = self.values["Kc"], abs(self.values["Ka"])
@@ -142,10 +146,10 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """A recording, and the models fitted to it so far, each of them once.
+    """A recording and the models fitted to it so far, each of them once.
 
-    motion: (n,); torque: (n,) N m; highest: Hz, up to where the joint moved. window: that its rate was computed in, if
-    it is known.
+    motion: (n,). torque: (n,) N m. highest: the frequency up to which the joint moved, Hz. window: the window that its
+    rate was computed in, if known.
     """
 
     motion: Motion
@@ -159,17 +163,17 @@ class Fits:
 
     @cached_property
     def smooth(self) -> NDArray[np.bool_]:
-        """Whether (n,) the rate hardly depends on the window that it is computed in, as beside a jerk."""
+        """Return where (n,) the rate hardly depends on the window that it is computed in; beside a jerk it does."""
         return is_smooth(self.motion, self.window)
 
     @property
     def errors(self) -> tuple[float, float, float]:
-        """The standard deviations of the errors of deflection, rad, rate and acceleration; 0 where nothing is known."""
+        """Return the standard deviations of the errors of deflection (rad), rate and acceleration; 0 where unknown."""
         seen = self.window
         return (seen.of_deflection, seen.noise, seen.of_acceleration) if seen else (0.0, 0.0, 0.0)
 
     def preview(self, terms: tuple[str, ...]) -> Fit | None:
-        """Return the fit to some of the samples; None where the columns are too much alike."""
+        """Return the fit to a subset of the samples; None if the columns are nearly collinear."""
         unordered = frozenset(terms)
         if unordered not in self._previews:
             less = self.preview(terms[:-1]) if len(terms) > 1 else None
@@ -181,12 +185,12 @@ class Fits:
         return self._previews[unordered]
 
     def fitness(self, terms: tuple[str, ...]) -> float:
-        """Return the fitness, N m, on some of the samples; infinite where the columns are too much alike."""
+        """Return the fitness, N m, on a subset of the samples; infinite if the columns are nearly collinear."""
         seen = self.preview(terms)
         return seen.fitness if seen else np.inf
 
     def is_rejected(self, terms: tuple[str, ...]) -> bool:
-        """Return whether some of the samples alone bring the last of the terms to an end of its bounds or a stop."""
+        """Return whether the preview alone moves the last of the terms to an end of its bounds, or makes it a stop."""
         problem, seen = self._problem(terms), self.preview(terms)
         if seen is None:
             return True
@@ -194,9 +198,9 @@ class Fits:
         return found.is_at_end(terms[-1]) or found.is_stop(terms[-1])
 
     def candidate(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate:
-        """Return the model of these terms, fitted to all samples; beside: a fit with similar nonlinear parameters.
+        """Return the model of these terms, fitted to all samples. beside: a fit with similar nonlinear parameters.
 
-        Raises RuntimeError where its columns are too much alike.
+        Raises RuntimeError if its columns are nearly collinear.
         """
         near, known = _named(beside.model, beside.fit) if beside else {}, self._fitted.get(terms)
         if known is None:
@@ -210,9 +214,9 @@ class Fits:
         return self._fitted[terms]
 
     def with_value(self, terms: tuple[str, ...], smaller: Candidate, value: float) -> Candidate:
-        """Return the fit with a value, SI, of the last term's own nonlinear parameter; nothing is held out.
+        """Return the fit with this value, SI, of the last term's own nonlinear parameter; no blocks are held out.
 
-        smaller: the fit without that term, whose nonlinear parameters it has. Raises RuntimeError as `Problem.solve`.
+        smaller: the fit without that term, whose nonlinear parameters are kept. Raises RuntimeError as `Problem.solve`.
         """
         problem = self._problem(terms)
         own_name = next(one.name for one in TERMS[terms[-1]].parameters if one.nonlinear)
@@ -221,13 +225,15 @@ class Fits:
         return Candidate(terms, _model(terms), problem, found, np.empty(0), self.errors[0])
 
     def held_out(self, terms: tuple[str, ...], found: Fit) -> Array:
-        """Return the errors (FOLDS,), N m, of held-out blocks with the nonlinear parameters of a fit."""
+        """Return the errors (FOLDS,), N m, of held-out blocks, at the nonlinear parameters of a fit."""
         if found not in self._errors:
             self._errors[found] = _held_out(self._problem(terms), found)
         return self._errors[found]
 
     def linearised(self, terms: tuple[str, ...]) -> tuple[Array, Array]:
-        """Return columns (n, p) and residuals (n,), N m, of the local minimum of all samples next to the preview."""
+        """Return columns (n, p) and residuals (n,), N m, at the local minimum, over all samples, nearest the
+        preview.
+        """
         problem, seen = self._problem(terms), self.preview(terms)
         found = descend(problem, seen.nonlinear if seen else problem.low)
         return problem.linearised(found)[0], problem.residuals(found)
@@ -247,7 +253,9 @@ def own(term: str) -> tuple[str, ...]:
 
 
 def _held_out(problem: Problem, found: Fit) -> Array:
-    """The mean error, N m, of each block in time under a fit to the others with all's nonlinear parameters."""
+    """Return the mean error, N m, of each block in time under a fit to the others, at the nonlinear parameters of
+    all.
+    """
     thin = problem.thinned()
     block = np.arange(len(thin.torque)) * FOLDS // len(thin.torque)
     errors = np.empty(FOLDS)
@@ -264,5 +272,5 @@ def _model(terms: tuple[str, ...]) -> CouplingModel:
 
 
 def _named(model: CouplingModel, found: Fit) -> dict[str, float]:
-    """The nonlinear parameters of a fit by name."""
+    """Return the nonlinear parameters of a fit by name."""
     return dict(zip((parameter.name for parameter in model.nonlinear), found.nonlinear.tolist(), strict=True))

@@ -1,9 +1,9 @@
-"""A drive that holds each set-point until the next one: what it does to the rate, and what that looks like.
+"""A drive that holds each set-point until the next one: its effect on the rate, and what that effect looks like.
 
-The acceleration of a drive of second order jumps where it takes a new set-point. If it takes one at each reading, the
-rate there is less than that of the smooth motion through all readings, by a twelfth of the jump times the step. No
-window and no low-pass can show this, because the readings are those of the smooth motion. In the torque it looks like
-less damping and a reading that is late by a few hundredths of a tick.
+The acceleration of a second-order drive jumps when it takes a new set-point. If it takes one at each reading, the rate
+there is lower than that of the smooth motion through all readings, by a twelfth of the jump times the time step. No
+window and no low-pass can show this, because the readings lie on the smooth motion. In the torque it looks like less
+damping, and like a delay of a few hundredths of a tick.
 """
 
 from __future__ import annotations
@@ -20,25 +20,26 @@ Array = NDArray[np.float64]
 
 TWELFTH = 1.0 / 12.0
 DRIVES: Final = tuple(np.geomspace(4.0, 64.0, 9).tolist())
-"""The natural frequencies of drives, Hz, each half octave of which is as likely."""
+"""Natural frequencies of drives, Hz; each half octave is equally likely."""
 
 _DAMPED = 0.75  # the damping ratio of a drive
 _MOST = 0.1  # of the rate, that a drive which the readings still follow takes off
 
 
 def of_jerk(motion: Motion) -> Array:
-    """Return the part of the rate (n,), rad/s, that the jerk of a motion takes off where set-points are held.
+    """Return the part of the rate (n,), rad/s, that is lost in proportion to the jerk where set-points are held.
 
-    With c the set-point of a drive of second order, of w rad/s and damping ratio z, the jump is w^2 times the step h of
-    dc/dt = v + 2 z/w a + j/w^2. So the rate lacks h^2/12 (w^2 v + 2 z w a + j), the last part of which is known.
+    With c the set-point of a second-order drive of natural frequency w (rad/s) and damping ratio z, the jump of the
+    acceleration is w^2 h dc/dt, with the time step h and dc/dt = v + 2 z/w a + j/w^2. The rate therefore lacks h^2/12
+    (w^2 v + 2 z w a + j), of which the last part is known.
     """
     return TWELFTH * _step(motion) ** 2 * motion.changing(0.0).dtheta_ddot
 
 
 def taken_off(motion: Motion, frequency: float) -> Array | None:
-    """Return the rate (n,), rad/s, that a drive of that natural frequency, Hz, takes off a motion, as in `of_jerk`.
+    """Return the rate (n,), rad/s, that a motion loses behind a drive of that natural frequency, Hz; see `of_jerk`.
 
-    None where that is so much that the readings would not follow the drive.
+    None if the loss is so large that the readings would not follow the drive.
     """
     speed = 2.0 * np.pi * frequency * _step(motion)  # w h
     if TWELFTH * speed**2 > _MOST:
@@ -52,5 +53,5 @@ def _step(motion: Motion) -> float:
 
 
 def damping_at(rate: Array, values: Mapping[str, float]) -> Array:
-    """Return by how much (n,), N m s/rad, the torque grows with a rate (n,) rad/s; values: the parameters by name."""
+    """Return the slope of the torque over the rate, N m s/rad, at rates (n,), rad/s. values: the parameters by name."""
     return values.get("Bc", 0.0) + 2.0 * values.get("B2", 0.0) * np.abs(rate)

@@ -1,4 +1,4 @@
-"""Other models of a late torque reading: a skew, a lag of the cell, an inertia, or a branch that relaxes fast."""
+"""Causes of a delayed torque reading: a skew, a lag of the cell, an inertia, or a branch that relaxes fast."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hil.uncertainty.model_average import AKAIKE
 Array = NDArray[np.float64]
 
 EARLIER: Final = (*LATE, "inertia")
-"""Why a torque reading may be late, or may seem to be early."""
+"""The terms by which a torque reading may be delayed, or may seem to be early."""
 
 _STIFFEST, _HIDDEN = 2.0, 0.002  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
 _BRANCHES = ("maxwell", "maxwell2")  # each needs those before it
@@ -40,10 +40,10 @@ _APART = 2.0 * math.log(3.0)  # the same of a motor's torque, which another devi
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A model that may stand in place of the one selected, its nonlinear parameters (q,), SI, and Akaike's criterion of
-    it less that of the one selected.
+    """A model that may replace the selected one: its nonlinear parameters (q,), SI, and its difference of Akaike's
+    criterion.
 
-    usual_skew: whether its skew is no larger than every recorder has it.
+    The difference is to the selected model. usual_skew: whether its skew is no larger than that of every recorder.
     """
 
     model: CouplingModel
@@ -54,10 +54,10 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class Lateness:
-    """Kc and Bc, SI, with a torque reading that is late by one time.
+    """Kc and Bc, SI, for a torque reading with one delay.
 
-    spread: of Bc, SI, one standard deviation over the times that this one stands for. criterion: twice the logarithm of
-    the odds against it.
+    spread: standard deviation of Bc, SI, over the delays that this one represents. criterion: twice the log odds
+    against it.
     """
 
     Kc: float
@@ -68,16 +68,16 @@ class Lateness:
 
 @dataclass(frozen=True, eq=False)
 class LateReading:
-    """A recording whose torque reading may be late; accounts: the terms by which it may be, of `EARLIER`."""
+    """A recording whose torque reading may be delayed; accounts: the terms that can cause it, out of `EARLIER`."""
 
     fits: Fits
     criterion: Criterion
     accounts: tuple[str, ...] = ()
 
     def instead_of_branch(self, chosen: Candidate) -> Candidate:
-        """Return the model with a lag in place of its branch where that fits as well.
+        """Return the model with a lag in place of its branch if that fits equally well.
 
-        A branch without a damper of its own beside it has the form of a lag, which has a parameter less.
+        A branch without a parallel damper has the same response as a lag, which has one parameter less.
         """
         branch = _last_branch(chosen.terms)
         possible = branch and "lag" in self.accounts and is_addable("lag", chosen.terms)
@@ -89,7 +89,7 @@ class LateReading:
         return other if self.criterion.ratio(other, chosen) / alike < parameter else chosen
 
     def instead_of_skew(self, chosen: Candidate) -> Candidate:
-        """Return the model with a lag or an inertia in place of its skew where that fits clearly better."""
+        """Return the model with a lag or an inertia in place of its skew if that fits clearly better."""
         gains = {}
         others = [one for one in self.accounts if one not in chosen.terms] if "skew" in chosen.terms else []
         for one in others:
@@ -101,9 +101,10 @@ class LateReading:
         return self.fits.candidate(_replaced(chosen.terms, "skew", best)) if gains.get(best, 0.0) > STRONG else chosen
 
     def alternatives(self, chosen: Candidate) -> tuple[Alternative, ...]:
-        """Return the models with a skew, a lag of the cell, both or an inertia, in place of its own or none.
+        """Return the models with a skew, a lag of the cell, both, or an inertia, in place of the model's own or none.
 
-        In slow motion any of them is a damping: a model without one may have the fit, and not the damping.
+        In slow motion each of these equals a damping: a model without one may fit well and still have the wrong
+        damping.
         """
         found = self._others(chosen) if "mean" not in chosen.terms else []
         both = [(one, term) for one in (chosen, *found) for term in (*EARLIER, "maxwell") if term in one.terms]
@@ -115,10 +116,11 @@ class LateReading:
         ) + self._with_the_skew_of_a_recorder(chosen)
 
     def _with_the_skew_of_a_recorder(self, chosen: Candidate) -> tuple[Alternative, ...]:
-        """Return the model with a skew as every recorder has it.
+        """Return the model with the skew of an ordinary recorder.
 
-        That one, of standard deviation p, is in nine benches of ten: chance and noise that lasts make a longer one of
-        it. With the skew s that was found and its error e, it is likelier by what is left of s^2/e^2.
+        Nine benches of ten have a skew of that standard deviation p; chance and correlated noise can make the fitted
+        one longer. With the fitted skew s and its standard error e, this model is likelier by the part of s^2/e^2 that
+        p leaves.
         """
         others = tuple(term for term in chosen.terms if term != "skew")
         if len(others) == len(chosen.terms) or {"lag", "mean"}.intersection(others):
@@ -135,13 +137,13 @@ class LateReading:
         return (Alternative(chosen.anchored, chosen.fit.nonlinear, criterion, usual_skew=True),)
 
     def lateness(self, chosen: Candidate) -> tuple[Lateness, ...]:
-        """Return Kc and Bc for each likely delay and lag where a model has neither, and for each branch in their place.
+        """Return Kc and Bc for each likely delay and lag if the model has neither, and for each branch in their place.
 
-        Where the motion is slow the data hardly decide on the time: the one that fits best may be far from the right
-        one, early, or at a bound. Every likely time is therefore fitted, and weighs by its likelihood. One bench in ten
-        has a delay, of up to `LONGEST_SKEW` ticks, and one in ten a cell whose bandwidth is one of `CELLS`, each octave
-        of which is as likely. Of torques with an inertia, which hides what a delay adds to fast motion, one in three
-        has each.
+        In slow motion the data hardly determine the delay: the best fit may be far from the truth, early, or at a
+        bound. Therefore every likely delay is fitted and weighted by its likelihood. Before the data are seen, one
+        bench in ten has a delay of up to `LONGEST_SKEW` ticks, and one in ten a cell with a bandwidth out of `CELLS`,
+        each octave equally likely. For torques with an inertia, which hides the effect of a delay in fast motion, one
+        in three has each.
         """
         try:
             if set(LATE).intersection(chosen.terms):
@@ -151,7 +153,7 @@ class LateReading:
             return ()
 
     def _late(self, chosen: Candidate) -> Iterator[Lateness]:
-        """Kc and Bc with each likely delay, lag and drive of a model without a skew."""
+        """Yield Kc and Bc for each likely delay, lag and drive, for a model without a skew."""
         if {*LATE, "mean"}.intersection(chosen.terms):
             return
         longest = LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
@@ -167,7 +169,7 @@ class LateReading:
             yield from self._behind_any_drive(chosen, usual)
 
     def _instead_of_the_skew(self, chosen: Candidate) -> Iterator[Lateness]:
-        """Kc and Bc where not a skew but set-points that are held make the torque seem late: both are in one of ten."""
+        """Yield Kc and Bc if held set-points and not a skew cause the apparent delay; one bench in ten has either."""
         others = tuple(term for term in chosen.terms if term != "skew")
         without = self._with(others) if len(others) < len(chosen.terms) else None
         if without is not None and not {"lag", "mean"}.intersection(others):
@@ -175,10 +177,10 @@ class LateReading:
             yield from self._behind_any_drive(without, lost - AKAIKE)
 
     def _behind_any_drive(self, fitted: Candidate, rare: float) -> Iterator[Lateness]:
-        """Kc and Bc behind set-points that are held, for each likely drive; rare: twice the log odds against any.
+        """Yield Kc and Bc behind held set-points, for each likely drive. rare: twice the log odds against any of them.
 
-        fitted: the model without a skew. What a drive takes off the rate looks like a late reading of a few hundredths
-        of a tick, and in slow motion like less damping.
+        fitted: the model without a skew. The rate that a drive takes off looks like a delay of a few hundredths of a
+        tick, and in slow motion like less damping.
         """
         if "skew" not in self.accounts or "inertia" in fitted.terms or not fitted.damping > 0.0:
             return
@@ -198,18 +200,18 @@ class LateReading:
             before = found
 
     def _damping(self, fitted: Candidate) -> Array:
-        """The damping (n,), N m s/rad, of each sample.
+        """Return the damping (n,), N m s/rad, at each sample.
 
-        There is none where the damper does not act, as between the flanks of a gap.
+        It is zero where the damper does not act, such as inside a gap.
         """
         rate = self.fits.motion.dtheta_dot
         return np.where(np.isclose(fitted.columns[:, 1], rate), damping_at(rate, fitted.values), 0.0)
 
     def _with_usual_skew(self, chosen: Candidate) -> float:
-        """Twice the logarithm of how much likelier the skew that every recorder has makes the model.
+        """Return twice the log likelihood that the model gains with the skew of an ordinary recorder.
 
-        The logarithmic likelihood is a parabola of the skew, through its values at zero and at one skew of each sign:
-        that of a usual recorder, and again a shorter one where the data know it much better.
+        The log likelihood is approximated by a parabola in the skew, through zero and one skew of each sign: that of an
+        ordinary recorder first, and then a shorter one if the data determine it much better.
         """
         usual, terms = TICK_SHARE * float(np.median(np.diff(self.fits.motion.time))), (*chosen.terms, "skew")
         if "skew" not in self.accounts or not is_addable("skew", chosen.terms):
@@ -225,7 +227,7 @@ class LateReading:
         return float(0.25 * slope**2 / (bend + 1.0 / share) - math.log1p(bend * share))
 
     def _late_by(self, chosen: Candidate, term: str, times: Array, rare: float) -> Iterator[Lateness]:
-        """Kc and Bc for each of the times (m,), s, the shortest first, up to one that is impossible or too unlikely."""
+        """Yield Kc and Bc for each delay (m,), s, shortest first, until one is impossible or too unlikely."""
         blurred, before = 0.0, chosen.damping
         for time in times.tolist():
             late = self.fits.with_value((*chosen.terms, term), chosen, time)
@@ -238,20 +240,20 @@ class LateReading:
             before = late.damping
 
     def _ratio_when_settled(self, chosen: Candidate, late: Candidate, time: float) -> float:
-        """`Criterion.ratio` of the samples by which a lag of that time, s, has forgotten how each stretch began.
+        """Return `Criterion.ratio` of the samples by which a lag of that time, s, has settled in each piece.
 
-        The unknown state at the beginning takes a whole residual there, which says nothing of a lag and may be large.
+        The unknown state at the beginning of a piece adds a large residual there that says nothing about a lag.
         """
         settled = self.fits.motion.elapsed > FORGOTTEN * time
         less = np.abs(chosen.problem.residuals(chosen.fit)) - np.abs(late.problem.residuals(late.fit))
         return float(4.0 * self.criterion.density * less[settled].sum())
 
     def _independent(self, chosen: Candidate, other: Candidate, one: str) -> float:
-        """The likelihood ratio of the other model, divided by the factor by which it is less certain."""
+        """Return the likelihood ratio of the other model, divided by the factor by which it is less certain."""
         return float(self.criterion.ratio(chosen, other) / self.criterion.blurred(other, one))
 
     def _others(self, chosen: Candidate) -> list[Candidate]:
-        """The models with any account of a late torque reading, that of the model chosen among them."""
+        """Return the models with each cause of a delayed torque reading, the chosen model among them."""
         others = tuple(term for term in chosen.terms if term not in self.accounts)
         seen = len(others) < len(chosen.terms)  # else each likely time counts, and not the best one
         accounts = [(*others, term) for term in self.accounts if seen or term not in LATE]
@@ -269,7 +271,9 @@ class LateReading:
         return found
 
     def _akaike(self, chosen: Candidate, one: Candidate, alike: float) -> float:
-        """Akaike's criterion of a model less that of the one chosen, alike: the factor by which it is less certain."""
+        """Return Akaike's criterion of a model less that of the chosen one; alike: the factor by which it is less
+        certain.
+        """
         better = chosen.fit.fitness - self._without_errors(one, chosen.fit.fitness)
         return (
             2.0 * (len(one.model.parameters) - len(chosen.model.parameters))
@@ -278,22 +282,23 @@ class LateReading:
         )
 
     def _without_errors(self, one: Candidate, least: float) -> float:
-        """The fitness, N m, of a model without what errors of the acceleration add by an inertia, but at least `least`.
+        """Return the fitness, N m, of a model without the errors that its inertia takes from the acceleration, at least
+        `least`.
 
-        A skew has none of them, so that it fits better where there is an inertia.
+        A skew adds no such errors, so without this correction it would fit better even where there is an inertia.
         """
         errors = one.values.get("J", 0.0) * self.fits.errors[2]
         left = one.fit.fitness**2 - 2.0 / math.pi * errors**2
         return max(math.sqrt(max(left, 0.0)), min(least, one.fit.fitness))
 
     def _relaxing(self, chosen: Candidate) -> Iterator[Lateness]:
-        """Kc and Bc with each branch that relaxes faster than the joint moved, in place of a late torque reading.
+        """Yield Kc and Bc for each branch that relaxes faster than the joint moved, in place of a delayed torque.
 
-        Both stiffen fast motion, and the branch is a damper besides. In slow motion nothing but how much it stiffens
-        shows, K1 tau1^2: each time constant up to the shortest period is fitted, and as likely in each half octave. One
-        joint in ten has such a branch. A reading that is later than one recorder makes it is as rare, and so is one
-        beside a branch: what relaxes at one speed may do so at two. None is much stiffer than Kc, and none stands
-        alone: without a damper beside it, it has the form of a lag.
+        Both stiffen fast motion, and the branch also damps. In slow motion only the stiffening K1 tau1^2 shows: each
+        time constant up to the shortest period is fitted, and each half octave is equally likely. One joint in ten has
+        such a branch; a delay longer than a recorder's is as rare, and so is a delay beside a branch, since what
+        relaxes at one speed may relax at two. No branch is much stiffer than Kc, and none stands alone: without a
+        parallel damper it equals a lag.
         """
         others = tuple(term for term in chosen.terms if term not in LATE)
         late = sum(abs(chosen.values.get(term, 0.0)) for term in LATE)
@@ -316,7 +321,7 @@ class LateReading:
             before = branch.damping
 
     def _with(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate | None:
-        """The model of these terms, where its skew and lag are within their bounds."""
+        """Return the model of these terms; None if its skew or lag is outside its bounds."""
         if self.fits.fitness(terms) == np.inf:
             return None
         found = self.fits.candidate(terms, beside)
@@ -325,17 +330,17 @@ class LateReading:
 
 
 def _last_branch(terms: tuple[str, ...]) -> str:
-    """The last of the branches among the terms, without which the others are a model; "" where there is none."""
+    """Return the last of the branches among the terms without which the others are a model; "" if there is none."""
     return next((branch for branch in reversed(_BRANCHES) if branch in terms), "")
 
 
 def _deeper(found: Candidate) -> Candidate:
-    """The fit of terms that are much alike: roughly on some of the samples, then on all."""
+    """Return a fit of terms that are nearly collinear: roughly on a subset of the samples, then on all."""
     rough = polished(found.problem.thinned(), found.fit)
     near = polished(found.problem, descend(found.problem, rough.nonlinear), reach=2.0)
     return replace(found, fit=min(found.fit, near, key=lambda fit: fit.fitness))
 
 
 def _replaced(terms: tuple[str, ...], one: str, other: str) -> tuple[str, ...]:
-    """The terms with another one in place of one."""
+    """Return the terms with one replaced by another."""
     return tuple(other if term == one else term for term in terms)

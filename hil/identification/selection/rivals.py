@@ -1,4 +1,4 @@
-"""The terms that the data cannot decide on, and what Kc and Bc would be with them."""
+"""The terms that the data cannot decide on, and the values of Kc and Bc with them."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _GAUSSIAN = math.pi / 2.0  # power of noise by the square of its mean size
 def beside_doubtful_terms(
     fit: LackOfFit | None, steps: tuple[Step, ...], found: tuple[Estimate, ...]
 ) -> LackOfFit | None:
-    """Return the result of the tests, the size of a misfit with what doubtful terms make of Kc and Bc.
+    """Return the result of the lack-of-fit tests, with doubtful terms counted in the size of the misfit.
 
-    A term is doubtful that explains less of the torque than what is left and follows from the motion: it may be made of
-    the same.
+    A term is doubtful if it explains less of the torque than the misfit: it may be explaining a part of the same
+    effect.
     """
     if fit is None or not fit.misfit:
         return fit
@@ -42,12 +42,12 @@ def beside_doubtful_terms(
 
 
 def with_rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> tuple[tuple[Estimate, ...], list[Diagnostic]]:
-    """Return the estimates with what Kc and Bc would be with each undecided rarer term in their intervals, and a
-    diagnostic for each undecided term.
+    """Return the estimates, their intervals widened to include each undecided rare term, and a diagnostic for each
+    term.
 
-    Averages weigh usual terms by their odds, and rarer ones have none there. Errors, and the intervals as they were,
-    where one that holds all these values would be wider than one may be, and where the evidence is strong for a usual
-    term that could not be included.
+    Model averages weigh common terms by their odds; rare terms are not in them. A parameter gets an error, and keeps
+    its interval, if an interval that includes all these values is wider than allowed, or if the evidence is strong for
+    a common term that could not be included.
     """
     undecided = [step for step in steps if not step.included and step.gain > EVIDENCE_AGAINST]
     pairs = [_with_rivals(undecided, estimate) for estimate in found[:2]]

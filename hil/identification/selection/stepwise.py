@@ -1,7 +1,7 @@
-"""Model selection by forward steps: a term is included as long as the data pay for it.
+"""Model selection by forward steps: a term is included as long as it improves the score.
 
-Each step includes the term that predicts held-out blocks best, of those that pay
-(`hil.identification.selection.criterion`); terms that do not pay any more are removed.
+Each step adds, of the terms that improve the score (`hil.identification.selection.criterion`), the one that predicts
+held-out blocks best. Terms that no longer improve it are removed.
 """
 
 from __future__ import annotations
@@ -36,10 +36,9 @@ _STIFFER = 2.0  # times Kc, with which errors of the deflection show in the torq
 class Step:
     """One model of the selection, and the gain of its last term.
 
-    fitness: N m, of all samples; held_out: N m, of blocks that the fit did not see. gain: by how much the criterion
+    fitness: N m, of all samples. held_out: N m, of blocks that the fit did not see. gain: by how much the criterion
     falls for `term`, in units in which chance gives less than zero; NaN for the first. Kc, Bc: SI. included: whether
-    the term is in the model selected, or was rejected. cost: twice the logarithm of the odds against the term before
-    the data are seen.
+    the term is in the selected model. cost: twice the log odds against the term before the data are seen.
     """
 
     model: str
@@ -55,7 +54,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The model selected, and on demand how it was: nobody asks that of one that another selection replaces."""
+    """The selected model and, computed on demand, the steps that led to it."""
 
     chosen: Candidate
     searched: _Steps | None = None
@@ -63,42 +62,42 @@ class Selection:
 
     @cached_property
     def model(self) -> CouplingModel:
-        """The model, anchored."""
+        """Return the selected model, anchored to the recording."""
         return self.chosen.anchored
 
     @cached_property
     def residuals(self) -> Array:
-        """The residuals of its fit, (n,) N m."""
+        """Return the residuals (n,) of its fit, N m."""
         return self.chosen.problem.residuals(self.chosen.fit)
 
     @cached_property
     def columns(self) -> Array:
-        """Those (n, p + q) of the problem linearised at the fit."""
+        """Return the columns (n, p + q) of the problem linearised at the fit."""
         return self.chosen.columns
 
     @property
     def values(self) -> Array:
-        """All parameters (p + q,), SI."""
+        """Return all parameters (p + q,), SI."""
         return self.chosen.fit.values
 
     @property
     def delay(self) -> float:
-        """The age of the torque reading beside that of the angle, s; 0 without a term for it."""
+        """Return by how much the torque reading is older than that of the angle, s; 0 without a term for it."""
         return self.model.delay(self.chosen.fit.nonlinear)
 
     @cached_property
     def steps(self) -> tuple[Step, ...]:
-        """The steps up to the model, then one for each rejected term on top of it."""
+        """Return the steps up to the model, then one for each rejected term on top of it."""
         return self.searched.to(self.chosen) if self.searched else ()
 
     @cached_property
     def alternatives(self) -> tuple[Alternative, ...]:
-        """The models with another account of why the torque reading is late."""
+        """Return the models with another cause of the delayed torque reading."""
         return self.late.alternatives(self.chosen) if self.late else ()
 
     @cached_property
     def lateness(self) -> tuple[Lateness, ...]:
-        """Kc and Bc with a torque reading that is late by each likely time, where the model has none."""
+        """Return Kc and Bc for each likely delay of the torque reading, if the model has none."""
         return self.late.lateness(self.chosen) if self.late else ()
 
 
@@ -114,13 +113,13 @@ def select(
     sticks: Callable[[Selection], bool] = lambda _selection: False,
     window: Window | None = None,
 ) -> Selection:
-    """Return the model for motion (n,) and torque (n,), N m; highest: Hz, up to where the joint moved.
+    """Return the model for motion (n,) and torque (n,), N m. highest: the frequency up to which the joint moved, Hz.
 
-    describes: whether a model describes the recording, the second argument: but for small effects that every bench has;
-    where it does not, rarer terms are considered too. sticks: whether friction holds the joint in some samples, so that
-    no rarer terms are considered: a model is selected from the others. accounts: terms by which the torque may be read
-    late, or seem to be. window: that the rate was computed in, if it is known.
-    Raises RuntimeError where not even the smallest model can be fitted.
+    describes: a function that says whether a model describes the recording; its second argument allows it to lack the
+    small effects of every bench. If no model of common terms does, rare terms are considered too. sticks: whether
+    friction holds the joint in some samples; then no rare terms are considered, because a model will be selected from
+    the other samples. accounts: the terms by which the torque may be delayed or seem to be. window: that the rate was
+    computed in, if known. Raises RuntimeError if not even the smallest model can be fitted.
     """
     fits, smallest = Fits(motion, torque, highest, window), _smallest(terms)
     noise = criterion_of(fits, terms, smallest)
@@ -146,13 +145,12 @@ def select(
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """The steps among the terms considered; compared: how many terms that pay the best is taken from.
+    """The steps among the terms considered; compared: the number of terms from which the best is chosen.
 
-    rare: those of them that are considered because a model without them does not describe the recording. is_enough:
-    whether a model with one does, as it stands. Further terms may then be made of the errors of the deflection, rad,
-    and rate, rad/s, which a filter or a delay takes out; the tests of the fit leave samples out that may show others.
-    beside: terms that no step includes, and that are held against the chosen model too.
-    passed: the models that the steps came by.
+    rare: those of them that are considered because no model without them describes the recording. is_enough: whether a
+    model with one of them does. Further terms would then be fitted to errors of the deflection, rad, and rate, rad/s,
+    which a filter or a delay removes, and the lack-of-fit tests leave out samples that could show others. beside: terms
+    that no step includes, and that the chosen model is compared with. passed: the models that the steps passed.
     """
 
     fits: Fits
@@ -166,9 +164,9 @@ class _Steps:
     _enough: dict[Candidate, bool] = field(default_factory=dict, init=False)
 
     def with_rarer(self, likely: tuple[str, ...], rarer: tuple[str, ...]) -> _Steps:
-        """Return the steps among the usual terms and those likely of the rarer ones.
+        """Return the steps among the common terms and the likely ones of the rare terms.
 
-        A small one may have been hidden by what the steps include, and one that is linear is fitted in no time.
+        The included terms may have hidden a small common one, and a linear term costs no time to fit.
         """
         likely = tuple(dict.fromkeys(likely))
         considered = (*(term for term in self.considered if term not in self.rare), *likely)
@@ -177,7 +175,9 @@ class _Steps:
         return _Steps(self.fits, noise, considered, _LIKELY, likely, self.is_enough, small)
 
     def forward(self, chosen: Candidate) -> Candidate:
-        """Return the model after the steps from one chosen, each with the term that pays most, without those idle."""
+        """Return the model after the steps from a chosen one, each adding the best term, without terms that no longer
+        help.
+        """
         seen: set[frozenset[str]] = set()
         self.passed.append(chosen.terms)
         while (larger := self._larger(chosen)) is not None:
@@ -192,18 +192,20 @@ class _Steps:
         return chosen
 
     def plainest(self, chosen: Candidate) -> Candidate:
-        """Return the model, with a plainer law of the same effect for a rarer one where the data cannot rank the two.
+        """Return the model with a plainer law of the same effect in place of a rare one, if the data cannot rank the
+        two.
 
-        The steps take the law that a smaller model asks for, and beside the terms that follow another may do as well.
+        The steps include the law that a smaller model needs; beside the terms added later, another may fit equally
+        well.
         """
         for term in (term for term in chosen.terms if term in self.rare):
             chosen = next(self._plainer(chosen, term), chosen)
         return chosen
 
     def _plainer(self, chosen: Candidate, term: str) -> Iterator[Candidate]:
-        """Return the models with a plainer law than a term that are as likely as the chosen one, the plainest first.
+        """Yield the models with a plainer law than the term that are as likely as the chosen one, the plainest first.
 
-        Each is held against the chosen one: of three laws, the data may rank the first and the last only.
+        Each is compared with the chosen one: of three laws, the data may rank only the first and the last.
         """
         others = tuple(other for other in chosen.terms if other != term)
         for law in PLAINEST_FIRST[: PLAINEST_FIRST.index(term)]:
@@ -215,18 +217,19 @@ class _Steps:
                     yield plainer
 
     def _is_plainer(self, term: str, law: str) -> bool:
-        """Whether a term considered is a plainer law of the same effect: contained, usual, or earlier in the table.
+        """Return whether a term considered is a plainer law of the same effect: contained, common, or earlier in the
+        table.
 
-        Two such terms exclude each other. A law with fewer parameters that is not contained is another effect.
+        Two such terms exclude each other. A law with fewer parameters that is not contained describes another effect.
         """
         beside = law in self.considered and (law in TERMS[term].excludes or term in TERMS[law].excludes)
         fewer = len(own(term)) - len(own(law))
         return beside and (law not in self.rare or fewer == 0 or set(own(law)) < set(own(term)))
 
     def to(self, chosen: Candidate) -> tuple[Step, ...]:
-        """Return the steps up to the chosen model, then one with each rejected term.
+        """Return the steps up to the chosen model, then one for each rejected term.
 
-        That stands on top of the model, or as a richer law in the place of the one that it contains.
+        A rejected term stands on top of the model, or as a richer law in the place of one that it contains.
         """
         nested = [self.fits.candidate(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
         found = [_step(nested[0], (float("nan"), float("nan")), included=True)]
@@ -242,11 +245,13 @@ class _Steps:
         return tuple(found)
 
     def _may_pay(self, chosen: Candidate, seen: Fit) -> bool:
-        """Whether a fit to some of the samples is better than that of the chosen model by what Akaike asks for."""
+        """Return whether a preview fits better than the chosen model by as much as Akaike's criterion needs."""
         return self.criterion.gained(self.fits.fitness(chosen.terms) - seen.fitness) > AKAIKE
 
     def _larger(self, smaller: Candidate) -> Candidate | None:
-        """The model with one more term that pays, the one that predicts held-out blocks best; None if none."""
+        """Return the model with one more term that improves the score and predicts held-out blocks best; None if
+        none.
+        """
         beyond = self._beyond(smaller.terms)
         if set(self.rare).intersection(smaller.terms) and self._is_described(smaller):
             beyond = {terms: found for terms, found in beyond.items() if self._is_no_error(smaller, terms)}
@@ -262,10 +267,10 @@ class _Steps:
         return self.criterion.likeliest(smaller, paying) if paying else None
 
     def _beyond(self, terms: tuple[str, ...]) -> dict[tuple[str, ...], Fit]:
-        """The models with another term, last, that fit some of the samples better, each with its fit to these.
+        """Return the models with another term, last, that fit the preview better, each with that fit.
 
-        A rarer term may take the place of those that it cannot stand beside. Where rarer ones are considered, a term
-        brings what it needs: a gap without an offset shows little of either.
+        A rare term may replace the terms that it excludes. Where rare terms are considered, a term brings the terms
+        that it needs: a gap without an offset shows little of either.
         """
         less, found = self.fits.preview(terms), {}
         for term in self.considered:
@@ -276,13 +281,17 @@ class _Steps:
         return found
 
     def _is_described(self, one: Candidate) -> bool:
-        """Whether a model is enough; its tests take as long as some steps, and are asked for twice."""
+        """Return whether a model describes the recording; the tests take as long as some steps and are asked for
+        twice.
+        """
         if one not in self._enough:
             self._enough[one] = self.is_enough(Selection(one))
         return self._enough[one]
 
     def _is_no_error(self, smaller: Candidate, terms: tuple[str, ...]) -> bool:
-        """Whether a usual term, the last of these, takes out more than all errors of deflection and rate amount to."""
+        """Return whether the last of these terms, a common one, explains more than all errors of deflection and
+        rate.
+        """
         if terms[-1] in self.rare or not set(smaller.terms) < set(terms):
             return False
         larger = self.fits.candidate(terms, beside=smaller)
@@ -291,9 +300,10 @@ class _Steps:
         return 0.5 * math.pi * (smaller.fit.fitness**2 - larger.fit.fitness**2) > errors
 
     def _predicting(self, smaller: Candidate) -> Candidate:
-        """The model, or where rarer terms are considered, with one more that predicts held-out blocks clearly better.
+        """Return the model, or if rare terms are considered, with one more that predicts held-out blocks clearly
+        better.
 
-        The likelihood of few independent samples may not be able to rank the two.
+        With few independent samples the likelihood may not rank the two.
         """
         beyond = self._beyond(smaller.terms) if self.rare and not self._is_described(smaller) else {}
         larger = (self.fits.candidate(terms, beside=smaller) for terms in beyond if set(smaller.terms) < set(terms))
@@ -301,7 +311,7 @@ class _Steps:
         return min(clear, key=lambda one: float(one.held_out.mean()), default=smaller)
 
     def _pruned(self, larger: Candidate) -> Candidate:
-        """The model without the terms that, now that all are there, do not pay."""
+        """Return the model without the terms that no longer improve the score beside all others."""
         idle = []
         for term in larger.terms[1:]:
             fewer = tuple(sorted((o for o in larger.terms if o != term), key=lambda o: TERMS[o].smooths))
@@ -313,16 +323,17 @@ class _Steps:
 
 
 def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
-    """The terms of the smallest model, as far as they are considered."""
+    """Return the terms of the smallest model, as far as they are considered."""
     smallest = [name for name, term in TERMS.items() if term.selection == "smallest"]
     return tuple(name for name in smallest if name == "linear" or name in terms)
 
 
 def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """The terms that lower the fitness most, in any of the models, within their bounds; with other laws of these.
+    """Return the terms that lower the fitness most, in any of the models, within their bounds, with other laws of the
+    same effect.
 
-    A law with the parameters of another one hardly fits worse, and one with more never does: it would take the place of
-    another kind. So would one that only rounds friction off.
+    A law with the parameters of another fits hardly worse, and one with more never does; it must not take the place of
+    another kind of term. Neither must a law that only smooths friction.
     """
     lowest = {}
     containing = {term: [other for other in terms if _contains(term, other)] for term in terms}
@@ -337,13 +348,13 @@ def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...]
 
 
 def _contains(term: str, other: str) -> bool:
-    """Whether a term has all parameters of another one, of two with the same the later in the table."""
+    """Return whether a term has all parameters of another; of two with equal parameters, the later one in the table."""
     mine, others = set(own(term)), set(own(other))
     return others < mine or (others == mine and PLAINEST_FIRST.index(other) < PLAINEST_FIRST.index(term))
 
 
 def _is_richer_law(term: str, contained: list[str], likely: list[str]) -> bool:
-    """Whether a term contains a likely one, or is a law of the same effect: one that it cannot stand beside."""
+    """Return whether a term contains a likely one, or is a law of the same effect, which excludes it."""
     return bool(set(likely).intersection((*contained, *TERMS[term].excludes)))
 
 

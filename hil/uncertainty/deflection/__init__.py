@@ -1,1 +1,1 @@
-"""What errors of the deflection do to the parameters, and the change by which they are corrected."""
+"""The effect of errors of the deflection on the parameters, and the correction for it."""

@@ -1,9 +1,9 @@
-"""Correct the parameters for errors of the deflection: by instrumental variables, or by a simulation of the errors.
+"""Correct the parameters for errors of the deflection: by instrumental variables, or by simulating the errors.
 
-Noise and counts of the deflection stand in the regressors, so that a fit makes Kc and Bc too small. Where the command
-was recorded, it takes the errors off; else what as many errors again do is simulated. Both act on the model linearised
-at its exact optimum, and so on nonlinear parameters too. Nothing is changed where the change is small beside the
-intervals.
+Noise and rounding of the deflection are in the regressors and make Kc and Bc too small. If the command was recorded, it
+serves as an instrument that is free of them; otherwise the effect of adding the same errors once more is simulated.
+Both act on the model linearised at its exact optimum, and so on nonlinear parameters too. Nothing is changed if the
+correction is small beside the intervals.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ Method = Literal["none", "simulation", "instruments"]
 
 @dataclass(frozen=True, eq=False)
 class DeflectionErrors:
-    """The errors of the deflection and what was done about them.
+    """The errors of the deflection and their correction.
 
-    noise: rad, standard deviation of the readings' errors. counts: of the encoder, peak to peak. low_pass: Hz, of the
-    low-pass that the deflection went through, None for none. method: of the change. change (p + q,), SI: what is added
-    to the parameters; half_width (p + q,): half the 95 % interval of it, and of roundings that go with the motion.
-    predicted (p + q,), SI: the change by simulation. strength: 1 for a command that the motion follows, to 0; None
-    where it was not recorded or not needed.
+    noise: standard deviation of the readings' errors, rad. counts: of the encoder over the motion, peak to peak.
+    low_pass: the corner of the deflection's low-pass, Hz, None without one. method: of the correction. change (p + q,),
+    SI: what is added to the parameters; half_width (p + q,): half its 95 % interval, including rounding in step with
+    the motion. predicted (p + q,), SI: the change by simulation. strength: 1 for a command that the motion follows,
+    down to 0; None if it was not recorded or not needed.
     """
 
     noise: float
@@ -51,12 +51,12 @@ class DeflectionErrors:
 
     @property
     def is_weak(self) -> bool:
-        """Whether there is a command, and the motion does not follow it."""
+        """Return whether there is a command that the motion does not follow."""
         return self.strength is not None and self.strength < _WEAK
 
 
 def deflection_errors(fitted: Fitted) -> DeflectionErrors:
-    """Return what the errors of the deflection do to the parameters, and the change by which they are corrected."""
+    """Return the effect of errors of the deflection on the parameters, and the correction."""
     part, window, nothing = fitted.part(), fitted.window, np.zeros(len(fitted.half_width))
     counts = float(np.ptp(fitted.motion.dtheta)) / window.count if window.count else np.inf
     low_pass = window.low_pass.cut if window.low_pass else None

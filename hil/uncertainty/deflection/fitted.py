@@ -1,4 +1,4 @@
-"""A model at its exact optimum, and its motion with other readings of the deflection."""
+"""A model at its exact optimum, and its motion with other errors of the deflection."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a re
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A model at its exact optimum, SI. torque (n,) N m as read; used (n,): the samples that it was fitted to.
+    """A model at its exact optimum, SI. torque (n,): N m, as read. used (n,): the samples that it was fitted to.
 
-    genes (p,), nonlinear (q,): its parameters. half_width (p + q,): of their intervals. decisive: the places of the
-    parameters that decide whether anything is changed. command (n,): None where it was not recorded. torque_count:
-    N m, the smallest step between two readings of the torque.
+    genes (p,), nonlinear (q,): its parameters. half_width (p + q,): of their intervals. decisive: the indices of the
+    parameters that decide whether anything is corrected. command (n,): None if it was not recorded. torque_count: the
+    smallest step between two readings of the torque, N m.
     """
 
     model: SeparableModel
@@ -43,7 +43,7 @@ class Fitted:
     torque_count: float = 0.0
 
     def part(self) -> Fitted:
-        """Return the fit on samples in a row from the middle of the recording."""
+        """Return the fit on consecutive samples from the middle of the recording."""
         whole, places = self.motion.whole
         first = max(0, (len(whole) - _SAMPLES) // 2)
         motion = replace(whole.of(slice(first, first + _SAMPLES)), part_of=None)
@@ -72,7 +72,9 @@ class Fitted:
 
 
 def linearised(model: SeparableModel, motion: Motion, genes: Array, nonlinear: Array) -> Array:
-    """Return how the torque of a motion (n,) changes with genes (p,) and nonlinear parameters (q,): (n, p + q)."""
+    """Return the derivative of the torque by genes (p,) and nonlinear parameters (q,), for a motion (n,): (n, p +
+    q).
+    """
     lag = max(0.0, float(genes[1] / genes[0])) if model.needs_ratio and genes[0] > 0.0 else 0.0
     columns = model.columns(motion, nonlinear, lag)
     return np.concatenate([columns, model.jacobian(motion, nonlinear, genes, lag)], axis=1)
@@ -80,14 +82,16 @@ def linearised(model: SeparableModel, motion: Motion, genes: Array, nonlinear: A
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A change of the parameters (p + q,), and half the 95 % interval of it."""
+    """A correction added to the parameters (p + q,), and the half width of its 95 % interval."""
 
     values: Array
     half_width: Array
 
 
 def behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Array, Array]:
-    """Readings (n,) behind the window, with slope and curvature; zero in stretches that are too short for it."""
+    """Return readings (n,) filtered by the window, with slope and curvature; zero in pieces that are too short for
+    it.
+    """
     found = np.zeros((3, len(motion)))
     for part in stretches(motion):
         if window.low_pass is not None or part.stop - part.start > 2 * window.widest:
@@ -97,10 +101,10 @@ def behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Arra
 
 
 def sampled(motion: Motion) -> Motion:
-    """Return the motion of which each sample is a reading of the angle, or as good as one.
+    """Return the motion at samples that are readings of the angle, or are as good as such.
 
-    A slow cell's readings are a part of it, and its samples are about as far apart as the angle's. Errors do not know
-    by how much they are off an even pace, which a window needs.
+    If the torque cell is slow, only the samples of its readings are used, which are about as far apart as the angle's.
+    The errors do not contain the differences from an even spacing, which a window needs.
     """
     if motion.part_of is None:
         return motion
@@ -110,14 +114,14 @@ def sampled(motion: Motion) -> Motion:
 
 
 def stretches(motion: Motion) -> list[slice]:
-    """Return the samples of each stretch of a motion."""
+    """Return the samples of each piece of a motion."""
     return [slice(first, last) for first, last in pairwise([*motion.starts, len(motion)]) if last > first]
 
 
 def moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
-    """The motion with more deflection, rate and acceleration, (n,) of the whole that it is a part of.
+    """Return the motion with more deflection, rate and acceleration, (n,) of the whole that it is a part of.
 
-    The motor's own torque follows the latter two.
+    The motor's own torque changes with rate and acceleration.
     """
     (whole, rows), (value, slope, curvature) = motion.whole, more
     own = np.stack([whole.dtheta_dot, whole.dtheta_ddot], axis=1)
@@ -142,7 +146,9 @@ def solved(columns: Array, instruments: Array, left: Array) -> Array:
 
 
 def clipped(left: Array) -> Array:
-    """Return residuals (n,) N m clipped as in Huber's (1964) estimate, scaled so that a step has full length."""
+    """Return residuals (n,), N m, clipped as in Huber's (1964) estimate and scaled so that a correction step has full
+    length.
+    """
     limit = _CLIPPED * 1.4826 * float(np.median(np.abs(left)))
     inside = float(np.mean(np.abs(left) < limit))
     return np.asarray(np.clip(left, -limit, limit) / max(0.5, inside))

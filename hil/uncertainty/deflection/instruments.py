@@ -1,8 +1,9 @@
-"""The correction of the parameters by instrumental variables, where the command was recorded.
+"""Correct the parameters by instrumental variables if the command was recorded.
 
-The motion that follows from the command by a short filter is free of the readings' errors, and the model's columns for
-it are instruments (Young 2011; Pintelon and Schoukens 2012, section 2.7). The command need not be what was driven, only
-go with it: how well it does is measured by how much less certain the instruments make the parameters.
+The motion that follows from the command through a short filter has none of the readings' errors, and the model's
+columns for that motion are the instruments (Young 2011; Pintelon and Schoukens 2012, section 2.7). The command need not
+be the physical drive signal; it only has to be correlated with the motion. Its strength is measured by how much the
+instruments increase the uncertainty of the parameters.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ def is_instrument(command: Array | None) -> TypeGuard[Array]:
 
 
 def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.bool_]) -> Motion:
-    """Return the motion that follows from the command (n,) by a filter of a few delays, fitted where sound (n,)."""
+    """Return the motion that follows from the command (n,) through a filter of a few delays, fitted where sound
+    (n,).
+    """
     unit = 1.0 / (8.0 * window.band[1])
     recorded = Recorded(motion.time, motion.known, motion.dtheta, motion.dtheta_dot, motion.starts)
     parts = behind(window, motion, command - command.mean())

@@ -1,4 +1,4 @@
-"""What rounding to counts does to the parameters where the joint rests."""
+"""The effect of rounding to counts on the parameters, for a joint that rests."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _NORMAL: Final = 1.959964
 
 
 def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
-    """Return half the 95 % intervals (p + q,) of what rounding does where the joint rests.
+    """Return half the 95 % intervals (p + q,) of the effect of rounding while the joint rests.
 
-    All readings of one angle or torque at rest are wrong by the same, somewhere within half a count, which no average
-    takes away. Noise does not either for a torque in counts: the least sum of absolute errors is at one of its counts.
-    Opposite readings may be wrong by opposite amounts, which change Kc by the same.
+    All readings of one angle or torque at rest have the same error, up to half a count, which averaging does not
+    reduce. Noise does not help for a torque in counts either: the least sum of absolute errors lies at one of the
+    counts. Readings at opposite places may have opposite errors, whose effects on Kc add up.
     """
     motion, count = part.motion, part.window.count
     columns, left = part.linearised(motion)
@@ -44,28 +44,30 @@ def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
 
 
 def _influence(columns: Array, sound: NDArray[np.bool_]) -> Array:
-    """Return by how much each parameter changes with the torque of each sound sample, (p + q, m)."""
+    """Return the derivative of each parameter by the torque of each sound sample, (p + q, m)."""
     sizes = np.linalg.norm(columns[sound], axis=0)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     return np.asarray(np.linalg.pinv(columns[sound] / sizes) / sizes[:, None])
 
 
 def _per_rad(part: Fitted, left: Array) -> Array:
-    """Return the torque (n,), N m, by which an error of 1 rad in the deflection changes the residuals (n,)."""
+    """Return the change of the residuals (n,), N m, for an error of 1 rad in the deflection."""
     count, samples = part.window.count, len(part.motion.whole[0])
     one_off = moved(part.motion, (np.full(samples, count), *np.zeros((2, samples))))
     return np.asarray((left - part.linearised(one_off)[1]) / count)
 
 
 def _is_still(dtheta: Array, most: float) -> NDArray[np.bool_]:
-    """Return whether each reading (n,) rad is among some that differ by less than `most`, rad, from one to the next."""
+    """Return whether each reading (n,), rad, is one of several consecutive ones that differ by less than `most`,
+    rad.
+    """
     alike = np.concatenate([[False], np.abs(np.diff(dtheta)) < most])
     run = np.cumsum(~alike)  # the number of the run of like readings that each is in
     return np.asarray(np.bincount(run)[run] >= _RESTS)
 
 
 def _is_within(values: Array, most: float) -> NDArray[np.bool_]:
-    """Return whether each value (n,) is among some in a row that differ by less than `most`."""
+    """Return whether each value (n,) is one of several consecutive ones that differ by less than `most`."""
     found = np.zeros(len(values), dtype=bool)
     if len(values) >= _RESTS:
         first = np.flatnonzero(np.ptp(sliding_window_view(values, _RESTS), axis=1) < most)

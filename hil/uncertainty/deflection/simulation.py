@@ -1,7 +1,8 @@
-"""Errors of the deflection that are simulated: what as many again do to the parameters, and to the tests of the fit.
+"""Simulated errors of the deflection: the effect of adding them once more, on the parameters and on the lack-of-fit
+tests.
 
-Noise and counts of the deflection stand in the regressors (errors in variables: Soderstrom 2007). What as many errors
-again add to the parameters is taken off them (Cook and Stefanski 1994).
+Noise and rounding of the deflection are in the regressors (errors in variables: Soderstrom 2007). The effect of adding
+the same errors once more is subtracted from the parameters (Cook and Stefanski 1994).
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ _NORMAL: Final = 1.959964
 
 
 def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Array]:
-    """Return the correction, found by adding as many errors again, and 1.96 times its standard deviation.
+    """Return the correction found by adding the same errors once more, and 1.96 times its standard deviation.
 
-    The interval has that scatter already, unless it is of a rounding in step with the motion.
+    The interval includes this scatter already, except for rounding in step with the motion.
     """
     added = _added(part, sound, _errors(sampled(part.motion), part.window))
     means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
@@ -39,9 +40,9 @@ def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Ar
 
 
 def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
-    """Return whether roundings change Kc or Bc by far more than the same errors in any other order.
+    """Return whether rounding changes Kc or Bc by far more than the same errors in random order.
 
-    Motion that repeats is rounded alike each time. spread (p + q,): of `simulated_change`.
+    Periodic motion is rounded in the same way each time. spread (p + q,): see `simulated_change`.
     """
     rng = np.random.default_rng(1)
     shuffled = _added(part, sound, (rng.permutation(one) for one in _errors(sampled(part.motion), part.window)))
@@ -50,14 +51,18 @@ def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
 
 
 def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
-    """Yield pairs of motions with as many errors again of deflection and rate, of either sign, each time others."""
+    """Yield pairs of motions with the errors of deflection and rate added once more, with either sign, drawn anew each
+    time.
+    """
     smoothed = _smoothed_away(motion.whole[0], window)
     for errors in _errors(sampled(motion), window):
         yield _more(motion, window, errors, smoothed)
 
 
 def _added(part: Fitted, sound: NDArray[np.bool_], errors: Iterable[Array]) -> Array:
-    """Return what errors (n,) rad add to the parameters, (k, 2, p + q): for each, and for it with the other sign."""
+    """Return the change of the parameters by errors (n,) rad, (k, 2, p + q): with the errors and with their
+    opposites.
+    """
 
     def step(motion: Motion) -> Array:
         columns, left = part.linearised(motion)
@@ -68,14 +73,14 @@ def _added(part: Fitted, sound: NDArray[np.bool_], errors: Iterable[Array]) -> A
 
 
 def _scatter(added: Array) -> Array:
-    """Return half the 95 % intervals (p + q,) of what errors add at random: with the other sign it is the opposite."""
+    """Return half the 95 % intervals (p + q,) of the random effect of errors, which changes sign with the errors."""
     return np.asarray(_NORMAL * np.sqrt(np.mean((0.5 * (added[:, 0] - added[:, 1])) ** 2, axis=0)))
 
 
 def _more(motion: Motion, window: Window, errors: Array, of_rate: Array | float = 0.0) -> tuple[Motion, Motion]:
-    """Return the motion with more errors (n,) rad in its readings, and with the same of the other sign.
+    """Return the motion with errors (n,), rad, added to its readings, and with their opposites.
 
-    errors are of the readings of the angle. of_rate (n,): rad/s, errors of the rate beside them.
+    errors: of the angle's readings. of_rate (n,): additional errors of the rate, rad/s.
     """
     whole = sampled(motion)
     more = np.array(behind(window, whole, errors))
@@ -88,7 +93,7 @@ def _more(motion: Motion, window: Window, errors: Array, of_rate: Array | float 
 
 
 def _errors(motion: Motion, window: Window) -> Iterator[Array]:
-    """Errors (n,) rad as the readings may have them: noise, then rounding to counts."""
+    """Draw measurement errors (n,), rad: noise, then rounding to encoder counts."""
     rng, count, span = np.random.default_rng(0), window.count, float(np.ptp(motion.dtheta))
     # counts that are rounded once more would follow from the angle
     smooth = motion.dtheta.copy()
@@ -107,9 +112,10 @@ def _errors(motion: Motion, window: Window) -> Iterator[Array]:
 
 
 def _smoothed_away(motion: Motion, window: Window) -> Array:
-    """Return the part of the rate (n,), rad/s, that the window smooths away, from the rates of two wider windows.
+    """Return the part of the rate (n,), rad/s, that the window removes, from the rates of two wider windows.
 
-    The changes grow by one factor, as a geometric series, of which the window's own error is all that comes before.
+    The changes from window to window grow by a constant factor; the window's own error is the sum of the geometric
+    series before it.
     """
     first, second = np.zeros((2, len(motion)))
     if window.low_pass is not None:  # flat up to where the deflection's noise hides all
