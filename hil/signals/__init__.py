@@ -1,1 +1,1 @@
-"""From the rows of a recording to torque, deflection and rate, with a check of their quality."""
+"""From the rows of a recording to torque, deflection and rate, and a check of their quality."""

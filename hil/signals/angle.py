@@ -1,4 +1,4 @@
-"""Faults of an angle's reading: a far zero, jumps by a turn, single wrong readings, an angle that stands still."""
+"""Faults of an angle's readings: a far zero, jumps by a turn, single wrong readings, a frozen angle."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _SLOWER = 10.0  # times the usual time between two changes of the reading
 
 
 def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
-    """Return the angle (n,) rad without jumps by the range of its encoder, and how many there were.
+    """Return the angle (n,) rad without jumps by the range of its encoder, and how many jumps there were.
 
-    torque (n,) N m. Readings within a turn pass its end where every step is small once whole turns are taken off,
-    however many do so. Elsewhere a step counts as a jump only where all that are more than a tenth of the largest are
-    alike, and certain is it only for a turn, or half of one, or where several jumps go from one end of the readings to
-    the other and the torque goes on: behind a gear an encoder's range may be any.
+    torque (n,): N m. If all steps are small after whole turns are subtracted, the angle passes the end of a turn,
+    however often. Otherwise a step counts as a jump only if all steps larger than a tenth of the largest are equal. The
+    jump is certain only for a turn or half a turn, or if several jumps lead from one end of the readings to the other
+    while the torque is continuous: behind a gear, the encoder's range can have any size.
     """
     steps = np.diff(angle)
     whole = np.round(steps / _TURN)
@@ -48,7 +48,7 @@ def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
 
 
 def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
-    """The range, rad, that these jumps (n,) among steps (n,) of an angle have in common; 0 where they have none."""
+    """Return the range, rad, that these jumps (n,) among the steps (n,) of an angle have in common; 0 if none."""
     if not jumps.any() or np.count_nonzero(jumps) > _RARE * len(steps):
         return 0.0
     # the joint moved on during the jump, as it did before
@@ -60,7 +60,9 @@ def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
 
 
 def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: float) -> bool:
-    """Whether jumps of that size, rad, are the encoder's: from end to end of its range, and none of the torque's."""
+    """Return whether jumps of that size, rad, are the encoder's: from one end of its range to the other, without a jump
+    of the torque.
+    """
     usual = float(np.abs(np.diff(angle)[~jumps]).max(initial=0.0))
     low, high = float(angle.min()), float(angle.max())
     first = angle[:-1][jumps]
@@ -76,9 +78,10 @@ def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: flo
 
 
 def spikes(angle: Array) -> NDArray[np.bool_]:
-    """Return which readings (n,) of an angle, rad, are wrong alone: far from the cubic through two on each side.
+    """Return which readings (n,) of an angle, rad, are single wrong ones, far from the cubic through two on each side.
 
-    Where a motion is sharp, the neighbours' readings are far from it too, and not by what a wrong one makes of them.
+    In a sharp motion the neighbours' readings are far from their cubics too, but not in the pattern that one wrong
+    reading causes.
     """
     wrong = np.zeros(len(angle), dtype=bool)
     if len(angle) < 2 * len(_CUBIC):
@@ -97,16 +100,16 @@ def spikes(angle: Array) -> NDArray[np.bool_]:
 
 
 def far_zero(angle: Array) -> float:
-    """Return the middle of an angle's range, rad, where its zero is further away than 1.5 times the range, else 0."""
+    """Return the middle of an angle's range, rad, if its zero is more than 1.5 times the range away, else 0."""
     low, high = float(angle.min()), float(angle.max())
     middle = 0.5 * (low + high)
     return middle if abs(middle) > _FAR * (high - low) else 0.0
 
 
 def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
-    """Return which samples (n,) of an angle stand still while the torque covers a third of its range.
+    """Return the samples (n,) in which an angle is constant while the torque covers a third of its range.
 
-    time s, angle rad, torque N m. A joint that friction holds, or a pause, leaves the torque in a smaller range.
+    time s, angle rad, torque N m. In a pause, or where friction holds the joint, the torque stays in a smaller range.
     """
     changes = np.flatnonzero(np.diff(angle) != 0.0) + 1
     if not changes.size:

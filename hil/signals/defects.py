@@ -1,4 +1,4 @@
-"""Rows of a recording that identification uses, and those that it does not, and why."""
+"""The rows of a recording that identification uses, and why the others are left out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hil.signals.stamps import spread_stamps, within
 Array = NDArray[np.float64]
 
 FEWEST: Final = 16
-"""Samples, below which nothing is concluded."""
+"""The number of samples below which nothing is concluded."""
 
 _LEFT_OUT = ("lost", "not_numbers", "frozen", "spikes")  # rows
 _EPISODES = 3  # times that a torque reached the end of its range, from which that end is believed
@@ -36,13 +36,13 @@ _STILL_ANGLE, _STILL_TORQUE = 1e-9, 1e-15  # rad and N m peak to peak, below whi
 
 @dataclass(frozen=True, slots=True)
 class Defects:
-    """Rows of a recording that are not used, and whether many shared a time stamp and were spread.
+    """The rows of a recording that are not used, and whether many shared a time stamp and were spread.
 
-    lost: replies that never came. not_numbers: rows with a NaN. near_gaps: rows whose window spans a gap; those at the
-    two ends of the recording are not counted. frozen: rows in which the angle stood still while the torque changed.
-    clipped: rows in which the torque, or a neighbour, stood at the end of the sensor's range while the joint moved on.
-    spikes: rows in which the angle alone is wrong. wraps: jumps of the angle by a turn, which were taken back.
-    jerked: rows beside a jump of the acceleration, whose rate or acceleration is not known.
+    lost: replies that never came. not_numbers: rows with a NaN. near_gaps: rows whose window contains a gap; those at
+    the two ends of the recording are not counted. frozen: rows with a constant angle while the torque changed. clipped:
+    rows with the torque, or a neighbouring one, at the end of the sensor's range while the joint moved on. spikes: rows
+    in which only the angle is wrong. wraps: jumps of the angle by a turn, which were removed. jerked: rows beside a
+    jump of the acceleration, whose rate or acceleration is unknown.
     """
 
     lost: int = 0
@@ -71,11 +71,11 @@ class Defects:
 
 @dataclass(frozen=True, eq=False)
 class UsableRows:
-    """The rows (n,) that hold a reply and only finite numbers: their place in the file and the raw readings.
+    """The rows (n,) with a reply and only finite numbers: their index in the file, and the raw readings.
 
-    torque_time: s, when the torque was read, NaN where that is not known: `time` unless another device read it.
-    The places of the rows left out: lost, without a reply; not_numbers, with a NaN; frozen and spikes, with an angle
-    that stood still or is wrong. wraps: jumps of the angle taken back. clipped (n,): whether the torque was at its end.
+    torque_time: when the torque was read, s, NaN if unknown; equal to `time` unless another device read it. The indices
+    of the rows left out: lost, without a reply; not_numbers, with a NaN; frozen and spikes, with a constant or wrong
+    angle. wraps: jumps of the angle that were removed. clipped (n,): whether the torque was at the end of its range.
     """
 
     row: NDArray[np.int64]
@@ -94,13 +94,13 @@ class UsableRows:
 
     @cached_property
     def stamps(self) -> tuple[Array, bool]:
-        """The stamps (n,) s with repeats and bursts spread, and whether they are many."""
+        """Return the stamps (n,), s, with repeats and bursts spread evenly, and whether there are many of these."""
         return spread_stamps(self.time)
 
     def readings(self, channel: Channel, kind: Kind | None) -> Readings:
-        """Return which values of a channel are readings: all, or of a sensor that is slower, as its kind says.
+        """Return which values of a channel are readings: all, or for a slower sensor its own, according to its kind.
 
-        They are kept: the windows and the signals both need them, and the pace of a slow one takes a while to find.
+        The result is kept, because windows and signals both need it, and the pace of a slow sensor takes time to find.
         """
         if (channel, kind) not in self._read:
             (time, _), values = self.stamps, self.torque if channel == "torque" else self.dtheta
@@ -109,7 +109,9 @@ class UsableRows:
         return self._read[channel, kind]
 
     def defects(self, rows: tuple[int, int]) -> Defects:
-        """Return how many rows within `rows` of the file are not used; those that a window shows are not among them."""
+        """Return how many rows within `rows` of the file are not used; rows that only a window rejects are not
+        counted.
+        """
         places = {name: getattr(self, name) for name in _LEFT_OUT} | {"clipped": self.row[self.clipped]}
         counts = {name: int(np.count_nonzero(within(place, rows))) for name, place in places.items()}
         return Defects(**counts, coarse_clock=self.stamps[1], wraps=self.wraps)
@@ -120,7 +122,7 @@ def usable_rows(
 ) -> UsableRows:
     """Return the usable rows from `start` to `stop` with one of the torque channels.
 
-    rate: whether the recorded rate is read. own_time: whether another device read the torque, at times of its own.
+    rate: whether the recorded rate is read. own_time: whether another device read the torque, with its own stamps.
     """
 
     def channel(name: str) -> Array:
@@ -158,10 +160,10 @@ def usable_rows(
 
 
 def clipped(dtheta: Array, torque: Array) -> NDArray[np.bool_]:
-    """Return which readings (n,) of a torque, N m, stand at the end of the sensor's range, and those beside them.
+    """Return which readings (n,) of a torque, N m, are at the end of the sensor's range, and their neighbours.
 
-    dtheta (n,) rad. At such an end many readings are the same to the last digit, again and again, while the deflection
-    goes on by what would be several levels of the torque. A joint that rests or turns there does not move.
+    dtheta (n,): rad. At such an end many readings are equal to the last digit, again and again, while the deflection
+    changes by as much as several levels of the torque. A joint that rests or reverses there does not move.
     """
     found, spread = np.zeros(len(torque), dtype=bool), float(np.var(dtheta)) if len(torque) else 0.0
     slope = abs(float(np.mean((dtheta - dtheta.mean()) * torque))) / spread if spread else 0.0
@@ -174,7 +176,9 @@ def clipped(dtheta: Array, torque: Array) -> NDArray[np.bool_]:
 
 
 def _goes_on(torque: Array, dtheta: Array, slope: float) -> bool:
-    """Whether the deflection, rad at the highest of the torques (n,) N m, spans several levels. slope: N m/rad."""
+    """Return whether the deflection, rad, at the highest torques (n,), N m, spans several torque levels. slope: N
+    m/rad.
+    """
     levels, counts = np.unique(torque, return_counts=True)
     below, step = counts[-_BELOW:-1], np.diff(levels[-_BELOW:])
     low, high = np.quantile(dtheta, (0.1, 0.9))
@@ -184,7 +188,7 @@ def _goes_on(torque: Array, dtheta: Array, slope: float) -> bool:
 
 
 def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Array, where: str = "") -> None:
-    """Raise Untrustworthy where usable rows (n,) of a recording, SI, are too few, unordered or without any change.
+    """Raise Untrustworthy if the usable rows (n,) of a recording, SI, are too few, unordered or without any change.
 
     where: which rows these are, for the message.
     """
@@ -213,7 +217,7 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
 
 
 def refuse_without_rows(recording: Recording, left: int, defects: Defects) -> None:
-    """Raise Untrustworthy where no row of a recording is left, with what most of them lack."""
+    """Raise Untrustworthy if no row of a recording is usable, with the most frequent reason."""
     if left:
         return
     softer = again("drive with less torque", "--amplitude", imported=recording.imported)

@@ -1,7 +1,7 @@
-"""Whether noise or counts of the deflection would reach Kc and Bc, predicted before anything is identified.
+"""Predict, before anything is identified, whether noise or counts of the deflection would change Kc and Bc.
 
-Noise in a regressor makes its parameter too small, by the noise's share of its power. And a delay by a part of a sample
-averages the noise of the readings away, so that a skew is drawn to where it averages most, and Bc with it.
+Noise in a regressor makes its parameter too small, by the noise's share of its power. A delay by a fraction of a sample
+averages the noise of the readings, so a skew is biased towards the delay that averages most, and Bc with it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FEW_COUNTS: Final = 40.0
-"""Counts of the encoder, peak to peak, below which they are no white noise: they round in step with the motion."""
+"""Counts of the encoder over the motion, peak to peak, below which rounding follows the motion and is not white
+noise.
+"""
 
 _MATTERS: Final = 5e-4  # of Kc or Bc
 _CONFUSED: Final = 1000.0  # variance inflation from which model selection includes no skew
@@ -28,7 +30,9 @@ _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averag
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """The readings: torque (n,) N m, deflection (n,) rad, its rate and acceleration (n,), s between two readings."""
+    """Readings: torque (n,) N m, deflection (n,) rad, its rate and acceleration (n,), and the time between two
+    readings, s.
+    """
 
     torque: Array
     dtheta: Array
@@ -38,24 +42,26 @@ class Read:
 
 
 def smallest_step(dtheta: Array) -> float:
-    """Return the smallest difference, rad, between two readings (n,) that is more than rounding; 0 without one."""
+    """Return the smallest difference between two readings (n,), rad, that is more than floating-point rounding; 0 if
+    none.
+    """
     steps = np.diff(np.unique(dtheta))
     steps = steps[steps > 1e-9 * float(np.ptp(dtheta))]
     return float(steps.min()) if steps.size else 0.0
 
 
 def own_noise(noise: float, values: Array, other: Array) -> float:
-    """Return a reading's noise, which its fast motion may pass for: at most what the other reading does not share.
+    """Return the noise of a reading, limited to the part that the other reading does not share.
 
-    noise: standard deviation of white noise in values (n,), whose unit it has. Noise of one reading is not in the
-    other (n,) of the same rows; motion is in both, however fast.
+    noise: standard deviation of white noise in values (n,), in their unit; it may include fast motion. other (n,): the
+    other reading of the same rows. Motion is in both readings, noise of one is not.
     """
     most = _unshared(values, other)
     return most if most < _CLEARLY * noise else noise
 
 
 def _unshared(values: Array, other: Array) -> float:
-    """The standard deviation of white noise in values (n,) that the other reading (n,) does not share.
+    """Return the standard deviation of white noise in values (n,) that the other reading (n,) does not share.
 
     It is taken from the upper half of the spectrum; infinite for too few rows.
     """
@@ -79,7 +85,7 @@ def disturbs(read: Read, noise: float, rate_noise: float) -> bool:
 
 
 def _drawn(read: Read, noise: float) -> float:
-    """Return the relative change of Bc by a false skew."""
+    """Return the relative change of Bc by the biased skew."""
     columns = np.stack([np.ones_like(read.rate), read.dtheta, read.rate, read.acceleration], axis=1)
     _, stiffness, damping, _inertia = np.linalg.lstsq(columns, read.torque, rcond=None)[0].tolist()
     # what of the torque's slope no Kc and Bc can make

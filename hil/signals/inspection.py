@@ -22,12 +22,11 @@ _LONG = 500_000  # rows of a recording whose signals take more than a moment
 class Inspection:
     """The summary of a recording.
 
-    lateness: of the set-points, s: median, 99 % and largest, NaN where they are not stored. missed: skipped ticks.
-
-    rate Hz (median), jitter s (99 % of the intervals are within it of the median), longest_gap s, deflection rad and
-    torque N m (peak to peak), deflection_lsb rad (smallest step seen), torque_noise N m (standard deviation of the
-    torque about a local polynomial), snr dB (torque's variance over that noise's), band Hz, rate_window s.
-    calibrated: the dates of the calibrations it was made with, ISO 8601, by name.
+    lateness: of the set-points, s: median, 99 % and largest, NaN if not stored. missed: skipped ticks. rate: Hz,
+    median. jitter: s; 99 % of the intervals are within it of the median. longest_gap: s. deflection, rad, and torque, N
+    m: peak to peak. deflection_lsb: the smallest step seen, rad. torque_noise: standard deviation of the torque about a
+    local polynomial, N m. snr: the torque's variance over that noise's, dB. band: Hz. rate_window: s. calibrated: the
+    dates of the calibrations that it was made with, ISO 8601, by name.
     """
 
     path: Path
@@ -65,8 +64,8 @@ class Inspection:
 def inspect(path: Path, progress: Progress | None = None) -> Inspection:
     """Summarise one recording, finished or not.
 
-    progress: called with a phase and its share, NaN: unknown. Raises WrongUse, and Untrustworthy where no signals can
-    be made.
+    progress: called with a phase and the fraction done, NaN if unknown. Raises WrongUse, and Untrustworthy if no
+    signals can be made.
     """
     with open_sources([path]) as (source,):
         source.verify(progress)

@@ -19,7 +19,7 @@ from hil.stand.file import LimitsTable
 Array = NDArray[np.float64]
 
 GROSS = 3.0
-"""Times a limit of the stand, above which a unit must be wrong."""
+"""How many times a limit of the stand a channel must be for its unit to be wrong."""
 
 _TOLERANCE = 1.1  # a recorder turns the torque off a little beyond its limit
 _TURN = 2.0 * math.pi
@@ -38,7 +38,7 @@ _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "u"))
 
 
 class Swing(NamedTuple):
-    """The least and the largest reading of a channel, SI, and the factor to SI from the unit that it was read in."""
+    """The smallest and the largest reading of a channel, SI, and the factor to SI from the unit that it was read in."""
 
     least: float
     largest: float
@@ -51,7 +51,7 @@ class Swing(NamedTuple):
 
     @classmethod
     def of(cls, values: Array, factor: float = 1.0) -> Self:
-        """Return the swing of the readings, (n,), that are numbers; 0 to 0 without one."""
+        """Return the swing of those readings (n,) that are numbers; 0 to 0 if there are none."""
         good = values[np.isfinite(values)]
         return cls(float(good.min()), float(good.max()), factor) if good.size else cls(0.0, 0.0, factor)
 
@@ -72,9 +72,9 @@ def _range(swing: Swing, unit: str) -> str:
 
 
 def implausible(torque: Swing, deflection: Swing, limits: LimitsTable | None) -> list[Diagnostic]:
-    """Return a warning for each channel whose size the stand cannot have made, with the unit that would explain it.
+    """Return a warning for each channel that is too large for the stand, with the unit that would explain it.
 
-    One of more than a turn is an error, unless the stand's limits allow it.
+    A deflection of more than a turn is an error, unless the stand's limits allow it.
     """
     if limits is None:
         return _many_turns(deflection)
@@ -87,15 +87,15 @@ def implausible(torque: Swing, deflection: Swing, limits: LimitsTable | None) ->
 
 
 def excess(torque: Swing, deflection: Swing, limits: LimitsTable) -> float:
-    """Return how many times its limit the torque or the deflection is, whichever is more."""
+    """Return how many times its limit the torque or the deflection is, the larger of the two."""
     return max(torque.half / limits.torque, deflection.half / limits.deflection)
 
 
 def negative_stiffness(motion: Motion, torque: Array) -> float | None:
     """Return the stiffness, N m/rad, if it and the damping are negative and explain most of the torque (n,), N m.
 
-    It is that of least squares, beside an inertia and an offset. None where they are not: no sign is wrong then. At one
-    frequency an inertia is a negative stiffness, but no negative damping, so that the latter must be as sure.
+    It is fitted by least squares, with an inertia and an offset. None otherwise: then no sign is wrong. At one
+    frequency an inertia equals a negative stiffness, but not a negative damping, so the latter must be equally certain.
     """
     one_frequency = motion.has_one_frequency
     rows = slice(None, None, max(1, len(motion) // _ROWS))
@@ -118,7 +118,9 @@ def negative_stiffness(motion: Motion, torque: Array) -> float | None:
 
 
 def wrong_sign(stiffness: float, *, imported: bool) -> Diagnostic:
-    """Return the error of a recording whose `negative_stiffness` that is, N m/rad; imported: from a table."""
+    """Return the error for a recording with this `negative_stiffness`, N m/rad; imported: whether it came from a
+    table.
+    """
     remedy = "Import the table again with --torque-scale -1, or with --dtheta-scale -1 if the angle is wrong"
     if not imported:
         remedy = "Correct the sign in the stand file (hil doctor --move finds it), and record again"
@@ -151,7 +153,7 @@ def _likely(dimension: str, swing: Swing, limit: float) -> str:
 
 
 def _turns(deflection: Swing) -> bool:
-    """Return whether it spans more than a turn, which no coupling does of which the stand does not say so."""
+    """Return whether the deflection spans more than a turn, which no coupling does unless its stand allows it."""
     return 2.0 * deflection.half > _TURN
 
 

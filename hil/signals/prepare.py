@@ -1,9 +1,9 @@
 """From a recording to the signals that are identified: torque, deflection and rate on one time base.
 
-Rate and acceleration are slope and curvature of a local polynomial fitted to the deflection over a window centred on
-each sample: no phase shift, and a gain within 0.03 % of one up to the frequency below which 99 % of the rate's power
-lies, which sets the windows (docs/rate.md gives the reasons). Nothing else is filtered: in equation (1) too the torque
-stays as it was read, and the motor's own torque is computed from the same rate and acceleration. Raw channels are never
+Rate and acceleration are slope and curvature of a local polynomial fitted to the deflection in a window centred on each
+sample. It has no phase shift, and a gain within 0.03 % of one up to the frequency below which 99 % of the rate's power
+lies; this sets the windows (docs/rate.md explains it). Nothing else is filtered: the torque in equation (1) is that
+which was read, and the motor's own torque is computed from the same rate and acceleration. Raw channels are never
 altered.
 """
 
@@ -40,15 +40,15 @@ _MARGIN = 256  # rows beyond the windows of a block, to replace those that were 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """How the joint moved, and its torque (n,), N m, behind the low-pass that the deflection went through, if any.
+    """The motion of the joint and its torque (n,), N m, after the low-pass that the deflection went through, if any.
 
-    band: Hz, the excited band. rate_window: s, the width of the local polynomial, 0 where the rate was recorded.
-    torque_from: "joint", "motor", "given" or, of several, "mixed". window: that rate and acceleration were computed in,
-    of several that of the noisiest, None where the rate was recorded. slower: the sensors that are slower than the
-    ticks. command (n,): the set-points at these times, None where they were not recorded. refused_rate: how a recorded
-    rate differs from the deflection's derivative, so that it is not used. unfiltered (n,): N m, the torque as it was
-    read where that is another. jerked (n,): whether each is beside a jump of the acceleration, so that its rate or
-    acceleration is not known; None: none. imported: whether a table of another program is among what was recorded.
+    band: the excited band, Hz. rate_window: the width of the local polynomial, s, 0 if the rate was recorded.
+    torque_from: "joint", "motor", "given" or, for several recordings, "mixed". window: that of rate and acceleration;
+    for several recordings that of the noisiest; None if the rate was recorded. slower: the sensors that are slower than
+    the ticks. command (n,): the set-points at these times, None if not recorded. refused_rate: how a recorded rate
+    differs from the deflection's derivative, so that it is not used. unfiltered (n,): the torque as it was read, N m,
+    if different. jerked (n,): which samples are beside a jump of the acceleration, so that rate or acceleration is
+    unknown; None: none. imported: whether one of the recordings is an imported table.
     """
 
     motion: Motion
@@ -69,32 +69,32 @@ class Signals:
         return len(self.torque)
 
     def counted_from(self, reference: float) -> Signals:
-        """Return the signals with deflections from `reference`, rad."""
+        """Return the signals with deflections relative to `reference`, rad."""
         return self if reference == 0.0 else replace(self, motion=self.motion.shifted(reference))
 
     @property
     def rate_known(self) -> NDArray[np.bool_]:
-        """Whether the rate of each sample (n,) is known."""
+        """Return for which samples (n,) the rate is known."""
         return np.ones(len(self), dtype=bool) if self.jerked is None else ~self.jerked
 
     @cached_property
     def smooth(self) -> NDArray[np.bool_]:
-        """Whether (n,) the rate hardly depends on the window that it is computed in, as beside a jerk."""
+        """Return where (n,) the rate hardly depends on the window that it is computed in; beside a jerk it does."""
         return is_smooth(self.motion, self.window)
 
     @property
     def as_read(self) -> Array:
-        """The torque (n,) N m as it was read."""
+        """Return the torque (n,), N m, as it was read."""
         return self.torque if self.unfiltered is None else self.unfiltered
 
     @property
     def coupling_torque(self) -> Array:
-        """The torque in the coupling, (n,) N m: the reading without the motor's own torque."""
+        """Return the torque in the coupling (n,), N m: the reading without the motor's own torque."""
         return self.torque - self.motion.known
 
 
 def joined(parts: list[Signals]) -> Signals:
-    """Return the signals of several recordings, or of the blocks of one, one after the other."""
+    """Return the signals of several recordings, or of the blocks of one, concatenated."""
     commands = [part.command for part in parts if part.command is not None]
     known = np.concatenate([part.rate_known for part in parts])
     return Signals(
@@ -115,10 +115,10 @@ def joined(parts: list[Signals]) -> Signals:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Which channels are read: the motor's torque or the joint's, a recorded rate or the deflection's slope.
+    """Which channels are read: torque of the motor or of the joint, a recorded rate or the deflection's slope.
 
-    own_time: whether the torque has times of its own. imported: whether they are those of a table. torque, dtheta: how
-    they show a sensor that is slower than the ticks. refused: why a recorded rate is not used.
+    own_time: whether the torque has its own stamps. imported: whether the channels are those of a table. torque,
+    dtheta: how these channels show a sensor slower than the ticks. refused: why a recorded rate is not used.
     """
 
     stand: StandTable | None
@@ -132,7 +132,7 @@ class _Columns:
 
     @property
     def torque_from(self) -> str:
-        """Where the torque comes from, as `Signals` says it."""
+        """Return where the torque comes from, as in `Signals`."""
         return "motor" if self.motor_side else ("given" if self.stand is None else "joint")
 
     def rows_of(self, recording: Recording, start: int, stop: int) -> UsableRows:
@@ -141,7 +141,9 @@ class _Columns:
         return usable_rows(recording, start, stop, torque, rate=self.rate_given, own_time=self.own_time)
 
     def seeing(self, usable: UsableRows) -> tuple[_Columns, Window]:
-        """Return the columns with how the usable rows show slower sensors and another rate, and the windows."""
+        """Return the columns, with what the usable rows show of slower sensors and of the recorded rate, and the
+        windows.
+        """
         columns = self._slower(usable)
         window = _window(usable, columns)
         if not columns.rate_given:
@@ -162,7 +164,7 @@ class _Columns:
 
 
 def prepare(recording: Recording, stand: StandTable | None) -> Signals:
-    """Return the signals of a recording made on `stand` (None: its torque column is used as it is).
+    """Return the signals of a recording made on `stand`; None: its torque column is used unchanged.
 
     Raises Untrustworthy for too few rows, a constant deflection, and time stamps that decrease or never change.
     """
@@ -178,14 +180,16 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
 
 
 def refuse_at_rest(recording: Recording, signals: Signals) -> None:
-    """Raise Untrustworthy where too few samples have a rate, or torque or deflection never change in those that do."""
+    """Raise Untrustworthy if too few samples have a rate, or if torque or deflection are constant in those that do."""
     known = signals.rate_known
     samples = signals.motion.time[known], signals.torque[known], signals.motion.dtheta[known]
     refuse_hopeless(recording, *samples, where="in the samples that have a rate, ")
 
 
 class LongRecording:
-    """A recording beyond memory: its first million rows set the window. Raises Untrustworthy as `prepare` for them."""
+    """A recording too long for memory; its first million rows set the window. Raises Untrustworthy as `prepare` for
+    them.
+    """
 
     def __init__(self, recording: Recording, stand: StandTable | None) -> None:
         columns = _columns_of(recording, stand)
@@ -195,9 +199,9 @@ class LongRecording:
         self._columns, self._window = columns.seeing(first)
 
     def glimpse(self, parts: int = 16, rows: int = 1 << 14) -> list[Signals]:
-        """Return some stretches with usable rows, spread evenly over the recording.
+        """Return some pieces with usable rows, spread evenly over the recording.
 
-        Raises Untrustworthy where there are none.
+        Raises Untrustworthy if there are none.
         """
         length = len(self._recording)
         parts = max(1, min(parts, length // rows))  # samples that were seen twice would count as more evidence
@@ -209,7 +213,7 @@ class LongRecording:
         return left
 
     def stream(self, block: int = 1 << 18) -> Iterator[Signals]:
-        """Yield the signals of `prepare`, from `block` rows and so many neighbours that every window is whole."""
+        """Yield the signals of `prepare`, `block` rows at a time, read with enough neighbours for complete windows."""
         margin = 2 * self._window.widest + _MARGIN  # lost rows take room too
         starts = range(0, len(self._recording), block)
         around = ((max(0, start - margin), start + block + margin) for start in starts)
@@ -227,7 +231,7 @@ def _window(usable: UsableRows, columns: _Columns) -> Window:
 
 
 def _own_readings(usable: UsableRows, columns: _Columns) -> Readings | None:
-    """The torque's own readings, N m, where they were not taken at the ticks."""
+    """Return the torque sensor's own readings, N m, if they were not taken at the ticks; else None."""
     if columns.own_time:
         return slow_channel.stamped(usable.torque_time, usable.torque)
     return usable.readings("torque", columns.torque) if columns.torque or columns.dtheta else None
@@ -245,7 +249,7 @@ def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
 
 
 def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
-    """Return the signals of the usable rows within `rows` of the file; the other rows only fill their windows."""
+    """Return the signals of the usable rows within `rows` of the file; the other rows only complete their windows."""
     if len(usable.row) < FEWEST:
         return _nothing(usable, columns, window, rows)
     (stamps, _), angle = usable.stamps, usable.readings("deflection", columns.dtheta)
@@ -301,7 +305,7 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
 
 
 def _nothing(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
-    """The signals of rows of which next to none can be used, as of a block in which no reply came."""
+    """Return the empty signals of rows of which almost none is usable, as in a block without replies."""
     none, left = np.empty(0), int(np.count_nonzero(within(usable.row, rows)))
     return Signals(
         motion=Motion(none, none, none, none, none),
@@ -314,7 +318,7 @@ def _nothing(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
 
 
 def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tuple[Motion, Array]:
-    """Return the motion at the readings of the torque that are wanted (m,) and lie in a stretch, and these, N m."""
+    """Return the motion at the wanted torque readings (m,) that lie within a piece, and these readings, N m."""
     own = replace(own, row=own.row[wanted], time=own.time[wanted], value=own.value[wanted])
     for is_last in (own.drifts == 0.0, True):
         at = motion.at(own.time) if len(motion) else motion
@@ -331,18 +335,18 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
 
 
 def _beside(jerked: NDArray[np.bool_], time: Array, wanted: Array) -> NDArray[np.bool_]:
-    """Whether (m,) a sample on either side of each moment wanted (m,) is beside a jump, of samples (n,) at time, s."""
+    """Return whether a sample (n,) next to each wanted time (m,), s, is beside a jump of the acceleration."""
     after = np.searchsorted(time, wanted)
     return np.asarray(jerked[np.maximum(after - 1, 0)] | jerked[np.minimum(after, len(jerked) - 1)])
 
 
 def _at_joint(torque: Array, columns: _Columns) -> Array:
-    """Return a torque reading (n,) N m as that at the joint, the motor's own share in it, by equation (1)."""
+    """Return a torque reading (n,), N m, as torque at the joint, including the motor's own part, by equation (1)."""
     return Transmission.of(columns.stand).torque(torque) if columns.motor_side and columns.stand else torque
 
 
 def _motor_share(rate: Array, acceleration: Array, columns: _Columns) -> Array:
-    """Return the motor's own part (n,), N m, of the torque reading at the joint."""
+    """Return the motor's own part (n,), N m, of the torque at the joint."""
     if not columns.motor_side or columns.stand is None:
         return np.zeros_like(rate)
     return Transmission.of(columns.stand).motor_share(rate, acceleration)

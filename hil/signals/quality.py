@@ -1,4 +1,4 @@
-"""The quality of a recording: replies lost, torque saturated, ticks late, few encoder counts, noise."""
+"""The quality of a recording: lost replies, saturated torque, late ticks, few encoder counts, noise."""
 
 from __future__ import annotations
 
@@ -36,12 +36,14 @@ _ROWS = 1 << 20  # rows of the status read at a time
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """samples: rows of the file. saturated, late: rows of them. torque_from: as of `Signals`. torque: N m, and
-    deflection: rad, peak to peak; deflection_lsb: rad, the smallest step seen. torque_noise: N m, standard deviation of
-    the torque about a local polynomial. snr: dB, the torque's variance over that noise's; infinite without noise.
-    slower: the sensors that are slower than the ticks. highest: Hz, up to where the joint moved. refused_rate: how a
-    recorded rate that is not used differs from the deflection's derivative. negative: the stiffness, N m/rad, where a
-    sign is wrong.
+    """The quality of a recording.
+
+    samples: rows of the file. saturated, late: numbers of such rows. torque_from: see `Signals`. torque, N m, and
+    deflection, rad: peak to peak. deflection_lsb: the smallest step seen, rad. torque_noise: standard deviation of the
+    torque about a local polynomial, N m. snr: the torque's variance over that noise's, dB; infinite without noise.
+    slower: the sensors that are slower than the ticks. highest: the frequency up to which the joint moved, Hz.
+    refused_rate: how a recorded rate that is not used differs from the deflection's derivative. negative: the
+    stiffness, N m/rad, if a sign is wrong.
     """
 
     samples: int
@@ -61,7 +63,7 @@ class Quality:
 
 
 def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects) -> Quality:
-    """Return the quality of a recording from all its signals, or from some stretches of them, and all its defects."""
+    """Return the quality of a recording from all its signals, or from some pieces of them, and all its defects."""
     noise = float(np.median([_noise(stretch) for stretch in stretches]))
     dtheta = np.concatenate([stretch.motion.dtheta for stretch in stretches])
     torque = np.concatenate([stretch.as_read for stretch in stretches])
@@ -89,9 +91,9 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
 
 
 def recording_diagnostics(recording: Recording, quality: Quality, limits: LimitsTable | None) -> list[Diagnostic]:
-    """Return the warnings and errors about one recording, the same for `hil inspect` and `hil identify`.
+    """Return the warnings and errors about one recording, equal for `hil inspect` and `hil identify`.
 
-    limits: of the stand that it was made on, None where they are not known.
+    limits: of the stand that it was made on, None if unknown.
     """
     imported = recording.imported
     by_position = quality.torque_from == "motor" and recording.profile.get("mode") == "position"
@@ -225,7 +227,7 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
 
 
 def _flagged(recording: Recording, *flags: Status) -> list[int]:
-    """Count the rows with each of the flags."""
+    """Return the number of rows with each of the flags."""
     counts = [0] * len(flags)
     for start in range(0, len(recording), _ROWS):
         status = recording.channel("status", start, start + _ROWS).astype(np.int64)
@@ -234,7 +236,9 @@ def _flagged(recording: Recording, *flags: Status) -> list[int]:
 
 
 def _noise(signals: Signals) -> float:
-    """Standard deviation of the torque, N m, about a local polynomial up to the excited band; robust to outliers."""
+    """Return the standard deviation of the torque, N m, about a local polynomial up to the excited band; robust to
+    outliers.
+    """
     time = signals.motion.time
     cycles = signals.band[1] * (time[-1] - time[0]) / (len(time) - 1)
     if cycles > _SPARSE:
@@ -245,7 +249,7 @@ def _noise(signals: Signals) -> float:
 
 
 def _noise_beside_motion(signals: Signals) -> float:
-    """Standard deviation of the torque, N m, about what a spring and a damper make; robust to outliers."""
+    """Return the standard deviation of the torque, N m, about a fitted spring and damper; robust to outliers."""
     motion = signals.motion
     columns = np.stack([motion.dtheta, motion.dtheta_dot, motion.dtheta_ddot, np.ones(len(motion))], axis=1)
     residual = signals.as_read - columns @ np.linalg.lstsq(columns, signals.as_read, rcond=None)[0]
@@ -253,5 +257,5 @@ def _noise_beside_motion(signals: Signals) -> float:
 
 
 def _count(stretch: Signals, dtheta: Array) -> float:
-    """The smallest step between two readings of the deflection, of which a low-pass or a slow sensor leaves none."""
+    """Return the smallest step between two readings of the deflection, measured before a low-pass or resampling."""
     return smallest_step(dtheta) if stretch.window is None else stretch.window.count

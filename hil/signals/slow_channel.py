@@ -1,9 +1,9 @@
 """A sensor that is slower than the ticks: its readings repeat until the next one, or straight lines join them.
 
-Only its own readings are used, each at the moment at which it was converted. A reading that repeats was converted
-between the tick that shows it first and the one before. Where the sensor keeps a pace of its own, a line through many
-such moments says when to a small part of a tick; otherwise it is the middle of the two. Where lines join the readings,
-the corner between two lines is a reading, with its time.
+Only its own readings are used, each at the time of its conversion. A reading that repeats was converted between the
+tick that shows it first and the previous tick. If the sensor keeps its own pace, a line through many such times gives
+them to a small fraction of a tick; otherwise the middle of the two ticks is used. Where lines join the readings, the
+corner between two lines is a reading, with its time.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Kind = Literal["held", "joined"]
 Channel = Literal["torque", "deflection"]
 
 FEWEST_READINGS: Final = 30
-"""Readings, from which a sensor is judged."""
+"""The number of readings from which a sensor is judged."""
 
 COUNTS_A_TICK: Final = 2.0
-"""The speed at which a fast sensor does not show the same count again."""
+"""The speed, in counts a tick, at which a fast sensor does not repeat a count."""
 
 _REPEATS: Final = 0.2  # part of the samples on the move that repeat, from which readings are held
 _UNEVEN: Final = 0.35  # of a pace, by which it varies at most
@@ -64,10 +64,10 @@ _LONGEST: Final = 1.5  # usual ticks: a longer one, beside a lost reply, does no
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """The readings of a sensor: when they were converted (m,), s, and their values (m,), in the order of time.
+    """The readings of a sensor: their conversion times (m,), s, and values (m,), in the order of time.
 
-    row (m,): the sample in which each stands. unsure: s, the range in which the age of all may lie together. drifts:
-    s, by which their age may change from the first to the last, either way.
+    row (m,): the sample that holds each. unsure: the range of their common age, s. drifts: by how much their age may
+    change from the first to the last, in either direction, s.
     """
 
     row: NDArray[np.int64]
@@ -84,9 +84,10 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Slower:
-    """A channel whose sensor is slower than the ticks. step, tick: s, the usual time between its readings, and ticks.
+    """A channel whose sensor is slower than the ticks. step, tick: the usual time between its readings, and between
+    ticks, s.
 
-    unsure: s, the range in which the age of all its readings may lie together.
+    unsure: the range of the common age of its readings, s.
     """
 
     channel: Channel
@@ -97,7 +98,9 @@ class Slower:
 
 
 def kind_of(time: Array, values: Array) -> Kind | None:
-    """Return how a channel (n,), logged at time (n,) s, shows a sensor that is slower; None where it is not."""
+    """Return how a channel (n,), logged at time (n,) s, shows a sensor slower than the ticks; None if it is not
+    slower.
+    """
     if len(values) < FEWEST_READINGS or np.ptp(values) == 0.0:
         return None
     count = smallest_step(values)
@@ -110,7 +113,7 @@ def kind_of(time: Array, values: Array) -> Kind | None:
 def slower(
     torque: Kind | None, own: Readings | None, dtheta: Kind | None, angle: Readings, stamps: Array
 ) -> tuple[Slower, ...]:
-    """Return the channels that show a sensor slower than the rows at `stamps` (n,) s, with what it read of its own."""
+    """Return the channels whose sensor is slower than the rows at `stamps` (n,), s, with its own readings."""
     found, step = [], float(np.median(np.diff(stamps))) if torque or dtheta else np.nan
     if torque is not None and own is not None:
         found.append(Slower("torque", torque, own.step, step, own.unsure))
@@ -120,28 +123,28 @@ def slower(
 
 
 def readings(time: Array, values: Array, kind: Kind) -> Readings:
-    """Return the sensor's own readings of such a channel, (m,), fewer than its samples (n,)."""
+    """Return the sensor's own readings of such a channel (m,), fewer than its samples (n,)."""
     return _held(time, values) if kind == "held" else _corners(time, values)
 
 
 def stamped(time: Array, values: Array) -> Readings:
-    """Return the readings of a channel (n,) that another device stamped at time (n,) s, NaN where it did not."""
+    """Return the readings of a channel (n,) that another device stamped at time (n,), s, NaN where it did not."""
     row = np.flatnonzero(np.isfinite(time) & (np.diff(time, prepend=np.nan) != 0.0))
     return Readings(row, time[row], values[row])
 
 
 def makes_lines(count: float, bends: Array) -> bool:
-    """Return whether a count is so coarse, beside bends (n,) in its unit, that it makes straight lines too."""
+    """Return whether a count is so coarse, beside bends (n,) in its unit, that rounding alone makes straight lines."""
     return count > _SMALL_COUNT * float(np.quantile(bends, _BENT))
 
 
 def repaced(own: Readings, motion: Motion) -> Array:
-    """Return the moments (m,), s, of torque readings (m,) at a pace that is also that of the motion (n,) under them.
+    """Return the times (m,), s, of torque readings (m,) at a pace that also fits the motion (n,) under them.
 
-    Where a cell's pace is nearly a multiple of the ticks', the ticks do not say its last digits: the age would drift
-    over a recording. Both may also have one clock. A drift counts only if the torque shows it, whatever the torque's
-    shape over the deflection is, with friction and what relaxes. The age itself is found too, although the model's
-    skew is for it: with another age friction turns at other moments, which no shape describes.
+    If a cell's pace is nearly a multiple of the ticks', the ticks do not determine it exactly, and the age would drift
+    over a recording. The two may also share one clock. A drift counts only if the torque shows it for any shape of the
+    torque over the deflection, including friction and relaxation. The age itself is estimated too, although the model's
+    skew covers it: with another age, friction reverses at other times, which no shape describes.
     """
     time, torque = own.time, own.value
     few = slice(None, None, -(-len(time) // _CONSTRAINTS))  # no more than these
@@ -172,10 +175,10 @@ def repaced(own: Readings, motion: Motion) -> Array:
 
 
 def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
-    """Return the standard deviation, N m, of what no torque of the motion (n,) explains in its readings (m,).
+    """Return the standard deviation, N m, of the part of the readings (m,) that no torque of the motion (n,) explains.
 
-    Between two of them the joint may move far, so that a smooth curve through them says nothing of their noise. 0 for
-    too few readings.
+    Between two readings the joint may move far, so a smooth curve through them does not show their noise. 0 for too few
+    readings.
     """
     inside = (own.time >= motion.time.min(initial=np.inf)) & (own.time <= motion.time.max(initial=-np.inf))
     time = own.time[inside]
@@ -191,10 +194,11 @@ def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
 
 
 def _shapes(motion: Motion) -> tuple[Array, Array]:
-    """Return what a torque may be made of (n, k), each of about size one, and how each changes with time (n, k), 1/s.
+    """Return the possible components of a torque (n, k), each of about size one, and their time derivatives (n, k),
+    1/s.
 
-    A line that bends at several places of the deflection, friction that grows with it, damping that grows with the
-    rate, branches that relax, and an inertia, which stands for the second order of an age too.
+    They are a line that bends at several deflections, friction that grows with the deflection, damping that grows with
+    the rate, branches that relax, and an inertia, which also stands for the second order of an age.
     """
     scale, fastest = float(np.ptp(motion.dtheta)) or 1.0, float(np.max(np.abs(motion.dtheta_dot))) or 1.0
     x, v = (motion.dtheta - motion.dtheta.min()) / scale, motion.dtheta_dot / fastest
@@ -216,7 +220,7 @@ def _shapes(motion: Motion) -> tuple[Array, Array]:
 
 
 def _is_held(values: Array, count: float) -> bool:
-    """Whether values repeat where they move by counts a tick: those of a fast sensor repeat only where they rest."""
+    """Return whether values repeat although they move by counts each tick; a fast sensor repeats only at rest."""
     changes = np.flatnonzero(np.diff(values)) + 1
     if len(changes) < FEWEST_READINGS:
         return False
@@ -229,7 +233,8 @@ def _is_held(values: Array, count: float) -> bool:
 
 
 def _is_paced(ticks: NDArray[np.int64]) -> bool:
-    """Whether readings that last so many ticks (m,) each come at a pace, and do not now and then repeat, as medians do.
+    """Return whether readings that last these numbers of ticks (m,) come at an even pace; repeats by a median filter do
+    not.
 
     A reading at an even pace lasts one of two neighbouring numbers of ticks.
     """
@@ -248,8 +253,10 @@ def _held(time: Array, values: Array) -> Readings:
 
 
 def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
-    """Return when readings were converted (m,), s, between these moments (m,), the range of their common error, and s
-    by which that may change from the first to the last."""
+    """Return when readings were converted (m,), s, between the times `before` and `shown` (m,), s.
+
+    Also returned: the range of their common error, s, and by how much it may change from the first to the last, s.
+    """
     middle = 0.5 * (before + shown)
     whole = _numbered(np.diff(middle))
     for size in (len(middle), _LOCAL):
@@ -263,7 +270,7 @@ def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
 
 
 def _numbered(steps: Array) -> Array:
-    """The numbers (m + 1,) of readings that are so far apart (m,), s, some of which may be missing."""
+    """Return the index (m + 1,) of readings that are this far apart (m,), s, some of which may be missing."""
     usual = float(np.mean(steps[steps < _TWICE * np.median(steps)]))
     for _ in range(2):  # steps of two and three ticks have a mean of neither
         counts = np.maximum(np.round(steps / usual), 1.0)
@@ -272,10 +279,10 @@ def _numbered(steps: Array) -> Array:
 
 
 def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, float]:
-    """The moments (m,), s, at an even pace between those before and those shown (m,), and the range of their middle.
+    """Return evenly paced times (m,), s, between those before and those shown (m,), and the range of their middle.
 
-    Of all paces that fit, the one that is farthest from the ends of what it must lie between. Last: s, by which the
-    others are longer or shorter over all.
+    Of all paces that fit, the one farthest from its limits is taken. Returned last: how much longer or shorter the
+    others are over the whole, s.
     """
     from scipy.optimize import linprog
 
@@ -296,16 +303,18 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, flo
 
 
 def _bends(time: Array, values: Array) -> Array:
-    """Return the distance (n,) of the next sample from the line through it and the last; infinite at both ends."""
+    """Return the distance (n,) of the next sample from the line through this one and the last; infinite at both
+    ends.
+    """
     steps = np.diff(time)
     bends = np.abs(np.diff(np.diff(values) / steps)) * np.minimum(steps[1:], steps[:-1])
     return np.concatenate([[np.inf], bends, [np.inf]])
 
 
 def _tolerance(values: Array, bends: Array, count: float) -> float:
-    """Return the distance from a line up to which three samples (n,) with those bends (n,) count as on it.
+    """Return the distance from a line up to which three samples (n,) with these bends (n,) count as collinear.
 
-    A program that writes seven digits rounds larger values more than the smallest count says.
+    A program that writes seven digits rounds larger values by more than the smallest count.
     """
     fine = max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
     rough = max(fine, _ROUGH * float(np.quantile(bends[1:-1], _SHARPEST)))
@@ -313,7 +322,7 @@ def _tolerance(values: Array, bends: Array, count: float) -> float:
 
 
 def _is_joined(time: Array, values: Array, count: float) -> bool:
-    """Whether straight lines of a few samples each make up the channel, also where it bends sharply between them."""
+    """Return whether the channel consists of straight lines of a few samples each, also where it bends sharply."""
     if (np.diff(time) <= 0.0).any():
         return False
     bends = _bends(time, values)
@@ -342,7 +351,9 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
 
 
 def _largest_near(values: NDArray[Any], reach: int) -> NDArray[Any]:
-    """The largest (n,) of each value and of `reach` neighbours a side; scipy.ndimage takes longer to import."""
+    """Return the largest (n,) of each value and `reach` neighbours on each side; scipy.ndimage takes longer to
+    import.
+    """
     around = np.pad(values, reach, mode="edge")
     return np.asarray(np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1).max(axis=1))
 
@@ -352,13 +363,13 @@ def _mostly(where: NDArray[np.bool_]) -> bool:
 
 
 def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The first and last sample (k, 2) of each line: the neighbours of its inner samples are on it too."""
+    """Return the first and last sample (k, 2) of each line; the neighbours of its inner samples lie on it too."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
     return np.stack([edges[::2] - 1, edges[1::2]], axis=1)
 
 
 def _with_short_ones(lines: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The lines (k, 2), and those of two samples each that are left between two of them."""
+    """Return the lines (k, 2), with those of two samples each that remain between two of them."""
     left = lines[1:, 0] - lines[:-1, 1] - 1
     pairs = np.where((left > 0) & (left % 2 == 0) & (left <= 2 * _MOST_SHORT), left // 2, 0)
     within = np.arange(pairs.sum()) - np.repeat(np.cumsum(pairs) - pairs, pairs)

@@ -1,4 +1,4 @@
-"""Recordings open for identification, each opened once, with the stand that it names parsed once."""
+"""Recordings opened for identification: each file opened once, and its stand parsed once."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from hil.stand.file import LimitsTable, Stand, StandTable, parse
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """An open recording, and the stand file in it; None where it holds none."""
+    """An open recording, and the stand file in it; None if it holds none."""
 
     recording: Recording
     stand: Stand | None
 
     @property
     def path(self) -> Path:
-        """The recording's file."""
+        """Return the recording's file."""
         return self.recording.path
 
     @property
     def table(self) -> StandTable | None:
-        """The stand file's [stand]."""
+        """Return the stand file's [stand]."""
         return None if self.stand is None else self.stand.stand
 
     @property
     def limits(self) -> LimitsTable | None:
-        """The stand file's [limits], None where there are none."""
+        """Return the stand file's [limits], None if there are none."""
         return None if self.stand is None else self.stand.limits
 
     @property
     def torque_uncertainty(self) -> float:
-        """Uncertainty of the torque's scale, relative, one standard deviation; 0 where no stand gives one."""
+        """Return the uncertainty of the torque's scale, relative, one standard deviation; 0 if no stand gives one."""
         return 0.0 if self.table is None else self.table.torque_uncertainty
 
     def verify(self, progress: Progress | None = None) -> None:
-        """Raise Untrustworthy where the recording is not as it was written; progress as in `Recording.verify`."""
+        """Raise Untrustworthy if the recording is not as it was written; progress as in `Recording.verify`."""
         if self.recording.damaged:
             raise Untrustworthy(
                 f"{self.path}: {self.recording.damaged} rows are not the ones that were written: make a recording in "

@@ -1,4 +1,4 @@
-"""Time stamps of a recording: repeats spread, gapless stretches, rows of a block."""
+"""Time stamps of a recording: repeats spread, pieces without gaps, rows of a block."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ _SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 
 
 def spread_stamps(time: Array) -> tuple[Array, bool]:
-    """Return the stamps (n,) s with repeats and bursts spread evenly up to the next stamp, and whether they are many.
+    """Return the stamps (n,), s, with repeats and bursts spread evenly up to the next stamp, and whether these are
+    many.
 
-    A clock that ticks every 15.6 ms gives several rows one stamp; their order is known and their spacing is even to
-    within the loop's own jitter. The rows of the last stamp continue at the rate of the rows before.
+    A clock that ticks every 15.6 ms gives several rows one stamp. Their order is known, and their spacing is even
+    within the loop's jitter. The rows of the last stamp continue at the rate of the rows before.
     """
     if len(time) < 2:
         return time, False
@@ -44,10 +45,10 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
 
 
 def _together(time: Array) -> float:
-    """The step, s, up to which rows were stamped together: above 0 where many rows arrived in bursts, not all at once.
+    """Return the time, s, below which successive rows were stamped together: above 0 if many rows arrived in bursts.
 
-    A packet brings several rows, which a computer stamps one after the other. Samples that a loop's jitter moves are
-    seldom so near each other.
+    A packet brings several rows, which a computer stamps one after the other. Jitter of a loop seldom brings samples so
+    close.
     """
     time = time[:_LOOKED_FOR_BURSTS]
     steps = np.diff(time)
@@ -57,10 +58,10 @@ def _together(time: Array) -> float:
 
 
 def _before_rounding(time: Array, near: float) -> Array:
-    """Stamps (n,) s at an even pace, where they differ from one by no more than their rounding or a burst.
+    """Return stamps (n,), s, at an even pace, if they differ from it by no more than their rounding or a burst.
 
-    A sample that was taken 0.3 ms from its stamp, at a millisecond of resolution, has a deflection that is off by as
-    much as 2 % at 10 Hz. near: s, up to which rows arrived together, at the end of the time in which they were taken.
+    A sample taken 0.3 ms from its stamp, at a resolution of a millisecond, has a deflection that is up to 2 % wrong at
+    10 Hz. near: the time, s, within which rows arrived together, at the end of the interval in which they were taken.
     """
     steps = np.diff(time)
     unit = max(_unit(time[:_LOOKED]), _unit(time[-_LOOKED:]))
@@ -83,9 +84,9 @@ def _before_rounding(time: Array, near: float) -> Array:
 
 
 def _narrowest_line(place: Array, time: Array) -> tuple[float, float]:
-    """Return slope and start of the line from which the stamps (n,) s are least far at most.
+    """Return slope and start of the line with the smallest largest distance from the stamps (n,), s.
 
-    Halves are rounded up for long and down for long, which tilts the line of least squares.
+    Halves are rounded up in long runs and down in long runs, which tilts the line of least squares.
     """
     from scipy.optimize import minimize_scalar
 
@@ -101,7 +102,7 @@ def _narrowest_line(place: Array, time: Array) -> tuple[float, float]:
 
 
 def _unit(time: Array) -> float:
-    """The unit, s, of which all stamps (n,) are multiples; 0 where there is none."""
+    """Return the unit, s, of which all stamps (n,) are multiples; 0 if there is none."""
     digits = 4.0 * float(np.spacing(np.abs(time).max()))
     for unit in _UNITS:
         apart = (time - time[0]) / unit
@@ -111,7 +112,9 @@ def _unit(time: Array) -> float:
 
 
 def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return where each gapless stretch of sound samples begins, and which samples (n,) are in one long enough."""
+    """Return where each piece of sound samples without gaps begins, and which samples (n,) are in a piece that is long
+    enough.
+    """
     places = np.flatnonzero(sound)
     breaks = np.flatnonzero((np.diff(places) > 1) & (np.diff(time[places]) > _APART * step)) + 1
     parts = [part for part in np.split(places, breaks) if len(part) >= _SHORTEST]
@@ -122,11 +125,11 @@ def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArr
 
 
 def starts_within(starts: NDArray[np.int64], kept: NDArray[np.bool_]) -> tuple[int, ...]:
-    """Return the starts as indices into the samples that are kept."""
+    """Return the starts as indices into the kept samples."""
     counted = np.unique(np.concatenate([[0], np.cumsum(kept)[starts] - kept[starts]]))
     return tuple(counted[counted < np.count_nonzero(kept)].tolist()) or (0,)
 
 
 def within(row: NDArray[np.int64], rows: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return which rows (n,) of a file are from the first up to the second of `rows`."""
+    """Return which rows (n,) of a file lie between the two of `rows`, the first included."""
     return (row >= rows[0]) & (row < rows[1])

@@ -1,10 +1,10 @@
 """Recognise a filter, a resampling or a delay of the torque from its readings alone.
 
-Such a reading is no torque of the coupling, and no model of the coupling describes it. The part of the torque that no
-linear filter of the deflection makes is noise, which passes what the torque passes: a moving mean takes out the
-multiples of one frequency, a curve through the readings of a slower cell everything above half its rate. A median
-repeats a reading now and then, where a slow cell repeats all of them. A delay is found where torque and deflection go
-best together.
+Such a reading is not the torque of the coupling, and no model of the coupling describes it. The part of the torque that
+no linear filter of the deflection explains is noise, and it passes through the same processing: a moving mean removes
+the multiples of one frequency, a curve through the readings of a slower cell everything above half its rate. A median
+filter repeats a reading now and then, a slow cell repeats all of them. A delay is found where torque and deflection
+agree best.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _FINE: Final = 40.0  # delays that are tried in the shortest period
 def seen_in_torque(signals: Signals, longest: float) -> str:
     """Return a sentence on the filter, resampling or delay of the torque and the remedy; "" if none is seen.
 
-    longest: s, up to which the models of the coupling know a delay.
+    longest: the longest delay, s, that the models of the coupling describe.
     """
     torque, motion = signals.as_read, signals.motion
     step = float(np.median(np.diff(motion.time)))
@@ -85,7 +85,7 @@ def _seen_in_noise(signals: Signals, step: float) -> str:
 
 
 def _noise_spectrum(torque: Array, angle: Array, length: int, step: float) -> tuple[Array, Array]:
-    """Frequencies (l,) Hz and power (l,) of what of the torque no linear filter of the deflection makes."""
+    """Return frequencies (l,), Hz, and power (l,) of the torque that no linear filter of the deflection explains."""
     tau, moved = _spectra(torque, length), _spectra(angle, length)
     own = (np.abs(moved) ** 2).sum(axis=0)
     common = np.abs((tau * moved.conj()).sum(axis=0)) ** 2 / np.maximum(own, 1e-300)
@@ -95,7 +95,7 @@ def _noise_spectrum(torque: Array, angle: Array, length: int, step: float) -> tu
 
 
 def _spectra(values: Array, length: int) -> NDArray[np.complex128]:
-    """The spectra (pieces, l) of pieces of the values (n,) that overlap by half."""
+    """Return the spectra (pieces, l) of half-overlapping pieces of the values (n,)."""
     firsts = np.arange(0, len(values) - length + 1, length // 2)
     pieces = values[firsts[:, None] + np.arange(length)]
     return np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * np.hanning(length + 1)[:-1])
@@ -106,10 +106,10 @@ def _smoothed(power: Array) -> Array:
 
 
 def _turns_lack(signals: Signals, length: int, step: float, frequency: Array, count: int) -> bool:
-    """Return whether the motion or its direction lacks what a mean of `count` readings takes out.
+    """Return whether the motion or its direction lacks the frequencies that a mean of `count` readings removes.
 
-    So they do where a drive rings, or takes set-points, at that pace. Friction has the direction's spectrum, and is no
-    noise; nor is the torque of a ripple too fast to be sampled.
+    It does if a drive rings, or takes set-points, at that pace. Friction has the spectrum of the direction and is no
+    noise; neither is the torque of a ripple too fast to be sampled.
     """
     for values in (np.sign(signals.motion.dtheta_dot), signals.motion.dtheta):
         spectra = _spectra(values, length)
@@ -125,7 +125,9 @@ def _decades(power: Array) -> Array:
 
 
 def _gaps(frequency: Array, decades: Array, count: int, step: float) -> tuple[Array, Array, Array]:
-    """Where (g,), Hz, a mean of `count` readings has gaps, their depths (g,) in decades, and the lobe after each."""
+    """Return the frequencies (g,), Hz, at which a mean of `count` readings has gaps, their depths (g,) in decades, and
+    the lobe after each.
+    """
     half = 0.5 / (count * step)
     gaps = 2.0 * half * np.arange(1, count)
     gaps = gaps[(gaps - half > frequency[0]) & (gaps + half < frequency[-1])]

@@ -1,1 +1,1 @@
-"""From readings of the deflection to its rate and acceleration, as far as they can be known."""
+"""From readings of the deflection to its rate and acceleration, where they can be known."""

@@ -1,10 +1,10 @@
-"""Deflection, rate and acceleration from one low-pass, for readings whose noise or counts would reach Kc and Bc.
+"""Deflection, rate and acceleration from one low-pass, for readings whose noise or counts would change Kc and Bc.
 
-A local polynomial is flat over the excited band and falls slowly beyond it, so that it passes a lot of noise; and where
-the deflection is taken as it was read, a model that delays it by a part of a sample averages its noise away, which
-looks like a skew. Here all three come from one finite impulse response without phase shift, of Kaiser's (1974) window:
-the second and third are differences of the first, so that the rate is the slope of the deflection whatever delays both.
-Derivatives of the window would not do: those of a short one are 0.4 % off at low frequencies, which is as much of Bc.
+A local polynomial is flat over the excited band but falls slowly above it, and so passes much noise. If the deflection
+itself is not filtered, a model that delays it by a fraction of a sample averages its noise, which looks like a skew.
+Here all three come from one finite impulse response without phase shift, with the window of Kaiser (1974). The second
+and third are differences of the first, so that the rate is exactly the slope of the deflection. Derivatives of the
+window would not do: those of a short window are 0.4 % wrong at low frequencies, and Bc with them.
 """
 
 from __future__ import annotations
@@ -44,9 +44,10 @@ _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 @dataclass(frozen=True, slots=True)
 class LowPass:
-    """A low-pass. cut: Hz, the middle of its transition. half: neighbours a side. step: s between two samples.
+    """A low-pass filter. cut: the middle of its transition, Hz. half: neighbours on each side. step: time between two
+    samples, s.
 
-    near: neighbours a side of the local polynomial that takes readings with uneven stamps to an even grid.
+    near: neighbours on each side of the local polynomial that moves unevenly stamped readings to an even grid.
     """
 
     cut: float
@@ -56,11 +57,11 @@ class LowPass:
 
     @property
     def longest_step(self) -> float:
-        """Between two samples, s, up to which a low-pass of this cut is possible."""
+        """Return the longest time between two samples, s, at which a low-pass of this cut is possible."""
         return _NYQUIST / (4.0 * self.cut) * (_PASSED + STOPPED) / STOPPED
 
     def of_every(self, every: int) -> LowPass:
-        """Return the low-pass of this cut for every so many samples."""
+        """Return the low-pass of this cut for every `every`-th sample."""
         return replace(self, half=ceil((self.half - _FLAT) / every) + _FLAT, step=every * self.step)
 
     @lru_cache(maxsize=8)  # noqa: B019 - it holds four numbers
@@ -85,9 +86,9 @@ class LowPass:
 
 
 def low_pass_for(time: Array, highest: float, near: int) -> LowPass | None:
-    """Return the low-pass that passes up to `highest`, Hz; None where samples (n,) s are too few or too far apart.
+    """Return the low-pass that passes up to `highest`, Hz; None if samples (n,), s, are too few or too far apart.
 
-    near: neighbours a side of a local polynomial that passes as much.
+    near: neighbours on each side of a local polynomial with the same pass band.
     """
     step = float(np.median(np.diff(time)))
     edge, stop = _PASSED * highest, STOPPED * highest
@@ -102,7 +103,7 @@ def low_pass_for(time: Array, highest: float, near: int) -> LowPass | None:
 def _differences(step: float) -> Array:
     """Return the weights (3, 2*_FLAT+1) of value, slope per s and curvature per s^2 at neighbours `step` s apart.
 
-    Of all central differences of that length they are the flattest at low frequencies (Fornberg 1988).
+    They are the central differences of that length that are flattest at low frequencies (Fornberg 1988).
     """
     at = np.arange(1, _FLAT + 1)
     ratio = np.array([(-1.0) ** (k + 1) * comb(2 * _FLAT, _FLAT - k) / comb(2 * _FLAT, _FLAT) for k in at.tolist()])
@@ -119,9 +120,9 @@ def _differences(step: float) -> Array:
 
 
 def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array, Array]:
-    """Return value, slope and curvature (n,) of readings (n,) at their stamps (n,) s, rising.
+    """Return value, slope and curvature (n,) of readings (n,), low-passed, at their stamps (n,) s, rising.
 
-    They are right where `is_sound`.
+    They are valid where `is_sound`.
     """
     found = np.empty((_SIGNALS, len(time)))
     for part in _stretches(time, low_pass.step):
@@ -131,9 +132,9 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
 
 
 def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
-    """Return the function that makes the value of `passed` of readings (n,) at stamps (n,) s, rising.
+    """Return a function that low-passes readings (n,) at stamps (n,), s, rising: the value that `passed` returns.
 
-    It keeps what depends on the stamps alone, so that many readings at the same stamps cost less, and its last results.
+    It keeps what depends only on the stamps, so that many readings at the same stamps cost less, and its last results.
     """
     parts = [(part, _passing(time[part], low_pass)) for part in _stretches(time, low_pass.step)]
 
@@ -144,7 +145,7 @@ def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
 
 
 def _remembering(through: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Return the function with its last results: most columns of a model do not change with what a search tries."""
+    """Return the function with a cache of its last results: most columns of a model do not change during a search."""
     known: dict[bytes, tuple[Array, Array]] = {}
 
     def remembered(values: Array) -> Array:
@@ -162,7 +163,7 @@ def _remembering(through: Callable[[Array], Array]) -> Callable[[Array], Array]:
 
 
 def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
-    """Return whether (n,) each sample has all neighbours that the low-pass reaches to, with no gap between them."""
+    """Return for which samples (n,) all neighbours that the low-pass uses exist, with no gap between them."""
     found = np.zeros(len(time), dtype=bool)
     for part in _stretches(time, low_pass.step):
         found[part.start + low_pass.half : max(part.stop - low_pass.half, part.start + low_pass.half)] = True
@@ -170,13 +171,13 @@ def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
 
 
 def _stretches(time: Array, step: float) -> list[slice]:
-    """Return the stretches of samples whose gaps are short enough to interpolate."""
+    """Return the pieces of samples whose gaps are short enough to interpolate."""
     breaks = np.flatnonzero(np.diff(time) > _BRIDGED * step) + 1
     return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
 
 
 def _passed(time: Array, values: Array, low_pass: LowPass) -> Array:
-    """Return the same for a stretch without gaps, (3, n)."""
+    """Return filtered deflection, rate and acceleration (3, n) of one piece without gaps."""
     if _is_even(time, low_pass):
         return _filtered(values, low_pass, _SIGNALS)
     if len(time) < 2 * low_pass.near + 1:
@@ -190,7 +191,7 @@ def _passed(time: Array, values: Array, low_pass: LowPass) -> Array:
 
 
 def _passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
-    """Return the function for the first row of `_passed`, for stamps that are used many times."""
+    """Return a function for the first row of `_passed`, for stamps that are used many times."""
     if _is_even(time, low_pass):
         return lambda values: np.asarray(_filtered(values, low_pass, 1)[0])
     if not 2 * low_pass.near < len(time) < _KEPT:
@@ -206,7 +207,7 @@ def _passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
 
 
 def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
-    """Readings at even times behind each of the first kernels."""
+    """Return readings at even times, filtered by each of the first kernels."""
     padded = np.pad(even - even[0], low_pass.half, mode="edge")
     # scipy.signal would cost half a second of start-up; what goes around the end is before the first of what is kept
     size = transform_size(len(padded))
@@ -218,7 +219,7 @@ def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
 
 @lru_cache(maxsize=64)
 def transform_size(count: int) -> int:
-    """Return the smallest size of a fast Fourier transform, a product of 2, 3 and 5, for so many samples.
+    """Return the smallest size of a fast Fourier transform, a product of 2, 3 and 5, for `count` samples.
 
     The next power of two is up to twice as long.
     """
@@ -234,13 +235,13 @@ def _is_even(time: Array, low_pass: LowPass) -> bool:
 
 
 def _grid(time: Array, low_pass: LowPass) -> Array:
-    """Even times around a stretch, the same whichever part of a recording is read."""
+    """Return even times around a piece; they do not depend on which part of the recording is read."""
     first, last = np.floor(time[0] / low_pass.step), np.ceil(time[-1] / low_pass.step)
     return np.asarray(low_pass.step * np.arange(first, last + 1.0))
 
 
 def _to_grid(time: Array, grid: Array, near: int) -> csr_array:
-    """Return the weights (k, n) that take readings at uneven stamps (n,) to a grid (k,), as `_passed` does it."""
+    """Return the weights (k, n) that move readings at uneven stamps (n,) to a grid (k,), as in `_passed`."""
     from scipy.sparse import csr_array, vstack
 
     count, width = len(time), 2 * near + 1
@@ -251,7 +252,9 @@ def _to_grid(time: Array, grid: Array, near: int) -> csr_array:
 
 
 def _cubic(knots: Array, at: Array) -> Cubic:
-    """The two knots beside each time (k,), and the shares (k, 2) of their values and slopes in the cubic between."""
+    """Return for each time (k,) the knots beside it, and the weights (k, 2) of their values and slopes in the cubic
+    between.
+    """
     left = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
     step = knots[left + 1] - knots[left]
     part = (at - knots[left]) / step
@@ -262,13 +265,13 @@ def _cubic(knots: Array, at: Array) -> Cubic:
 
 
 def _between(cubic: Cubic, values: Array, slopes: Array) -> Array:
-    """Return values (k,) between knots with values and slopes (n,)."""
+    """Return the interpolated values (k,) between knots with values and slopes (n,)."""
     places, of_value, of_slope = cubic
     return np.asarray((of_value * values[places] + of_slope * slopes[places]).sum(axis=1))
 
 
 def _matrix(cubic: Cubic, knots: int) -> csr_array:
-    """Return the same as weights (k, 2n) of values and slopes one after the other."""
+    """Return the same interpolation as weights (k, 2n) of the values followed by the slopes."""
     from scipy.sparse import csr_array
 
     places, of_value, of_slope = cubic

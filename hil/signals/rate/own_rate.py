@@ -1,10 +1,10 @@
-"""A rate that was recorded beside the deflection: the deflection's derivative, late by a filter, or noisy.
+"""A recorded rate beside the deflection: the deflection's derivative, delayed by a filter, or noisy.
 
-Drives filter the velocity that they report. Beside a deflection that is not filtered such a rate is late, and Kc takes
-up Bc times the lag times the frequency squared. The lag and the size of the rate are those at which it is most like the
-derivative of the deflection. Drives also report it in coarse steps or with noise, which lowers Bc; that shows in the
-torque, which then follows the derivative better. A rate that was computed from differences of the deflection has all
-of its noise, and says nothing that the deflection does not.
+Drives filter the velocity that they report. Beside an unfiltered deflection such a rate is late, and Kc changes by Bc
+times the lag times the frequency squared. Lag and gain of the rate are those at which it best matches the derivative of
+the deflection. Drives also report the rate in coarse steps or with noise, which lowers Bc; then the torque follows the
+derivative better. A rate computed from differences of the deflection has all of the deflection's noise, and adds no
+information.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _EFFECTIVE: Final = 2.0  # samples a period of the band's upper end, that count 
 
 @dataclass(frozen=True, slots=True)
 class OwnRate:
-    """A rate that is not the deflection's derivative. lag: s, by which it is late; size: times the derivative.
+    """A recorded rate that is not the deflection's derivative. lag: its delay, s. size: its gain over the derivative.
 
-    noise: the part of the residuals' power that it adds to those of the derivative.
+    noise: the fraction of the residuals' power that it adds in comparison with the derivative.
     """
 
     lag: float
@@ -61,17 +61,18 @@ class OwnRate:
 def refused_rate(
     time: Array, torque: Array, dtheta: Array, given: Array, derived: Array, *, highest: float
 ) -> OwnRate | None:
-    """Return why a recorded rate (n,) rad/s is not used: a filter, else noise; None where it is.
+    """Return why a recorded rate (n,), rad/s, is not used: filtered, or else noisy; None if it is used.
 
-    torque (n,) N m and dtheta (n,) rad at time (n,) s; derived and highest as of `own_rate`.
+    torque (n,) N m and dtheta (n,) rad at time (n,) s; derived and highest: see `own_rate`.
     """
     return own_rate(time, given, derived, highest) or _noisy(torque, dtheta, given, derived)
 
 
 def is_difference(time: Array, dtheta: Array, given: Array, derived: Array) -> bool:
-    """Return whether a recorded rate (n,) rad/s was computed from differences of the deflection (n,) rad.
+    """Return whether a recorded rate (n,), rad/s, was computed from differences of the deflection (n,), rad.
 
-    Those of both neighbours, or of the sample before or after. Its errors are then theirs. derived: as of `own_rate`.
+    These are differences of both neighbours, or with the sample before or after; the rate then has their errors.
+    derived: see `own_rate`.
     """
     good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
     quotients = np.diff(dtheta) / np.diff(time)
@@ -86,9 +87,10 @@ def _are_alike(errors: Array, others: Array) -> bool:
 
 
 def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRate | None:
-    """Return how a recorded rate (n,) rad/s differs from the derivative of the deflection (n,); None where it does not.
+    """Return how a recorded rate (n,), rad/s, differs from the derivative of the deflection (n,); None if it does not.
 
-    time (n,) s; highest: Hz, the upper end of the excited band. Samples without a derivative are NaN.
+    time (n,): s. derived (n,): that derivative, NaN at samples without one. highest: the upper end of the excited band,
+    Hz.
     """
     good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
     time, given, derived = time[good], given[good], derived[good]
@@ -118,7 +120,7 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
 
 
 def _noisy(torque: Array, dtheta: Array, given: Array, derived: Array) -> OwnRate | None:
-    """Return how a recorded rate is noisier than the derivative: the torque follows the better one of them."""
+    """Return how much noisier a recorded rate is than the derivative: the torque follows the better one of the two."""
     good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
     target = torque[good]
 

@@ -17,29 +17,31 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 DEGREE = 7
-"""The polynomial's: high, so that a wide window, which averages noise, has a flat gain over the excited band."""
+"""The degree of the polynomial: high, so that a wide window, which averages noise, has a flat gain over the excited
+band.
+"""
 
 LEAST = (DEGREE + 1) // 2
-"""The fewest neighbours a side: with fewer there are fewer readings than coefficients."""
+"""The fewest neighbours on each side: below it there are fewer readings than coefficients."""
 
 _SHARE: Final = 4
-"""Windows that share their sums reach this part of half a window further than one does, at the most."""
+"""How far beyond a single window a block of windows with shared sums may reach, in half windows."""
 
 _WIDER: Final = 1.3
-"""How much longer than the shortest of its windows a block may be: beside a gap in time it holds fewer of them."""
+"""How much longer than its shortest window a block may be; beside a gap in time it contains fewer windows."""
 
 _SINGULAR: Final = 1e-14
-"""Part of a diagonal element that is left of it where stamps, as across a long gap, determine no polynomial."""
+"""The remaining fraction of a diagonal element below which stamps, as across a long gap, determine no polynomial."""
 
 _PART: Final = 1 << 15
-"""Samples for a thread at a time."""
+"""The number of samples that one thread takes at a time."""
 
 
 def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array:
     """Return the derivative of that order, 0 to 2, at every sample: (n,), in the values' unit per s^order.
 
-    time (n,) s, rising; values (n,). A window is the sample and `half` neighbours a side; at the ends it is the first
-    or last 2*half+1 samples, evaluated off its centre, where the noise is many times larger.
+    time (n,) s, rising; values (n,). A window is the sample and `half` neighbours on each side. At the ends it is the
+    first or last 2*half+1 samples, evaluated off its centre, where the noise is many times larger.
     """
     time, values = np.ascontiguousarray(time), np.ascontiguousarray(values)
     if len(time) <= 4 * half + 2 or not _is_even(time):
@@ -63,7 +65,7 @@ def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array
 
 
 def local_weights(time: Array, windows: Array) -> tuple[Array, Array]:
-    """Return the weights (n, m) of readings at the times (n, m) of windows in value and slope per s at times (n,) s."""
+    """Return the weights (n, m) of readings at times (n, m) that give value and slope per s at times (n,), s."""
     middle, scale = 0.5 * (windows[:, 0] + windows[:, -1]), 0.5 * (windows[:, -1] - windows[:, 0])
     chebyshev = np.polynomial.chebyshev
     basis = chebyshev.chebvander((windows - middle[:, None]) / scale[:, None], DEGREE)
@@ -75,14 +77,14 @@ def local_weights(time: Array, windows: Array) -> tuple[Array, Array]:
 
 
 def _is_even(time: Array) -> bool:
-    """Return whether stamps (n,) are even to their own rounding."""
+    """Return whether stamps (n,) are even within their own rounding."""
     grid = np.linspace(time[0], time[-1], len(time))
     rounding = 4.0 * float(np.finfo(np.float64).eps) * max(abs(time[0]), abs(time[-1]))
     return bool(np.all(np.abs(time - grid) <= rounding))
 
 
 def _fitted(time: Array, values: Array, half: int, order: int) -> Array:
-    """Return the derivative of a fit to each window, whatever the stamps."""
+    """Return the derivative of a polynomial fitted to each window, for any stamps."""
     found = np.empty(len(time))
 
     def fit(first: int, last: int) -> None:
@@ -99,7 +101,7 @@ def _fitted(time: Array, values: Array, half: int, order: int) -> Array:
 
 
 def _in_parts(work: Callable[[int, int], None], first: int, last: int) -> None:
-    """Call `work` for all samples from first to last, part by part; many parts in threads, with the same result."""
+    """Call `work` for all samples from first to last in parts; many parts run in threads, with the same result."""
     parts = [(at, min(at + _PART, last)) for at in range(first, last, _PART)]
     if len(parts) == 1:
         work(*parts[0])
@@ -110,7 +112,7 @@ def _in_parts(work: Callable[[int, int], None], first: int, last: int) -> None:
 
 
 def _together(half: int) -> int:
-    """Return how many windows share a basis and sums: the more they are, the less of its interval each covers."""
+    """Return how many windows share a basis and sums; with more of them, each covers less of the common interval."""
     return max(half // _SHARE, 1)
 
 
@@ -120,7 +122,7 @@ def kernel(half: int, order: int) -> Array:
 
 
 def kernels(half: int, order: int, samples: Array) -> Array:
-    """Return the same weights (m, 2*half+1) for samples (m,) that are so far from the centre of the window."""
+    """Return the weights (m, 2*half+1) of that derivative at samples (m,) this far from the centre of the window."""
     offsets = np.arange(-half, half + 1, dtype=np.float64) / half
     weights = np.linalg.pinv(np.polynomial.chebyshev.chebvander(offsets, DEGREE))
     derivatives = np.polynomial.chebyshev.chebder(np.eye(DEGREE + 1), order)
@@ -144,7 +146,7 @@ def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
 
 
 def _first(half: int, sample: Index, count: int) -> Index:
-    """Return where the window of each sample begins."""
+    """Return the index at which the window of each sample begins."""
     return np.clip(sample - half, 0, count - 2 * half - 1)
 
 
@@ -156,10 +158,10 @@ def _are_alike(time: Array, half: int, windows: Index) -> NDArray[np.bool_]:
 
 
 def _derivatives(time: Array, values: Array, half: int, order: int, windows: Index) -> Array:
-    """Return the derivative at the samples (b, m), each the centre of a window; (b, m).
+    """Return the derivative (b, m) at the samples (b, m), each the centre of a window.
 
-    The windows of a block share a basis, and the sums over one window are those over the one before it, less the sample
-    that left it, plus the one that came. All blocks are computed side by side: there are many, and each is short.
+    The windows of a block share a basis. The sums of a window are those of the previous one, less the sample that left
+    it, plus the one that entered. All blocks are computed side by side, because there are many short ones.
     """
     width, found = 2 * half + 1, np.empty(windows.shape)
     starts = _first(half, windows, len(time))
@@ -190,7 +192,7 @@ def _derivatives(time: Array, values: Array, half: int, order: int, windows: Ind
 
 
 def _chebyshev(x: Array, count: int) -> Array:
-    """Return the first polynomials at x (b,): (count, b)."""
+    """Return the first `count` Chebyshev polynomials at x (b,): (count, b)."""
     basis, twice = np.empty((count, len(x))), 2.0 * x
     basis[0], basis[1] = 1.0, x
     for k in range(2, count):
@@ -200,7 +202,7 @@ def _chebyshev(x: Array, count: int) -> Array:
 
 
 def _chebyshev_derivative(x: Array, order: int) -> Array:
-    """Return a derivative of the polynomials up to the fit's degree at x (b,): (p, b)."""
+    """Return a derivative of the Chebyshev polynomials up to the fit's degree at x (b,): (p, b)."""
     at = _chebyshev(x, DEGREE + 1)
     for number in range(1, order + 1):
         before, at = at, np.zeros_like(at)

@@ -1,4 +1,4 @@
-"""The spectrum of a reading: up to where the joint moved, its ripple, and the noise above."""
+"""The spectrum of a reading: the frequencies up to which the joint moved, its ripple, and the noise floor."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The spectrum of a deflection. frequency (n,) Hz, without zero; density (n,): smoothed; floor: that of its noise.
+    """The spectrum of a deflection. frequency (n,): Hz, without zero. density (n,): smoothed. floor: the density of its
+    noise.
 
-    noise: rad, the standard deviation of white noise that has the floor's density. rounding: the density that the power
-    of rounding has where it is white.
+    noise: standard deviation, rad, of white noise with the floor's density. rounding: the density of the rounding error
+    if it is white.
     """
 
     frequency: Array
@@ -46,9 +47,9 @@ class Spectrum:
 
     @classmethod
     def of(cls, time: Array, dtheta: Array, least: float = 0.0) -> Spectrum:
-        """Return that of readings (n,) rad at rising stamps (n,) s; least: rad, white noise that they have at least.
+        """Return the spectrum of readings (n,) rad at rising stamps (n,) s; least: their white noise at least, rad.
 
-        Only the very ends are tapered, since a chirp is fastest at its end.
+        Only the outermost samples are tapered, because a chirp is fastest at its end.
         """
         count = len(time)
         uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
@@ -73,21 +74,22 @@ class Spectrum:
 
     @cached_property
     def _excited(self) -> Array:
-        """The density (n,) of motion: counts of a steady one make lines of the power that they have in all."""
+        """Return the density (n,) of motion; the rounding of a steady motion makes lines with its whole power."""
         beyond = np.cumsum(self.density[::-1])[::-1] > _COUNTED * self.rounding * len(self.density)
         return np.where(beyond & (self.density > _CLEARLY * self.floor), self.density - self.floor, 0.0)
 
     def _upper_end(self, excited: Array, share: float) -> float:
-        """Return up to where, Hz, that share of the rate's power is."""
+        """Return the frequency, Hz, below which that share of the rate's power lies."""
         power = np.cumsum(excited * self.frequency**2)
         return float(self.frequency[int(np.searchsorted(power, share * power[-1]))])
 
     @cached_property
     def ripple_begins(self) -> float:
-        """From where on, Hz, there is nothing but ripple far above the motion; infinite where there is none.
+        """Return the frequency, Hz, above which there is only ripple far above the motion; infinite without ripple.
 
-        A set-point that is held for some ticks makes the joint ripple at its rate. Sampling folds what is faster, and
-        the rate there is wrong while the torque is right. Between the motion and its ripple hardly anything moves.
+        A set-point that is held for some ticks makes the joint ripple at the set-points' rate. Sampling aliases the
+        faster harmonics, so the rate is wrong there while the torque is right. Between the motion and its ripple there
+        is hardly any power.
         """
         begins = self.rises_beyond(self.main)
         power = self._excited * self.frequency**2
@@ -95,11 +97,13 @@ class Spectrum:
 
     @property
     def main(self) -> float:
-        """Up to where, Hz, the joint moves, without ripple; infinite where it does not."""
+        """Return the frequency, Hz, up to which the joint moves, without ripple; infinite if it does not move."""
         return self._upper_end(self._excited, _MAIN) if self._excited.any() else np.inf
 
     def rises_beyond(self, main: float) -> float:
-        """Return from where on, Hz, the density rises far above what lies beyond a motion of up to `main` Hz."""
+        """Return the frequency, Hz, above which the density rises far above its level beyond a motion of up to `main`
+        Hz.
+        """
         beyond = self.frequency > _RIPPLES * main
         width = max(1, round(main / float(self.frequency[0]))) if beyond.any() else 1
         if np.count_nonzero(beyond) <= width:
@@ -114,10 +118,12 @@ class Spectrum:
         return float(self.frequency[beyond][np.argmin(smooth[: rises[0]]) + width // 2])
 
     def above(self, noise: float) -> float:
-        """Return up to where, Hz, motion is clearly above noise, rad, the hundredth of its rate beyond the band too.
+        """Return the frequency, Hz, up to which motion is clearly above noise, rad, also for the last hundredth of the
+        rate.
 
-        That hundredth of a random walk, or of corners, may be far above the noise of the torque. Counts of a steady
-        motion make lines in place of a floor, so that their noise may be more than the floor shows.
+        For a random walk, or motion with corners, the part of the rate beyond the band may be far above the noise of
+        the torque. The rounding of a steady motion makes lines and not a floor, so its noise may exceed what the floor
+        shows.
         """
         floor = self.floor * max(1.0, noise / max(self.noise, 1e-300)) ** 2
         gained = np.cumsum(self.density - _CLEARLY * floor)

@@ -1,4 +1,4 @@
-"""The local polynomials that suit a recording: as wide as its excited band allows, so that they pass little noise."""
+"""The local polynomials for a recording: as wide as its excited band allows, so that they pass little noise."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ _FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: frict
 class Window:
     """The local polynomials of a recording.
 
-    slope, curvature: neighbours a side. step: s, the median between two samples. band: Hz, the excited band. noise:
-    rad/s, the standard deviation of the slope's; of_deflection: rad, of the readings. count: rad, the smallest step
-    between two of these. unseen: rad/s, errors of the rate that no test of the fit sees beside the torque's noise.
-    low_pass: what is used in place of the polynomials where that noise would reach Kc or Bc, as
-    noisy says, or where the joint moves faster than the narrowest of them follows. jerk: rad/s, and jump: rad/s^2, by
-    which rates and accelerations in several windows differ at most where the acceleration does not jump; infinite where
-    no jump would show in the torque of the damping, or of an inertia. of_acceleration: rad/s^2, the standard deviation
-    of its errors, by noise and by what the window smooths away.
+    slope, curvature: neighbours on each side. step: median time between two samples, s. band: the excited band, Hz.
+    noise: standard deviation of the slope's noise, rad/s; of_deflection: of the readings, rad. count: the smallest step
+    between two readings, rad. unseen: errors of the rate, rad/s, that the lack-of-fit tests cannot see beside the
+    torque's noise. low_pass: used in place of the polynomials if that noise would change Kc or Bc (noisy), or if the
+    joint moves too fast for the narrowest of them. jerk, rad/s, and jump, rad/s^2: the largest differences between
+    rates and accelerations in several windows where the acceleration does not jump; infinite if a jump would not show
+    in the torque of the damping or of an inertia. of_acceleration: standard deviation, rad/s^2, of its errors from
+    noise and from smoothing.
     """
 
     slope: int
@@ -67,7 +67,7 @@ class Window:
 
     @property
     def jerks(self) -> bool:
-        """Whether the acceleration jumps, so that some samples have no rate, or no acceleration."""
+        """Return whether the acceleration jumps, so that some samples have no rate or no acceleration."""
         return bool(np.isfinite(self.jerk) or np.isfinite(self.jump))
 
     @property
@@ -83,38 +83,38 @@ class Window:
         return dtheta, rate, local_polynomial(time, dtheta, self.curvature, 2)
 
     def alike(self, time: Array, values: Array) -> Array:
-        """Return values (n,) behind what the deflection went through, so that what is between them stays as it is."""
+        """Return values (n,) filtered as the deflection was, so that relations between them are preserved."""
         return values if self.low_pass is None else _known(passed(time, values, self.low_pass)[0], values)
 
     @property
     def longest_step(self) -> float:
-        """Between two samples, s, up to which `passing` is possible."""
+        """Return the longest time between two samples, s, at which `passing` is possible."""
         return self.low_pass.longest_step if self.low_pass else np.inf
 
     def of_every(self, every: int) -> Window:
-        """Return the windows whose `passing` passes the same of every so many samples."""
+        """Return the window whose `passing` gives the same at every `every`-th sample."""
         return replace(self, low_pass=self.low_pass.of_every(every)) if self.low_pass else self
 
     def passing(self, time: Array) -> Callable[[Array], Array]:
-        """Return the function that does the same with many values (n,) at the same stamps, as a search needs it."""
+        """Return a function that filters many values (n,) at the same stamps, as a search needs it."""
         if self.low_pass is None:
             return lambda values: values
         through = passing(time, self.low_pass)
         return lambda values: _known(through(values), values)
 
     def jerked(self, time: Array, dtheta: Array, rate: Array, acceleration: Array) -> NDArray[np.bool_]:
-        """Return whether (n,) each sample is beside a jump of the acceleration, where no window gives the motion."""
+        """Return which samples (n,) are beside a jump of the acceleration, where no window gives the motion."""
         of_rate = _differing(time, dtheta, rate, _NARROW) > self.jerk
         if not np.isfinite(self.jump):
             return of_rate
         return of_rate | (_differing(time, dtheta, acceleration, _NARROW, order=2) > self.jump)
 
     def sound(self, time: Array) -> NDArray[np.bool_]:
-        """Return whether (n,) each sample has all the neighbours that its rate is computed from."""
+        """Return for which samples (n,) all neighbours exist that the rate is computed from."""
         return is_sound(time, self.low_pass) if self.low_pass else _whole(time, self.widest, self.step)
 
     def has_acceleration(self, time: Array) -> NDArray[np.bool_]:
-        """Return whether (n,) each sample has all the neighbours that an acceleration is computed from a rate's."""
+        """Return for which samples (n,) all neighbours exist that the acceleration is computed from, out of rates."""
         return _whole(time, self.curvature, self.step)
 
 
@@ -123,10 +123,10 @@ def _known(found: Array, values: Array) -> Array:
 
 
 def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None = None) -> Window:
-    """Return the widest windows that the excited band allows, the slope's narrowed as far as its noise permits.
+    """Return the widest windows that the excited band allows; the slope's is narrowed as far as its noise permits.
 
-    The noise of the deflection (n,) rad is held against the torque (n,) N m, in which it would show. cell: the readings
-    that the torque was made of, where they are fewer; the steps between two of them are no noise.
+    The noise of the deflection (n,), rad, is judged by its effect on the torque (n,), N m. cell: the readings that the
+    torque was interpolated from, if fewer; the steps between them are not noise.
     """
     step, count = float(np.median(np.diff(time))), smallest_step(dtheta)
     rounding = count / float(np.sqrt(12.0))
@@ -182,9 +182,11 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
 
 
 def _ripple_of_torque(time: Array, torque: Array, main: float) -> float:
-    """Return from where on, Hz, the torque (n,) N m has nothing but ripple, which counts may hide in the deflection.
+    """Return the frequency, Hz, above which the torque (n,), N m, contains only ripple, which counts may hide in the
+    deflection.
 
-    main: Hz, up to where the joint moves. Infinite for none, and where readings are missing, which makes steps.
+    main: the frequency up to which the joint moves, Hz. Infinite without ripple, and if readings are missing, which
+    makes steps.
     """
     steps = np.diff(time)
     if steps.max() > 1.5 * float(np.median(steps)):
@@ -193,9 +195,9 @@ def _ripple_of_torque(time: Array, torque: Array, main: float) -> float:
 
 
 def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
-    """Return the narrowest window, at most `slope` neighbours a side, whose noise is below what is allowed, rad/s.
+    """Return the narrowest window, at most `slope` neighbours on each side, with noise below `allowed`, rad/s.
 
-    step: s between two samples; noise: rad, standard deviation of the deflection's. A wide window smooths away
+    step: time between two samples, s. noise: standard deviation of the deflection's noise, rad. A wide window removes
     details, such as the kinks where the joint sticks, and lowers Bc.
     """
     while slope > _NARROWEST and noise * _amplified(slope - 1, step) <= allowed:
@@ -204,11 +206,10 @@ def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
 
 
 def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int = 1) -> int:
-    """Return the window, at most `half` neighbours a side, whose noise and what it smooths away are least together.
+    """Return the window, at most `half` neighbours on each side, with the smallest sum of noise and smoothing error.
 
-    noise: rad, of the deflection (n,). Either would make up the residuals of a quiet torque. Of two windows, the
-    slopes (order 2: the curvatures) differ by as much as the power of their noise does, and by what the wider one
-    smooths away.
+    noise: of the deflection (n,), rad. Both errors would dominate the residuals of a quiet torque. The slopes (order 2:
+    the curvatures) of two windows differ by the difference of their noise power, and by what the wider one removes.
     """
     step = float(np.median(np.diff(time)))
     found, whole = local_polynomial(time, dtheta, half, order), _whole(time, half, step)
@@ -223,9 +224,9 @@ def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int =
 
 
 def _following(found: Window, time: Array, dtheta: Array, torque: Array, own: float) -> Window | None:
-    """Return the window where its polynomials follow the motion, but for samples beside jumps; None where they do not.
+    """Return the window if its polynomials follow the motion, except for samples beside jumps; else None.
 
-    torque (n,), own: as of `_jumping`.
+    torque (n,), own: see `_jumping`.
     """
     if smoothed_away(found.slope, time, dtheta, found.of_deflection) <= found.unseen:
         return _jumping(found, time, dtheta, torque, own)
@@ -240,9 +241,9 @@ def _following(found: Window, time: Array, dtheta: Array, torque: Array, own: fl
 
 
 def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: float) -> Window:
-    """Return the window, with the samples beside jumps of the acceleration left out where an inertia would feel them.
+    """Return the window, with samples beside jumps of the acceleration left out if an inertia would react to them.
 
-    torque (n,): N m, in which the inertia shows, if there is one. own: N m, its noise.
+    torque (n,): N m, in which the inertia shows, if there is one. own: its noise, N m.
     """
     _, rate, acceleration = found.moved(time, dtheta)
     apart = _differing(time, dtheta, acceleration, _NARROW, order=2)
@@ -263,10 +264,10 @@ def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: floa
 def smoothed_away(
     half: int, time: Array, dtheta: Array, noise: float, *, seen: NDArray[np.bool_] | None = None, order: int = 1
 ) -> float:
-    """Return the part of the rate, rad/s r.m.s., that a window of `half` neighbours a side smooths away.
+    """Return the part of the rate, rad/s r.m.s., that a window of `half` neighbours on each side removes.
 
-    noise: rad, of the deflection (n,), which does not count. It is what the narrowest polynomial there is finds more,
-    in the samples seen (n,), or in all. order: 2 for the part of the acceleration, rad/s^2.
+    It is what the narrowest possible polynomial finds in addition, in the samples seen (n,), or in all, without the
+    noise of the deflection (n,), rad. order: 2 for the part of the acceleration, rad/s^2.
     """
     step = float(np.median(np.diff(time)))
     half = max(half, LEAST + 1)  # nothing is narrower than the least
@@ -280,7 +281,7 @@ def smoothed_away(
 
 
 def _power(rate: Array, rows: NDArray[np.bool_] | None = None) -> float:
-    """The sum of squares of the known rates (n,) rad/s, or of some rows of them: between two rests few rows move."""
+    """Return the sum of squares of the known rates (n,), rad/s, or of some rows: between two rests few rows move."""
     return float(np.nansum(np.square(rate) if rows is None else np.square(rate[rows])))
 
 
@@ -290,9 +291,9 @@ def hides_in_rate(rate: Array) -> float:
 
 
 def _hidden(motion: Motion, torque: Array, own: float) -> float:
-    """The noise of the rate, rad/s, that cannot be seen beside that of the torque (n,) N m, which is `own`.
+    """Return the noise of the rate, rad/s, that cannot be seen beside that of the torque (n,), N m, which is `own`.
 
-    More of it would make up the residuals, in which it can be predicted from the deflection's readings.
+    More noise would dominate the residuals, in which it can be predicted from the deflection's readings.
     """
     columns = np.stack([np.ones(len(motion)), motion.dtheta, motion.dtheta_dot], axis=1)
     damping = float(np.linalg.lstsq(columns, torque, rcond=None)[0][2])
@@ -300,7 +301,7 @@ def _hidden(motion: Motion, torque: Array, own: float) -> float:
 
 
 def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
-    """The standard deviation of the noise of a torque (n,) N m, at least what its rate may be wrong by."""
+    """Return the standard deviation of the noise of a torque (n,), N m, at least the error from its rate."""
     if cell is None:
         own = own_noise(float(np.nanmedian(_noise_of(motion.time, torque))), torque, motion.dtheta)
     else:
@@ -309,18 +310,24 @@ def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
 
 
 def _noise_of(time: Array, values: Array) -> Array:
-    """The distance (n,) of values from a narrow local polynomial, whose median is the deviation of normal noise."""
+    """Return the distance (n,) of values from a narrow local polynomial, scaled so that its median is the noise's
+    deviation.
+    """
     left = np.abs(values - local_polynomial(time, values, _NARROWEST, 0))
     return np.asarray(left * (1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))))
 
 
 def _amplified(half: int, step: float, order: int = 1) -> float:
-    """The standard deviation of the slope, rad/s, or curvature, rad/s^2, for noise of 1 rad in the deflection."""
+    """Return the standard deviation of the slope, rad/s, or curvature, rad/s^2, for noise of 1 rad in the
+    deflection.
+    """
     return float(np.linalg.norm(kernel(half, order))) / step**order
 
 
 def windows(time: Array, highest: float) -> tuple[int, int]:
-    """Return the widest windows, neighbours a side, that give slope and curvature of motion up to `highest` Hz."""
+    """Return the widest windows, neighbours on each side, that give slope and curvature of motion up to `highest`
+    Hz.
+    """
     cycles = highest * (time[-1] - time[0]) / (len(time) - 1)
     most = min(_WIDEST, (len(time) - 1) // _PARTS)
     slope, curvature = (widest(order, cycles, most, _GAIN_ERROR) for order in (1, 2))
@@ -328,17 +335,18 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
 
 
 def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
-    """Whether (n,) the window of each sample, `half` on each side, is centred on it and free of gaps."""
+    """Return for which samples (n,) the window, `half` on each side, is centred on the sample and free of gaps."""
     whole = np.zeros(len(time), dtype=bool)
     whole[half : len(time) - half] = time[2 * half :] - time[: -2 * half] <= 3.0 * half * step
     return whole
 
 
 def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
-    """Return whether (n,) the rate of a motion hardly depends on the window that it is computed in, as beside a jerk.
+    """Return where (n,) the rate of a motion hardly depends on the window that it is computed in; beside a jerk it
+    does.
 
-    window: that one, where it is known. Much wider ones differ from it where it is right. Neither noise of the
-    deflection counts, which the wider window averages too, nor what is hidden in the torque's.
+    window: the window used, if known. Where it is right, much wider windows give another rate. Noise of the deflection,
+    which a wider window averages too, is not counted, nor what the torque's noise hides.
     """
     seen, rows = motion.whole
     # a low-pass that takes noise out blurs a jump as far as wide windows reach
@@ -351,7 +359,7 @@ def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
 
 
 def _differing(time: Array, dtheta: Array, rate: Array, halves: tuple[int, ...], order: int = 1) -> Array:
-    """By how much, rad/s, the rate (n,) differs from those of other windows; it may have been computed in one.
+    """Return by how much, rad/s, the rate (n,) differs from that of other windows; it may come from one of them.
 
     order: 2 for an acceleration, rad/s^2.
     """
