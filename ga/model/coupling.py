@@ -1,7 +1,7 @@
 """The model of the coupling: a sum of terms (`ga.model.terms`).
 
-torque = known + columns(nonlinear parameters) . genes. `linear` is the paper's equation 3. A term that is left out but
-present lands in Bc, which is why the others exist. Nothing here knows how a recording came about.
+torque = known + columns(nonlinear parameters) . genes. `linear` is the paper's equation 3. An effect that exists but
+has no term in the model changes Bc, which is why the other terms exist. Nothing here knows how a recording was made.
 """
 
 from __future__ import annotations
@@ -27,18 +27,20 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 BESIDE: Final = 0.25
-"""Part of the time between two samples by which the skew may be wrong when those are determined."""
+"""The step of the skew for its derivative, as a fraction of the time between two samples."""
 
 STEP: Final = 1e-4
 SMALLEST: Final = 1e-3
-"""A difference is taken over this part of a nonlinear parameter; if it may be zero, over so much, SI, at least."""
+"""The step for the derivative by a nonlinear parameter, as a fraction of it; at least this value, SI, if it may be
+zero.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """A motion (n,) as the torque reading saw it: of all samples where a cell follows, else of those asked for.
+    """A motion (n,) as the torque reading saw it: all samples if a torque cell filters it, else the samples asked for.
 
-    near: its regressors. whole: those of all samples, where a term's torque depends on other samples too.
+    near: its regressors. whole: those of all samples, where the torque of a term depends on other samples too.
     """
 
     motion: Motion
@@ -47,18 +49,18 @@ class _Seen:
 
     @property
     def is_whole(self) -> bool:
-        """Whether no term needs samples beside those of the motion."""
+        """Return whether no term needs samples outside the motion."""
         return self.whole is self.near
 
     def passed(self, column: Array, *, bends: bool) -> Array:
-        """Return a column (m,) of all samples at those of the motion, (n,), behind what the torque went through."""
+        """Return a column (m,) of all samples at those of the motion (n,), after what the torque was filtered by."""
         whole, rows = self.motion.whole
         if bends and self.motion.behind is not None:
             return whole.filtered(column)[rows]
         return column if self.is_whole else column[rows]
 
     def changing(self, delay: float) -> tuple[Motion, Motion]:
-        """Return how fast both motions change, per second."""
+        """Return the time derivatives of both motions, per second."""
         near = self.motion.changing(delay)
         return near, near if self.is_whole else self.motion.whole[0].changing(delay)
 
@@ -67,8 +69,9 @@ class _Seen:
 class CouplingModel:
     """A sum of terms. name: canonical, such as "linear+offset+coulomb+skew".
 
-    origin: s, where the drift begins; middle: s after it, where a stiffness that drifts is Kc; slowest: rad/s, below
-    which friction may hold the joint; smoothing: v_s of friction, rad/s. None: each call takes its own data's.
+    origin: the time at which the drift is zero, s. middle: the time after it, s, at which a drifting stiffness equals
+    Kc. slowest: the rate, rad/s, below which friction may hold the joint. smoothing: v_s of friction, rad/s. None: each
+    call derives it from its own data.
     """
 
     name: str
@@ -78,75 +81,79 @@ class CouplingModel:
     smoothing: float | None = None
 
     def __reduce__(self) -> tuple[type[CouplingModel], tuple[str | float | None, ...]]:
-        """Return what another process makes the model from: the records of its terms have functions without a name."""
+        """Return what another process makes the model from; the records of its terms contain functions without a
+        name.
+        """
         return CouplingModel, (self.name, self.origin, self.middle, self.slowest, self.smoothing)
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """The records of its terms."""
+        """Return the records of its terms."""
         return tuple(TERMS[name] for name in self.name.split("+"))
 
     @cached_property
     def linear(self) -> tuple[Parameter, ...]:
-        """The parameters (p,) of the columns, in their order."""
+        """Return the parameters (p,) of the columns, in their order."""
         return tuple(parameter for term in self.terms for parameter in term.parameters if not parameter.nonlinear)
 
     @cached_property
     def nonlinear(self) -> tuple[Parameter, ...]:
-        """The parameters (q,) that the columns depend on."""
+        """Return the parameters (q,) that the columns depend on."""
         return tuple(parameter for term in self.terms for parameter in term.parameters if parameter.nonlinear)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters: the linear, then the nonlinear ones."""
+        """Return all parameters: the linear ones, then the nonlinear ones."""
         return self.linear + self.nonlinear
 
     @property
     def sticks(self) -> bool:
-        """Whether friction may hold the joint: then its torque is anything between -Fc and Fc."""
+        """Return whether friction may hold the joint; its torque is then any value between -Fc and Fc."""
         return any(term.sticks for term in self.terms) and not self._smooths
 
     @cached_property
     def _smooths(self) -> bool:
-        """Whether friction turns smoothly."""
+        """Return whether friction reverses smoothly."""
         return any(term.smooths for term in self.terms)
 
     @property
     def needs_ratio(self) -> bool:
-        """Whether the columns depend on Bc/Kc: where flanks part and how friction acts, the torque's sign says."""
+        """Return whether the columns depend on Bc/Kc, because the sign of the torque decides on contact or friction."""
         return any(term.contact is not None or term.load is not None for term in self.terms)
 
     @cached_property
     def bends(self) -> tuple[bool, ...]:
-        """Whether each term's torque is no linear filter of the motion."""
+        """Return for each term whether its torque is no linear filter of the motion."""
         beyond = self.needs_ratio or any(term.remaining is not None for term in self.terms)
         return tuple(term.bends or (beyond and term.pushed is not None) for term in self.terms)
 
     def _through_cell(self, motion: Motion, nonlinear: Array | None) -> Motion:
-        """Return the motion whose torque readings are made of: all of it behind a cell, if its parameters are given."""
+        """Return the motion that the torque is computed from: all of it behind a torque cell with given parameters."""
         behind_cell = nonlinear is not None and any(term.cell is not None for term in self.terms)
         return motion.whole[0] if behind_cell else motion
 
     @cached_property
     def _load_remembers(self) -> bool:
-        """Whether the torque of spring and damper depends on earlier samples, too."""
+        """Return whether the torque of spring and damper depends on earlier samples too."""
         return any(term.load is not None and term.forgets is not None for term in self.terms)
 
     def anchored(self, motion: Motion) -> CouplingModel:
-        """Return the model with origin and slowest rate of this motion, so that it is one model for every part of it.
+        """Return the model with origin and slowest rate fixed from this motion, so that it is the same for every part
+        of it.
 
-        Needed where a recording is taken block by block, or where one part is validated by a fit to another.
+        This is needed if a recording is read block by block, or if one part validates a fit to another.
         """
         origin = float(motion.time[0]) if len(motion) else 0.0
         middle = 0.5 * float(motion.time.min() + motion.time.max()) - origin if len(motion) else 0.0
         return replace(self, origin=origin, middle=middle, slowest=slowest(motion), smoothing=smoothing(motion))
 
     def described(self, motion: Motion, delay: float = 0.0) -> NDArray[np.bool_]:
-        """Return which samples (n,) the model describes: all but those that friction may hold the joint in.
+        """Return which samples (n,) the model describes: all except those that friction may hold the joint in.
 
-        delay: s, how much older the torque reading is. If the model estimates it, samples next to a reversal are left
-        out as well, because the sign of their friction would decide it; and those next to a rest that a low-pass brings
-        friction of unknown size from; and those in which the rate turns before or after the joint.
+        delay: by how much the torque reading is older, s. If the model estimates it, further samples are left out:
+        those next to a reversal, because the sign of their friction would determine the delay; those next to a rest,
+        where a low-pass spreads friction of unknown size; and those in which the computed rate reverses before or after
+        the joint.
         """
         if not self.sticks:
             return np.ones(len(motion), dtype=bool)
@@ -160,22 +167,22 @@ class CouplingModel:
         return np.asarray(~(held | beside_rest(motion, held) | unseen))
 
     def delay(self, nonlinear: Array | None) -> float:
-        """Return how much older the torque reading is, s, for nonlinear parameters (q,); 0 if no term says."""
+        """Return by how much the torque reading is older, s, for nonlinear parameters (q,); 0 without a term for it."""
         return next((float(values[0]) for term, values in self._valued(nonlinear) if term.delays), 0.0)
 
     def columns(self, motion: Motion, nonlinear: Array | None = None, lag: float = 0.0) -> Array:
-        """Return the columns (n, p) for nonlinear parameters (q,), SI; None: for those terms left out.
+        """Return the columns (n, p) for nonlinear parameters (q,), SI; None: without the terms that have any.
 
-        lag: Bc/Kc, s, which decides when flanks that can only push part.
+        lag: Bc/Kc, s, which determines when flanks that can only push lose contact.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
         seen = model._seen(motion, nonlinear, lag)
         return model._read(motion, model._stacked(seen, nonlinear), nonlinear)
 
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
-        """Return what the columns are to make up, (n,) N m: the torque (n,) without what is known of it.
+        """Return the torque (n,), N m, that the columns are fitted to: the measured torque less its known part.
 
-        Where the model remembers, neither has the part that the unknown state at the beginning of a stretch can make.
+        If the model has memory, the part that the unknown state at the beginning of a piece can explain is removed too.
         """
         if motion.whole[0].known.any():
             seen = self._through_cell(motion, nonlinear)
@@ -192,11 +199,13 @@ class CouplingModel:
         *,
         changing: Motion | None = None,
     ) -> Array:
-        """Return how the torque changes with each nonlinear parameter: (n, q), N m per unit, at (q,) and genes (p,).
+        """Return the derivative of the torque by each nonlinear parameter, (n, q), N m per unit, at (q,) and genes
+        (p,).
 
-        torque: (n,) N m, as read, None for the model's own: where the model remembers, what the beginnings make of it
-        changes too. changing: how fast the motion changes, per second; None: interpolated. Where flanks meet, the
-        damping torque jumps, and where the joint turns, its friction; what that adds at single samples is left out.
+        torque (n,): N m, as read; None: the model's own. If the model has memory, the part explained by unknown
+        beginnings changes too. changing: the time derivative of the motion, per second; None: interpolated. Where
+        flanks meet the damping torque jumps, and where the joint reverses friction does; the contribution of these
+        jumps at single samples is left out.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
         seen = model._seen(motion, nonlinear, lag)
@@ -223,7 +232,7 @@ class CouplingModel:
         return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
 
     def _beside(self, nonlinear: Array, at: int) -> Array:
-        """The nonlinear parameters (2, q) a little below and above, of one of them."""
+        """Return the nonlinear parameters (2, q) with one of them a little lower, and a little higher."""
         parameter = self.nonlinear[at]
         never_zero = parameter.positive and parameter.absent is None
         step = STEP * max(abs(nonlinear[at]), 0.0 if never_zero else SMALLEST)
@@ -233,7 +242,9 @@ class CouplingModel:
         return beside
 
     def _torque(self, motion: Motion, seen: _Seen | None, nonlinear: Array, genes: Array, *, lag: float) -> Array:
-        """The torque (n,), N m, of a motion, with what the beginnings make; seen: with the same delay, if it was."""
+        """Return the torque (n,), N m, of a motion, with the part of the beginnings; seen: regressors with the same
+        delay, if known.
+        """
         moved = self._seen(motion, nonlinear, lag, seen)
         torque = self._stacked(moved, nonlinear) @ genes + moved.near.motion.known
         return self._behind_cell(motion, torque, nonlinear)
@@ -245,7 +256,7 @@ class CouplingModel:
 
     @cached_property
     def _places(self) -> tuple[tuple[Term, slice], ...]:
-        """Each term that has nonlinear parameters, and which of the model's (q,) they are."""
+        """Return each term with nonlinear parameters, and the slice of the model's (q,) that they are."""
         found, at = [], 0
         for term in self.terms:
             count = sum(parameter.nonlinear for parameter in term.parameters)
@@ -254,11 +265,11 @@ class CouplingModel:
         return tuple(found)
 
     def _valued(self, nonlinear: Array | None) -> list[tuple[Term, Array]]:
-        """Each term that has nonlinear parameters, with its own of these (q,)."""
+        """Return each term with nonlinear parameters, with its own values out of these (q,)."""
         return [] if nonlinear is None else [(term, nonlinear[own]) for term, own in self._places]
 
     def _seen(self, motion: Motion, nonlinear: Array | None, lag: float, delayed: _Seen | None = None) -> _Seen:
-        """The regressors; delayed: those of other parameters with the same delay."""
+        """Return the regressors; delayed: those of other parameters with the same delay."""
         whole, delay = motion.whole[0], self.delay(nonlinear)
         motion = self._through_cell(motion, nonlinear)
         shown = delayed.near.motion if delayed else motion.delayed(delay)
@@ -275,7 +286,7 @@ class CouplingModel:
     def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
         """Return a torque (m,) or columns (m, p) as the torque cell reads them, at the samples of the motion (n,).
 
-        Where there is a cell, they are of all samples.
+        With a torque cell in the model, m counts all samples.
         """
         cells = [(term.cell, values) for term, values in self._valued(nonlinear) if term.cell is not None]
         for number, (cell, values) in enumerate(cells, start=1):
@@ -283,11 +294,13 @@ class CouplingModel:
         return torque
 
     def _read(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
-        """A torque (m,) or columns (m, p) of it as they are read, (n,) or (n, p), as far as they are known."""
+        """Return the known part of a torque (m,) or columns (m, p) as they are read, (n,) or (n, p)."""
         return self._known(motion, self._behind_cell(motion, torque, nonlinear), nonlinear)
 
     def _known(self, motion: Motion, values: Array, nonlinear: Array | None) -> Array:
-        """Values (n,) or (n, p) without what the unknown state at the beginning of a stretch can make."""
+        """Return values (n,) or (n, p) without the part that the unknown state at the beginning of a piece can
+        explain.
+        """
         if nonlinear is None or not any(term.forgets is not None for term, _ in self._places):
             return values
         valued = self._valued(nonlinear)
@@ -298,7 +311,7 @@ class CouplingModel:
         return without_beginnings(values, begun)
 
     def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
-        """The motion, seen as it was the delay before, beyond the gap or slack."""
+        """Return the regressors of the motion, delayed, without gap or slack."""
         angle, contact, load, softness = seen.dtheta, np.ones(len(motion)), None, self.smoothing or 0.0
         damped = not any(term.spares_dampers for term in self.terms)
         for term, values in self._valued(nonlinear):
@@ -316,14 +329,16 @@ class CouplingModel:
         return Regressors(elapsed, seen, angle, contact, load, damped, softness, self.middle or 0.0, np.empty(0))
 
     def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
-        """Each term, whether it bends, and its own of the parameters (q,); without them only those that have none."""
+        """Yield each term, whether it bends, and its own of the parameters (q,); without them, only terms that have
+        none.
+        """
         valued = {term.name: values for term, values in self._valued(nonlinear)}
         for term, bends in zip(self.terms, self.bends, strict=True):
             if term.linear or nonlinear is not None:
                 yield term, bends, valued.get(term.name, np.empty(0))
 
     def _pushed(self, regressors: Regressors, nonlinear: Array | None, genes: Array, moved: Array) -> Array:
-        """Return the change of the torque, N m, for a change of the deflection by `moved` (n,) rad and genes (p,)."""
+        """Return the change of the torque, N m, when the deflection changes by `moved` (n,), rad, at genes (p,)."""
         parts, at = [], 0
         for term, _, own in self._present(nonlinear):
             count = sum(not parameter.nonlinear for parameter in term.parameters)
@@ -334,7 +349,7 @@ class CouplingModel:
         return np.asarray(sum(parts[1:], start=parts[0]))
 
     def _stacked(self, seen: _Seen, nonlinear: Array | None, changing: tuple[Motion, Motion] | None = None) -> Array:
-        """The columns, or how fast they change in time."""
+        """Return the columns, or their time derivatives."""
         columns: list[Array] = []
         for term, bends, values in self._present(nonlinear):
             reaches = _reaches(seen.motion, term, bends=bends)
@@ -351,14 +366,14 @@ class CouplingModel:
 
 
 def _reaches(motion: Motion, term: Term, *, bends: bool) -> bool:
-    """Whether a term's torque depends on other samples: its own state remembers, or it passes a filter with them."""
+    """Return whether a term's torque depends on other samples, through its own state or a filter."""
     return term.forgets is not None or (bends and motion.behind is not None)
 
 
 def parse(name: str) -> CouplingModel:
     """Return the model of a name such as "linear+offset+coulomb"; the order of the terms does not matter.
 
-    Raises ValueError as `ga.model.terms.canonical`, and for a term that shapes a friction which is not there.
+    Raises ValueError as `ga.model.terms.canonical`, and for a term that shapes a friction which the model lacks.
     """
     model = CouplingModel(canonical(name))
     for term in (term for term in model.terms if term.smooths and lacking(term.name, model.name.split("+"))):

@@ -1,4 +1,4 @@
-"""The terms that lose the coupling's energy at once, beside Bc, and inertia."""
+"""The terms of friction, which dissipates energy beside Bc, and of inertia."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 MOST_FRICTION: Final = 0.9
-"""Part of the torque that a tendon may lose in its sheath."""
+"""The largest fraction of the torque that a tendon may lose in its sheath."""
 
 PRETENSION: Final = 2.0
-"""Times the range of the motion, by which a tendon under tension may be pulled beyond where it carries no torque."""
+"""How far beyond the motion the place without torque may lie for a tendon under tension, in ranges of the motion."""
 
 FALLS: Final = (0.02, 1.5)
-"""Rate over which friction falls from its value at rest, as a part of the rate of which damping is felt, at least and
-at most."""
+"""The rate over which friction falls from its value at rest, smallest and largest, relative to the rate that dominates
+damping (`felt`).
+"""
 
 
 TURNS: Final = (0.002, 0.6)
-"""Rate over which friction turns where it does so smoothly, as a part of that rate, at least and at most: over more, it
-is damping."""
+"""The rate over which friction reverses smoothly, smallest and largest, relative to the same rate; above it, it equals
+damping.
+"""
 
 
 def _sign(regressors: Regressors) -> tuple[Array, ...]:
@@ -57,7 +59,7 @@ def _squaring(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
 
 
 def _loaded(angle: Array, motion: Motion, lag: float, smoothing: float, values: Array) -> Array:
-    """1 + mu where the tendon is pulled further, 1 - mu where it is let back."""
+    """Return 1 + mu where the tendon is pulled further, 1 - mu where it is released."""
     import numpy as np
 
     rate = motion.dtheta_dot
@@ -66,19 +68,21 @@ def _loaded(angle: Array, motion: Motion, lag: float, smoothing: float, values: 
 
 
 def capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    """Return the least and the largest part of the torque that is friction, and place, rad, that carries none."""
+    """Return the bounds of the fraction of the torque that is friction, and of the place, rad, that carries no
+    torque.
+    """
     least, most = float(motion.dtheta.min()), float(motion.dtheta.max())
     beyond = PRETENSION * (most - least)
     return (0.0, MOST_FRICTION), (least - beyond, most + beyond)
 
 
 def felt(rate: Array) -> float:
-    """Return the rate, rad/s, of which damping is felt: the r.m.s. of rates (n,), weighed by their squares."""
+    """Return the rate, rad/s, that dominates damping: the r.m.s. of rates (n,), weighted by their squares."""
     return float(((rate**4).sum() / (rate**2).sum()) ** 0.5) if rate.any() else 0.0
 
 
 def stribeck_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    """Return the least and the largest rate, rad/s, over which friction falls."""
+    """Return the smallest and the largest rate, rad/s, over which friction falls."""
     usual = felt(motion.dtheta_dot)
     return ((FALLS[0] * usual, FALLS[1] * usual),)
 
@@ -96,7 +100,7 @@ def _falling_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
 
 
 def turning_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    """Return the least and the largest rate, rad/s, over which friction turns where it does so smoothly."""
+    """Return the smallest and the largest rate, rad/s, over which friction reverses smoothly."""
     usual = felt(motion.dtheta_dot)
     return ((TURNS[0] * usual, TURNS[1] * usual),)
 
@@ -112,7 +116,7 @@ COULOMB: Final = Term(
 
 
 def _rate_over(name: str, meaning: str, starts: tuple[float, ...]) -> Parameter:
-    """The rate, rad/s, over which friction changes."""
+    """Return the parameter of a rate, rad/s, over which friction changes."""
     return Parameter(name, "rad/s", meaning, scales=False, absent=None, positive=True, nonlinear=True, starts=starts)
 
 

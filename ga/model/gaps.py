@@ -1,4 +1,4 @@
-"""The terms of a gap: backlash, a dead band, and a tendon that is slack. They take a part of the deflection away."""
+"""The terms of a gap: backlash, a dead band, and a slack tendon. They subtract a part of the deflection."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 WIDEST_GAP: Final = 0.95
-"""Part of the whole deflection that a gap or slack may take."""
+"""The largest fraction of the whole deflection that a gap or slack may take."""
 
 GAPS: Final = ("backlash", "deadband", "slack")
-"""The terms of one gap, of which a model has one."""
+"""The terms of a gap; a model has at most one of them."""
 
 
 def _others(name: str) -> tuple[str, ...]:
@@ -73,7 +73,7 @@ def _slack_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float],
 
 
 def extent(motion: Motion) -> tuple[float, float]:
-    """Return the least deflection of a motion, rad, and how far it reaches from there."""
+    """Return the smallest deflection of a motion, rad, and its range from there, rad."""
     least = float(motion.dtheta.min())
     return least, float(motion.dtheta.max() - motion.dtheta.min())
 

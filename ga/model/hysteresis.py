@@ -1,4 +1,4 @@
-"""The terms of friction that builds up over a deflection: a part of the torque that remembers."""
+"""The terms of friction that builds up over a deflection: a part of the torque with memory."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 REACHES: Final = (0.002, 0.8)
-"""Deflection over which friction builds up, as a part of the whole, at least and at most."""
+"""The deflection over which friction builds up, smallest and largest, as a fraction of the whole deflection."""
 
 MOST_RISE: Final = 2.0
-"""Part of the friction at speed by which it may be higher at rest."""
+"""How much higher friction may be at rest than at speed, as a fraction of the latter."""
 
 
 def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
@@ -67,7 +67,7 @@ def _bristles_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]
 
 
 def _loaded(angle: Array, motion: Motion, lag: float, _smoothing: float, values: Array) -> Array:
-    """1 + mu long after a reversal if the load grows, 1 - mu if it falls; values: mu first, and reach last."""
+    """Return 1 + mu long after a reversal if the load grows, 1 - mu if it falls; values: mu first, and reach last."""
     import numpy as np
 
     level = motion.presliding(float(values[-1]))
@@ -75,7 +75,7 @@ def _loaded(angle: Array, motion: Motion, lag: float, _smoothing: float, values:
 
 
 def _loaded_at_first(motion: Motion, own: Array) -> Array:
-    """How much (n,) of the state that a stretch began with acts on each sample, in proportion to the load."""
+    """Return the remaining weight (n,) of a piece's initial state at each sample, in proportion to the load."""
     import numpy as np
 
     _, rest, reach = own
@@ -83,7 +83,7 @@ def _loaded_at_first(motion: Motion, own: Array) -> Array:
 
 
 def _over(name: str, about: str) -> Parameter:
-    """The deflection, rad, over which a torque builds up after a reversal."""
+    """Return the parameter of a deflection, rad, over which a torque builds up after a reversal."""
     starts = (0.005, 0.02, 0.06, 0.2, 0.6)
     return Parameter(name, "rad", about, scales=False, absent=None, positive=True, nonlinear=True, starts=starts)
 

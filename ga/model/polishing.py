@@ -1,4 +1,4 @@
-"""The last part of a fit of nonlinear parameters: along the directions in which descents end too early."""
+"""The last stage of a fit of nonlinear parameters: a search along the directions in which descents end too early."""
 
 from __future__ import annotations
 
@@ -26,17 +26,19 @@ _POLISHED: Final = 1e-5
 _PLACES: Final = 10
 _CLOSE: Final = 0.01
 _DEPENDENT: Final = 1e-6
-"""Of a polish: how far it looks, in standard errors, at first, from round to round, and at last; rounds at most; the
-part of the fitness that one must gain for the next to look as far; places on a line, at most, and how close they may be
-to each other, in standard errors; the part of a column that must be its own."""
+"""Settings of a polish: how far it looks, in standard errors, at first, from round to round, and at last; the most
+rounds; the fraction of the fitness that a round must gain for the next one to look as far; the most points on a
+line, and their smallest distance, in standard errors; and the fraction of a column that must be independent of the
+others.
+"""
 
 
 def polished(problem: Problem, best: Fit, reach: float = _REACH) -> Fit:
-    """Return the local minimum near a fit, where descents in all parameters at once end early.
+    """Return the local minimum near a fit, for parameters in which descents end early.
 
-    Two parameters that are much alike, as a skew and a lag, make a long, bent trough. It is followed by a search along
-    each direction in which the data determine the parameters well or badly, as far as they leave them uncertain, with
-    steps back to the floor in the directions that are determined better. reach: how far, in standard errors.
+    Two nearly collinear parameters, such as a skew and a lag, make a long, curved valley of the fitness. A search
+    follows it along each direction, from well to badly determined, as far as the data leave that direction uncertain,
+    with steps back to the valley floor in the better determined directions. reach: how far, in standard errors.
     """
     for _ in range(_ROUNDS if problem.low.size else 0):
         if reach < _NEAREST:
@@ -51,7 +53,7 @@ def polished(problem: Problem, best: Fit, reach: float = _REACH) -> Fit:
 
 
 def _weak_directions(problem: Problem, best: Fit) -> Array:
-    """The directions (k, q), the best determined first, each one standard error of independent residuals long."""
+    """Return the directions (k, q), best determined first, each one standard error of independent residuals long."""
     columns, _ = problem.linearised(best)
     count = problem.low.size
     linear, jacobian = columns[:, :-count], columns[:, -count:]
@@ -66,9 +68,9 @@ def _weak_directions(problem: Problem, best: Fit) -> Array:
 
 
 def _lowest_along(problem: Problem, best: Fit, direction: Array, across: Array, reach: float) -> tuple[Fit, bool]:
-    """Return the lowest fit seen on a way through another one, and whether that is at an end of the way.
+    """Return the lowest fit found along a direction, and whether it lies at an end of the searched range.
 
-    Each next place is the lowest of the parabola through the lowest one seen and those next to it.
+    Each next point is the minimum of the parabola through the lowest point so far and its neighbours.
     """
     start, seen = best.nonlinear, {0.0: best}
     tried = [-reach, reach]
@@ -82,7 +84,7 @@ def _lowest_along(problem: Problem, best: Fit, direction: Array, across: Array, 
 
 
 def _next_places(seen: Mapping[float, Fit], lowest: float) -> list[float]:
-    """Return where to look next, nothing where the lowest place is at an end or close to what was seen."""
+    """Return the next points to try; [] if the lowest is at an end or close to points already tried."""
     parts = sorted(seen)
     at = parts.index(lowest)
     if at in (0, len(parts) - 1):
@@ -95,9 +97,9 @@ def _next_places(seen: Mapping[float, Fit], lowest: float) -> list[float]:
 
 
 def _floor(problem: Problem, nonlinear: Array, near: Fit, across: Array) -> Fit:
-    """Return the fit after a Gauss-Newton step from nonlinear parameters (q,), in directions `across` (k, q).
+    """Return the fit after a Gauss-Newton step from nonlinear parameters (q,), in the directions `across` (k, q).
 
-    Where no optimum is proven, it is the fit before the step, or the one near, so that the search goes on.
+    If no optimum can be proven there, it is the fit before the step, or the one near, so that the search continues.
     """
     best = near
     try:
@@ -108,7 +110,7 @@ def _floor(problem: Problem, nonlinear: Array, near: Fit, across: Array) -> Fit:
 
 
 def _stepped(problem: Problem, best: Fit, across: Array) -> Fit:
-    """Return the fit after that step from another fit."""
+    """Return the fit after one such step from another fit."""
     columns, target = problem.linearised(best)
     count = len(best.nonlinear)
     linear, jacobian = columns[:, :-count], columns[:, -count:]

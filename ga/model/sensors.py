@@ -1,4 +1,4 @@
-"""The terms of what the sensors do: offset, drift, skew and lag of the torque reading."""
+"""The terms of the sensors: offset, drift, skew and lag of the torque reading."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 LONGEST_SKEW: Final = 0.02
-"""s between two readings of one tick, at most."""
+"""The longest time between the two readings of one tick, s."""
 
 LONGEST_LAG: Final = 0.05
-"""s, of a torque cell, at most: 3 Hz."""
+"""The longest time constant of a torque cell, s: 3 Hz."""
 
 
 LONGEST_MEAN: Final = 0.1
-"""s, over which a torque reading is a mean, at most."""
+"""The longest time over which a torque reading is a mean, s."""
 
 TICKS_LATE: Final = 10.0
-"""Ticks by which a filter may delay the torque reading, where that is more than `LONGEST_SKEW`."""
+"""Ticks by which a filter may delay the torque reading, if that is longer than `LONGEST_SKEW`."""
 
 
 def _still(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:

@@ -1,9 +1,9 @@
-"""Fits of models with nonlinear parameters by variable projection: these are searched, the linear ones solved inside.
+"""Fit models with nonlinear parameters by variable projection: these are searched, the linear ones solved for inside.
 
-For given nonlinear parameters (skew, gap, slack) the fitness is a least-absolute-deviations problem, and its exact
-minimum is their fitness. `best_start` looks for the lowest local minimum from a few starting values; `descend` goes to
-the local minimum next to any point (Gauss-Newton with the exact solver as its step; Osborne and Watson 1971), and
-`compass_search` further down where breaks make the fitness too rough for that.
+For given nonlinear parameters (such as skew, gap, slack) the fit is a least-absolute-deviations problem, and its exact
+minimum is their fitness. `best_start` looks for the lowest local minimum from a few starting values. `descend` goes to
+the local minimum next to any point (Gauss-Newton with the exact solver as its step; Osborne and Watson 1971).
+`compass_search` goes further down where breaks make the fitness too rough for that.
 """
 
 from __future__ import annotations
@@ -32,25 +32,29 @@ if TYPE_CHECKING:
 
 FEW: Final = 600
 ENOUGH: Final = 2500
-"""Rows on which local minima are compared, and those on which one is located before all rows are used."""
+"""The rows on which local minima are compared, and the rows on which one is located before all rows are used."""
 
 _AGREEMENTS: Final = 8
 _AGREED: Final = 1e-3
-"""How often, at most, and to what part the lag of flanks is found again from the fit that it led to."""
+"""How often, at most, and to what precision the contact of flanks is recomputed from the fit that it led to."""
 
 _ALIKE: Final = 1.0 - 1e-6  # of a fitness: what differs by less has the same columns
 
 _STEPS: Final = 20
 _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-7
-"""Part of the fitness that a step gains, and of the bounds' width that it is long, at which a descent has arrived."""
+"""A descent has converged when a step gains less than this fraction of the fitness and is shorter than this fraction of
+the bounds' width.
+"""
 
 _NEARLY: Final = 1e-5  # the same where the minimum on some rows is only to begin at, or to be compared
 
 _FIRST: Final = 8e-3
 _FINE: Final = 1e-3
 _LAST: Final = 1e-5
-"""The steps of a compass, from and to, as parts of the bounds' width; from the middle one on they shrink faster."""
+"""The first and last steps of a compass search, as fractions of the bounds' width; from the middle one on they shrink
+faster.
+"""
 
 _FEW_STEPS: Final = 8  # of a compass, after which their common direction is known
 
@@ -73,9 +77,9 @@ class SeparableModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A local minimum: nonlinear parameters (q,), and the optimum of the columns for them, its genes (p,).
+    """A local minimum: nonlinear parameters (q,), and the linear ones that are optimal for them, its genes (p,).
 
-    lag: s, Bc/Kc of these genes where the model's flanks can only push, else 0.
+    lag: Bc/Kc of these genes, s, if the model has flanks that can only push, else 0.
     """
 
     nonlinear: Array
@@ -95,7 +99,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A fit, and the columns (n, p) and target (n,) that it was solved with; many megabytes, which nothing may keep."""
+    """A fit with the columns (n, p) and target (n,) that it was solved with; many megabytes, never to be kept."""
 
     fit: Fit
     columns: Array
@@ -114,20 +118,19 @@ class Problem:
 
     @cached_property
     def positive(self) -> tuple[int, ...]:
-        """The linear parameters that physics allows no negative value of."""
+        """Return the indices of the linear parameters that cannot be negative."""
         return positive_among(self.model.linear)
 
     def solve(self, nonlinear: Array, near: Fit | None = None, agreements: int = _AGREEMENTS) -> Fit:
-        """Return the exact minimum for nonlinear parameters (q,), with no gene negative that cannot be.
+        """Return the exact minimum for nonlinear parameters (q,), with the genes that cannot be negative constrained.
 
-        Raises RuntimeError where no optimum can be proven.
-        near: the fit for values close by, to begin with. When flanks part depends on Bc/Kc, which the minimum gives:
-        both are repeated until they agree, `agreements` times at most.
+        near: the fit for similar values, to begin with. If contact depends on Bc/Kc, which the minimum determines, the
+        two are repeated until they agree, at most `agreements` times. Raises RuntimeError if no optimum can be proven.
         """
         return self._solved(nonlinear, near, agreements).fit
 
     def _solved(self, nonlinear: Array, near: Fit | None = None, agreements: int = _AGREEMENTS) -> _Solved:
-        """Do what `solve` does, and return what was solved too, for a step from there."""
+        """Do what `solve` does, and also return what was solved, for a step from there."""
         target, lag = self.model.target(self.motion, self.torque, nonlinear), near.lag if near else 0.0
         if not self.model.linear:
             optimum = Optimum(np.empty(0), float(np.mean(np.abs(target))), 0.0, True, resolution(self.torque))
@@ -154,7 +157,7 @@ class Problem:
         return self.of(slice(None, None, max(1, len(self.torque) // rows)))
 
     def sketched(self) -> Problem:
-        """Return the problem on a few rows, in a motion no denser than it needs: to find a place to descend from."""
+        """Return the problem on a few rows of a motion just dense enough, for finding a starting point."""
         motion, rows = self.motion.coarser(FEW)
         return replace(self, motion=motion, torque=self.torque[rows]).thinned(FEW)
 
@@ -179,7 +182,7 @@ class Problem:
 
 
 def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the lowest local minimum found; near: some nonlinear parameters by name, where they are roughly known.
+    """Return the lowest local minimum found. near: nonlinear parameters that are roughly known, by name.
 
     Raises RuntimeError as `Problem.solve`.
     """
@@ -189,7 +192,7 @@ def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> F
 
 
 def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the local minimum next to nonlinear parameters (q,); near: those of a smaller model's fit, by name.
+    """Return the local minimum next to nonlinear parameters (q,). near: those of a smaller model's fit, by name.
 
     Raises RuntimeError as `Problem.solve`.
     """
@@ -199,7 +202,9 @@ def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = Ma
 
 
 def at_least_contained(problem: Problem, found: Fit, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return a fit, or if a model that it contains is better, the local minimum next to that; near: a smaller fit's."""
+    """Return the fit, or if a contained model is better, the local minimum next to that. near: a smaller model's
+    fit.
+    """
     for nonlinear in _contained(problem, found, near):
         seen = solve_or_none(problem, nonlinear, found)
         if seen is not None and seen.fitness < found.fitness:
@@ -209,9 +214,9 @@ def at_least_contained(problem: Problem, found: Fit, near: Mapping[str, float] =
 
 
 def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Iterator[Array]:
-    """The nonlinear parameters (q,) of the models contained, as far as they are within the bounds.
+    """Yield the nonlinear parameters (q,) of the contained models, as far as they are within the bounds.
 
-    A parameter that no value removes keeps its own: another one of its term removes both.
+    A parameter without an absent value keeps its value: another parameter of its term removes both.
     """
     parameters, values = problem.model.nonlinear, found.nonlinear.tolist()
     absent = [value if one.absent is None else one.absent for one, value in zip(parameters, values, strict=True)]
@@ -224,7 +229,7 @@ def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Itera
 
 
 def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the local minimum that the best of a few starting values leads to; near: those roughly known."""
+    """Return the local minimum reached from the best of a few starting values. near: those roughly known."""
     tried = []
     for parameter, low, high in zip(problem.model.nonlinear, problem.low, problem.high, strict=True):
         parts, name = np.array(parameter.starts), parameter.name
@@ -243,12 +248,12 @@ def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({}
 
 
 def _other_starts(problem: Problem, first: Fit, best: Fit, starts: list[Fit]) -> list[Fit]:
-    """The next start where the descent from the first of them gained nothing; and the best one inside.
+    """Return further starting fits: the next one if the descent from the first gained nothing, and the best one inside
+    the bounds.
 
-    first and best: the fits at the beginning and at the end of that descent.
-    Starts alike, as those of a gap of zero wherever its middle is, are one. A delay and a damping can stand for each
-    other to the second order, one of the two negative: where a descent ends at a bound, the optimum may be one that
-    none keeps from it.
+    first and best: the fits at the beginning and at the end of that descent. Starts with equal fits, such as those of a
+    zero gap wherever its middle is, count once. A delay and a damping can replace each other to second order with one
+    of them negative: if a descent ends at a bound, the optimum may be reached from a start that is at none.
     """
     if problem.model.needs_ratio:  # with the ratio at the end
         first = problem.solve(first.nonlinear, best)
@@ -268,9 +273,9 @@ def _fitness(found: Fit) -> float:
 
 
 def solve_or_none(problem: Problem, nonlinear: Array, near: Fit | None) -> Fit | None:
-    """Return the minimum for nonlinear parameters (q,); None where the columns are too much alike.
+    """Return the minimum for nonlinear parameters (q,); None if the columns are nearly collinear.
 
-    The flanks part as in the fit `near`, if it is given, which is enough to compare local minima.
+    Contact is that of the fit `near`, if given, which is enough to compare local minima.
     """
     try:
         return problem.solve(nonlinear, near, agreements=0 if near else _AGREEMENTS)
@@ -281,7 +286,8 @@ def solve_or_none(problem: Problem, nonlinear: Array, near: Fit | None) -> Fit |
 def descend(problem: Problem, start: Array, converged: float = _CONVERGED) -> Fit:
     """Return the local minimum next to nonlinear parameters (q,), within the bounds.
 
-    converged: the part of the fitness that a step gains, and of the bounds' width that it is long, at the end.
+    converged: the fraction of the fitness that a step gains, and its length as a fraction of the bounds' width, at the
+    end.
     """
     return _descent(problem, start, converged)[1]
 
@@ -307,7 +313,9 @@ def _descent(problem: Problem, start: Array, converged: float) -> tuple[Fit, Fit
 
 
 def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
-    """Return the fit after the first of ever shorter steps that goes down, with what it was solved with."""
+    """Return the fit after the first of successively shorter steps that lowers the fitness, with what it was solved
+    with.
+    """
     for halving in range(_HALVINGS):
         nonlinear = np.clip(best.nonlinear + step * 0.5**halving, problem.low, problem.high)
         if np.array_equal(nonlinear, best.nonlinear):
@@ -319,9 +327,9 @@ def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
 
 
 def _solved_or_none(problem: Problem, nonlinear: Array, near: Fit) -> _Solved | None:
-    """Return the fit for nonlinear parameters (q,), with what it was solved with; None where no optimum is proven.
+    """Return the fit for nonlinear parameters (q,), with what it was solved with; None if no optimum is proven.
 
-    A step that cannot be solved is no better than where it began, and ends no search.
+    A step that cannot be solved counts as no improvement, and does not end the search.
     """
     try:
         return problem._solved(nonlinear, near)
@@ -330,10 +338,10 @@ def _solved_or_none(problem: Problem, nonlinear: Array, near: Fit) -> _Solved | 
 
 
 def compass_search(problem: Problem, best: Fit) -> Fit:
-    """Return the local minimum where breaks make the fitness rough: both ways along each, with ever smaller steps.
+    """Return the local minimum of a fitness made rough by breaks: both ways along each parameter, with shrinking steps.
 
-    Where the minimum is long and narrow, a few steps say where it leads, and ever larger ones follow that (Hooke and
-    Jeeves 1961).
+    Where the minimum is long and narrow, a few steps show its direction, and growing steps follow it (Hooke and Jeeves
+    1961).
     """
     steps, length, path = _rough(problem), _FIRST, [best]
     while len(steps) and length > _LAST:
@@ -351,7 +359,7 @@ def compass_search(problem: Problem, best: Fit) -> Fit:
 
 
 def _further(problem: Problem, first: Fit, best: Fit) -> Fit:
-    """Return the lowest fit on the line from a first fit through the best one, with steps that double."""
+    """Return the lowest fit on the line from a first fit through the best one, with doubling steps."""
     step = best.nonlinear - first.nonlinear
     while True:
         tried = _solved_or_none(problem, np.clip(best.nonlinear + step, problem.low, problem.high), best)
@@ -361,9 +369,10 @@ def _further(problem: Problem, first: Fit, best: Fit) -> Fit:
 
 
 def _rough(problem: Problem) -> Array:
-    """Return the directions (k, q) in which breaks make the fitness rough, each as long as the bounds are wide.
+    """Return the nonlinear parameters along which the fitness has many local minima, as vectors (k, q) scaled to their
+    bounds.
 
-    Where a gap begins and where it ends have effects of their own: it is these that are moved.
+    The two ends of a gap have separate effects, so the directions move one end each.
     """
     nonlinear = problem.model.nonlinear
     names = [parameter.name for parameter in nonlinear]

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _FEWEST: Final = 4
-"""Knots, below which there is one polynomial through all."""
+"""The number of knots below which a single polynomial passes through all of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """Curves between knots (n,) s, rising. parts (n-1, k, m): coefficients of the polynomials, the constant first."""
+    """Curves through knots (n,), s, rising. parts (n-1, k, m): coefficients of the polynomials, the constant first."""
 
     knots: Array
     parts: Array
@@ -47,13 +47,13 @@ class Spline:
         return found
 
     def changing(self) -> Spline:
-        """Return how fast the curves change."""
+        """Return the time derivatives of the curves."""
         orders = np.arange(1.0, self.parts.shape[2])
         return Spline(self.knots, np.ascontiguousarray(self.parts[..., 1:] * orders))
 
 
 def _slopes(knots: Array, values: Array) -> Array:
-    """The slopes (k, n) with which the second derivative is continuous, and the third beside the ends."""
+    """Return the slopes (k, n) that make the second derivative continuous, and the third one beside the ends."""
     if len(knots) < _FEWEST:
         return np.asarray(np.gradient(values, knots, axis=1, edge_order=2 if len(knots) > 2 else 1))
     from scipy.linalg import solve_banded

@@ -1,6 +1,6 @@
 """The terms that store the coupling's energy: springs and Maxwell branches.
 
-Kc is the relaxed stiffness: with Maxwell branches, what is left of it long after a step.
+Kc is the relaxed stiffness: with Maxwell branches, the stiffness that remains long after a step.
 """
 
 from __future__ import annotations
@@ -19,16 +19,22 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 LONGEST_RELAXATION: Final = 10.0
-"""s, of a Maxwell branch, at most, and half the recording; or `LONGEST_ONCE` and a tenth of it."""
+"""The longest relaxation time of a Maxwell branch, s, and as a fraction of the recording; see `LONGEST_ONCE` for the
+alternative.
+"""
 
 LONGEST_ONCE: Final = 0.5
-"""s, of a Maxwell branch in a motion that does not repeat: a slower one looks like friction or a drift there."""
+"""The longest relaxation time, s, in a motion that does not repeat: a slower branch looks like friction or a drift
+there.
+"""
 
 STEEPEST: Final = 6.0
-"""Exponent times the largest deflection, at most: the stiffness rises e^6 times as fast there as at rest."""
+"""The largest product of exponent and deflection: the stiffness rises e^6 times as fast there as at rest."""
 
 SHORTEST_RELAXATION: Final = 0.02
-"""Of a Maxwell branch, as a part of the shortest period: a shorter one is a damping."""
+"""The shortest relaxation time of a Maxwell branch, in shortest periods of the motion: below it, it equals a
+damping.
+"""
 
 _SMALL_STRETCH: Final = 1e-3  # below which the first powers of an exponential are enough
 
@@ -60,14 +66,14 @@ def _furthest(motion: Motion) -> float:
 
 
 def risen(angle: Array, exponent: float) -> Array:
-    """Return how far, rad, a stiffness has risen at deflections (n,), rad: (e^u - 1)/exponent, u = exponent x angle."""
+    """Return (e^u - 1)/exponent, rad, with u = exponent x angle, at angles (n,), rad: the rise of the stiffness."""
     import numpy as np
 
     return angle if exponent == 0.0 else np.expm1(exponent * angle) / exponent
 
 
 def _lifted(angle: Array, exponent: float) -> Array:
-    """What that adds to the torque, (n,) rad^2: 2 (e^u - 1 - u)/exponent^2, angle^2 where u is small."""
+    """Return the torque of that rise, (n,) rad^2: 2 (e^u - 1 - u)/exponent^2, which is angle^2 for small u."""
     import numpy as np
 
     stretch = exponent * angle
@@ -105,7 +111,7 @@ def _turning(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
 
 
 def _unrelaxed(regressors: Regressors, values: Array) -> Array:
-    """Values (n,) of the deflection without what a Maxwell branch has relaxed of them."""
+    """Return values (n,) of the deflection less the part that a Maxwell branch has relaxed."""
     return values - regressors.motion.lagged(values, float(regressors.own[0]))
 
 
@@ -114,7 +120,7 @@ def _relaxing(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
 
 
 def _branch(number: int, needs: str) -> Term:
-    """Return the term of one Maxwell branch: a spring and a damper in series, beside Kc and Bc."""
+    """Return the term of one Maxwell branch: a spring and a damper in series, parallel to Kc and Bc."""
     return Term(
         "maxwell" if number == 1 else f"maxwell{number}",
         "a viscoelastic branch: a spring in series with a damper" if number == 1 else "another viscoelastic branch",

@@ -1,4 +1,4 @@
-"""Where friction may hold the joint, and where it then cannot be distinguished from a spring."""
+"""Where friction may hold the joint, and where its torque cannot be distinguished from that of a spring."""
 
 from __future__ import annotations
 
@@ -13,49 +13,55 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 STUCK: Final = 0.075
-"""Part of the samples, the slowest, in which friction may hold the joint and its sign is not known."""
+"""The fraction of the samples, the slowest, in which friction may hold the joint, so that its sign is unknown."""
 
 RESTS: Final = 10.0
 QUIET: Final = 0.05
-"""Times the rate's noise, below which the joint rests where many samples are as slow, and part of the r.m.s. rate up to
-which so much noise is little: a motion that passes through zero is that slow in 4 % of the samples or fewer."""
+"""The joint rests where many samples are slower than this many times the rate's noise, if that is below this fraction
+of the r.m.s. rate. In motion through zero at most 4 % of the samples are so slow.
+"""
 
 AT_REST: Final = 0.9
 FROM_REST: Final = 0.01
-"""Of what a low-pass makes of a sample, the part that comes from samples in which friction may hold the joint: from
-which on the joint rests there, and up to which their friction does not matter."""
+"""The weight, in a low-passed sample, of samples in which friction may hold the joint: above the first the joint rests,
+below the second their friction is negligible.
+"""
 
 OFTEN: Final = 0.1
 FROM_ONE_SIDE: Final = 0.8
-"""Part of each move (the median) in which a joint rests, and the correlation of the place with the direction that it
-came from, from which on the friction that holds it there has the torque of a spring."""
+"""The fraction of each move (median) that is a rest, and the correlation of the place with the direction of arrival,
+above which friction at rest has the torque of a spring.
+"""
 
 LATER: Final = 2
 HIDDEN: Final = {2: 125.0, 3: 50.0}
 OF_SPRING: Final = 0.5
-"""Samples between two places; the variance inflation, by the number of places, from which friction cannot be
-distinguished from a function of these; and the part of it that is then stiffness: of that at the ends of the range.
-With two places it is 190 or more behind drives of first order (what the angle went through rounds the start of each
-move), and 90 or less behind those of second order. With three it is 120 or more behind those of second order that
-hardly overshoot, and 17 or less in other motions."""
+"""Samples between two places; and for each number of places the variance inflation above which friction cannot be
+distinguished from a function of them, and the fraction of it that is then stiffness, at the ends of the range. With
+two places the inflation is 190 or more behind first-order drives (filtering of the angle rounds the start of each
+move) and 90 or less behind second-order ones. With three it is 120 or more behind second-order drives that hardly
+overshoot, and 17 or less in other motions.
+"""
 
 NOISY: Final = 0.5
 FINEST: Final = 0.001
 SMOOTHEST: Final = 0.05
-"""v_s of the Coulomb term as a part of the rate's noise, at least and at most these parts of the r.m.s. rate: a sign
-where friction slides, for 1.3 % of softness takes as much off Bc."""
+"""v_s of the Coulomb term, relative to the rate's noise, and its limits relative to the r.m.s. rate. It must be a sign
+where friction slides: 1.3 % of softness takes 1.3 % off Bc.
+"""
 
 SIGNED: Final = 3.0
 FULL: Final = 0.02
-"""Times v_s, from which the Coulomb term is the sign of the rate: 0.995 of it; and part of the r.m.s. rate, from which
-friction has its full size, however it comes to it."""
+"""The rate, in multiples of v_s, from which the Coulomb term equals the sign of the rate (0.995 of it); and the
+fraction of the r.m.s. rate above which friction has its full size.
+"""
 
 
 def slowest(motion: Motion) -> float:
-    """Return the rate, rad/s, below which friction may hold the joint; zero where its noise hides which samples are.
+    """Return the rate, rad/s, below which friction may hold the joint; 0 if noise hides which samples these are.
 
-    Where it rests, the sign of the rate is that of the noise, and where it comes to rest, the term is softer than
-    friction. It is taken from the data because rates differ by four decades between stands.
+    At rest the sign of the rate is that of its noise, and as the joint comes to rest the term is softer than friction.
+    The rate is taken from the data because rates differ by four decades between stands.
     """
     import numpy as np
 
@@ -69,7 +75,7 @@ def slowest(motion: Motion) -> float:
 
 
 def smoothing(motion: Motion) -> float:
-    """Return v_s, rad/s, of the Coulomb term."""
+    """Return v_s of the Coulomb term, rad/s."""
     import numpy as np
 
     if not len(motion):
@@ -79,10 +85,11 @@ def smoothing(motion: Motion) -> float:
 
 
 def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
-    """Return whether (n,) the joint has turned already, or has not yet, where the rate says otherwise.
+    """Return for which samples (n,) the computed rate has the wrong direction, because the joint reverses there.
 
-    The rate is that of a window. Where the acceleration jumps, the window turns before the joint does, and with it the
-    friction of the samples between. The slope from one neighbour to the other tells, as far as noise does not make it.
+    The rate is that of a window. Where the acceleration jumps, the window reverses before the joint does, and the
+    friction of the samples between has the wrong sign. The slope from one neighbour to the other shows it, as far as
+    noise allows.
     """
     import numpy as np
 
@@ -102,10 +109,10 @@ def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
 
 
 def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether (n,) what the torque went through brings a sample friction from where the joint rests.
+    """Return which samples (n,) contain friction from where the joint rests, spread by the torque's filter.
 
-    held (n,): whether friction may hold the joint. A reversal passes within what the low-pass resolves, and the size
-    of friction is known on both sides of it.
+    held (n,): whether friction may hold the joint. A reversal is short compared with the filter, and the size of
+    friction is known on both sides of it.
     """
     import numpy as np
 
@@ -120,10 +127,10 @@ def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def looks_like_spring(motion: Motion) -> bool:
-    """Return whether friction that holds the joint where it rests would have the torque of a spring there.
+    """Return whether friction at rest would have the torque of a spring in this motion.
 
-    So it has where the joint comes to one place from one side and to another from the other, as in a binary sequence.
-    A chirp is slow at the turning points of its slow end only.
+    It does if the joint reaches one place from one side and another place from the other, as in a binary sequence. A
+    chirp is slow only at the turning points of its slow end.
     """
     import numpy as np
 
@@ -137,14 +144,15 @@ def looks_like_spring(motion: Motion) -> bool:
 
 
 def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
-    """Return whether friction has the torque of more stiffness and damping, or of these and an inertia, in all of it.
+    """Return whether friction has, in the whole motion, the torque of stiffness and damping, or of these and an
+    inertia.
 
-    inertia: or a torque that is read early, whose difference has the torque of damping and an inertia.
+    inertia: whether the model has one, or an early torque reading, which differs by the torque of damping and inertia.
 
-    So it has behind a drive of first order between two places: its rate is in proportion to the way that is left, and
-    friction holds the direction until the next step. The direction is then a linear function of where the joint is, and
-    where it is a few samples later. The rate would not do: beside a step it depends on the window. Behind a drive of
-    second order that hardly overshoots, where it is another few samples later belongs to it.
+    It does behind a first-order drive that moves between two places: the rate is proportional to the remaining way, and
+    friction keeps its direction until the next step. The direction is then a linear function of the place, and of the
+    place a few samples later. The rate itself is not used, because beside a step it depends on the window. Behind a
+    second-order drive that hardly overshoots, the place after a few more samples is needed too.
     """
     import numpy as np
 
@@ -170,14 +178,14 @@ def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
 
 
 def _resting(motion: Motion) -> NDArray[np.bool_]:
-    """In which samples (n,) the joint is as slow as where it rests."""
+    """Return the samples (n,) in which the joint is as slow as at rest."""
     import numpy as np
 
     return np.asarray(np.abs(motion.dtheta_dot) < max(slowest(motion), QUIET * _usual(motion)))
 
 
 def _holding(motion: Motion, resting: NDArray[np.bool_]) -> Array:
-    """The sign (n,) of friction that keeps its direction while the joint is resting (n,)."""
+    """Return the sign (n,) of friction that keeps its direction while the joint rests (n,)."""
     import numpy as np
 
     last = np.maximum.accumulate(np.where(resting, 0, np.arange(len(motion))))  # the sample that moved before
@@ -185,14 +193,14 @@ def _holding(motion: Motion, resting: NDArray[np.bool_]) -> Array:
 
 
 def _moves(sign: Array) -> NDArray[np.int64]:
-    """The number of the move (n,) that each sample is in; a rest belongs to the move before it."""
+    """Return the number of the move (n,) that each sample belongs to; a rest belongs to the move before it."""
     import numpy as np
 
     return np.cumsum(np.diff(sign, prepend=sign[:1]) != 0.0)
 
 
 def _usual(motion: Motion) -> float:
-    """The r.m.s. rate, rad/s."""
+    """Return the r.m.s. rate, rad/s."""
     import numpy as np
 
     return float(np.linalg.norm(motion.dtheta_dot) / np.sqrt(len(motion)))

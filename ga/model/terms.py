@@ -1,4 +1,4 @@
-"""The table of coupling terms, and how models are written with them."""
+"""The table of coupling terms, and the names of models made of them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _terms: Final = {term.name: term for term in _RECORDS}
 _parameters: Final = {p.name: p for t in _RECORDS for p in t.parameters}
 
 TERMS: Final[Mapping[str, Term]] = MappingProxyType(_terms)
-"""Every term by its name, in the order in which a model names them."""
+"""Every term by its name, in the order in which a model's name lists them."""
 
 PARAMETERS: Final[Mapping[str, Parameter]] = MappingProxyType(_parameters)
 """Every parameter by its name."""
@@ -62,17 +62,17 @@ CONSIDERED: Final = tuple(
 """The terms that model selection considers for every recording."""
 
 RARER: Final = tuple(t.name for t in _RECORDS if t.selection == "misfit")
-"""The terms that it considers where a model of those does not describe the recording."""
+"""The terms that model selection considers only if those do not describe the recording."""
 
 
 class UnknownTerm(ValueError):
-    """A model names a term that there is none of; the message lists those there are."""
+    """A model names an unknown term; the message lists the known ones."""
 
 
 def add(term: Term) -> None:
-    """Add a term of another package: it can be named in a model; model selection does not consider it.
+    """Add a term of another package: a model can then name it; model selection does not consider it.
 
-    Raises ValueError where a term or a parameter has its name already.
+    Raises ValueError if a term or a parameter has its name already.
     """
     if TERMS.get(term.name) == (named := replace(term, selection="named")):
         return
@@ -88,8 +88,8 @@ def add(term: Term) -> None:
 def canonical(name: str) -> str:
     """Return the name of a model, such as "linear+offset+coulomb", with its terms in the order of the table.
 
-    Raises UnknownTerm for a term there is none of, ValueError for one named twice, where `linear` is missing or where
-    two exclude each other.
+    Raises UnknownTerm for an unknown term, ValueError for a term named twice, a missing `linear`, or two terms that
+    exclude each other.
     """
     names = [term.strip() for term in name.split("+")]
     for term in names:
@@ -104,23 +104,25 @@ def canonical(name: str) -> str:
 
 
 def is_addable(term: str, terms: Collection[str]) -> bool:
-    """Return whether a model of these terms can have one more: it is not there yet, nor is one that it cannot be with.
+    """Return whether a term can be added to a model of these terms: it is not in it, and none of them excludes it.
 
-    A term without the one that it needs cannot be added either.
+    A term that lacks the one it needs cannot be added either.
     """
     return term not in terms and not lacking(term, terms) and not any(_excluded(term, other) for other in terms)
 
 
 def lacking(term: str, terms: Collection[str]) -> str:
-    """Return the term that another one needs beside these terms; empty where it needs none, or one of them is there."""
+    """Return the term that this one needs in addition to these terms; empty if it needs none or one of them is
+    present.
+    """
     needs = TERMS[term].needs
     return "" if not needs or {needs, *TERMS[term].or_needs}.intersection(terms) else needs
 
 
 def with_another(terms: Collection[str], term: str, *, complete: bool = False) -> tuple[str, ...]:
-    """Return the terms with one more, a rarer one in place of those that it cannot stand beside.
+    """Return the terms with one more; a rare one replaces those that it excludes.
 
-    complete: with the term that it needs, too, unless that is a rarer one.
+    complete: also add the term that it needs, unless that is a rare one.
     """
     others = tuple(other for other in terms if other != term)
     others = _beside((term,), others) if term in RARER else others
@@ -130,14 +132,16 @@ def with_another(terms: Collection[str], term: str, *, complete: bool = False) -
 
 
 def compatible_model(term: str, terms: Collection[str]) -> str:
-    """Return the name of the model of the term, the one that it needs, and those of the terms that can stand beside."""
+    """Return the name of the model of the term, the one that it needs, and those of the terms that it does not
+    exclude.
+    """
     needed = lacking(term, terms) or term
     others = _beside((needed, term), terms)
     return canonical("+".join(dict.fromkeys(("linear", *others, needed, term))))
 
 
 def _beside(given: Collection[str], terms: Collection[str]) -> tuple[str, ...]:
-    """Return those of the terms that can stand beside given ones, and do not lose what they need by that."""
+    """Return those of the terms that the given ones do not exclude, and that keep what they need."""
     kept = tuple(term for term in terms if not any(_excluded(one, term) for one in given))
     lost = [term for term in kept if lacking(term, (*kept, *given)) and not lacking(term, terms)]
     return tuple(term for term in kept if term not in lost)

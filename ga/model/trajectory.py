@@ -23,9 +23,10 @@ V = TypeVar("V")
 
 
 class Filter(Protocol):
-    """What readings went through, each as every other.
+    """The filter that the readings went through, the same for all.
 
-    longest_step: s between two samples, up to which it is possible. of_every: the filter of every so many samples.
+    longest_step: the longest time between two samples, s, at which it is possible. of_every: returns the filter for
+    every n-th sample.
     """
 
     @property
@@ -37,28 +38,34 @@ class Filter(Protocol):
 
 
 FORGOTTEN: Final = 30.0
-"""Times its constant, after which nothing is left of a state to all digits that matter."""
+"""The number of time constants after which a state is gone within floating-point precision."""
 
 _APART: Final = 300.0
-"""Variance of the acceleration over what deflection and rate leave of it, from which the motion is one sine."""
+"""The motion is a single sine if the variance of the acceleration exceeds this many times the part not explained by
+deflection and rate.
+"""
 
 _TINY: Final = 1e-300
 
 _AGAIN: Final = 4
-"""Passes, below which what seems to change in time may as well differ between the directions."""
+"""The number of passes below which a change in time cannot be separated from a difference between the directions."""
 
 _UNSURE: Final = 0.005
 _UNLIKE: Final = 8.0
-"""Part of the r.m.s. value, and times the usual difference or the noise, up to which two windows give one slope."""
+"""The fraction of the r.m.s. value, and the multiple of the usual difference or noise, up to which two windows agree on
+a slope.
+"""
 
 _DENSE: Final = 0.25
-"""Of the time in which the rate changes by itself, up to which samples are close enough to interpolate between."""
+"""The time between samples, relative to that in which the rate changes by its own size, at which they are dense enough
+to interpolate.
+"""
 
 _FEWEST: Final = 50
-"""Samples that each stretch keeps in a coarser motion."""
+"""The number of samples that each piece keeps in a coarser motion."""
 
 _MOST_KEPT: Final = 2
-"""Delays, and models with their parameters, of which what was computed is kept."""
+"""The number of delays, and of models with parameters, whose results are kept."""
 
 _PARTS: Final = ("dtheta", "dtheta_dot", "dtheta_ddot", "known")
 
@@ -68,11 +75,10 @@ class Motion:
     """Arrays of one length (n,): time s, dtheta rad, dtheta_dot rad/s, dtheta_ddot rad/s^2, known N m.
 
     known: the part of the measured torque that is not the coupling's and needs no parameter, such as the motor's own
-    inertia in equation (1). starts: where a new stretch begins, 0 first: a stretch is of one recording and gapless,
-    and nothing is interpolated from one to the next. rate_noise: rad/s, what of the rate is noise; None: unknown.
-    behind: what the torque went through, as all parts of the motion; None: nothing.
-    part_of: the motion that this one is some rows of, and these; None: it is whole.
-    Raises ValueError where the lengths differ.
+    inertia in equation (1). starts: the first sample of each piece, beginning with 0. A piece is a part of one
+    recording without gaps; nothing is interpolated from one to the next. rate_noise: the noise of the rate, rad/s;
+    None: unknown. behind: the filter that the torque and all parts of the motion went through; None: none. part_of: the
+    motion that this one is some rows of, and these rows; None: it is whole. Raises ValueError if the lengths differ.
     """
 
     time: Array
@@ -96,12 +102,14 @@ class Motion:
         return len(self.time)
 
     def __getstate__(self) -> dict[str, object]:
-        """Return what goes to another process: functions cannot, so that the filters are made anew there."""
+        """Return what is sent to another process: functions cannot be sent, so the filters are made anew there."""
         return {name: value for name, value in self.__dict__.items() if name != "_filters"}
 
     @property
     def passes(self) -> int:
-        """How often the joint crossed a quarter of its range, up or down: the quarter that it crossed most often."""
+        """Return how often the joint crossed a quarter of its range, in either direction; the quarter crossed most
+        often counts.
+        """
         import numpy as np
 
         least, span = float(self.dtheta.min()), float(np.ptp(self.dtheta))
@@ -111,23 +119,25 @@ class Motion:
 
     @property
     def repeats(self) -> bool:
-        """Whether it passes its range so often that what changes in time differs from what changes with direction."""
+        """Return whether the motion crosses its range often enough to separate changes in time from those with
+        direction.
+        """
         return self.passes >= _AGAIN
 
     @property
     def has_one_frequency(self) -> bool:
-        """Whether its acceleration follows from deflection and rate, as that of one sine does."""
+        """Return whether the acceleration follows from deflection and rate, as in a single sine."""
         coupling = np.stack([self.dtheta, self.dtheta_dot, np.ones(len(self))], axis=1)
         left = self.dtheta_ddot - coupling @ np.linalg.lstsq(coupling, self.dtheta_ddot, rcond=None)[0]
         return float(np.var(left)) * _APART <= float(np.var(self.dtheta_ddot))
 
     @property
     def whole(self) -> tuple[Motion, NDArray[np.int64] | slice]:
-        """The motion that this one is a part of, or itself, and its rows in that."""
+        """Return the motion that this one is a part of, or itself, and its rows in that."""
         return (self, slice(None)) if self.part_of is None else self.part_of
 
     def of(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Motion:
-        """Some of the samples, to be delayed and lagged as exactly as if all were there."""
+        """Return some of the samples, which are still delayed and lagged as exactly as in the whole motion."""
         chosen = np.arange(len(self))[rows]
         whole, places = self.whole
         return replace(
@@ -138,10 +148,10 @@ class Motion:
         )
 
     def coarser(self, fewest: int) -> tuple[Motion, NDArray[np.int64]]:
-        """Return some of the samples, `fewest` or more, in a whole motion with fewer between them; and which (k,).
+        """Return some of the samples, `fewest` or more, in a coarser whole motion, and their indices (k,).
 
-        What the motion remembers costs a step for each sample of the whole. To find a place to descend from, as many as
-        interpolation needs are enough.
+        Effects with memory cost a step for each sample of the whole motion. For finding a starting point, as many
+        samples as interpolation needs are enough.
         """
         whole, places = self.whole
         rows = np.arange(len(whole))[places]
@@ -158,15 +168,16 @@ class Motion:
 
     @cached_property
     def _longest_stride(self) -> int:
-        """How many times as far apart the samples may be, and still be close enough to interpolate between."""
+        """Return how many times further apart the samples may be and still be dense enough to interpolate."""
         fastest = float(np.sqrt(np.mean(self.dtheta_ddot**2) / max(float(np.mean(self.dtheta_dot**2)), _TINY)))
         longest = min(_DENSE / max(fastest, _TINY), self.behind.longest_step if self.behind else np.inf)
         return max(1, int(min(longest / float(np.median(np.diff(self.time))), len(self))))
 
     def at(self, time: Array) -> Motion:
-        """The motion interpolated at other times (m,), s, rising, without those between two stretches or alone in one.
+        """Return the motion interpolated at other times (m,), s, rising, except those between two pieces or alone in
+        one.
 
-        It is some of the samples of a whole motion as dense as this one, so that it is delayed and lagged as exactly.
+        It is a part of a whole motion as dense as this one, so it is delayed and lagged as exactly.
         """
         inside = [time[(time >= self.time[a]) & (time <= self.time[b - 1])] for a, b in self._stretches()]
         inside = [part if len(part) > 1 else part[:0] for part in inside]  # no curve leads through one
@@ -184,7 +195,7 @@ class Motion:
         return whole.of(np.concatenate([asked for _, asked in grids]))
 
     def shifted(self, reference: float) -> Motion:
-        """The motion with deflections from `reference`, rad."""
+        """Return the motion with deflections relative to `reference`, rad."""
         moved = replace(self, dtheta=self.dtheta - reference, part_of=None)
         return (
             moved
@@ -193,18 +204,18 @@ class Motion:
         )
 
     def delayed(self, delay: float) -> Motion:
-        """The motion as it was `delay` seconds before each time; before a stretch began, as its ends continue.
+        """Return the motion `delay` seconds before each time; before the start of a piece it is extrapolated.
 
-        The last ones are kept: a descent needs columns, torque and their changes at one delay after the other.
+        The last results are kept: a descent needs columns, torque and their derivatives at one delay after the other.
         """
         if delay == 0.0:
             return self
         return _kept(self._late, delay, lambda: self._evaluated(delay, self._curves))
 
     def begun(self, key: tuple[str, bytes], left: Callable[[], Array]) -> Beginnings:
-        """Return what the states at the beginning of each stretch can make: `ga.model.memory.beginnings`.
+        """Return what the states at the beginning of each piece can explain: `ga.model.memory.beginnings`.
 
-        left: (k, n), as there. key: the model and its parameters, because columns and torque need the same.
+        left (k, n): as there. key: the model and its parameters, because columns and torque need the same result.
         """
         from ga.model.memory import beginnings
 
@@ -215,9 +226,10 @@ class Motion:
         return self._evaluated(delay, self._changes)
 
     def lagged(self, values: Array, constant: float) -> Array:
-        """Values (n,) or (n, k) of each time, behind a first-order lag of `constant` s that has settled at each start.
+        """Return values (n,) or (n, k) behind a first-order lag of `constant` s that has settled at the start of each
+        piece.
 
-        Exact for values that are cubic between two times, with the slopes that central differences give them.
+        Exact for values that are cubic between two times, with slopes from central differences.
         """
         from ga.model import memory
 
@@ -227,7 +239,7 @@ class Motion:
         return np.concatenate(parts)
 
     def averaged(self, values: Array, width: float) -> Array:
-        """The means (n,) or (n, k) over `width` s, half before each time and half after; less at the ends.
+        """Return the means (n,) or (n, k) over `width` s around each time, shorter at the ends.
 
         values (m,) or (m, k): of the whole motion.
         """
@@ -244,24 +256,28 @@ class Motion:
         return np.concatenate(parts)
 
     def filtered(self, values: Array) -> Array:
-        """Values (n,) behind what the torque went through."""
+        """Return values (n,) after the filter that the torque went through."""
         parts = zip(self._stretches(), self._filters, strict=True)
         return np.concatenate([through(values[a:b]) for (a, b), through in parts])
 
     def presliding(self, length: float) -> Array:
-        """The friction of Dahl (1976), (n,) -1 to 1, that builds up over `length` rad after a reversal."""
+        """Return the friction state of Dahl (1976), (n,) -1 to 1, which builds up over `length` rad after a
+        reversal.
+        """
         from ga.model import memory
 
         return self._frictional(memory.presliding, length)
 
     def bristles(self, length: float, rise: float, over: float) -> Array:
-        """LuGre's friction (n,), 1 at speed and 1 + rise at rest, which falls over a rate, rad/s, and builds up."""
+        """Return LuGre's friction (n,), 1 at speed and 1 + rise at rest, which falls over a rate, rad/s, and builds up
+        over a length.
+        """
         from ga.model import memory
 
         return self._frictional(memory.bristles, length, rise, over)
 
     def yielding(self, length: float) -> Array:
-        """The friction of Bouc and Wen, (n,) -1 to 1, that builds up over `length` rad."""
+        """Return the friction state of Bouc and Wen, (n,) -1 to 1, which builds up over `length` rad."""
         from ga.model import memory
 
         return self._frictional(memory.yielding, length)
@@ -270,9 +286,9 @@ class Motion:
         return np.concatenate([law(time, rate, *own)[rows] for time, rate, rows in self._turning])
 
     def fading(self, passed: Array, constant: float) -> Array:
-        """Return the part (n,), 1 to 0, that is left of the state at the start of each stretch.
+        """Return the remaining weight (n,), 1 to 0, of the state at the start of each piece.
 
-        passed (n,): the time or the way since then. constant: in its unit, after which 1/e is left; 0: one sample.
+        passed (n,): the time or the way since then. constant: in its unit, after which 1/e remains; 0: one sample.
         """
         if not constant > 0.0:
             whole, rows = self.whole
@@ -284,13 +300,13 @@ class Motion:
 
     @cached_property
     def elapsed(self) -> Array:
-        """The time (n,), s, since the stretch began that each sample is in."""
+        """Return the time (n,), s, since the start of the piece that each sample is in."""
         whole, rows = self.whole
         return np.asarray(self.time - whole.time[np.asarray(whole.starts)[whole.stretch[rows]]])
 
     @cached_property
     def travelled(self) -> Array:
-        """The distance (n,), rad, that the joint travelled since its stretch began, back and forth."""
+        """Return the distance (n,), rad, that the joint travelled since the start of its piece, back and forth."""
         if self.part_of is not None:
             return self.part_of[0].travelled[self.part_of[1]]
         moved = (np.diff(time) * 0.5 * np.abs(rate[:-1] + rate[1:]) for time, rate, _ in self._turning)
@@ -299,7 +315,7 @@ class Motion:
 
     @cached_property
     def stretch(self) -> NDArray[np.int64]:
-        """The number (n,) of the stretch of the whole motion that each sample is in."""
+        """Return the number (n,) of the piece of the whole motion that each sample is in."""
         if self.part_of is not None:
             return self.part_of[0].stretch[self.part_of[1]]
         return np.asarray(np.searchsorted(self.starts, np.arange(len(self)), side="right") - 1)
@@ -314,20 +330,24 @@ class Motion:
 
     @cached_property
     def _turning(self) -> tuple[tuple[Array, Array, NDArray[np.int64]], ...]:
-        """Of each stretch, times s and rates rad/s with a sample more at each turn, and which are its samples."""
+        """Return for each piece times, s, and rates, rad/s, with an added sample at each reversal, and which samples
+        are original.
+        """
         from ga.model.memory import with_turns
 
         return tuple(with_turns(self.time[a:b], self.dtheta_dot[a:b]) for a, b in self._stretches())
 
     @cached_property
     def _filters(self) -> tuple[Callable[[Array], Array], ...]:
-        """The filter of the values in each stretch, as a function."""
+        """Return the filter of the values in each piece, as a function."""
         stretches = self._stretches()
         return tuple(self.behind.passing(self.time[a:b]) if self.behind else np.asarray for a, b in stretches)
 
     @cached_property
     def _curves(self) -> tuple[Spline, ...]:
-        """Through the four parts of each stretch: as good as exact where samples are much denser than the motion."""
+        """Return splines through the four parts of each piece; nearly exact where samples are much denser than the
+        motion.
+        """
         from ga.model.spline import Spline
 
         if self.part_of is not None:
@@ -341,7 +361,7 @@ class Motion:
 
 
 def _kept(found: dict[K, V], key: K, make: Callable[[], V]) -> V:
-    """Return what was made for a key, of which the last few are kept: two searches beside each other have one each."""
+    """Return the value made for a key; the last few are kept, so that two interleaved searches have one each."""
     value = found.get(key)
     if value is None:
         value = make()
@@ -352,17 +372,17 @@ def _kept(found: dict[K, V], key: K, make: Callable[[], V]) -> V:
 
 
 def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:
-    """Return from where on a difference says that motion is not smooth in a window, in the values' unit.
+    """Return the difference above which a motion is not smooth in a window, in the values' unit.
 
     apart (n,): by how much derivatives of the deflection in two windows differ. values (n,): the derivative in one of
-    them, and noise: the standard deviation of that. What is not known is NaN.
+    them. noise: its standard deviation. Unknown values are NaN.
     """
     usual = float(np.sqrt(np.nanmean(values**2)))
     return max(_UNSURE * usual, _UNLIKE * max(float(np.nanmedian(apart)), noise))
 
 
 def joined(motions: Sequence[Motion]) -> Motion:
-    """Return motions one after the other, each of them beginning a stretch of its own."""
+    """Return motions concatenated, each of them starting a piece of its own."""
     noises = [motion.rate_noise for motion in motions if motion.rate_noise is not None]
     firsts = np.cumsum([0, *(len(motion) for motion in motions[:-1])])
     starts = tuple(int(first) + start for first, motion in zip(firsts, motions, strict=True) for start in motion.starts)
@@ -390,7 +410,7 @@ def _joined_wholes(motions: Sequence[Motion]) -> tuple[Motion, NDArray[np.int64]
 
 
 def _subdivided(time: Array, step: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Times (n,), s, no more than about `step` apart, among which are those asked for; and which of them these are."""
+    """Return times (n,), s, at most about `step` apart, that include those asked for, and which of them these are."""
     if len(time) < 2:
         return time, np.ones(len(time), dtype=bool)
     parts = np.maximum(np.round(np.diff(time) / step), 1.0).astype(np.int64)
