@@ -36,9 +36,9 @@ others.
 def polished(problem: Problem, best: Fit, reach: float = _REACH) -> Fit:
     """Return the local minimum near a fit, for parameters in which descents end early.
 
-    Two nearly collinear parameters, such as a skew and a lag, make a long, curved valley of the fitness. A search
+    Two nearly collinear parameters, such as a skew and a lag, make a long, bent trough of the fitness. A search
     follows it along each direction, from well to badly determined, as far as the data leave that direction uncertain,
-    with steps back to the valley floor in the better determined directions. reach: how far, in standard errors.
+    with steps back to the floor of the trough in the better determined directions. reach: how far, in standard errors.
     """
     for _ in range(_ROUNDS if problem.low.size else 0):
         if reach < _NEAREST:

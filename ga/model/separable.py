@@ -157,7 +157,7 @@ class Problem:
         return self.of(slice(None, None, max(1, len(self.torque) // rows)))
 
     def sketched(self) -> Problem:
-        """Return the problem on a few rows of a motion just dense enough, for finding a starting point."""
+        """Return the problem on a few rows of a motion just dense enough, to find a starting point."""
         motion, rows = self.motion.coarser(FEW)
         return replace(self, motion=motion, torque=self.torque[rows]).thinned(FEW)
 

@@ -150,7 +150,7 @@ class Motion:
     def coarser(self, fewest: int) -> tuple[Motion, NDArray[np.int64]]:
         """Return some of the samples, `fewest` or more, in a coarser whole motion, and their indices (k,).
 
-        Effects with memory cost a step for each sample of the whole motion. For finding a starting point, as many
+        Effects with memory cost a step for each sample of the whole motion. To find a starting point, as many
         samples as interpolation needs are enough.
         """
         whole, places = self.whole
